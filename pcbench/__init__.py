@@ -1,0 +1,49 @@
+"""pcbench: how far is this point cloud from that one, where, why, and which numbers can be trusted?"""
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pcbench import metrics as metrics
+    from pcbench.cloud import Cloud as Cloud
+    from pcbench.comparison import Comparison as Comparison
+    from pcbench.comparison import Settings as Settings
+    from pcbench.comparison import compare as compare
+    from pcbench.errors import PcbenchError as PcbenchError
+    from pcbench.io import read_cloud as read_cloud
+    from pcbench.io import write_cloud as write_cloud
+    from pcbench.registration import register as register
+    from pcbench.transform import Affine as Affine
+    from pcbench.transform import Similarity as Similarity
+
+try:
+    __version__ = version("pcbench")
+except PackageNotFoundError:  # a source tree that was never installed
+    __version__ = "0+unknown"
+
+# Looked up on first use: a name costs the import of its own room only.
+_ROOMS = {
+    "Affine": "transform",
+    "Cloud": "cloud",
+    "Comparison": "comparison",
+    "PcbenchError": "errors",
+    "Settings": "comparison",
+    "Similarity": "transform",
+    "compare": "comparison",
+    "metrics": "metrics",
+    "read_cloud": "io",
+    "register": "registration",
+    "write_cloud": "io",
+}
+
+__all__ = ["__version__", *_ROOMS]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ROOMS:
+        raise AttributeError(f"module 'pcbench' has no attribute {name!r}")
+    module = import_module(f"pcbench.{_ROOMS[name]}")
+    value = module if name == _ROOMS[name] and name == "metrics" else getattr(module, name)
+    globals()[name] = value
+    return value

@@ -1,0 +1,138 @@
+"""The one point cloud type: float64 points with optional normals, colours and named attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcbench.errors import InputError
+
+if TYPE_CHECKING:
+    from pcbench.transform import Affine, Similarity
+
+FloatArray = NDArray[np.float64]
+
+# Per-point quantities of a Gaussian splat that live in its own axes: a change of frame makes them wrong.
+_FRAME_BOUND = ("rot_", "scale_", "f_rest_")
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A point cloud, checked once at birth.
+
+    Args:
+        points: (N, 3) finite coordinates, N >= 1, kept as C-contiguous float64.
+        normals: (N, 3) directions (unit length is the writer's business) or None.
+        colors: (N, 3) uint8 RGB or None.
+        attributes: named (N,) arrays of numbers.
+        crs: coordinate reference system as given by the file (WKT or authority code), if any.
+        unit: unit of the coordinates ("m", "ft", ...), if known.
+
+    Raises:
+        InputError: a shape, a length or a value is not as described.
+    """
+
+    points: FloatArray
+    normals: FloatArray | None = None
+    colors: NDArray[np.uint8] | None = None
+    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    crs: str | None = None
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        points = _triples("points", self.points)
+        if not len(points):
+            raise InputError("expected a point cloud with at least one point, got none")
+        # The sum is non-finite whenever a term is: one pass without a temporary mask decides the usual case.
+        with np.errstate(over="ignore", invalid="ignore"):
+            finite = bool(np.isfinite(points.sum()))
+        if not finite and (bad := int(np.count_nonzero(~np.isfinite(points).all(axis=1)))):
+            raise InputError(
+                f"expected finite coordinates, got NaN or Inf in {bad} of {len(points)} points:"
+                " drop them first (pcbench.Cloud.from_finite does)"
+            )
+        object.__setattr__(self, "points", points)
+        if self.normals is not None:
+            object.__setattr__(self, "normals", self._matching("normals", _triples("normals", self.normals)))
+        if self.colors is not None:
+            colors = np.ascontiguousarray(self.colors, dtype=np.uint8)
+            object.__setattr__(self, "colors", self._matching("colors", colors, (len(points), 3)))
+        attributes = {name: np.asarray(values) for name, values in self.attributes.items()}
+        for name, values in attributes.items():
+            self._matching(f"attribute {name!r}", values, (len(points),))
+        object.__setattr__(self, "attributes", attributes)
+
+    def _matching(self, what: str, array: NDArray[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+        expected = shape or self.points.shape
+        if array.shape != expected:
+            raise InputError(f"expected {what} of shape {expected}, got {array.shape}")
+        return array
+
+    @classmethod
+    def from_finite(cls, points: ArrayLike, **fields: Any) -> tuple[Cloud, int]:
+        """A cloud of the points whose coordinates are finite, and how many were dropped.
+
+        Raises:
+            InputError: no point is finite, or a shape is wrong.
+        """
+        array = _triples("points", points)
+        attributes = fields.get("attributes", {})
+        with np.errstate(over="ignore", invalid="ignore"):
+            if np.isfinite(array.sum()):
+                return cls(array, **fields), 0
+        keep = np.isfinite(array).all(axis=1)
+        if not keep.any():
+            raise InputError(f"all {len(array)} points are NaN or Inf")
+        kept = {name: value[keep] for name, value in fields.items() if isinstance(value, np.ndarray)}
+        kept["attributes"] = {name: np.asarray(values)[keep] for name, values in attributes.items()}
+        return cls(array[keep], **{**fields, **kept}), int(len(array) - np.count_nonzero(keep))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        parts = [name for name in ("normals", "colors") if getattr(self, name) is not None]
+        parts += list(self.attributes)
+        return f"Cloud({len(self)} points{', ' + ', '.join(parts) if parts else ''})"
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner of the bounding box, each (3,)."""
+        return self.points.min(axis=0), self.points.max(axis=0)
+
+    def select(self, which: NDArray[Any]) -> Cloud:
+        """The points picked by a boolean mask (N,) or by indices (M,)."""
+        return replace(
+            self,
+            points=self.points[which],
+            normals=None if self.normals is None else self.normals[which],
+            colors=None if self.colors is None else self.colors[which],
+            attributes={name: values[which] for name, values in self.attributes.items()},
+        )
+
+    def transformed(self, transform: Similarity | Affine) -> Cloud:
+        """The cloud in another frame. Gaussian rotations, scales and view-dependent colours do not survive it."""
+        normals = None if self.normals is None else transform.apply_normals(self.normals)
+        kept = {name: a for name, a in self.attributes.items() if not name.startswith(_FRAME_BOUND)}
+        return replace(self, points=transform.apply(self.points), normals=normals, attributes=kept)
+
+
+def as_cloud(data: Cloud | ArrayLike) -> Cloud:
+    """A `Cloud` as it is, or one around an (N, 3) array."""
+    return data if isinstance(data, Cloud) else Cloud(_triples("points", data))
+
+
+def _triples(what: str, data: ArrayLike) -> FloatArray:
+    try:
+        array = np.ascontiguousarray(data, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}"
+        ) from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
+    return array

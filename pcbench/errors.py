@@ -1,0 +1,21 @@
+"""What pcbench raises when the user, not the program, has to act. The command line prints it as one line."""
+
+
+class PcbenchError(Exception):
+    """Base of every error a user can mend: the message says what was expected, what came, and what to do."""
+
+
+class InputError(PcbenchError):
+    """A file, an array or an option is not what it has to be."""
+
+
+class RegistrationError(PcbenchError):
+    """The candidate could not be brought onto the reference."""
+
+
+class MissingExtra(PcbenchError):
+    """An optional library is not installed or does not load."""
+
+    def __init__(self, library: str, extra: str, reason: str = "") -> None:
+        because = f" ({reason})" if reason else ""
+        super().__init__(f"{library} is needed for this{because}: pip install 'pcbench[{extra}]'")

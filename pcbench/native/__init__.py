@@ -1,0 +1,11 @@
+"""Compiled kernels. A missing or broken build is said at the first import, never silently replaced."""
+
+try:
+    from pcbench.native import _core
+except ImportError as error:  # pragma: no cover - only on a broken installation
+    raise ImportError(
+        f"pcbench's compiled module does not load ({error}). Reinstall with `pip install --force-reinstall pcbench`,"
+        " or run `make` in a source tree."
+    ) from error
+
+__all__ = ["_core"]

@@ -1,0 +1,234 @@
+"""Similarity and affine transforms of 3-D points, their closed-form fits, and their text files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcbench.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """x -> linear @ x + translation, with an invertible (3, 3) linear part."""
+
+    linear: FloatArray
+    translation: FloatArray
+
+    def __post_init__(self) -> None:
+        linear = np.array(self.linear, dtype=np.float64)
+        translation = np.array(self.translation, dtype=np.float64)
+        if linear.shape != (3, 3) or translation.shape != (3,):
+            raise InputError(
+                f"expected a (3, 3) matrix and a (3,) translation, got {linear.shape}, {translation.shape}"
+            )
+        if not (np.isfinite(linear).all() and np.isfinite(translation).all()):
+            raise InputError("expected a transform of finite numbers, got NaN or Inf")
+        if not abs(np.linalg.det(linear)) > 1e-12 * np.linalg.norm(linear) ** 3:
+            raise InputError("expected an invertible transform, got a singular matrix")
+        object.__setattr__(self, "linear", linear)
+        object.__setattr__(self, "translation", translation)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The homogeneous (4, 4) matrix."""
+        result = np.eye(4)
+        result[:3, :3], result[:3, 3] = self.linear, self.translation
+        return result
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Transform (N, 3) points."""
+        # einsum without BLAS: the same bits whatever the number of threads.
+        return np.einsum("nj,ij->ni", points, self.linear) + self.translation
+
+    def apply_normals(self, normals: FloatArray) -> FloatArray:
+        """Transform (N, 3) normals by the inverse transpose; lengths are kept as they were."""
+        moved = np.einsum("nj,ji->ni", normals, np.linalg.inv(self.linear))
+        length = np.linalg.norm(moved, axis=1, keepdims=True)
+        before = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.divide(moved * before, length, out=np.zeros_like(moved), where=length > 0)
+
+    def inverse(self) -> Affine:
+        linear = np.linalg.inv(self.linear)
+        return Affine(linear, -linear @ self.translation)
+
+    def __matmul__(self, other: Affine | Similarity) -> Affine:
+        """`self @ other` applies `other` first."""
+        m = self.matrix @ other.matrix
+        return Affine(m[:3, :3], m[:3, 3])
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """x -> scale * rotation @ x + translation; scale > 0, a proper (3, 3) rotation."""
+
+    rotation: FloatArray
+    translation: FloatArray
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        rotation = np.array(self.rotation, dtype=np.float64)
+        translation = np.array(self.translation, dtype=np.float64)
+        if rotation.shape != (3, 3) or translation.shape != (3,):
+            raise InputError(
+                f"expected a (3, 3) rotation and a (3,) translation, got {rotation.shape}, {translation.shape}"
+            )
+        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            raise InputError("expected a transform of finite numbers, got NaN or Inf")
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise InputError(f"expected a positive scale, got {self.scale}")
+        # 1e-6: matrices printed with seven digits still count as rotations.
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+            raise InputError("expected a rotation matrix: orthonormal rows and determinant +1")
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
+        object.__setattr__(self, "scale", float(self.scale))
+
+    @classmethod
+    def identity(cls) -> Similarity:
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> Similarity:
+        """From a homogeneous (4, 4) matrix.
+
+        Raises:
+            InputError: it is not a rotation times a positive scale (use `Affine` for shear and reflections).
+        """
+        m = np.asarray(matrix, dtype=np.float64)
+        if m.shape != (4, 4):
+            raise InputError(f"expected a 4x4 matrix, got shape {m.shape}")
+        if not np.allclose(m[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
+            raise InputError(f"expected the last row 0 0 0 1, got {' '.join(f'{v:g}' for v in m[3])}")
+        determinant = np.linalg.det(m[:3, :3])
+        if not determinant > 0:
+            raise InputError(f"expected a rotation with a positive scale, got determinant {determinant:g}")
+        scale = float(np.cbrt(determinant))
+        if abs(scale - 1) < 1e-9:  # the cube root's rounding is no scale
+            scale = 1.0
+        return cls(m[:3, :3] / scale, m[:3, 3], scale)
+
+    @property
+    def linear(self) -> FloatArray:
+        """scale * rotation, (3, 3)."""
+        return self.scale * self.rotation
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The homogeneous (4, 4) matrix."""
+        result = np.eye(4)
+        result[:3, :3], result[:3, 3] = self.linear, self.translation
+        return result
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Transform (N, 3) points."""
+        return np.einsum("nj,ij->ni", points, self.linear) + self.translation
+
+    def apply_normals(self, normals: FloatArray) -> FloatArray:
+        """Rotate (N, 3) normals."""
+        return np.einsum("nj,ij->ni", normals, self.rotation)
+
+    def inverse(self) -> Similarity:
+        return Similarity(
+            self.rotation.T, -(self.rotation.T @ self.translation) / self.scale, 1.0 / self.scale
+        )
+
+    def __matmul__(self, other: Similarity) -> Similarity:
+        """`self @ other` applies `other` first."""
+        # Products of many rotations drift off orthonormality: the polar factor brings them back.
+        u, _, vt = np.linalg.svd(self.rotation @ other.rotation)
+        return Similarity(
+            u @ vt,
+            self.scale * (self.rotation @ other.translation) + self.translation,
+            self.scale * other.scale,
+        )
+
+    def about(self, origin: FloatArray) -> Similarity:
+        """The same motion for coordinates that still carry `origin`: this one was found after subtracting it."""
+        return Similarity(self.rotation, self.translation + origin - self.linear @ origin, self.scale)
+
+
+def fit_similarity(candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True) -> Similarity:
+    """Least-squares similarity (or rigid motion) that maps candidate (N, 3) onto reference (N, 3) points.
+
+    Umeyama 1991, eqs. 40-42: rotation from the SVD of the cross-covariance with the reflection fix, then scale, then
+    translation (in this order: a translation from before the fix is wrong for planar sets).
+
+    Raises:
+        InputError: fewer than three pairs, or all candidate points on one line.
+    """
+    candidate, reference = np.asarray(candidate, np.float64), np.asarray(reference, np.float64)
+    if candidate.shape != reference.shape or candidate.ndim != 2 or candidate.shape[1] != 3:
+        raise InputError(f"expected two (N, 3) arrays of pairs, got {candidate.shape} and {reference.shape}")
+    if len(candidate) < 3:
+        raise InputError(f"expected at least 3 pairs of points to fit a transform, got {len(candidate)}")
+    mean_c, mean_r = candidate.mean(axis=0), reference.mean(axis=0)
+    c, r = candidate - mean_c, reference - mean_r
+    spread = np.linalg.svd(c, compute_uv=False)
+    if spread[1] <= 1e-9 * spread[0]:
+        raise InputError(
+            "expected pairs that span a plane, got points on one line: the rotation is not determined"
+        )
+    u, singular, vt = np.linalg.svd(r.T @ c)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * sign) @ vt
+    scale = float((singular * sign).sum() / (c**2).sum()) if with_scale else 1.0
+    return Similarity(rotation, mean_r - scale * rotation @ mean_c, scale)
+
+
+def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:
+    """Least-squares affine map of candidate (N, 3) onto reference (N, 3) points.
+
+    Raises:
+        InputError: fewer than four pairs, or all candidate points in one plane.
+    """
+    candidate, reference = np.asarray(candidate, np.float64), np.asarray(reference, np.float64)
+    if len(candidate) < 4:
+        raise InputError(f"expected at least 4 pairs of points to fit an affine map, got {len(candidate)}")
+    mean_c, mean_r = candidate.mean(axis=0), reference.mean(axis=0)
+    c, r = candidate - mean_c, reference - mean_r
+    spread = np.linalg.svd(c, compute_uv=False)
+    if spread[2] <= 1e-9 * spread[0]:
+        raise InputError(
+            "expected pairs that span space, got points in one plane: the affine map is not determined"
+        )
+    linear = np.linalg.lstsq(c, r, rcond=None)[0].T
+    return Affine(linear, mean_r - linear @ mean_c)
+
+
+def read_matrix(path: str | Path) -> Similarity:
+    """Read a 4x4 (or 3x4) matrix of a similarity from a text file; lines that start with # are comments.
+
+    Raises:
+        InputError: the file is not such a matrix.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or 'not a text file'}"
+        ) from error
+    rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
+    try:
+        values = [[float(word) for word in row] for row in rows if row]
+    except ValueError as error:
+        raise InputError(f"{path}: expected a 4x4 matrix of numbers: {error}") from error
+    shape = (len(values), len(values[0]) if values else 0)
+    if shape not in ((4, 4), (3, 4)) or any(len(row) != 4 for row in values):
+        raise InputError(
+            f"{path}: expected 4 rows of 4 numbers, got {len(values)} rows of {[len(r) for r in values][:5]}"
+        )
+    try:
+        return Similarity.from_matrix(values if len(values) == 4 else [*values, [0, 0, 0, 1]])
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def format_matrix(transform: Similarity | Affine) -> str:
+    """The 4x4 matrix as text that `read_matrix` reads back without losing a bit."""
+    return "".join(" ".join(repr(float(v)) for v in row) + "\n" for row in transform.matrix)
