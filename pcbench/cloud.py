@@ -130,9 +130,7 @@ def _triples(what: str, data: ArrayLike) -> FloatArray:
     try:
         array = np.ascontiguousarray(data, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}"
-        ) from error
+        raise InputError(f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}") from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
     return array

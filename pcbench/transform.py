@@ -134,9 +134,7 @@ class Similarity:
         return np.einsum("nj,ij->ni", normals, self.rotation)
 
     def inverse(self) -> Similarity:
-        return Similarity(
-            self.rotation.T, -(self.rotation.T @ self.translation) / self.scale, 1.0 / self.scale
-        )
+        return Similarity(self.rotation.T, -(self.rotation.T @ self.translation) / self.scale, 1.0 / self.scale)
 
     def __matmul__(self, other: Similarity) -> Similarity:
         """`self @ other` applies `other` first."""
@@ -171,9 +169,7 @@ def fit_similarity(candidate: FloatArray, reference: FloatArray, *, with_scale: 
     c, r = candidate - mean_c, reference - mean_r
     spread = np.linalg.svd(c, compute_uv=False)
     if spread[1] <= 1e-9 * spread[0]:
-        raise InputError(
-            "expected pairs that span a plane, got points on one line: the rotation is not determined"
-        )
+        raise InputError("expected pairs that span a plane, got points on one line: the rotation is not determined")
     u, singular, vt = np.linalg.svd(r.T @ c)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = (u * sign) @ vt
@@ -194,9 +190,7 @@ def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:
     c, r = candidate - mean_c, reference - mean_r
     spread = np.linalg.svd(c, compute_uv=False)
     if spread[2] <= 1e-9 * spread[0]:
-        raise InputError(
-            "expected pairs that span space, got points in one plane: the affine map is not determined"
-        )
+        raise InputError("expected pairs that span space, got points in one plane: the affine map is not determined")
     linear = np.linalg.lstsq(c, r, rcond=None)[0].T
     return Affine(linear, mean_r - linear @ mean_c)
 
