@@ -1,0 +1,104 @@
+"""Distances between clouds as numbers: pure functions of one-way distances.
+
+Let a be the distances candidate -> reference and b those reference -> candidate (each to the nearest point of the
+whole other cloud). A bare "Chamfer distance" means nothing: every function names its variant.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.neighbors import FloatArray, IntArray
+
+
+class FScore(NamedTuple):
+    """Shares in [0, 1] at one threshold (in the clouds' unit)."""
+
+    threshold: float
+    precision: float
+    recall: float
+    fscore: float
+
+
+def plane_distances(queries: FloatArray, feet: FloatArray, normals: FloatArray) -> FloatArray:
+    """Signed distances (N,) of queries (N, 3) along unit normals (N, 3) through feet (N, 3): point to tangent plane."""
+    return np.einsum("ni,ni->n", queries - feet, normals)
+
+
+def mean_square(distances: FloatArray) -> float:
+    """Mean of the squares, in squared units: D1 of point-to-point, D2 of point-to-plane distances, one way.
+
+    D1 and D2 as in Tian et al. 2017, eqs. 1-4 (MPEG's p2point and p2plane) before the maximum over directions.
+    """
+    _not_empty(distances)
+    return float(np.mean(np.square(distances)))
+
+
+def hausdorff(a: FloatArray, b: FloatArray) -> float:
+    """Symmetric Hausdorff distance max(max a, max b), unsquared."""
+    return max(one_way_hausdorff(a), one_way_hausdorff(b))
+
+
+def one_way_hausdorff(distances: FloatArray) -> float:
+    """Largest one-way distance."""
+    _not_empty(distances)
+    return float(distances.max())
+
+
+def chamfer_unsquared(a: FloatArray, b: FloatArray) -> float:
+    """mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
+    _not_empty(a), _not_empty(b)
+    return float(np.mean(a)) + float(np.mean(b))
+
+
+def chamfer_squared(a: FloatArray, b: FloatArray) -> float:
+    """mean a^2 + mean b^2, in squared units (Fan et al. 2017 with means; most learning papers; `gao2025`)."""
+    return mean_square(a) + mean_square(b)
+
+
+def fscore(a: FloatArray, b: FloatArray, threshold: float) -> FScore:
+    """Precision = share of a <= threshold, recall = share of b <= threshold, and their harmonic mean.
+
+    Knapitsch et al. 2017 (Tanks and Temples), eqs. 1-5.
+    """
+    _not_empty(a), _not_empty(b)
+    if not threshold > 0:
+        raise InputError(f"expected a positive threshold, got {threshold}")
+    precision, recall = float(np.mean(a <= threshold)), float(np.mean(b <= threshold))
+    return FScore(threshold, precision, recall, harmonic_mean(precision, recall))
+
+
+def harmonic_mean(precision: float, recall: float) -> float:
+    """2pr / (p + r), 0 where both are 0."""
+    return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
+
+
+def percentiles(distances: FloatArray, ranks: tuple[float, ...] = (5, 25, 50, 75, 90, 95, 99)) -> dict[str, float]:
+    """Percentiles of one-way distances, as {"p5": ...}; linear interpolation between order statistics."""
+    _not_empty(distances)
+    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(distances, ranks), strict=True)}
+
+
+def area_weighted_mean(values: FloatArray, voxels: IntArray) -> float:
+    """Mean over occupied voxels of the voxel's mean value, so that a dense centre does not decide alone.
+
+    Args:
+        values: (N,) any per-point quantity.
+        voxels: (N,) identifiers of the voxels the points lie in.
+    """
+    _not_empty(values)
+    _, inverse, counts = np.unique(voxels, return_inverse=True, return_counts=True)
+    return float(np.mean(np.bincount(inverse, values) / counts))
+
+
+def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
+    """10 log10(factor peak^2 / mse) in dB (MPEG: factor 3 for geometry); None where it does not exist."""
+    return float(10 * np.log10(factor * peak**2 / mse)) if mse > 0 and peak > 0 else None
+
+
+def _not_empty(distances: FloatArray) -> None:
+    if not len(distances):
+        raise InputError("expected at least one distance, got none")
