@@ -1,0 +1,214 @@
+"""Slow, plain numpy versions of what pcbench measures: float64, brute force, nothing imported from pcbench or scipy.
+
+They are written from the definitions alone, so that agreement with the production code means something.
+"""
+
+import numpy as np
+
+_PAIRS_AT_ONCE = 2_000_000  # 48 MB of coordinate differences
+
+
+def squared_distance_rows(queries, points):
+    """Chunks (start, (n, len(points)) squared distances); differences first, so that far coordinates lose nothing."""
+    step = max(1, _PAIRS_AT_ONCE // len(points))
+    for start in range(0, len(queries), step):
+        difference = queries[start : start + step, None, :] - points[None, :, :]
+        yield start, np.einsum("nmi,nmi->nm", difference, difference)
+
+
+# Neighbours
+
+
+def k_nearest(queries, points, k):
+    """Distances and indices (N, k) of the k nearest points, nearest first, ties by the lowest index."""
+    distances, indices = np.empty((len(queries), k)), np.empty((len(queries), k), dtype=np.int64)
+    for start, squared in squared_distance_rows(queries, points):
+        order = np.argsort(squared, axis=1, kind="stable")[:, :k]
+        indices[start : start + len(order)] = order
+        distances[start : start + len(order)] = np.sqrt(np.take_along_axis(squared, order, axis=1))
+    return distances, indices
+
+
+def nearest(queries, points):
+    """Distances and indices (N,) of the nearest point, ties by the lowest index."""
+    distances, indices = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
+    for start, squared in squared_distance_rows(queries, points):
+        lowest = squared.argmin(axis=1)  # argmin takes the first of equals
+        indices[start : start + len(lowest)] = lowest
+        distances[start : start + len(lowest)] = np.sqrt(squared[np.arange(len(lowest)), lowest])
+    return distances, indices
+
+
+def leave_one_out(points):
+    """Distance (N,) from each point to its nearest other point: 0 where it has a duplicate."""
+    result = np.empty(len(points))
+    for start, squared in squared_distance_rows(points, points):
+        rows = np.arange(len(squared))
+        squared[rows, start + rows] = np.inf
+        result[start : start + len(squared)] = np.sqrt(squared.min(axis=1))
+    return result
+
+
+def normals(points, k):
+    """Unit normals (N, 3) of the plane through each point's k nearest points, itself among them; sign arbitrary."""
+    _, indices = k_nearest(points, points, k)
+    result = np.empty_like(points)
+    for row, neighbours in enumerate(indices):
+        centred = points[neighbours] - points[neighbours].mean(axis=0)
+        _, vectors = np.linalg.eigh(centred.T @ centred)
+        result[row] = vectors[:, 0]  # of the smallest eigenvalue
+    return result
+
+
+# Metrics
+
+
+def d1(queries, points):
+    """D1 one way: mean squared distance to the nearest point."""
+    return float(np.mean(nearest(queries, points)[0] ** 2))
+
+
+def d2(queries, points, point_normals):
+    """D2 one way: mean squared distance to the plane through the nearest point across the target's normal."""
+    _, indices = nearest(queries, points)
+    return float(np.mean(((queries - points[indices]) * point_normals[indices]).sum(axis=1) ** 2))
+
+
+def hausdorff(first, second):
+    """max(max a, max b), unsquared."""
+    return float(max(nearest(first, second)[0].max(), nearest(second, first)[0].max()))
+
+
+def chamfer_unsquared(first, second):
+    """mean a + mean b."""
+    return float(nearest(first, second)[0].mean() + nearest(second, first)[0].mean())
+
+
+def chamfer_squared(first, second):
+    """mean a^2 + mean b^2."""
+    return d1(first, second) + d1(second, first)
+
+
+def chamfer_sum_of_squares(first, second):
+    """sum a^2 + sum b^2, PDAL's."""
+    return float((nearest(first, second)[0] ** 2).sum() + (nearest(second, first)[0] ** 2).sum())
+
+
+def fscore(candidate, reference, threshold):
+    """Precision (candidate within the threshold), recall (reference within it), harmonic mean."""
+    precision = float(np.mean(nearest(candidate, reference)[0] <= threshold))
+    recall = float(np.mean(nearest(reference, candidate)[0] <= threshold))
+    total = precision + recall
+    return precision, recall, 2 * precision * recall / total if total else 0.0
+
+
+def voxel_mean(values, points, side, lower):
+    """Mean over occupied voxels floor((p - lower) / side) of the voxel's mean value."""
+    voxels: dict[tuple[int, ...], list[float]] = {}
+    for value, index in zip(values, np.floor((points - lower) / side).astype(int), strict=True):
+        voxels.setdefault(tuple(index), []).append(float(value))
+    return float(np.mean([np.mean(inside) for inside in voxels.values()]))
+
+
+# Sampling floors: what two samples of one surface would score
+
+
+def floor_candidate_to_reference(candidate, reference):
+    """(N,) leave-one-out distances inside the reference at the places the candidate's points are matched to."""
+    _, matched = nearest(candidate, reference)
+    return leave_one_out(reference)[matched]
+
+
+def floor_reference_to_candidate(candidate, reference):
+    """(M,) distances from the reference to the unique reference points nearest to the candidate's points."""
+    _, matched = nearest(candidate, reference)
+    return nearest(reference, reference[np.unique(matched)])[0]
+
+
+# MPEG's pc_error
+
+_TIE = 1e-8  # squared units
+_STEP, _MOST = 5, 30  # neighbours are fetched five at a time
+
+
+def _closest(squared, fetched):
+    """The nearest `fetched` indices, and five more as long as the last is exactly as near as the first."""
+    bound = np.partition(squared, _MOST - 1)[_MOST - 1] if len(squared) > _MOST else np.inf
+    within = np.flatnonzero(squared <= bound)
+    order = within[np.argsort(squared[within], kind="stable")][:_MOST]
+    while fetched < len(order) and squared[order[0]] == squared[order[fetched - 1]] and fetched + _STEP <= _MOST:
+        fetched += _STEP
+    return order[:fetched]
+
+
+def _exact_ties(squared):
+    near = _closest(squared, _STEP)
+    return near[squared[near] == squared[near[0]]]
+
+
+def _close_ties(squared):
+    """Nearest first, up to the first step of `_TIE` or more: a chain, not a band about the nearest."""
+    near = _closest(squared, 2 * _STEP)
+    steps = np.diff(squared[near])
+    return near[: int(np.argmax(steps >= _TIE)) + 1] if (steps >= _TIE).any() else near
+
+
+def _rows(queries, points):
+    for _, chunk in squared_distance_rows(queries, points):
+        yield from chunk
+
+
+def _first_of_duplicates(points):
+    return np.sort(np.unique(points, axis=0, return_index=True)[1])
+
+
+def mpeg(a_points, a_normals, b_points):
+    """What `pc_error -a A -b B --hausdorff=1` of mpeg-pcc-dmetric 0.14.2 prints, under its names.
+
+    A's normals are spread to B by nearest neighbours and averaged, neither re-normalised nor oriented. Direction 1 is
+    A -> B with B's normals, 2 is B -> A with A's; the figures without a number are the worse of the two. Its maxima
+    ("h.") are squared distances. Coordinates are taken as they come: the tool itself casts them to float32.
+    """
+    first = _first_of_duplicates(a_points)
+    a_points, a_normals = a_points[first], a_normals[first]
+    b_points = b_points[_first_of_duplicates(b_points)]
+
+    totals, counts = np.zeros_like(b_points), np.zeros(len(b_points))
+    for normal, squared in zip(a_normals, _rows(a_points, b_points), strict=True):
+        ties = _exact_ties(squared)
+        totals[ties] += normal
+        counts[ties] += 1
+    b_normals = totals / np.maximum(counts, 1)[:, None]
+    empty = counts == 0
+    if empty.any():
+        b_normals[empty] = [a_normals[_exact_ties(row)].mean(axis=0) for row in _rows(b_points[empty], a_points)]
+
+    # The tool leaves out points whose nearest other point is closer than 1e-5 (squared: 1e-10).
+    spacing = leave_one_out(a_points)
+    peak = float(spacing[spacing**2 > 1e-10].max())
+    result = {"Peak distance for PSNR": peak}
+
+    def psnr(mse):
+        return float(10 * np.log10(3 * peak**2 / mse)) if mse > 0 else float("inf")
+
+    for number, queries, points, target_normals in (
+        ("1", a_points, b_points, b_normals),
+        ("2", b_points, a_points, a_normals),
+    ):
+        to_point, to_plane = [], []
+        for query, squared in zip(queries, _rows(queries, points), strict=True):
+            ties = _close_ties(squared)
+            to_point.append(squared[ties[0]])
+            to_plane.append(np.mean(((query - points[ties]) * target_normals[ties]).sum(axis=1) ** 2))
+        for kind, values in (("p2point", to_point), ("p2plane", to_plane)):
+            mse, highest = float(np.mean(values)), float(np.max(values))
+            result[f"mse{number} ({kind})"] = mse
+            result[f"mse{number},PSNR ({kind})"] = psnr(mse)
+            result[f"h. {number}({kind})"] = highest
+            result[f"h.,PSNR {number}({kind})"] = psnr(highest)
+    for kind in ("p2point", "p2plane"):
+        result[f"mseF ({kind})"] = max(result[f"mse1 ({kind})"], result[f"mse2 ({kind})"])
+        result[f"mseF,PSNR ({kind})"] = min(result[f"mse1,PSNR ({kind})"], result[f"mse2,PSNR ({kind})"])
+        result[f"h. ({kind})"] = max(result[f"h. 1({kind})"], result[f"h. 2({kind})"])
+        result[f"h.,PSNR ({kind})"] = min(result[f"h.,PSNR 1({kind})"], result[f"h.,PSNR 2({kind})"])
+    return result
