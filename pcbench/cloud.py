@@ -87,7 +87,7 @@ class Cloud:
         keep = np.isfinite(array).all(axis=1)
         if not keep.any():
             raise InputError(f"all {len(array)} points are NaN or Inf")
-        kept = {name: value[keep] for name, value in fields.items() if isinstance(value, np.ndarray)}
+        kept: dict[str, Any] = {name: value[keep] for name, value in fields.items() if isinstance(value, np.ndarray)}
         kept["attributes"] = {name: np.asarray(values)[keep] for name, values in attributes.items()}
         return cls(array[keep], **{**fields, **kept}), int(len(array) - np.count_nonzero(keep))
 

@@ -25,7 +25,8 @@ class FScore(NamedTuple):
 
 def plane_distances(queries: FloatArray, feet: FloatArray, normals: FloatArray) -> FloatArray:
     """Signed distances (N,) of queries (N, 3) along unit normals (N, 3) through feet (N, 3): point to tangent plane."""
-    return np.einsum("ni,ni->n", queries - feet, normals)
+    distances: FloatArray = np.einsum("ni,ni->n", queries - feet, normals)
+    return distances
 
 
 def mean_square(distances: FloatArray) -> float:
@@ -50,7 +51,8 @@ def one_way_hausdorff(distances: FloatArray) -> float:
 
 def chamfer_unsquared(a: FloatArray, b: FloatArray) -> float:
     """mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
-    _not_empty(a), _not_empty(b)
+    _not_empty(a)
+    _not_empty(b)
     return float(np.mean(a)) + float(np.mean(b))
 
 
@@ -64,7 +66,8 @@ def fscore(a: FloatArray, b: FloatArray, threshold: float) -> FScore:
 
     Knapitsch et al. 2017 (Tanks and Temples), eqs. 1-5.
     """
-    _not_empty(a), _not_empty(b)
+    _not_empty(a)
+    _not_empty(b)
     if not threshold > 0:
         raise InputError(f"expected a positive threshold, got {threshold}")
     precision, recall = float(np.mean(a <= threshold)), float(np.mean(b <= threshold))

@@ -45,7 +45,7 @@ class Index:
         if k > len(self):
             raise InputError(f"expected at least {k} points to find {k} neighbours, got {len(self)}")
         distances, indices = self._tree.query(queries, k=k, workers=_threads())
-        return Matches(distances, np.asarray(indices, dtype=np.int64))
+        return Matches(np.asarray(distances), np.asarray(indices, dtype=np.int64))
 
     def nearest_other(self, which: IntArray | None = None) -> Matches:
         """For each point (or those of `which`) its nearest other point, at distance 0 where it has a duplicate.

@@ -34,12 +34,58 @@ def estimate_normals(index: Index, k: int = 20, which: IntArray | None = None) -
     if k < 3:
         raise InputError(f"expected at least 3 points to estimate normals, got {k}")
     own = np.arange(len(index)) if which is None else which
-    directions, variation = np.empty((len(own), 3)), np.empty(len(own))
-    for start in range(0, len(own), _CHUNK):
-        rows = slice(start, start + _CHUNK)
-        neighbors = index.query(index.points[own[rows]], k).indices
-        _core.plane_fits(index.points, neighbors, directions[rows], variation[rows])
+    chunks = [own[start : start + _CHUNK] for start in range(0, len(own), _CHUNK)]
+    fits = [plane_normals(index.points, index.query(index.points[rows], k).indices) for rows in chunks]
+    directions = np.concatenate([fit.directions for fit in fits]) if fits else np.empty((0, 3))
+    variation = np.concatenate([fit.variation for fit in fits]) if fits else np.empty(0)
     return Normals(orient_up(directions), variation)
+
+
+def plane_normals(points: FloatArray, neighbors: IntArray) -> Normals:
+    """Normals, signs as they come, of planes through the points (N, 3) that each row of `neighbors` (M, k) names."""
+    directions, variation = np.empty((len(neighbors), 3)), np.empty(len(neighbors))
+    _core.plane_fits(points, np.ascontiguousarray(neighbors), directions, variation)
+    return Normals(directions, variation)
+
+
+class Surface:
+    """A cloud as a surface: its index, and normals that are estimated where they are first asked for, then kept.
+
+    Args:
+        index: of the points.
+        k: neighbours a normal is estimated from.
+        given: normals (N, 3) that came with the cloud; only those without a length are estimated.
+    """
+
+    def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None) -> None:
+        self.index = index
+        self.k = k
+        self._normals = np.empty((len(index), 3))
+        self._known = np.zeros(len(index), dtype=bool)
+        if given is not None:
+            self._normals[:], self._known[:] = unit(given)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @property
+    def points(self) -> FloatArray:
+        return self.index.points
+
+    def normals(self, which: IntArray) -> FloatArray:
+        """Unit normals (M, 3) at the indices `which` (M,).
+
+        Raises:
+            InputError: fewer than three points.
+        """
+        missing = np.zeros(len(self), dtype=bool)
+        missing[which] = True
+        missing &= ~self._known
+        if missing.any():
+            rows = np.flatnonzero(missing)
+            self._normals[rows] = estimate_normals(self.index, self.k, rows).directions
+            self._known[rows] = True
+        return self._normals[which]
 
 
 def orient_up(directions: FloatArray) -> FloatArray:

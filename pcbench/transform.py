@@ -43,18 +43,18 @@ class Affine:
 
     def apply(self, points: FloatArray) -> FloatArray:
         """Transform (N, 3) points."""
-        # einsum without BLAS: the same bits whatever the number of threads.
-        return np.einsum("nj,ij->ni", points, self.linear) + self.translation
+        return _each(self.linear, points) + self.translation
 
     def apply_normals(self, normals: FloatArray) -> FloatArray:
         """Transform (N, 3) normals by the inverse transpose; lengths are kept as they were."""
-        moved = np.einsum("nj,ji->ni", normals, np.linalg.inv(self.linear))
+        moved = _each(self.inverse().linear.T, normals)
         length = np.linalg.norm(moved, axis=1, keepdims=True)
         before = np.linalg.norm(normals, axis=1, keepdims=True)
-        return np.divide(moved * before, length, out=np.zeros_like(moved), where=length > 0)
+        scaled: FloatArray = np.divide(moved * before, length, out=np.zeros_like(moved), where=length > 0)
+        return scaled
 
     def inverse(self) -> Affine:
-        linear = np.linalg.inv(self.linear)
+        linear: FloatArray = np.linalg.inv(self.linear).astype(np.float64)
         return Affine(linear, -linear @ self.translation)
 
     def __matmul__(self, other: Affine | Similarity) -> Affine:
@@ -127,11 +127,11 @@ class Similarity:
 
     def apply(self, points: FloatArray) -> FloatArray:
         """Transform (N, 3) points."""
-        return np.einsum("nj,ij->ni", points, self.linear) + self.translation
+        return _each(self.linear, points) + self.translation
 
     def apply_normals(self, normals: FloatArray) -> FloatArray:
         """Rotate (N, 3) normals."""
-        return np.einsum("nj,ij->ni", normals, self.rotation)
+        return _each(self.rotation, normals)
 
     def inverse(self) -> Similarity:
         return Similarity(self.rotation.T, -(self.rotation.T @ self.translation) / self.scale, 1.0 / self.scale)
@@ -151,11 +151,20 @@ class Similarity:
         return Similarity(self.rotation, self.translation + origin - self.linear @ origin, self.scale)
 
 
-def fit_similarity(candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True) -> Similarity:
+def _each(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
+    """matrix (3, 3) times each of vectors (N, 3)."""
+    # einsum without BLAS: the same bits whatever the number of threads.
+    products: FloatArray = np.einsum("nj,ij->ni", vectors, matrix)
+    return products
+
+
+def fit_similarity(
+    candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True, weights: FloatArray | None = None
+) -> Similarity:
     """Least-squares similarity (or rigid motion) that maps candidate (N, 3) onto reference (N, 3) points.
 
     Umeyama 1991, eqs. 40-42: rotation from the SVD of the cross-covariance with the reflection fix, then scale, then
-    translation (in this order: a translation from before the fix is wrong for planar sets).
+    translation (in this order: a translation from before the fix is wrong for planar sets). `weights` (N,) >= 0.
 
     Raises:
         InputError: fewer than three pairs, or all candidate points on one line.
@@ -165,15 +174,18 @@ def fit_similarity(candidate: FloatArray, reference: FloatArray, *, with_scale: 
         raise InputError(f"expected two (N, 3) arrays of pairs, got {candidate.shape} and {reference.shape}")
     if len(candidate) < 3:
         raise InputError(f"expected at least 3 pairs of points to fit a transform, got {len(candidate)}")
-    mean_c, mean_r = candidate.mean(axis=0), reference.mean(axis=0)
+    w = np.full(len(candidate), 1 / len(candidate)) if weights is None else weights / weights.sum()
+    mean_c, mean_r = np.einsum("n,ni->i", w, candidate), np.einsum("n,ni->i", w, reference)
     c, r = candidate - mean_c, reference - mean_r
-    spread = np.linalg.svd(c, compute_uv=False)
-    if spread[1] <= 1e-9 * spread[0]:
+    covariance = np.einsum("ni,n,nj->ij", r, w, c)
+    variances = np.linalg.eigvalsh(np.einsum("ni,n,nj->ij", c, w, c))
+    # Eigenvalues are squared lengths: rounding leaves 1e-16 of the largest where there is nothing.
+    if variances[1] <= 1e-14 * variances[2]:
         raise InputError("expected pairs that span a plane, got points on one line: the rotation is not determined")
-    u, singular, vt = np.linalg.svd(r.T @ c)
+    u, singular, vt = np.linalg.svd(covariance)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = (u * sign) @ vt
-    scale = float((singular * sign).sum() / (c**2).sum()) if with_scale else 1.0
+    scale = float((singular * sign).sum() / variances.sum()) if with_scale else 1.0
     return Similarity(rotation, mean_r - scale * rotation @ mean_c, scale)
 
 
@@ -218,7 +230,7 @@ def read_matrix(path: str | Path) -> Similarity:
             f"{path}: expected 4 rows of 4 numbers, got {len(values)} rows of {[len(r) for r in values][:5]}"
         )
     try:
-        return Similarity.from_matrix(values if len(values) == 4 else [*values, [0, 0, 0, 1]])
+        return Similarity.from_matrix(np.array([*values, [0.0, 0.0, 0.0, 1.0]][:4]))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

@@ -30,3 +30,10 @@ def thin(points: FloatArray, side: float) -> IntArray:
     """Indices of the first point in each occupied cell of edge `side`, in ascending order."""
     _, first = np.unique(cell_keys(points, side, points.min(axis=0)), return_index=True)
     return np.sort(first)
+
+
+def robust_extent(points: FloatArray) -> float:
+    """Diagonal of the box that holds the inner 98 % of points (N, 3) along each axis: stragglers do not count."""
+    some = points[:: max(1, len(points) // 100_000)]
+    lower, upper = np.percentile(some, [1, 99], axis=0)
+    return float(np.linalg.norm(upper - lower))
