@@ -1,0 +1,347 @@
+"""The pipeline: register, match both ways, measure, map; one reference against any number of candidates."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcbench import intervals, metrics, presets
+from pcbench.cloud import Cloud, as_cloud
+from pcbench.crop import Region, parse_region
+from pcbench.errors import InputError
+from pcbench.measure import Direction, measure, value_of
+from pcbench.neighbors import FloatArray, Index, IntArray, Matches
+from pcbench.normals import Surface
+from pcbench.registration import Registration, recentring, register
+from pcbench.voxels import robust_extent
+
+_VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a user may change; stored with every result.
+
+    Attributes:
+        register: how candidates are aligned, see `pcbench.registration.METHODS`.
+        crop: which part is measured, see `pcbench.crop.parse_region`.
+        thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
+        presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
+        seed: of the bootstrap.
+        normal_neighbors: points a normal of the reference is estimated from where the file has none.
+    """
+
+    register: str = "icp"
+    crop: str = "none"
+    thresholds: tuple[float, ...] | None = None
+    presets: tuple[str, ...] = ("gao2025", "mpeg")
+    seed: int = 0
+    normal_neighbors: int = 20
+
+    def __post_init__(self) -> None:
+        if self.thresholds is not None and not (
+            self.thresholds and all(np.isfinite(t) and t > 0 for t in self.thresholds)
+        ):
+            raise InputError(f"expected positive thresholds, got {list(self.thresholds)}")
+        if unknown := [name for name in self.presets if name not in presets.NAMES]:
+            raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
+        if self.normal_neighbors < 3:
+            raise InputError(f"expected at least 3 neighbours for a normal, got {self.normal_neighbors}")
+        always = [name for name in ("gao2025", "mpeg") if name not in self.presets]
+        object.__setattr__(self, "presets", (*always, *dict.fromkeys(self.presets)))
+
+
+class DeviationMap(NamedTuple):
+    """Where the candidate deviates: one value a candidate point inside the region, in reference coordinates."""
+
+    points: FloatArray  # (M, 3)
+    distances: FloatArray  # (M,) to the nearest reference point
+    plane_distances: FloatArray | None  # (M,) signed, to the tangent plane there; positive above it
+    rows: IntArray  # (M,) of the candidate's points
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Everything measured about one candidate. `metrics` is documented in the README (comparison.json)."""
+
+    name: str
+    points: int
+    points_in_region: int
+    registration: Registration
+    metrics: dict[str, Any]
+    deviation: DeviationMap
+    timings_s: dict[str, float]
+    peak_rss_bytes: int
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A reference, its candidates, and the differences between them."""
+
+    settings: Settings
+    reference: dict[str, Any]
+    candidates: tuple[Candidate, ...]
+    differences: list[dict[str, Any]] = field(default_factory=list)
+
+
+def compare(
+    reference: Cloud | ArrayLike,
+    candidates: Sequence[Cloud | ArrayLike] | Mapping[str, Cloud | ArrayLike] | Cloud | NDArray[Any],
+    settings: Settings | None = None,
+    *,
+    on_step: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Compare candidate clouds with a reference.
+
+    Args:
+        reference: the cloud that is taken as truth.
+        candidates: one cloud, several, or several by name.
+        settings: see `Settings`.
+        on_step: called with a few words before every step that takes time.
+
+    Raises:
+        InputError: a cloud, a setting or a region is not usable.
+        RegistrationError: a candidate does not overlap the reference.
+    """
+    settings = settings or Settings()
+    if isinstance(candidates, Cloud | np.ndarray):
+        candidates = [candidates]
+    named = (
+        dict(candidates)
+        if isinstance(candidates, Mapping)
+        else {f"candidate_{number}": cloud for number, cloud in enumerate(candidates, 1)}
+    )
+    if not named:
+        raise InputError("expected at least one candidate, got none")
+    step = on_step or (lambda _: None)
+
+    step("indexing the reference")
+    truth = _Reference.prepare(as_cloud(reference), settings)
+    results, replicates = [], []
+    for name, cloud in named.items():
+        result, means = _compare_one(truth, name, as_cloud(cloud), settings, step)
+        results.append(result)
+        replicates.append(means)
+    return Comparison(settings, truth.describe(), tuple(results), _differences(results, replicates))
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """The reference, recentred, with all that every candidate needs, computed once."""
+
+    cloud: Cloud
+    origin: FloatArray
+    surface: Surface
+    region: Region | None  # in recentred coordinates
+    inside: NDArray[np.bool_]
+    nearest_other: Matches | None
+    spacing: float
+    blocks: intervals.Blocks
+    voxel: float
+
+    @classmethod
+    def prepare(cls, cloud: Cloud, settings: Settings) -> _Reference:
+        origin = recentring(cloud)
+        points = cloud.points - origin
+        region = parse_region(settings.crop, cloud)
+        region = None if region is None else region.shifted(origin)
+        inside = np.ones(len(points), bool) if region is None else region.contains(points)
+        if not inside.any():
+            raise InputError(f"the crop {settings.crop!r} leaves none of the reference's {len(points)} points")
+        index = Index(points)
+        nearest_other = index.nearest_other() if len(index) > 1 else None
+        spacing = 0.0 if nearest_other is None else float(np.median(nearest_other.distances))
+        return cls(
+            cloud=cloud,
+            origin=origin,
+            surface=Surface(index, settings.normal_neighbors, cloud.normals),
+            region=region,
+            inside=inside,
+            nearest_other=nearest_other,
+            spacing=spacing,
+            blocks=intervals.partition(points, settings.seed),
+            voxel=robust_extent(points[inside]) / _VOXELS_ALONG or 1.0,
+        )
+
+    @property
+    def index(self) -> Index:
+        return self.surface.index
+
+    @property
+    def points(self) -> FloatArray:
+        return self.surface.points
+
+    @property
+    def has_normals(self) -> bool:
+        return self.cloud.normals is not None or len(self.points) >= 3
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            "points": len(self.points),
+            "points_in_region": int(np.count_nonzero(self.inside)),
+            "spacing_median": self.spacing,
+            "crs": self.cloud.crs,
+            "unit": self.cloud.unit,
+            "normals": "given" if self.cloud.normals is not None else "estimated" if self.has_normals else None,
+            "block_side": self.blocks.side,
+            "voxel_side": self.voxel,
+        }
+
+
+def _compare_one(
+    truth: _Reference, name: str, cloud: Cloud, settings: Settings, step: Callable[[str], None]
+) -> tuple[Candidate, dict[str, FloatArray]]:
+    timings: dict[str, float] = {}
+
+    step(f"{name}: registering")
+    with _timed(timings, "registration"):
+        registration = register(truth.cloud, cloud, settings.register, surface=truth.surface)
+        aligned = registration.T_local.apply(cloud.points - truth.origin)
+        inside = np.ones(len(aligned), bool) if truth.region is None else truth.region.contains(aligned)
+        if not inside.any():
+            raise InputError(f"{name}: the crop {settings.crop!r} leaves none of its {len(aligned)} points")
+
+    step(f"{name}: matching both ways")
+    with _timed(timings, "matching"):
+        index = Index(aligned)
+        forth = presets.two_nearest(truth.index, aligned[inside])
+        back = presets.two_nearest(index, truth.points[truth.inside])
+
+    step(f"{name}: measuring")
+    with _timed(timings, "normals"):
+        if truth.has_normals:
+            truth.surface.normals(np.concatenate([np.flatnonzero(truth.inside), forth.indices[:, 0]]))
+    with _timed(timings, "floors"):
+        candidate_to_reference = _from_candidate(truth, aligned[inside], forth)
+        reference_to_candidate = _from_reference(truth, index, forth, back)
+    with _timed(timings, "metrics"):
+        thresholds = settings.thresholds or tuple(f * truth.spacing for f in (1.0, 2.0, 5.0) if truth.spacing > 0)
+        values, replicates = measure(
+            candidate_to_reference,
+            reference_to_candidate,
+            thresholds,
+            block_weights=truth.blocks.weights,
+            voxel=truth.voxel,
+            origin=truth.origin,
+        )
+    with _timed(timings, "presets"):
+        pair = _hard_pair(truth, aligned, inside, forth, back)
+        values["presets"] = _presets(truth, pair, settings.presets, thresholds)
+
+    deviation = DeviationMap(
+        candidate_to_reference.points + truth.origin,
+        candidate_to_reference.distances,
+        candidate_to_reference.plane,
+        np.flatnonzero(inside),
+    )
+    result = Candidate(
+        name=name,
+        points=len(cloud),
+        points_in_region=int(np.count_nonzero(inside)),
+        registration=registration,
+        metrics=values,
+        deviation=deviation,
+        timings_s=timings,
+        peak_rss_bytes=_peak_rss(),
+    )
+    return result, replicates
+
+
+def _from_candidate(truth: _Reference, queries: FloatArray, matches: Matches) -> Direction:
+    """Candidate -> reference. Floor: leave-one-out distances inside the reference at the matched places."""
+    distances, feet = matches.distances[:, 0], matches.indices[:, 0]
+    floor = other = None
+    if truth.nearest_other is not None:
+        floor, other = truth.nearest_other.distances[feet], truth.nearest_other.indices[feet]
+    plane = floor_plane = None
+    if truth.has_normals:
+        plane = metrics.plane_distances(queries, truth.points[feet], truth.surface.normals(feet))
+        if other is not None:
+            floor_plane = metrics.plane_distances(truth.points[feet], truth.points[other], truth.surface.normals(other))
+    return Direction(queries, distances, plane, floor, floor_plane, truth.blocks.of_point[feet])
+
+
+def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Matches) -> Direction:
+    """Reference -> candidate. Floor: distances to the pseudo-candidate of the matched reference points."""
+    rows = np.flatnonzero(truth.inside)
+    queries, feet = truth.points[rows], index.points[back.indices[:, 0]]
+    pseudo = Index(truth.points[np.unique(forth.indices[:, 0])])
+    floor, nearest = pseudo.query(queries)
+    plane = floor_plane = None
+    if truth.has_normals:
+        normals = truth.surface.normals(rows)
+        plane = metrics.plane_distances(queries, feet, normals)
+        floor_plane = metrics.plane_distances(queries, pseudo.points[nearest], normals)
+    return Direction(queries, back.distances[:, 0], plane, floor, floor_plane, truth.blocks.of_point[rows])
+
+
+def _hard_pair(
+    truth: _Reference, aligned: FloatArray, inside: NDArray[np.bool_], forth: Matches, back: Matches
+) -> presets.Pair:
+    """Both clouds cut to the region, with the matches that are left or have to be found anew."""
+    reference, candidate = truth.points[truth.inside], aligned[inside]
+    return presets.Pair(
+        presets.Side(reference, presets.crop_matches(reference, back, aligned, inside)),
+        presets.Side(candidate, presets.crop_matches(candidate, forth, truth.points, truth.inside)),
+        truth.surface.normals(np.flatnonzero(truth.inside)) if truth.has_normals else None,
+    )
+
+
+def _presets(
+    truth: _Reference, pair: presets.Pair, names: tuple[str, ...], thresholds: tuple[float, ...]
+) -> dict[str, Any]:
+    known: dict[str, Callable[[], dict[str, Any]]] = {
+        "gao2025": lambda: presets.gao2025(pair),
+        "mpeg": lambda: presets.mpeg(pair, _peak(truth)),
+        "open3d": lambda: presets.open3d(pair, thresholds),
+    }
+    return {name: known[name]() for name in names}
+
+
+def _peak(truth: _Reference) -> float:
+    """MPEG's peak: the largest distance from a (hard-cropped, merged) reference point to its nearest other one."""
+    if truth.nearest_other is None:
+        return 0.0
+    distances, indices = truth.nearest_other
+    lone = truth.inside & (~truth.inside[indices] | (distances == 0))
+    safe = truth.inside & ~lone
+    peak = float(distances[safe].max(initial=0.0))
+    if lone.any():  # their neighbour was cut away or is a duplicate
+        kept = np.unique(truth.points[truth.inside], axis=0)
+        if len(kept) > 1:
+            found = Index(kept).query(truth.points[lone], k=2).distances
+            peak = max(peak, float(found[:, 1].max()))
+    return peak
+
+
+def _differences(results: list[Candidate], replicates: list[dict[str, FloatArray]]) -> list[dict[str, Any]]:
+    """Is a better than b? Every mean's difference a - b with its interval over the same replicates."""
+    rows = []
+    for (a, of_a), (b, of_b) in combinations(zip(results, replicates, strict=True), 2):
+        for metric in of_a:
+            if metric in of_b:
+                difference = value_of(a.metrics, metric) - value_of(b.metrics, metric)
+                ci = intervals.interval(of_a[metric] - of_b[metric])
+                rows.append({"a": a.name, "b": b.name, "metric": metric, "difference": difference, "ci": ci})
+    return rows
+
+
+@contextmanager
+def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    timings[name] = time.perf_counter() - start
+
+
+def _peak_rss() -> int:
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -1,0 +1,126 @@
+"""`comparison.json`: schema `pcbench.comparison/1`, documented in the README."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pcbench
+from pcbench.comparison import Candidate, Comparison, DeviationMap
+from pcbench.metrics import percentiles
+from pcbench.registration import Registration
+
+SCHEMA = "pcbench.comparison/1"
+
+
+def document(comparison: Comparison, files: dict[str, dict[str, Any]] | None = None) -> dict[str, Any]:
+    """The comparison as JSON-ready values.
+
+    Args:
+        files: path, sha256 and warnings of "reference" and of each candidate by name, where clouds came from files.
+    """
+    files = files or {}
+    unread: dict[str, Any] = {"path": None, "sha256": None, "warnings": []}
+    return {
+        "schema": SCHEMA,
+        "reference": {**unread, **files.get("reference", {}), **comparison.reference},
+        "settings": asdict(comparison.settings),
+        "provenance": _provenance(comparison.settings.seed),
+        "candidates": [
+            _candidate(candidate, {**unread, **files.get(candidate.name, {})}) for candidate in comparison.candidates
+        ],
+        "differences": comparison.differences,
+    }
+
+
+def to_json(values: dict[str, Any]) -> str:
+    """JSON text: what does not exist is null, never NaN or Infinity."""
+    return json.dumps(_plain(values), indent=2, allow_nan=False) + "\n"
+
+
+def _candidate(candidate: Candidate, file: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "name": candidate.name,
+        **file,
+        "points": candidate.points,
+        "points_in_region": candidate.points_in_region,
+        "registration": _registration(candidate.registration),
+        "metrics": candidate.metrics,
+        "deviation": _deviation(candidate.deviation),
+        "timings_s": candidate.timings_s,
+        "peak_rss_bytes": candidate.peak_rss_bytes,
+    }
+
+
+def _registration(registration: Registration) -> dict[str, Any]:
+    return {
+        "method": registration.method,
+        "T_reference_candidate": registration.T_reference_candidate.matrix,
+        "scale": registration.T_reference_candidate.scale,
+        "rmse": registration.rmse,
+        "overlap": registration.overlap,
+        "iterations": registration.iterations,
+        "converged": registration.converged,
+        "information_eigenvalues": registration.information_eigenvalues,
+        "weakest_sigma": registration.weakest_sigma,
+        "check_points": [point._asdict() for point in registration.check_points],
+        "warnings": registration.warnings,
+    }
+
+
+def _deviation(deviation: DeviationMap) -> dict[str, Any]:
+    plane = deviation.plane_distances
+    return {
+        "kind": "nearest",
+        "percentiles": percentiles(deviation.distances),
+        "rms": float(np.sqrt(np.mean(np.square(deviation.distances)))),
+        # Distances to points have no sign; the bias is that of the distances to the tangent planes, positive above.
+        "bias": None if plane is None else float(np.mean(plane)),
+    }
+
+
+def _provenance(seed: int) -> dict[str, Any]:
+    return {
+        "version": pcbench.__version__,
+        "commit": _commit(),
+        "seed": seed,
+        "machine": f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores,"
+        f" Python {platform.python_version()}, numpy {np.__version__}",
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _commit() -> str | None:
+    root = Path(pcbench.__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    try:
+        command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _plain(value: Any) -> Any:
+    """numpy values and tuples as JSON's own, non-finite numbers as null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
