@@ -1,0 +1,78 @@
+"""What all formats share: the fields a reader returns, checks before a file is opened, and writing all or nothing."""
+
+from __future__ import annotations
+
+import secrets
+import stat
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError
+
+Warn = Callable[[str], None]
+
+
+class Fields(TypedDict, total=False):
+    """The fields of a `pcbench.Cloud` as a file gives them: points may still be NaN or Inf."""
+
+    points: NDArray[Any]
+    normals: NDArray[Any] | None
+    colors: NDArray[np.uint8] | None
+    attributes: Mapping[str, NDArray[Any]]
+    crs: str | None
+    unit: str | None
+
+
+def check_readable(path: Path) -> None:
+    """Refuses what no reader should open: opening a pipe, for one, would wait for ever.
+
+    Raises:
+        InputError: the path is missing, a folder, not a regular file, or empty.
+        OSError: the path cannot be looked at.
+    """
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        raise InputError("no such file: check the name and the folder") from None
+    except ValueError:
+        raise InputError("expected a file name, got one with a NUL character") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise InputError("expected a file, got a folder: name the file inside it")
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError("expected a regular file, got a pipe or a device: save the data to a file first")
+    if not status.st_size:
+        raise InputError("expected a point cloud, got an empty file (0 bytes)")
+
+
+def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
+    """All bytes from the current position to the end, in one buffer that is as large as the file really is."""
+    start = file.tell()
+    rest = np.empty(file.seek(0, 2) - start, dtype=np.uint8)
+    file.seek(start)
+    got = file.readinto(rest.data)  # type: ignore[attr-defined]
+    return rest[:got]
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[BinaryIO]:
+    """A binary file that takes the name `path` once it is complete; on any error `path` stays as it was.
+
+    Raises:
+        OSError: the folder or the disk does not take the file; the temporary file is removed.
+    """
+    target = path.resolve()  # through a symbolic link, as a plain open() would write
+    if target.exists() and not target.is_file():
+        raise OSError(f"cannot write to {path}: it is a folder or a device")
+    temporary = target.with_name(f".pcbench-{secrets.token_hex(8)}.tmp")
+    try:
+        with temporary.open("xb") as file:
+            yield file
+        temporary.replace(target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,246 @@
+"""PLY against files made by hand: every type, byte order, layout; and what the writer writes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from ply_bytes import FORMATS, TYPES, XYZ, corpus, ply, points
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError
+from pcbench.io import read_cloud, write_cloud
+
+EXTREMES = {"b": (-128, 127), "B": (0, 255), "h": (-32768, 32767), "H": (0, 65535), "i": (-(2**31), 2**31 - 1),
+            "I": (0, 2**32 - 1), "f": (-1.5, 0.25), "d": (1 / 3, -1e300)}  # fmt: skip
+form = pytest.mark.parametrize("form", FORMATS)
+
+
+def read(tmp_path, data):
+    path = tmp_path / "a.ply"
+    path.write_bytes(data)
+    return read_cloud(path)
+
+
+@form
+@pytest.mark.parametrize("kind", TYPES)
+def test_every_type(tmp_path, form, kind):
+    low, high = EXTREMES[TYPES[kind]]
+    coordinates = [f"{kind} x", f"{kind} y", f"{kind} z"]
+    cloud = read(tmp_path, ply(form, ("vertex", [*coordinates, f"{kind} a"], [(low, high, 1, high), (1, 2, 3, low)])))
+    np.testing.assert_array_equal(cloud.points, [[low, high, 1], [1, 2, 3]])
+    attribute = cloud.attributes["a"]
+    assert attribute.dtype == np.dtype(TYPES[kind]) and attribute.dtype.isnative
+    assert attribute.tolist() == [high, low]
+    assert cloud.points.flags.c_contiguous and cloud.points.flags.aligned
+
+
+@form
+def test_any_order_of_properties(tmp_path, form):
+    cloud = read(tmp_path, ply(form, ("vertex", ["float z", "uchar a", "double y", "float x"], [(3.0, 9, 2.0, 1.0)])))
+    assert cloud.points.tolist() == [[1, 2, 3]]
+    assert cloud.attributes["a"].tolist() == [9]
+
+
+@form
+@pytest.mark.parametrize("sizes", [[3, 3, 3], [3, 4, 0, 3], [0, 0]])
+def test_faces_before_after_and_between(tmp_path, form, sizes):
+    faces = ("face", ["list uchar int vertex_indices", "float q"], [(tuple(range(n)), 0.5) for n in sizes])
+    strips = ("tristrips", ["list int int a", "list ushort double b"], [((1, 2, -1), (0.5,)), ((), (1.0, 2.0))])
+    empty, bare = ("edge", ["int a"], []), ("nothing", [], [(), ()])
+    vertices = ("vertex", [*XYZ, "uchar a"], [(*p, 7) for p in points(5)])
+    for order in ([faces, vertices, strips], [vertices, empty, faces], [bare, strips, faces, vertices]):
+        cloud = read(tmp_path, ply(form, *order))
+        assert cloud.points.tolist() == [list(p) for p in points(5)]
+        assert cloud.attributes["a"].tolist() == [7] * 5
+
+
+@form
+@pytest.mark.parametrize("views", [[2, 2, 2, 2], [0, 3, 1, 255]])
+def test_lists_in_the_vertex_element_are_skipped(tmp_path, form, views):
+    properties = ["float x", "list uchar uint view_indices", "float y", "float z", "list uchar float w", "short id"]
+    rows = [(float(i), tuple(range(n)), i + 0.5, -1.0, (0.5,) * n, i) for i, n in enumerate(views)]
+    cloud = read(tmp_path, ply(form, ("vertex", properties, rows)))
+    assert cloud.points.tolist() == [[i, i + 0.5, -1] for i in range(4)]
+    assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"id": [0, 1, 2, 3]}
+
+
+@form
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_comments_and_line_ends(tmp_path, form, newline):
+    comments = [
+        "comment",
+        "comment crs EPSG:32617",
+        "obj_info unit ft",
+        "comment unit m",
+        "",
+        "comment  end_header",
+        "obj_info",
+    ]
+    cloud = read(tmp_path, ply(form, ("vertex", XYZ, points(3)), comments=comments, newline=newline))
+    assert (len(cloud), cloud.crs, cloud.unit) == (3, "EPSG:32617", "m")
+
+
+def test_comments_in_another_encoding(tmp_path):
+    data = ply("ascii", ("vertex", XYZ, points(3)), comments=["comment X"])
+    assert len(read(tmp_path, data.replace(b"X", "Größe".encode("latin-1")))) == 3
+
+
+def test_ascii_layout_is_free(tmp_path):
+    data = (
+        b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    cloud = read(tmp_path, data + b"\n  1\t2   3e0 \r\n\n+4 -.5 6.")
+    assert cloud.points.tolist() == [[1, 2, 3], [4, -0.5, 6]]
+
+
+def test_ascii_float_coordinates_keep_their_digits(tmp_path):
+    """A UTM northing declared `float`: float32 would move it by up to 0.25 m."""
+    cloud = read(tmp_path, ply("ascii", ("vertex", XYZ, [(500000.123, 4428123.457, 12.5)])))
+    assert cloud.points.tolist() == [[500000.123, 4428123.457, 12.5]]
+
+
+# ---- what becomes of the properties ----
+
+
+@form
+@pytest.mark.parametrize("names", ["red green blue", "r g b", "diffuse_red diffuse_green diffuse_blue"])
+def test_colors(tmp_path, form, names):
+    properties = [*XYZ, *(f"uchar {name}" for name in names.split()), "uchar alpha"]
+    cloud = read(tmp_path, ply(form, ("vertex", properties, [(0.0, 0.0, 0.0, 1, 2, 255, 9)])))
+    assert cloud.colors.tolist() == [[1, 2, 255]]
+    assert cloud.colors.dtype == np.uint8
+    assert list(cloud.attributes) == ["alpha"]
+
+
+@pytest.mark.parametrize("kind", ["float", "ushort"])
+def test_other_colors_stay_attributes(tmp_path, kind):
+    properties = [*XYZ, *(f"{kind} {name}" for name in ("red", "green", "blue"))]
+    cloud = read(tmp_path, ply("binary_little_endian", ("vertex", properties, [(0.0, 0.0, 0.0, 1, 0, 1)])))
+    assert cloud.colors is None
+    assert list(cloud.attributes) == ["red", "green", "blue"]
+
+
+@form
+def test_normals(tmp_path, form):
+    properties = ["float nz", *XYZ, "float nx", "float ny"]
+    cloud = read(tmp_path, ply(form, ("vertex", properties, [(3.0, 0.0, 0.0, 0.0, 1.0, 2.0)])))
+    assert cloud.normals.tolist() == [[1, 2, 3]]
+    cloud = read(tmp_path, ply(form, ("vertex", properties[:-1], [(3.0, 0.0, 0.0, 0.0, 1.0)])))
+    assert cloud.normals is None
+    assert list(cloud.attributes) == ["nz", "nx"]
+
+
+@form
+def test_splat(tmp_path, form):
+    names = [*(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45)), "opacity"]
+    names += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    properties = [*XYZ, "float nx", "float ny", "float nz", *(f"float {name}" for name in names)]
+    rows = [(*p, 0.0, 0.0, 0.0, *(i + k / 4 for k in range(len(names)))) for i, p in enumerate(points(6))]
+    cloud = read(tmp_path, ply(form, ("vertex", properties, rows)))
+    assert cloud.normals is None
+    assert list(cloud.attributes) == names
+    for k, name in enumerate(names):
+        assert cloud.attributes[name].dtype == np.float32
+        assert cloud.attributes[name].tolist() == [i + k / 4 for i in range(6)]
+
+
+def test_corpus_reads_alike_in_all_formats(tmp_path):
+    clouds = {name: read(tmp_path, data) for name, data in corpus().items()}
+    for name, cloud in clouds.items():
+        twin = clouds["ascii" + name.removeprefix(name.split()[0])]
+        np.testing.assert_array_equal(cloud.points, twin.points)
+        assert cloud.attributes.keys() == twin.attributes.keys()
+
+
+# ---- writer ----
+
+DOUBLES = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@settings(max_examples=50, deadline=None)
+@given(points=arrays(np.float64, st.tuples(st.integers(1, 9), st.just(3)), elements=DOUBLES))
+def test_float64_survives_exactly(tmp_path_factory, points):
+    path = tmp_path_factory.mktemp("exact") / "a.ply"
+    write_cloud(path, Cloud(points))
+    np.testing.assert_array_equal(read_cloud(path).points, points)
+    rows = [tuple(row) for row in points.tolist()]
+    path.write_bytes(ply("ascii", ("vertex", ["double x", "double y", "double z"], rows)))
+    np.testing.assert_array_equal(read_cloud(path).points, points)
+
+
+def test_all_fields_survive(tmp_path):
+    rng = np.random.default_rng(3)
+    attributes = {
+        code: np.array([0, 1, 2, 3, 100]).astype(code) for code in ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+    }
+    cloud = Cloud(
+        rng.normal(size=(5, 3)),
+        normals=rng.normal(size=(5, 3)),
+        colors=rng.integers(0, 256, (5, 3), dtype=np.uint8),
+        attributes=attributes,
+        crs='PROJCRS["Höhe",\n  BASEGEOGCRS["WGS 84"]]',
+        unit="US survey foot",
+    )
+    path = tmp_path / "a.ply"
+    write_cloud(path, cloud)
+    again = read_cloud(path)
+    np.testing.assert_array_equal(again.points, cloud.points)
+    np.testing.assert_array_equal(again.normals, cloud.normals.astype(np.float32))
+    np.testing.assert_array_equal(again.colors, cloud.colors)
+    assert {name: values.dtype for name, values in again.attributes.items()} == {
+        code: np.dtype(code) for code in attributes
+    }
+    for name, values in again.attributes.items():
+        np.testing.assert_array_equal(values, attributes[name])
+    assert again.crs == 'PROJCRS["Höhe", BASEGEOGCRS["WGS 84"]]'
+    assert again.unit == "US survey foot"
+
+
+@pytest.mark.parametrize(
+    ("values", "dtype"),
+    [
+        (np.array([True, False]), np.uint8),
+        (np.array([-1, 2**31 - 1]), np.int32),
+        (np.array([0, 2**32 - 1]), np.uint32),
+        (np.array([-1, 2**32 - 1]), np.float64),
+        (np.array([0, 2**53], dtype=np.uint64), np.float64),
+        (np.array([0.5, np.inf], dtype=np.float16), np.float32),
+        (np.array([0.5, 0.25], dtype=np.longdouble), np.float64),
+        (np.array([1.5, 2.5], dtype=">f4"), np.float32),
+    ],
+)
+def test_types_that_ply_does_not_have(tmp_path, values, dtype):
+    write_cloud(tmp_path / "a.ply", Cloud(np.zeros((2, 3)), attributes={"a": values}))
+    again = read_cloud(tmp_path / "a.ply").attributes["a"]
+    assert again.dtype == dtype
+    np.testing.assert_array_equal(again, values)
+
+
+@pytest.mark.parametrize("name", ["", "two words", "tab\t", "line\n", "Größe", "x", "nx", "red"])
+def test_refuses_names(tmp_path, name):
+    cloud = Cloud(
+        np.zeros((1, 3)), normals=np.ones((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)}
+    )
+    with pytest.raises(InputError, match="rename it"):
+        write_cloud(tmp_path / "a.ply", cloud)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
+def test_refuses_what_is_no_number(tmp_path, values):
+    with pytest.raises(InputError, match="expected attribute 'a' as numbers"):
+        write_cloud(tmp_path / "a.ply", Cloud(np.zeros((1, 3)), attributes={"a": values}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_header_as_written(tmp_path):
+    write_cloud(
+        tmp_path / "a.ply", Cloud(np.ones((2, 3)), attributes={"i": np.zeros(2, np.int16)}, crs="EPSG:2", unit="m")
+    )
+    header, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")
+    assert header.decode() == (
+        "ply\nformat binary_little_endian 1.0\ncomment crs EPSG:2\ncomment unit m\nelement vertex 2\n"
+        "property double x\nproperty double y\nproperty double z\nproperty short i\n"
+    )
+    assert len(body) == 2 * 26
