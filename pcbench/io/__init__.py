@@ -11,6 +11,7 @@ from typing import NamedTuple
 from pcbench.cloud import Cloud
 from pcbench.errors import InputError
 from pcbench.io.files import Fields, Warn, check_readable
+from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from pcbench.io.ply import read_ply, write_ply
 
 __all__ = ["read_cloud", "write_cloud"]
@@ -24,6 +25,8 @@ class _Format(NamedTuple):
 
 
 _FORMATS = {
+    ".npy": _Format(read_npy, write_npy),
+    ".npz": _Format(read_npz, write_npz),
     ".ply": _Format(read_ply, write_ply),
 }
 

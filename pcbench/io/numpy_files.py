@@ -1,0 +1,291 @@
+"""NumPy files: .npy with (N, 3) points or (N, 6) points and normals; .npz with named arrays.
+
+The array header is parsed here and not by `numpy.load`: no pickles, no evaluation of Python text, and the size a header
+claims is compared with the size the file has before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import errno
+import re
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError
+from pcbench.io.files import Fields, Warn, atomic_write
+
+if TYPE_CHECKING:
+    from zipfile import ZipFile, ZipInfo
+
+_HEADER_LIMIT = 1 << 16  # bytes; numpy writes 118
+_PIECE = 1 << 20  # bytes decompressed at a time
+# An archive may grow so many times when unpacked: coordinates shrink 2 to 20 times, a constant column up to 1000.
+_GROWTH_LIMIT, _GROWTH_FREE = 200, 16 << 20
+_TEXTS = ("crs", "unit")
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What stands before the numbers of an array, and how many bytes it took."""
+
+    dtype: np.dtype[Any]
+    fortran_order: bool
+    shape: tuple[int, ...]
+    header_bytes: int
+
+    @property
+    def data_bytes(self) -> int:
+        return prod(self.shape) * self.dtype.itemsize
+
+
+def read_npy(path: Path, warn: Warn) -> Fields:
+    """Points (N, 3), or points and normals (N, 6), of any float or integer type.
+
+    Raises:
+        InputError: the file is not a complete array of that shape.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        header = _read_header(file)
+        _check_points(header)
+        _check_size(header, path.stat().st_size)
+        return _points_fields(_read_data(file, header))
+
+
+def read_npz(path: Path, warn: Warn) -> Fields:
+    """Arrays `points` (N, 3) or (N, 6), `normals` (N, 3), `colors` (N, 3) uint8; the other (N,) arrays are attributes.
+
+    `crs` and `unit` are texts. An archive of one array holds points under any name. Arrays of other shapes are left out
+    with a warning.
+
+    Raises:
+        InputError: the archive is damaged, holds no points, or grows beyond all measure when unpacked.
+        OSError: it cannot be read.
+    """
+    import zipfile
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _read_archive(archive, path.stat().st_size, warn)
+    # What zipfile lets out on damaged archives, by reading and by mutating them.
+    except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, OverflowError) as error:
+        raise InputError(f"damaged archive: {error}: copy or export the file again") from error
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        raise InputError("damaged archive: an entry lies outside it: copy or export the file again") from error
+    except (NotImplementedError, RuntimeError) as error:
+        raise InputError(f"expected a plain zip archive, got: {error}") from error
+
+
+def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
+    members = _members(archive, archive_bytes)
+    texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXTS if name in members}
+    key = "points" if "points" in members or len(members) != 1 else next(iter(members))
+    if key not in members:
+        raise InputError(f"expected an array 'points', got {_listed(members)}")
+
+    headers = {name: _member_header(archive, info, name) for name, info in members.items()}
+    _check_points(headers[key])
+    count = headers[key].shape[0]
+    for name, header in headers.items():
+        if name in ("normals", "colors") and name != key:
+            if header.shape != (count, 3):
+                raise InputError(f"expected {name} of shape ({count}, 3), got {header.shape}")
+            if name == "colors" and header.dtype != np.uint8:
+                raise InputError(f"expected colors as uint8 (0 to 255), got {header.dtype}")
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, header in headers.items():
+        if name in (key, "normals", "colors") or header.shape == (count,):
+            with archive.open(members[name]) as file:
+                arrays[name] = _read_data(file, _read_header(file))
+                file.read(1)  # at its end zipfile compares the check sum
+        else:
+            warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
+    fields = _points_fields(arrays.pop(key))
+    fields["normals"] = arrays.pop("normals", fields.get("normals"))
+    fields["colors"] = arrays.pop("colors", None)
+    fields["attributes"] = arrays
+    fields["crs"] = texts.get("crs")
+    fields["unit"] = texts.get("unit")
+    return fields
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(repr(name[:40]) for name in sorted(names)[:10]) or "none"
+
+
+def _members(archive: ZipFile, archive_bytes: int) -> dict[str, ZipInfo]:
+    """Members by array name, once it is known that unpacking them all is in proportion."""
+    unpacked = sum(info.file_size for info in archive.infolist())
+    if unpacked > _GROWTH_FREE + _GROWTH_LIMIT * archive_bytes:
+        raise InputError(f"{archive_bytes} bytes would unpack to {unpacked}: refused, save it with numpy.savez")
+    members: dict[str, ZipInfo] = {}
+    for info in archive.infolist():
+        name = info.filename.removesuffix(".npy")
+        if name == info.filename:
+            raise InputError(f"expected arrays (.npy) in the archive, got {name[:40]!r}")
+        if name in members:
+            raise InputError(f"array {name[:40]!r} stands twice in the archive")
+        if info.flag_bits & 1:
+            raise InputError("expected a plain archive, got an encrypted one")
+        if info.compress_type not in (0, 8):
+            raise InputError(f"expected stored or deflated arrays, got zip method {info.compress_type}")
+        members[name] = info
+    return members
+
+
+def _member_header(archive: ZipFile, info: ZipInfo, name: str) -> _Header:
+    with archive.open(info) as file:
+        try:
+            header = _read_header(file)
+            _check_size(header, info.file_size)
+        except InputError as error:
+            raise InputError(f"array {name[:40]!r}: {error}") from error
+        return header
+
+
+def _read_text(archive: ZipFile, info: ZipInfo, name: str) -> str | None:
+    with archive.open(info) as file:
+        header = _read_header(file, kinds="U")
+        _check_size(header, info.file_size)
+        if header.shape != ():
+            raise InputError(f"expected {name!r} as a text, got an array of shape {header.shape}")
+        if not header.data_bytes:
+            return None
+        # Not through numpy's str: a number that is no character raises SystemError there, and ValueError here.
+        codes = _read_data(file, header).reshape(1).view(np.uint32)
+        return codes.astype("<u4").tobytes().decode("utf-32-le").rstrip("\0") or None
+
+
+def _check_points(header: _Header) -> None:
+    if len(header.shape) != 2 or header.shape[1] not in (3, 6):
+        raise InputError(f"expected points of shape (N, 3), or (N, 6) with normals; got {header.shape}")
+    if header.dtype.kind not in "fiu":
+        raise InputError(f"expected points as floats or integers, got {header.dtype}")
+    if not header.shape[0]:
+        raise InputError("expected at least one point, got 0")
+
+
+def _check_size(header: _Header, size: int) -> None:
+    present = size - header.header_bytes
+    if present < header.data_bytes:
+        per_row = header.data_bytes // max(header.shape[0], 1) if header.shape else header.data_bytes
+        complete = present // max(per_row, 1)
+        total = header.shape[0] if header.shape else 1
+        raise InputError(f"truncated: {complete} of {total} rows: copy or export the file again")
+    if present > header.data_bytes:
+        raise InputError(f"{present - header.data_bytes} bytes after the array: header and data disagree")
+
+
+def _points_fields(array: NDArray[Any]) -> Fields:
+    with np.errstate(invalid="ignore", over="ignore"):
+        points = array.astype(np.float64, copy=False)
+    if points.shape[1] == 3:
+        return Fields(points=points)
+    return Fields(points=points[:, :3], normals=points[:, 3:])
+
+
+def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
+    """The header of an array in format version 1 or 2 (version 3 exists for names that plain arrays do not have)."""
+    start = file.read(8)
+    if start[:6] != b"\x93NUMPY":
+        raise InputError(f"expected a NumPy array that starts with b'\\x93NUMPY', got {start[:6]!r}")
+    if start[6:] not in (b"\x01\x00", b"\x02\x00"):
+        raise InputError(f"expected NumPy format 1.0 or 2.0, got {start[6:]!r}: save it with numpy.save")
+    counter = struct.Struct("<H" if start[6] == 1 else "<I")
+    length_bytes = file.read(counter.size)
+    if len(length_bytes) < counter.size:
+        raise InputError("truncated: the header is not complete: copy or export the file again")
+    length = counter.unpack(length_bytes)[0]
+    if length > _HEADER_LIMIT:
+        raise InputError(f"expected an array header of at most {_HEADER_LIMIT} bytes, got {length}")
+    text = file.read(length)
+    if len(text) < length:
+        raise InputError("truncated: the header is not complete: copy or export the file again")
+
+    # {'descr': '<f8', 'fortran_order': False, 'shape': (1000, 3), }
+    descr = re.search(rb"'descr':\s*'([^']{1,20})'", text)
+    order = re.search(rb"'fortran_order':\s*(True|False)", text)
+    shape = re.search(rb"'shape':\s*\(\s*((?:\d{1,18}\s*,\s*){0,32}(?:\d{1,18}\s*)?)\)", text)
+    if descr is None or order is None or shape is None:
+        raise InputError(f"expected a plain array of numbers, got the header {text[:80]!r}")
+    code = descr[1].decode("latin-1")
+    try:
+        # Codes of other kinds are not handed to numpy at all: some warn, some make records.
+        dtype = np.dtype(code) if re.fullmatch(rf"[<>|=]?[{kinds}][0-9]{{1,9}}", code) else None
+    except (TypeError, ValueError):
+        dtype = None
+    if dtype is None:
+        raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {code!r}")
+    dimensions = tuple(int(word) for word in re.findall(rb"\d+", shape[1]))
+    return _Header(dtype, order[1] == b"True", dimensions, len(start) + len(length_bytes) + length)
+
+
+def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
+    """The array itself, C-contiguous and in native byte order; its size has been checked against the file's."""
+    data = np.empty(header.data_bytes, dtype=np.uint8)
+    place = 0
+    while place < len(data):
+        piece = file.read(min(_PIECE, len(data) - place))
+        if not piece:
+            raise InputError(f"truncated: {place} of {len(data)} bytes: copy or export the file again")
+        data[place : place + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
+        place += len(piece)
+    values = data.view(header.dtype).reshape(header.shape, order="F" if header.fortran_order else "C")
+    if header.dtype.kind == "b":
+        values = data.reshape(values.shape) != 0  # a byte that is neither 0 nor 1 is no valid bool
+    return np.ascontiguousarray(values, dtype=header.dtype.newbyteorder("=")).reshape(header.shape)
+
+
+def write_npy(path: Path, cloud: Cloud) -> None:
+    """Writes the points alone, (N, 3) float64.
+
+    Raises:
+        OSError: the file cannot be written; an existing one is then unchanged.
+    """
+    with atomic_write(path) as file:
+        _write_array(file, cloud.points)
+
+
+def write_npz(path: Path, cloud: Cloud) -> None:
+    """Writes all a cloud holds: points, normals, colors, attributes under their names, crs and unit as texts.
+
+    Raises:
+        InputError: an attribute's name or type cannot stand in the archive.
+        OSError: the file cannot be written; an existing one is then unchanged.
+    """
+    from zipfile import ZipFile, ZipInfo
+
+    own = {"points": cloud.points, "normals": cloud.normals, "colors": cloud.colors}
+    texts = {"crs": cloud.crs, "unit": cloud.unit}
+    arrays = {name: array for name, array in own.items() if array is not None}
+    arrays |= {name: np.array(text) for name, text in texts.items() if text}
+    for name, values in cloud.attributes.items():
+        if name in own or name in texts or not name or not name.isprintable():
+            raise InputError(f"{path}: expected attribute names other than {', '.join([*own, *texts])}, got {name!r}")
+        if values.dtype.kind not in "biuf":
+            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
+        arrays[name] = values
+    with atomic_write(path) as file:
+        with ZipFile(file, "w") as archive:
+            for name, array in arrays.items():
+                # A ZipInfo without the time of day: the same cloud gives the same bytes.
+                with archive.open(ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                    _write_array(member, array)
+
+
+def _write_array(file: IO[bytes], array: NDArray[Any]) -> None:
+    # Not numpy.save: on a full disk it says "3 requested and 1 written", the system "No space left on device".
+    array = np.ascontiguousarray(array).reshape(array.shape)
+    np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(array))
+    file.write(array.reshape(-1).view(np.uint8).data)

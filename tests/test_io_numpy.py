@@ -1,0 +1,258 @@
+"""NumPy files: what is read, what is refused, and that damage never gets past InputError."""
+
+import io
+import random
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+from ply_bytes import damaged
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError
+from pcbench.io import read_cloud, write_cloud
+
+
+def refusal(path, data):
+    path.write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        read_cloud(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message[len(f"{path}: ") :]
+
+
+def npy(array, version=None):
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, np.asarray(array), version=version)
+    return buffer.getvalue()
+
+
+def npz(**arrays):
+    return archive({f"{name}.npy": npy(array) for name, array in arrays.items()})
+
+
+def archive(members, compression=zipfile.ZIP_STORED):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", compression) as file:
+        for name, data in members.items():
+            file.writestr(name, data)
+    return buffer.getvalue()
+
+
+def header(descr="'<f8'", shape="(4, 3)"):
+    text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+# ---- npy ----
+
+
+@pytest.mark.parametrize("dtype", ["<f2", "<f4", ">f4", "<f8", ">f8", "<i1", "<u2", ">i4", "<i8"])
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("version", [(1, 0), (2, 0)])
+def test_npy_of_any_type(tmp_path, dtype, order, version):
+    points = np.array(np.arange(12).reshape(4, 3), dtype=dtype, order=order)
+    (tmp_path / "a.npy").write_bytes(npy(points, version))
+    cloud = read_cloud(tmp_path / "a.npy")
+    np.testing.assert_array_equal(cloud.points, np.arange(12).reshape(4, 3))
+    assert cloud.normals is None
+    assert cloud.points.flags.c_contiguous and cloud.points.flags.aligned
+
+
+def test_npy_with_normals(tmp_path):
+    np.save(tmp_path / "a.npy", np.arange(12.0).reshape(2, 6))
+    cloud = read_cloud(tmp_path / "a.npy")
+    assert cloud.points.tolist() == [[0, 1, 2], [6, 7, 8]]
+    assert cloud.normals.tolist() == [[3, 4, 5], [9, 10, 11]]
+
+
+def test_npy_drops_nan(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([[1, 2, 3], [np.nan, 0, 0]], dtype=np.float32))
+    with pytest.warns(UserWarning, match="dropped 1 of 2 points"):
+        assert read_cloud(tmp_path / "a.npy").points.tolist() == [[1, 2, 3]]
+
+
+def test_npy_written_by_us_is_read_by_numpy(tmp_path):
+    points = np.random.default_rng(5).normal(size=(7, 3))
+    write_cloud(tmp_path / "a.npy", Cloud(points, normals=points))
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npy", allow_pickle=False), points)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").points, points)
+
+
+POINTS = np.arange(12.0).reshape(4, 3)
+DAMAGED_NPY = {
+    "magic": (b"ply\n" + bytes(40), "expected a NumPy array that starts with b'\\x93NUMPY', got b'ply"),
+    "version": (b"\x93NUMPY\x03\x00" + npy(POINTS)[8:], "expected NumPy format 1.0 or 2.0, got b'\\x03\\x00'"),
+    "no header": (npy(POINTS)[:9], "truncated: the header is not complete"),
+    "half a header": (npy(POINTS)[:60], "truncated: the header is not complete"),
+    "huge header": (
+        b"\x93NUMPY\x02\x00\xff\xff\xff\xff",
+        "expected an array header of at most 65536 bytes, got 4294967295",
+    ),
+    "no dictionary": (b"\x93NUMPY\x01\x00\x04\x00abc\n", "expected a plain array of numbers, got the header b'abc"),
+    "truncated": (npy(POINTS)[:-30], "truncated: 2 of 4 rows"),
+    "trailing": (npy(POINTS) + b"abc", "3 bytes after the array: header and data disagree"),
+    "absurd": (header(shape=f"({10**17}, 3)"), f"truncated: 0 of {10**17} rows"),
+    "overflow": (header(shape=f"({2**64}, 3)"), "expected a plain array of numbers"),
+    "negative": (header(shape="(-4, 3)"), "expected a plain array of numbers"),
+    "pickle": (header("'|O'"), "expected floats or integers, got type '|O'"),
+    "text": (header("'<U5'"), "expected floats or integers, got type '<U5'"),
+    "complex": (header("'<c16'"), "expected floats or integers, got type '<c16'"),
+    "odd float": (header("'<f3'"), "expected floats or integers, got type '<f3'"),
+    "records": (header("[('x', '<f8')]"), "expected a plain array of numbers"),
+    "bool": (npy(np.ones((4, 3), bool)), "expected points as floats or integers, got bool"),
+    "flat": (npy(np.arange(12.0)), "expected points of shape (N, 3), or (N, 6) with normals; got (12,)"),
+    "wide": (npy(np.zeros((3, 4))), "expected points of shape (N, 3), or (N, 6) with normals; got (3, 4)"),
+    "no points": (npy(np.zeros((0, 3))), "expected at least one point, got 0"),
+    "nan": (npy(np.full((2, 3), np.nan)), "all 2 points are NaN or Inf"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED_NPY)
+def test_damaged_npy(tmp_path, name):
+    data, expected = DAMAGED_NPY[name]
+    assert refusal(tmp_path / "a.npy", data)[: len(expected)] == expected
+
+
+# ---- npz ----
+
+
+def test_npz_holds_everything(tmp_path):
+    rng = np.random.default_rng(7)
+    cloud = Cloud(
+        rng.normal(size=(9, 3)),
+        normals=rng.normal(size=(9, 3)),
+        colors=rng.integers(0, 256, (9, 3), dtype=np.uint8),
+        attributes={
+            "time ns": rng.integers(2**60, 2**62, 9),
+            "file": rng.random(9) < 0.5,
+            "q": np.arange(9, dtype=">f4"),
+        },
+        crs='PROJCRS["Höhe",\n  ID["EPSG",32617]]',
+        unit="US survey foot",
+    )
+    path = tmp_path / "a.npz"
+    write_cloud(path, cloud)
+    again = read_cloud(path)
+    for name in ("points", "normals", "colors"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(cloud, name))
+    assert list(again.attributes) == list(cloud.attributes)
+    for name, values in cloud.attributes.items():
+        np.testing.assert_array_equal(again.attributes[name], values)
+        assert again.attributes[name].dtype == values.dtype.newbyteorder("=")
+    assert (again.crs, again.unit) == (cloud.crs, cloud.unit)
+    with np.load(path, allow_pickle=False) as loaded:
+        np.testing.assert_array_equal(loaded["points"], cloud.points)
+        assert str(loaded["crs"]) == cloud.crs
+    first = path.read_bytes()
+    write_cloud(path, cloud)
+    assert path.read_bytes() == first
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_npz_of_numpy(tmp_path, save):
+    save(tmp_path / "a.npz", points=POINTS.astype(np.float32), gps=np.arange(4))
+    cloud = read_cloud(tmp_path / "a.npz")
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    assert cloud.attributes["gps"].tolist() == [0, 1, 2, 3]
+
+
+def test_npz_of_a_single_array(tmp_path):
+    np.savez(tmp_path / "a.npz", np.hstack([POINTS, POINTS]))
+    cloud = read_cloud(tmp_path / "a.npz")
+    np.testing.assert_array_equal(cloud.normals, POINTS)
+    np.savez(tmp_path / "a.npz", xyz=POINTS, unit="m", crs="")
+    cloud = read_cloud(tmp_path / "a.npz")
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    assert (cloud.unit, cloud.crs) == ("m", None)
+
+
+def test_npz_leaves_out_other_shapes(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, points=POINTS, K=np.eye(3))
+    notes = []
+    assert not read_cloud(path, on_warning=notes.append).attributes
+    assert notes == [f"{path}: left out 'K': expected an attribute of shape (4,), got (3, 3)"]
+
+
+BIG = npy(np.zeros((4_000_000, 3)))
+ENCRYPTED = bytearray(npz(points=POINTS))
+ENCRYPTED[ENCRYPTED.index(b"PK\x01\x02") + 8] |= 1
+WRONG_SUM = bytearray(npz(points=POINTS))
+WRONG_SUM[WRONG_SUM.index(npy(POINTS)[-20:]) + 3] ^= 1
+DAMAGED_NPZ = {
+    "no zip": (b"ply\n" + bytes(100), "damaged archive: File is not a zip file"),
+    "truncated": (npz(points=POINTS)[:-30], "damaged archive: File is not a zip file"),
+    "check sum": (bytes(WRONG_SUM), "damaged archive: Bad CRC-32"),
+    "encrypted": (bytes(ENCRYPTED), "expected a plain archive, got an encrypted one"),
+    "empty": (archive({}), "expected an array 'points', got none"),
+    "no points": (npz(a=POINTS, b=POINTS), "expected an array 'points', got 'a', 'b'"),
+    "no array": (archive({"readme.txt": b"hello"}), "expected arrays (.npy) in the archive, got 'readme.txt'"),
+    "bomb": (archive({"points.npy": BIG}, zipfile.ZIP_DEFLATED), "9"),
+    "bzip2": (archive({"points.npy": npy(POINTS)}, zipfile.ZIP_BZIP2), "expected stored or deflated arrays, got zip"),
+    "shape and size": (
+        archive({"points.npy": header(shape="(10000000, 3)")}),
+        "array 'points': truncated: 0 of 10000000",
+    ),
+    "trailing": (archive({"points.npy": npy(POINTS) + b"a"}), "array 'points': 1 bytes after the array"),
+    "pickle": (npz(points=POINTS, a=np.array([{}] * 4)), "array 'a': expected floats or integers, got type '|O'"),
+    "normals": (npz(points=POINTS, normals=POINTS[:2]), "expected normals of shape (4, 3), got (2, 3)"),
+    "colors": (npz(points=POINTS, colors=POINTS), "expected colors as uint8 (0 to 255), got float64"),
+    "crs": (npz(points=POINTS, crs=np.arange(4)), "expected a text, got type '<i8'"),
+    "unit": (npz(points=POINTS, unit=np.array(["m", "m"])), "expected 'unit' as a text, got an array of shape (2,)"),
+    "no code point": (archive({"points.npy": npy(POINTS), "unit.npy": header("'<U1'", "()") + b"\xff" * 4}), "damaged"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED_NPZ)
+def test_damaged_npz(tmp_path, name):
+    data, expected = DAMAGED_NPZ[name]
+    assert refusal(tmp_path / "a.npz", data)[: len(expected)] == expected
+
+
+def test_bomb_is_refused_by_its_size(tmp_path):
+    assert f"would unpack to {len(BIG)}: refused" in refusal(tmp_path / "a.npz", DAMAGED_NPZ["bomb"][0])
+
+
+def test_npz_refuses_two_arrays_of_one_name(tmp_path):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        file.writestr("points.npy", npy(POINTS))
+        file.writestr("points.npy", npy(POINTS))
+    assert refusal(tmp_path / "a.npz", buffer.getvalue()) == "array 'points' stands twice in the archive"
+
+
+@pytest.mark.parametrize(("name", "values"), [("crs", [1]), ("", [1]), ("a\0b", [1]), ("a", ["text"]), ("a", [None])])
+def test_npz_refuses_attributes(tmp_path, name, values):
+    with pytest.raises(InputError, match="expected attribute"):
+        write_cloud(tmp_path / "a.npz", Cloud(np.zeros((1, 3)), attributes={name: np.array(values)}))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("extension", ["npy", "npz"])
+def test_mutations_raise_nothing_else(tmp_path, extension):
+    """400 damaged files: a cloud or InputError comes out, never another error or a warning."""
+    rng = random.Random(11)
+    if extension == "npy":
+        corpus = [npy(POINTS), npy(POINTS.astype("<f4")), npy(np.arange(24).reshape(4, 6))]
+    else:
+        members = {
+            "points.npy": npy(POINTS),
+            "a.npy": npy(np.arange(4)),
+            "unit.npy": npy("m"),
+            "colors.npy": npy(np.ones((4, 3), np.uint8)),
+        }
+        corpus = [archive(members), archive(members, zipfile.ZIP_DEFLATED)]
+    path = tmp_path / f"a.{extension}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(400):
+            path.write_bytes(damaged(rng.choice(corpus), rng))
+            try:
+                read_cloud(path, on_warning=lambda note: None)
+            except InputError as error:
+                assert str(error).startswith(f"{path}: ") and str(error).isprintable()
