@@ -1,4 +1,4 @@
-"""Where real files are, if this machine has them."""
+"""Where real data lie for tests that want some; they are not part of the repository."""
 
 import os
 from pathlib import Path
@@ -7,8 +7,12 @@ import pytest
 
 
 def data_folder(name: str) -> Path:
-    """The folder `name` of the shared data; skips the test where it is absent."""
-    root = Path(os.environ.get("PCBENCH_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
-    if not (root / name).is_dir():
-        pytest.skip(f"no data folder {root / name}: set PCBENCH_DATA")
-    return root / name
+    """The folder of one data set, or a skipped test where it is absent.
+
+    Looked for under the environment variable PCBENCH_DATA, by default ../shared/data from the repository's root.
+    """
+    root = Path(os.environ.get("PCBENCH_DATA") or Path(__file__).parent.parent.parent / "shared" / "data")
+    folder = root / name
+    if not folder.is_dir():
+        pytest.skip(f"no test data at {folder} (set PCBENCH_DATA)")
+    return folder
