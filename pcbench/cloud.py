@@ -27,7 +27,7 @@ class Cloud:
     Args:
         points: (N, 3) finite coordinates, N >= 1, kept as C-contiguous float64.
         normals: (N, 3) directions (unit length is the writer's business) or None.
-        colors: (N, 3) uint8 RGB or None.
+        colors: (N, 3) RGB or None, whole numbers 0 to 255 of any type, kept as uint8.
         attributes: named (N,) arrays of numbers.
         crs: coordinate reference system as given by the file (WKT or authority code), if any.
         unit: unit of the coordinates ("m", "ft", ...), if known.
@@ -59,8 +59,7 @@ class Cloud:
         if self.normals is not None:
             object.__setattr__(self, "normals", self._matching("normals", _triples("normals", self.normals)))
         if self.colors is not None:
-            colors = np.ascontiguousarray(self.colors, dtype=np.uint8)
-            object.__setattr__(self, "colors", self._matching("colors", colors, (len(points), 3)))
+            object.__setattr__(self, "colors", self._matching("colors", _bytes(self.colors), (len(points), 3)))
         attributes = {name: np.asarray(values) for name, values in self.attributes.items()}
         for name, values in attributes.items():
             self._matching(f"attribute {name!r}", values, (len(points),))
@@ -80,16 +79,15 @@ class Cloud:
             InputError: no point is finite, or a shape is wrong.
         """
         array = _triples("points", points)
-        attributes = fields.get("attributes", {})
         with np.errstate(over="ignore", invalid="ignore"):
             if np.isfinite(array.sum()):
                 return cls(array, **fields), 0
-        keep = np.isfinite(array).all(axis=1)
+        keep: NDArray[np.bool_] = np.asarray(np.isfinite(array).all(axis=1))
         if not keep.any():
             raise InputError(f"all {len(array)} points are NaN or Inf")
-        kept: dict[str, Any] = {name: value[keep] for name, value in fields.items() if isinstance(value, np.ndarray)}
-        kept["attributes"] = {name: np.asarray(values)[keep] for name, values in attributes.items()}
-        return cls(array[keep], **{**fields, **kept}), int(len(array) - np.count_nonzero(keep))
+        # With the dropped points at the origin the fields are checked against the points they came with.
+        checked = cls(np.where(keep[:, None], array, 0.0), **fields)
+        return checked.select(keep), int(len(array) - np.count_nonzero(keep))
 
     def __len__(self) -> int:
         return len(self.points)
@@ -134,3 +132,13 @@ def _triples(what: str, data: ArrayLike) -> FloatArray:
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
     return array
+
+
+def _bytes(data: ArrayLike) -> NDArray[np.uint8]:
+    array = np.asarray(data)
+    if array.dtype == np.uint8:
+        return np.ascontiguousarray(array)
+    # A cast alone would turn 0..1 floats into black and let 256 wrap round to 0.
+    if array.dtype.kind not in "iuf" or not ((array >= 0) & (array <= 255) & (array == array.round())).all():
+        raise InputError(f"expected colors as whole numbers 0 to 255, got {type(data).__name__} of {array.dtype}")
+    return np.ascontiguousarray(array, dtype=np.uint8)
