@@ -29,7 +29,8 @@ class Affine:
             )
         if not (np.isfinite(linear).all() and np.isfinite(translation).all()):
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
-        if not abs(np.linalg.det(linear)) > 1e-12 * np.linalg.norm(linear) ** 3:
+        stretch = np.linalg.svd(linear, compute_uv=False)
+        if not stretch[2] > 1e-12 * stretch[0]:  # a ratio: the inverse of what passes passes too
             raise InputError("expected an invertible transform, got a singular matrix")
         object.__setattr__(self, "linear", linear)
         object.__setattr__(self, "translation", translation)
@@ -103,6 +104,8 @@ class Similarity:
         m = np.asarray(matrix, dtype=np.float64)
         if m.shape != (4, 4):
             raise InputError(f"expected a 4x4 matrix, got shape {m.shape}")
+        if not np.isfinite(m).all():
+            raise InputError("expected a transform of finite numbers, got NaN or Inf")
         if not np.allclose(m[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
             raise InputError(f"expected the last row 0 0 0 1, got {' '.join(f'{v:g}' for v in m[3])}")
         determinant = np.linalg.det(m[:3, :3])
@@ -167,7 +170,7 @@ def fit_similarity(
     translation (in this order: a translation from before the fix is wrong for planar sets). `weights` (N,) >= 0.
 
     Raises:
-        InputError: fewer than three pairs, or all candidate points on one line.
+        InputError: fewer than three pairs, or all candidate or all reference points on one line.
     """
     candidate, reference = np.asarray(candidate, np.float64), np.asarray(reference, np.float64)
     if candidate.shape != reference.shape or candidate.ndim != 2 or candidate.shape[1] != 3:
@@ -180,9 +183,10 @@ def fit_similarity(
     covariance = np.einsum("ni,n,nj->ij", r, w, c)
     variances = np.linalg.eigvalsh(np.einsum("ni,n,nj->ij", c, w, c))
     # Eigenvalues are squared lengths: rounding leaves 1e-16 of the largest where there is nothing.
-    if variances[1] <= 1e-14 * variances[2]:
-        raise InputError("expected pairs that span a plane, got points on one line: the rotation is not determined")
     u, singular, vt = np.linalg.svd(covariance)
+    # The covariance has rank one as soon as either set lies on a line.
+    if variances[1] <= 1e-14 * variances[2] or singular[1] <= 1e-14 * singular[0]:
+        raise InputError("expected pairs that span a plane, got points on one line: the rotation is not determined")
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = (u * sign) @ vt
     scale = float((singular * sign).sum() / variances.sum()) if with_scale else 1.0
@@ -196,6 +200,8 @@ def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:
         InputError: fewer than four pairs, or all candidate points in one plane.
     """
     candidate, reference = np.asarray(candidate, np.float64), np.asarray(reference, np.float64)
+    if candidate.shape != reference.shape or candidate.ndim != 2 or candidate.shape[1] != 3:
+        raise InputError(f"expected two (N, 3) arrays of pairs, got {candidate.shape} and {reference.shape}")
     if len(candidate) < 4:
         raise InputError(f"expected at least 4 pairs of points to fit an affine map, got {len(candidate)}")
     mean_c, mean_r = candidate.mean(axis=0), reference.mean(axis=0)
@@ -236,5 +242,6 @@ def read_matrix(path: str | Path) -> Similarity:
 
 
 def format_matrix(transform: Similarity | Affine) -> str:
-    """The 4x4 matrix as text that `read_matrix` reads back without losing a bit."""
+    """The 4x4 matrix as text. `read_matrix` reads a rigid motion back without losing a bit; a scale other than 1 it
+    splits off again, which is good to the last digit."""
     return "".join(" ".join(repr(float(v)) for v in row) + "\n" for row in transform.matrix)

@@ -1,0 +1,364 @@
+"""Transforms: known answers, group laws, fits that recover what was applied, files that round trip, refusals."""
+
+import numpy as np
+import pytest
+import shapes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcbench.errors import InputError
+from pcbench.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
+
+unhurried = settings(deadline=None)  # a busy machine is no failure
+QUARTER_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+UTM = np.array([512_345.678, 5_612_345.678, 123.456])
+
+coordinates = st.tuples(*[st.floats(-100, 100)] * 3).map(np.array)
+axes = coordinates.filter(lambda axis: np.linalg.norm(axis) > 1e-3)
+rotations = st.builds(shapes.rotation, axes, st.floats(-180, 180))
+similarities = st.builds(Similarity, rotations, coordinates, st.floats(0.01, 100))
+rigid_motions = st.builds(Similarity, rotations, coordinates)
+PROBES = np.random.default_rng(0).uniform(-10, 10, (20, 3))
+
+
+def close(got, expected, size=1.0):
+    # Coordinates up to `size`, a dozen roundings of 1e-16 each, and margin.
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-13 * size)
+
+
+# Known answers
+
+
+def test_similarity_turns_scales_then_shifts():
+    transform = Similarity(QUARTER_TURN, [10, 20, 30], 2)
+    assert transform.apply(np.array([[1.0, 2, 3]])).tolist() == [[6, 22, 36]]
+    assert transform.apply_normals(np.array([[1.0, 0, 0]])).tolist() == [[0, 1, 0]]
+    assert transform.matrix.tolist() == [[0, -2, 0, 10], [2, 0, 0, 20], [0, 0, 2, 30], [0, 0, 0, 1]]
+    assert transform.linear.tolist() == [[0, -2, 0], [2, 0, 0], [0, 0, 2]]
+
+
+def test_identity_changes_no_bit():
+    assert (Similarity.identity().apply(PROBES) == PROBES).all()
+    assert (Similarity.identity().matrix == np.eye(4)).all()
+
+
+def test_affine():
+    transform = Affine([[2, 0, 0], [0, 1, 0], [0, 0, -1]], [1, 0, 0])
+    assert transform.apply(np.array([[1.0, 2, 3]])).tolist() == [[3, 2, -3]]
+    assert transform.inverse().apply(np.array([[3.0, 2, -3]])).tolist() == [[1, 2, 3]]
+    assert transform.matrix.tolist() == [[2, 0, 0, 1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
+
+
+def test_affine_normals_stay_perpendicular_and_keep_their_length():
+    generator = np.random.default_rng(1)
+    transform = Affine(generator.normal(size=(3, 3)), np.ones(3))
+    along, other = generator.normal(size=(2, 30, 3))
+    normals = np.cross(along, other)
+    moved = transform.apply_normals(normals)
+    assert (
+        np.abs((moved * (along @ transform.linear.T)).sum(axis=1)).max() < 1e-12 * np.abs(transform.linear).max() * 100
+    )
+    close(np.linalg.norm(moved, axis=1), np.linalg.norm(normals, axis=1), 10)
+    assert transform.apply_normals(np.zeros((1, 3))).tolist() == [[0, 0, 0]]  # no direction stays none
+
+
+def test_composition_applies_the_right_one_first():
+    turn, shift = Similarity(QUARTER_TURN, np.zeros(3)), Similarity(np.eye(3), [1, 0, 0])
+    point = np.array([[1.0, 0, 0]])
+    assert (turn @ shift).apply(point).tolist() == [[0, 2, 0]]
+    assert (shift @ turn).apply(point).tolist() == [[1, 1, 0]]
+    stretch = Affine(np.diag([2.0, 1, 1]), np.zeros(3))
+    assert (stretch @ turn @ shift).apply(point).tolist() == [[0, 2, 0]]
+    assert (stretch @ stretch).linear.tolist() == np.diag([4, 1, 1]).tolist()
+
+
+# Properties
+
+
+@unhurried
+@given(similarities)
+def test_inverse(transform):
+    for identity in (transform @ transform.inverse(), transform.inverse() @ transform):
+        close(identity.rotation, np.eye(3))
+        assert identity.scale == pytest.approx(1, rel=1e-15)
+    # The translation passes through the scale (up to 100) and back.
+    close(transform.inverse().apply(transform.apply(PROBES)), PROBES, 1e4)
+
+
+@unhurried
+@given(similarities, similarities)
+def test_composition(first, second):
+    close((first @ second).apply(PROBES), first.apply(second.apply(PROBES)), 1e6)
+    close((first @ second).matrix, first.matrix @ second.matrix, 1e6)
+
+
+def test_long_products_stay_rotations():
+    step = Similarity(shapes.rotation([1, 2, 3], 1.0), [0.1, 0, 0])
+    product = step
+    for _ in range(3599):
+        product = step @ product
+    close(product.rotation @ product.rotation.T, np.eye(3))
+    close(product.rotation, np.eye(3), 1e3)  # 3600 turns of one degree, each good to 1e-16
+
+
+@unhurried
+@given(similarities)
+def test_about_is_shifting(transform):
+    # Found between clouds from which the origin was subtracted, used on clouds that still carry it.
+    full = transform.about(UTM).apply(PROBES + UTM)
+    close(full, transform.apply(PROBES) + UTM, np.abs(UTM).max() * (1 + transform.scale))
+
+
+@unhurried
+@given(similarities)
+def test_similarity_is_its_matrix(transform):
+    again = Similarity.from_matrix(transform.matrix)
+    assert again.scale == pytest.approx(transform.scale, rel=1e-14)
+    close(again.rotation, transform.rotation)
+    assert (again.translation == transform.translation).all()
+    affine = Affine(transform.linear, transform.translation)
+    close(affine.apply(PROBES), transform.apply(PROBES), 1e4)
+    close(affine.apply_normals(PROBES), transform.apply_normals(PROBES), 1e2)
+
+
+# Recovery
+
+
+@unhurried
+@given(similarities, st.integers(3, 30), st.integers(0, 2**32 - 1))
+def test_fit_similarity_recovers(transform, count, seed):
+    candidate = np.random.default_rng(seed).normal(size=(count, 3))
+    fitted = fit_similarity(candidate, transform.apply(candidate))
+    # Three random points may lie nearly on a line: what is asked for is the fit, not the parameters.
+    np.testing.assert_allclose(fitted.apply(candidate), transform.apply(candidate), atol=1e-9 * transform.scale + 1e-11)
+
+
+@pytest.mark.parametrize("count", [3, 4, 50])
+def test_fit_similarity_of_planar_sets(count):
+    """200 exact planar motions: where the reflection trap springs, and where a stale translation shows."""
+    generator = np.random.default_rng(count)
+    traps = 0
+    for _ in range(200):
+        flat = np.column_stack([generator.normal(size=(count, 2)), np.zeros(count)])
+        tilt = shapes.rotation(generator.normal(size=3), generator.uniform(0, 180))
+        candidate = flat @ tilt.T + generator.normal(size=3) * 10
+        truth = Similarity(
+            shapes.rotation(generator.normal(size=3), generator.uniform(0, 180)), generator.normal(size=3) * 10
+        )
+        reference = truth.apply(candidate)
+        c, r = candidate - candidate.mean(axis=0), reference - reference.mean(axis=0)
+        u, _, vt = np.linalg.svd(r.T @ c)
+        traps += np.linalg.det(u @ vt) < 0
+        for with_scale in (False, True):
+            fitted = fit_similarity(candidate, reference, with_scale=with_scale)
+            assert np.linalg.det(fitted.rotation) == pytest.approx(1, abs=1e-12)
+            assert fitted.scale == pytest.approx(1, abs=1e-12)
+            np.testing.assert_allclose(fitted.apply(candidate), reference, atol=1e-11)
+            # A triangle may be thin; then its plane's tilt is known less well.
+            np.testing.assert_allclose(fitted.rotation, truth.rotation, atol=1e-9)
+            np.testing.assert_allclose(fitted.translation, truth.translation, atol=1e-7)
+    assert traps > 20  # the fix was needed
+
+
+def test_fit_of_a_mirror_image_is_a_rotation():
+    corners = np.stack(np.meshgrid([-3, 3], [-2, 2], [-1, 1]), axis=-1).reshape(-1, 3).astype(float)
+    fitted = fit_similarity(corners, corners * [1, 1, -1])
+    # The flattest axis is given up: any turn that mends it costs more along the others.
+    close(fitted.rotation, np.eye(3))
+    # Umeyama's scale: (9 + 4 - 1) / (9 + 4 + 1).
+    assert fitted.scale == pytest.approx(12 / 14)
+
+
+def test_fit_with_scale_and_without():
+    candidate, _, _ = shapes.city(500, seed=1)
+    truth = Similarity(shapes.rotation([1, 1, 0], 20), [1, 2, 3], 1.03)
+    assert fit_similarity(candidate, truth.apply(candidate)).scale == pytest.approx(1.03, rel=1e-13)
+    rigid = fit_similarity(candidate, truth.apply(candidate), with_scale=False)
+    assert rigid.scale == 1
+    close(rigid.rotation, truth.rotation, 10)
+
+
+def test_fit_far_from_the_origin():
+    candidate, _, _ = shapes.city(500, seed=2)
+    truth = Similarity(shapes.rotation([0, 0, 1], 30), [1, 2, 3]).about(UTM)
+    fitted = fit_similarity(candidate + UTM, truth.apply(candidate + UTM))
+    # Coordinates round to 1e-9.
+    np.testing.assert_allclose(fitted.apply(candidate + UTM), truth.apply(candidate + UTM), atol=1e-8)
+
+
+def test_fit_is_the_least_squares_optimum():
+    generator = np.random.default_rng(4)
+    candidate = generator.normal(size=(100, 3))
+    reference = candidate @ shapes.rotation([1, 2, 3], 40).T * 1.5 + generator.normal(size=(100, 3)) * 0.1
+
+    def cost(transform):
+        return ((transform.apply(candidate) - reference) ** 2).sum()
+
+    best = fit_similarity(candidate, reference)
+    for _ in range(100):
+        turn = shapes.rotation(generator.normal(size=3), 0.1)
+        nudged = Similarity(
+            turn @ best.rotation, best.translation + generator.normal(size=3) * 1e-3, best.scale * 1.001
+        )
+        assert cost(nudged) > cost(best)
+
+
+def test_weights_are_repetitions():
+    generator = np.random.default_rng(5)
+    candidate, reference = generator.normal(size=(2, 10, 3))
+    repeats = generator.integers(0, 4, 10)
+    weighted = fit_similarity(candidate, reference, weights=repeats.astype(float))
+    repeated = fit_similarity(np.repeat(candidate, repeats, axis=0), np.repeat(reference, repeats, axis=0))
+    close(weighted.matrix, repeated.matrix, 100)
+
+
+def test_fit_affine_recovers():
+    generator = np.random.default_rng(6)
+    candidate = generator.normal(size=(30, 3))
+    truth = Affine(generator.normal(size=(3, 3)), [1, 2, 3])
+    fitted = fit_affine(candidate, truth.apply(candidate))
+    close(fitted.matrix, truth.matrix, 100)
+    far = fit_affine(candidate + UTM, truth.apply(candidate) + UTM)
+    np.testing.assert_allclose(far.linear, truth.linear, atol=1e-8)  # coordinates round to 1e-9
+
+
+def test_affine_inverse_of_strong_stretching():
+    transform = Affine(np.diag([1.0, 1.0, 1e-9]), np.zeros(3))
+    close(transform.inverse().linear, np.diag([1, 1, 1e9]), 1e9)
+    close(transform.inverse().inverse().linear, transform.linear)
+
+
+# Files
+
+
+@unhurried
+@given(rigid_motions)
+def test_rigid_files_round_trip_bit_by_bit(tmp_path_factory, transform):
+    path = tmp_path_factory.getbasetemp() / "rigid.txt"
+    path.write_text(format_matrix(transform))
+    again = read_matrix(path)
+    assert (again.matrix == transform.matrix).all()
+    assert again.scale == 1
+    assert format_matrix(again) == format_matrix(transform)
+
+
+@unhurried
+@given(similarities)
+def test_scaled_files_round_trip_to_the_last_digit(tmp_path_factory, transform):
+    path = tmp_path_factory.getbasetemp() / "scaled.txt"
+    path.write_text(format_matrix(transform))
+    np.testing.assert_allclose(read_matrix(path).matrix, transform.matrix, rtol=4e-16, atol=0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0 -1 0 1\n1 0 0 2\n0 0 1 3\n0 0 0 1\n",
+        "0 -1 0 1\n1 0 0 2\n0 0 1 3",
+        "# found by hand\n\n0,-1, 0,1 # x\n1,0,0,2\r\n0\t0\t1e0\t3\n\n",
+    ],
+)
+def test_read_matrix(tmp_path, text):
+    (tmp_path / "m.txt").write_text(text)
+    transform = read_matrix(str(tmp_path / "m.txt"))
+    assert (transform.rotation == QUARTER_TURN).all()
+    assert transform.translation.tolist() == [1, 2, 3]
+    assert transform.scale == 1
+
+
+def test_printed_digits_are_enough(tmp_path):
+    rotation = shapes.rotation([1, 2, 3], 77)
+    (tmp_path / "m.txt").write_text("\n".join(" ".join(f"{v:.7f}" for v in [*row, 5.0]) for row in rotation))
+    np.testing.assert_allclose(read_matrix(tmp_path / "m.txt").rotation, rotation, atol=2e-7)
+
+
+# Refusals
+
+
+def matrix(**changes):
+    result = np.eye(4)
+    for key, value in changes.items():
+        result[int(key[1]), int(key[2])] = value
+    return result
+
+
+LINE = np.outer(np.arange(5.0), [1, 2, 3])
+BLOB = np.random.default_rng(7).normal(size=(5, 3))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: Similarity(np.eye(4), np.zeros(3)),
+            "expected a (3, 3) rotation and a (3,) translation, got (4, 4), (3,)",
+        ),
+        (lambda: Similarity(np.eye(3), np.zeros(2)), "got (3, 3), (2,)"),
+        (lambda: Similarity(np.eye(3), [0, 0, np.nan]), "expected a transform of finite numbers, got NaN or Inf"),
+        (lambda: Similarity(np.eye(3), np.zeros(3), 0), "expected a positive scale, got 0"),
+        (lambda: Similarity(np.eye(3), np.zeros(3), -1), "expected a positive scale, got -1"),
+        (lambda: Similarity(np.eye(3), np.zeros(3), np.inf), "expected a positive scale, got inf"),
+        (lambda: Similarity(2 * np.eye(3), np.zeros(3)), "expected a rotation matrix: orthonormal rows"),
+        (
+            lambda: Similarity(np.diag([1, 1, -1]), np.zeros(3)),
+            "expected a rotation matrix: orthonormal rows and determinant +1",
+        ),
+        (lambda: Similarity.from_matrix(np.eye(3)), "expected a 4x4 matrix, got shape (3, 3)"),
+        (lambda: Similarity.from_matrix(matrix(m30=0.5)), "expected the last row 0 0 0 1, got 0.5 0 0 1"),
+        (
+            lambda: Similarity.from_matrix(matrix(m00=-1)),
+            "expected a rotation with a positive scale, got determinant -1",
+        ),
+        (lambda: Similarity.from_matrix(matrix(m00=0)), "expected a rotation with a positive scale, got determinant 0"),
+        (lambda: Similarity.from_matrix(matrix(m01=0.1)), "expected a rotation matrix: orthonormal rows"),
+        (lambda: Similarity.from_matrix(matrix(m00=np.nan)), "expected a transform of finite numbers, got NaN or Inf"),
+        (lambda: Affine(np.eye(4), np.zeros(3)), "expected a (3, 3) matrix and a (3,) translation, got (4, 4), (3,)"),
+        (lambda: Affine(np.eye(3), [np.inf, 0, 0]), "expected a transform of finite numbers"),
+        (lambda: Affine(np.diag([1, 1, 0]), np.zeros(3)), "expected an invertible transform, got a singular matrix"),
+        (lambda: Affine(np.zeros((3, 3)), np.zeros(3)), "expected an invertible transform, got a singular matrix"),
+        (lambda: fit_similarity(BLOB, BLOB[:4]), "expected two (N, 3) arrays of pairs, got (5, 3) and (4, 3)"),
+        (
+            lambda: fit_similarity(BLOB[:, :2], BLOB[:, :2]),
+            "expected two (N, 3) arrays of pairs, got (5, 2) and (5, 2)",
+        ),
+        (lambda: fit_similarity(BLOB[:2], BLOB[:2]), "expected at least 3 pairs of points to fit a transform, got 2"),
+        (lambda: fit_similarity(LINE, BLOB), "expected pairs that span a plane, got points on one line"),
+        (lambda: fit_similarity(BLOB, LINE), "expected pairs that span a plane, got points on one line"),
+        (lambda: fit_similarity(LINE + UTM, LINE), "expected pairs that span a plane, got points on one line"),
+        (lambda: fit_similarity(np.ones((4, 3)), BLOB[:4]), "expected pairs that span a plane, got points on one line"),
+        (lambda: fit_similarity(BLOB, np.ones((5, 3))), "expected pairs that span a plane, got points on one line"),
+        (lambda: fit_affine(BLOB, BLOB[:4]), "expected two (N, 3) arrays of pairs, got (5, 3) and (4, 3)"),
+        (lambda: fit_affine(BLOB[:3], BLOB[:3]), "expected at least 4 pairs of points to fit an affine map, got 3"),
+        (lambda: fit_affine(BLOB * [1, 1, 0], BLOB), "expected pairs that span space, got points in one plane"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(InputError) as caught:
+        make()
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot read a matrix: No such file or directory"),
+        (b"\xff\xfe\x00", "cannot read a matrix: not a text file"),
+        (b"", "expected 4 rows of 4 numbers, got 0 rows of []"),
+        (b"1 0 0\n0 1 0\n0 0 1\n", "expected 4 rows of 4 numbers, got 3 rows of [3, 3, 3]"),
+        (b"1 0 0 0\n0 1 0 0\n0 0 1\n", "expected 4 rows of 4 numbers, got 3 rows of [4, 4, 3]"),
+        (b"1 0 0 0\n0 1 0 x\n0 0 1 0\n", "expected a 4x4 matrix of numbers: could not convert string to float: 'x'"),
+        (b"1 0 0 0\n0 1 0 0\n0 0 -1 0\n", "expected a rotation with a positive scale, got determinant -1"),
+        (b"1 0 0 nan\n0 1 0 0\n0 0 1 0\n", "expected a transform of finite numbers"),
+        (b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 2", "expected the last row 0 0 0 1, got 0 0 0 2"),
+    ],
+)
+def test_refused_files(tmp_path, content, message):
+    path = tmp_path / "m.txt"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_matrix(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
