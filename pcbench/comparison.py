@@ -289,10 +289,13 @@ def _hard_pair(
 ) -> presets.Pair:
     """Both clouds cut to the region, with the matches that are left or have to be found anew."""
     reference, candidate = truth.points[truth.inside], aligned[inside]
+    normals = truth.surface.normals(np.flatnonzero(truth.inside)) if truth.has_normals else None
+    given = truth.cloud.normals
     return presets.Pair(
         presets.Side(reference, presets.crop_matches(reference, back, aligned, inside)),
         presets.Side(candidate, presets.crop_matches(candidate, forth, truth.points, truth.inside)),
-        truth.surface.normals(np.flatnonzero(truth.inside)) if truth.has_normals else None,
+        normals,
+        normals if given is None else given[truth.inside],
     )
 
 

@@ -35,11 +35,12 @@ class Side(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Reference and candidate after a hard crop; reference normals (N, 3), as given or estimated, or None."""
+    """Reference and candidate after a hard crop."""
 
     reference: Side
     candidate: Side
-    normals: FloatArray | None
+    normals: FloatArray | None  # (N, 3) of the reference, unit length
+    raw_normals: FloatArray | None  # the same as they were given, where they were
 
 
 def two_nearest(index: Index, queries: FloatArray) -> Matches:
@@ -98,19 +99,20 @@ def mpeg(pair: Pair, peak: float) -> dict[str, Any]:
     """MPEG's pc_error (mpeg-pcc-dmetric 0.14.2), a = reference, b = candidate; Hausdorff distances are SQUARED.
 
     Duplicate points are merged first. D2 takes the target's normals; the candidate's are averaged from the
-    reference's, neither oriented nor scaled to length one again. Ties are averaged. Differs from pc_error in one thing:
-    coordinates stay float64, where its float32 loses up to several per cent at large coordinates.
+    reference's, neither oriented nor scaled to length one again. Ties are averaged. Coordinate differences are rounded
+    to float32 as in pc_error, for its printed digits; the coordinates are not, where its float32 loses up to several
+    per cent at UTM offsets.
     """
     pair = _merge_duplicates(pair)
     a, b = pair.reference, pair.candidate
-    d1 = [np.square(a.distances), np.square(b.distances)]
+    d1 = [_float32_squares(a.points, b.points[a.indices]), _float32_squares(b.points, a.points[b.indices])]
     d2: list[FloatArray] = []
-    if pair.normals is not None:
+    if pair.raw_normals is not None:
         ties_ab, ties_ba = _ties(a, b.points), _ties(b, a.points)
-        normals_b = _averaged_normals(pair.normals, ties_ab, ties_ba, len(b.points))
+        normals_b = _averaged_normals(pair.raw_normals, ties_ab, ties_ba, len(b.points))
         d2 = [
             _tied_plane_squares(a.points, b.points, normals_b, ties_ab),
-            _tied_plane_squares(b.points, a.points, pair.normals, ties_ba),
+            _tied_plane_squares(b.points, a.points, pair.raw_normals, ties_ba),
         ]
 
     def both_ways(squares: list[FloatArray]) -> dict[str, float | None]:
@@ -129,6 +131,13 @@ def mpeg(pair: Pair, peak: float) -> dict[str, Any]:
         "hausdorff_squared_d2": max((float(s.max()) for s in d2), default=None),
         "peak": peak,
     }
+
+
+def _float32_squares(queries: FloatArray, feet: FloatArray) -> FloatArray:
+    """Squared distances (N,) from differences that were rounded to float32."""
+    difference = (queries - feet).astype(np.float32).astype(np.float64)
+    squares: FloatArray = np.einsum("ni,ni->n", difference, difference)
+    return squares
 
 
 class _Ties(NamedTuple):
@@ -181,6 +190,7 @@ def _merge_duplicates(pair: Pair) -> Pair:
         Side(reference, two_nearest(Index(candidate), reference)),
         Side(candidate, two_nearest(Index(reference), candidate)),
         None if pair.normals is None else pair.normals[first],
+        None if pair.raw_normals is None else pair.raw_normals[first],
     )
 
 

@@ -374,7 +374,8 @@ def _given(target: Surface, points: FloatArray, origin: FloatArray, method: str,
     moved = local.apply(sample)
     lower, upper = target.points.min(axis=0), target.points.max(axis=0)
     margin = 0.1 * float(np.linalg.norm(upper - lower))
-    if (moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any():
+    # Fewer than three points have no extent to overlap with.
+    if len(target) >= 3 and ((moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any()):
         raise RegistrationError(
             f"the candidate does not overlap the reference after --register {method}: their bounding boxes lie apart"
             f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)})"

@@ -1,0 +1,266 @@
+"""The pipeline: closed forms, brute force, invariances, determinism and refusals."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import oracles
+import pytest
+import shapes
+
+from pcbench import Cloud, Settings, compare
+from pcbench.errors import InputError, RegistrationError
+from pcbench.report import document, to_json
+
+FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
+UTM = np.array([500_000.0, 4_800_000.0, 0.0])
+NONE = Settings(register="none")
+
+
+def on_grid(points):
+    """Rounded to 2^-20: coordinates up to 8e6 keep every bit."""
+    return np.round(points * 2**20) / 2**20
+
+
+def metrics_of(reference, candidate, settings=NONE):
+    return compare(reference, candidate, settings).candidates[0].metrics
+
+
+def leaves(value, path=""):
+    """Every number of nested JSON values by its path."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from leaves(item, f"{path}/{key}")
+    elif isinstance(value, list | tuple):
+        for number, item in enumerate(value):
+            yield from leaves(item, f"{path}/{number}")
+    else:
+        yield path, value
+
+
+@pytest.fixture(scope="module")
+def pair():
+    rng = np.random.default_rng(0)
+    reference, candidate = shapes.terrain(900, seed=1)[0], shapes.terrain(500, seed=2)[0]
+    return reference, candidate + rng.normal(0, 0.05, candidate.shape)
+
+
+def test_shifted_plane_in_closed_form():
+    plane = shapes.plane_grid(20)
+    m = metrics_of(plane, plane + [0, 0, 0.25])
+    for way in (FORTH, BACK):
+        assert m["d1_mse"][way] == m["d2_mse"][way] == 0.0625
+        assert m["d1_rms"][way] == 0.25
+        assert m["hausdorff"][way] == m["mean_distance"][way] == 0.25
+        assert m["d1_mse"]["floor"][FORTH] == 1.0  # the grid's spacing
+        assert m["d1_mse"]["floor"][BACK] == 0.0  # every place is matched
+        assert m["d1_mse"]["ci"][way] == pytest.approx([0.0625, 0.0625])
+        assert m["d1_mse"]["area_weighted"][way] == pytest.approx(0.0625)
+    assert m["chamfer"]["sum_unsquared"] == 0.5
+    assert m["chamfer"]["sum_squared"] == 0.125
+    assert [row["threshold"] for row in m["fscore"]] == [1.0, 2.0, 5.0]
+
+
+def test_deviation_of_the_shifted_plane_is_signed_upwards():
+    plane = shapes.plane_grid(20)
+    for shift in (0.25, -0.25):
+        deviation = compare(plane, plane + [0, 0, shift], NONE).candidates[0].deviation
+        np.testing.assert_allclose(deviation.plane_distances, shift)
+        np.testing.assert_allclose(deviation.distances, 0.25)
+
+
+def test_every_metric_against_brute_force(pair):
+    reference, candidate = pair
+    m = metrics_of(reference, candidate, Settings(register="none", thresholds=(0.5, 1.0)))
+    normals = oracles.normals(reference, 20)
+    assert m["d1_mse"][FORTH] == pytest.approx(oracles.d1(candidate, reference), rel=1e-12)
+    assert m["d1_mse"][BACK] == pytest.approx(oracles.d1(reference, candidate), rel=1e-12)
+    # 1e-9: normals of noisy patches agree to about 1e-8 degrees.
+    assert m["d2_mse"][FORTH] == pytest.approx(oracles.d2(candidate, reference, normals), rel=1e-9)
+    _, feet = oracles.nearest(reference, candidate)
+    back = ((reference - candidate[feet]) * normals).sum(axis=1)
+    assert m["d2_mse"][BACK] == pytest.approx(np.mean(back**2), rel=1e-9)
+    assert m["hausdorff"]["symmetric_max"] == pytest.approx(oracles.hausdorff(reference, candidate), rel=1e-12)
+    assert m["chamfer"]["sum_unsquared"] == pytest.approx(oracles.chamfer_unsquared(reference, candidate), rel=1e-12)
+    assert m["chamfer"]["sum_squared"] == pytest.approx(oracles.chamfer_squared(reference, candidate), rel=1e-12)
+    for row in m["fscore"]:
+        found = (row["precision"], row["recall"], row["fscore"])
+        assert found == pytest.approx(oracles.fscore(candidate, reference, row["threshold"]))
+    floors = (
+        oracles.floor_candidate_to_reference(candidate, reference),
+        oracles.floor_reference_to_candidate(candidate, reference),
+    )
+    assert m["d1_mse"]["floor"][FORTH] == pytest.approx(np.mean(floors[0] ** 2), rel=1e-12)
+    assert m["d1_mse"]["floor"][BACK] == pytest.approx(np.mean(floors[1] ** 2), rel=1e-12)
+    worst = np.array(m["hausdorff"]["worst_point"][BACK])
+    assert oracles.nearest(worst[None], candidate)[0][0] == pytest.approx(m["hausdorff"][BACK], rel=1e-9)
+
+
+def test_area_weighting_against_the_slow_version(pair):
+    reference, candidate = pair
+    comparison = compare(reference, candidate, NONE)
+    distances, _ = oracles.nearest(candidate, reference)
+    side, origin = comparison.reference["voxel_side"], np.floor(0.5 * (reference.min(axis=0) + reference.max(axis=0)))
+    expected = oracles.voxel_mean(distances**2, candidate - origin, side, np.zeros(3))
+    assert comparison.candidates[0].metrics["d1_mse"]["area_weighted"][FORTH] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("register", ["none", "icp"])
+def test_a_utm_offset_changes_no_metric(pair, register):
+    reference, candidate = map(on_grid, pair)
+    settings = Settings(register=register, crop="quantile:0.9")
+    here, there = metrics_of(reference, candidate, settings), metrics_of(reference + UTM, candidate + UTM, settings)
+    here["hausdorff"].pop("worst_point"), there["hausdorff"].pop("worst_point")
+    here, there = dict(leaves(here)), dict(leaves(there))
+    assert here.keys() == there.keys()
+    for path, value in here.items():
+        assert there[path] == pytest.approx(value, rel=1e-9), path
+
+
+def test_swapping_the_clouds_swaps_the_directions(pair):
+    reference, candidate = map(on_grid, pair)  # recentring is exact then
+    one, two = metrics_of(reference, candidate), metrics_of(candidate, reference)
+    for metric in ("d1_mse", "mean_distance", "hausdorff"):
+        assert one[metric][FORTH] == two[metric][BACK]
+        assert one[metric][BACK] == two[metric][FORTH]
+
+
+def test_crop_selects_queries_not_what_is_searched():
+    plane = shapes.plane_grid(21)
+    shifted = plane + [0.4, 0, 0]
+    m = metrics_of(plane, shifted, Settings(register="none", crop="box:4.9,-1,-1,10.1,30,1"))
+    # Every point has its partner 0.4 away, also at the cut: a hard crop finds 0.6 for those whose partner is outside.
+    assert m["hausdorff"]["symmetric_max"] == pytest.approx(0.4)
+    assert m["presets"]["gao2025"]["hausdorff"] == pytest.approx(0.6)
+
+
+def test_intervals_cover_and_shrink():
+    """Nominal 95 % intervals of D1 cover the expectation in most of 40 scenes; bigger differences are seen."""
+    rng = np.random.default_rng(7)
+    grid = shapes.plane_grid(60)
+    covered = 0
+    for _ in range(40):
+        heights = rng.normal(0, 0.2, len(grid))
+        low, high = metrics_of(grid, grid + heights[:, None] * [0, 0, 1])["d1_mse"]["ci"][FORTH]
+        covered += low <= 0.04 <= high
+    assert covered >= 33  # 95 % of 40 is 38; fewer than 33 has a probability below 0.003
+
+
+def test_differences_between_candidates():
+    grid, rng = shapes.plane_grid(60), np.random.default_rng(8)
+    up = np.array([0, 0, 1.0])
+    good, same, bad = (grid + rng.normal(0, s, len(grid))[:, None] * up for s in (0.1, 0.1, 0.2))
+    rows = compare(grid, {"good": good, "same": same, "bad": bad}, NONE).differences
+    d1 = {(r["a"], r["b"]): r for r in rows if r["metric"] == f"d1_mse/{FORTH}"}
+    assert len(d1) == 3
+    assert d1["good", "bad"]["ci"][1] < 0
+    assert d1["good", "bad"]["difference"] == pytest.approx(-0.03, abs=0.005)
+    assert d1["good", "same"]["ci"][0] < 0 < d1["good", "same"]["ci"][1]
+
+
+def test_results_do_not_depend_on_other_candidates(pair):
+    reference, candidate = pair
+    alone = compare(reference, {"x": candidate}, NONE).candidates[0].metrics
+    beside = compare(reference, {"y": candidate + 1, "x": candidate}, NONE).candidates[1].metrics
+    assert alone == beside
+
+
+def test_two_runs_and_any_number_of_threads_give_the_same_json(tmp_path):
+    script = (
+        "import sys; sys.path.insert(0, 'tests')\n"
+        "from pcbench.synthetic import demo\n"
+        "from pcbench import compare\n"
+        "from pcbench.report import document, to_json\n"
+        "d = demo(60_000)\n"
+        "c = document(compare(d.reference, d.candidates))\n"
+        "c['provenance'] = None\n"
+        "for x in c['candidates']: x['timings_s'] = x['peak_rss_bytes'] = None\n"
+        "print(to_json(c))"
+    )
+    outputs = [
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "1", "2")
+    ]
+    assert outputs[0] == outputs[1] == outputs[2]
+
+
+def test_document_keys_and_null_instead_of_nan(pair):
+    reference, candidate = pair
+    doc = json.loads(to_json(document(compare(reference, {"x": candidate, "copy": reference}, NONE))))
+    assert doc["schema"] == "pcbench.comparison/1"
+    expected = {"path", "points", "points_in_region", "spacing_median", "crs", "sha256"}
+    assert expected <= doc["reference"].keys()
+    assert {"version", "commit", "seed", "machine", "command", "created"} <= doc["provenance"].keys()
+    first, copy = doc["candidates"]
+    assert {
+        "name",
+        "path",
+        "points",
+        "points_in_region",
+        "sha256",
+        "registration",
+        "metrics",
+        "deviation",
+        "timings_s",
+        "peak_rss_bytes",
+    } <= first.keys()
+    registration = first["registration"]
+    assert np.array(registration["T_reference_candidate"]).shape == (4, 4)
+    assert {
+        "method",
+        "scale",
+        "rmse",
+        "overlap",
+        "iterations",
+        "converged",
+        "information_eigenvalues",
+        "weakest_sigma",
+        "check_points",
+        "warnings",
+    } <= registration.keys()
+    assert copy["metrics"]["presets"]["mpeg"]["d1_psnr"] is None
+    assert {"kind", "percentiles", "rms", "bias"} <= first["deviation"].keys()
+
+
+def test_two_points_have_no_normals_and_no_d2():
+    m = metrics_of(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.0, 0, 0.5]]))
+    assert m["d2_mse"][FORTH] is None
+    assert m["presets"]["gao2025"]["d2_mse"] is None
+    assert m["presets"]["mpeg"]["d2_mse"]["symmetric"] is None
+    assert m["d1_mse"][FORTH] == 0.25
+
+
+def test_one_point_each():
+    m = metrics_of(np.zeros((1, 3)), np.array([[0, 0, 3.0]]))
+    assert m["d1_mse"][FORTH] == 9
+    assert m["d1_mse"]["floor"][FORTH] is None
+    assert m["fscore"] == []
+
+
+def test_the_caller_keeps_what_it_gave(pair):
+    reference, candidate = (Cloud(c.copy()) for c in pair)
+    compare(reference, candidate, Settings())
+    np.testing.assert_array_equal(reference.points, pair[0])
+    np.testing.assert_array_equal(candidate.points, pair[1])
+
+
+def test_refusals(pair):
+    reference, candidate = pair
+    with pytest.raises(InputError, match="leaves none of the reference"):
+        compare(reference, candidate, Settings(crop="sphere:900,0,0,1"))
+    with pytest.raises(RegistrationError, match="does not overlap"):
+        compare(reference, candidate + 1e4, NONE)
+    with pytest.raises(InputError, match="at least one candidate"):
+        compare(reference, [], NONE)
+    with pytest.raises(InputError, match="positive thresholds"):
+        Settings(thresholds=(0.0,))
+    with pytest.raises(InputError, match="x: the crop"):
+        compare(reference, {"x": candidate[candidate[:, 0] > 20]}, Settings("none", crop="box:0,0,-9,10,40,9"))

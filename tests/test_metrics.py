@@ -1,0 +1,132 @@
+"""Metrics as pure functions: closed forms, brute force, and what must not change them."""
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from pcbench import metrics
+from pcbench.errors import InputError
+from pcbench.neighbors import Index
+
+# Coordinates on a 2^-10 grid: shifts and powers of two are exact, so that equality can be exact.
+GRID = st.integers(-(2**14), 2**14).map(lambda v: v / 1024)
+CLOUDS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=GRID)
+
+
+def one_way(queries, points):
+    return Index(np.ascontiguousarray(points)).query(np.ascontiguousarray(queries)).distances
+
+
+def both(first, second):
+    return one_way(first, second), one_way(second, first)
+
+
+def every(a, b):
+    return {
+        "d1": metrics.mean_square(a),
+        "hausdorff": metrics.hausdorff(a, b),
+        "unsquared": metrics.chamfer_unsquared(a, b),
+        "squared": metrics.chamfer_squared(a, b),
+        "fscore": metrics.fscore(a, b, 0.25).fscore,
+    }
+
+
+def test_closed_form_of_two_parallel_grids():
+    x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
+    lower = np.stack([x.ravel(), y.ravel(), np.zeros(25)], axis=1)
+    a, b = both(lower + [0, 0, 0.5], lower)
+    assert metrics.mean_square(a) == 0.25
+    assert metrics.hausdorff(a, b) == 0.5
+    assert metrics.chamfer_unsquared(a, b) == 1.0
+    assert metrics.chamfer_squared(a, b) == 0.5
+    assert metrics.fscore(a, b, 0.5) == (0.5, 1.0, 1.0, 1.0)  # the threshold itself counts as within
+    assert metrics.fscore(a, b, 0.49).fscore == 0.0
+    assert np.all(metrics.plane_distances(lower + [3, 4, 0.5], lower, np.tile([0, 0, 1.0], (25, 1))) == 0.5)
+
+
+@given(CLOUDS, CLOUDS)
+@settings(max_examples=40, deadline=None)
+def test_against_brute_force(first, second):
+    a, b = both(first, second)
+    # 1e-12: sums of at most 40 terms in another order.
+    assert metrics.mean_square(a) == pytest.approx(oracles.d1(first, second), rel=1e-12, abs=1e-300)
+    assert metrics.hausdorff(a, b) == pytest.approx(oracles.hausdorff(first, second), rel=1e-12)
+    assert metrics.chamfer_unsquared(a, b) == pytest.approx(oracles.chamfer_unsquared(first, second), rel=1e-12)
+    assert metrics.chamfer_squared(a, b) == pytest.approx(oracles.chamfer_squared(first, second), rel=1e-12, abs=1e-300)
+    assert metrics.fscore(a, b, 0.7).fscore == pytest.approx(oracles.fscore(first, second, 0.7)[2])
+
+
+@given(CLOUDS, CLOUDS, st.tuples(GRID, GRID, GRID))
+@settings(max_examples=40, deadline=None)
+def test_shifting_both_clouds_changes_nothing(first, second, shift):
+    assert every(*both(first + shift, second + shift)) == every(*both(first, second))
+
+
+@given(CLOUDS, CLOUDS)
+@settings(max_examples=40, deadline=None)
+def test_swapping_the_clouds_keeps_the_symmetric_ones(first, second):
+    a, b = both(first, second)
+    for name in ("hausdorff", "unsquared", "squared", "fscore"):
+        assert every(a, b)[name] == every(b, a)[name]
+
+
+@given(CLOUDS, CLOUDS, st.sampled_from([0.25, 2.0, 1024.0]))
+@settings(max_examples=40, deadline=None)
+def test_scaling_scales_lengths_and_squares(first, second, factor):
+    before, after = every(*both(first, second)), every(*both(factor * first, factor * second))
+    for name, power in (("d1", 2), ("squared", 2), ("hausdorff", 1), ("unsquared", 1)):
+        assert after[name] == pytest.approx(factor**power * before[name], rel=1e-12)
+
+
+@given(CLOUDS, st.randoms(use_true_random=False))
+@settings(max_examples=25, deadline=None)
+def test_order_of_points_does_not_matter(cloud, random):
+    order = list(range(len(cloud)))
+    random.shuffle(order)
+    other = cloud[::-1] * 0.5
+    assert every(*both(cloud[order], other)) == pytest.approx(every(*both(cloud, other)), rel=1e-12)
+
+
+def test_identical_clouds():
+    cloud = np.random.default_rng(0).random((50, 3))
+    a, b = both(cloud, cloud)
+    assert every(a, b) == {"d1": 0, "hausdorff": 0, "unsquared": 0, "squared": 0, "fscore": 1}
+    assert metrics.psnr(0.0, 1.0) is None
+
+
+def test_percentiles_of_a_ramp():
+    assert metrics.percentiles(np.arange(101.0), (5, 50, 99)) == {"p5": 5, "p50": 50, "p99": 99}
+
+
+def test_area_weighting_counts_voxels_not_points():
+    values = np.array([1.0] * 90 + [3.0] * 10)
+    voxels = np.array([7] * 90 + [9] * 10)
+    assert metrics.area_weighted_mean(values, voxels) == 2.0
+
+
+def test_psnr_of_mpeg():
+    assert metrics.psnr(0.03, 1.0) == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda e: metrics.mean_square(e),
+        lambda e: metrics.hausdorff(e, e),
+        lambda e: metrics.chamfer_unsquared(e, e),
+        lambda e: metrics.fscore(e, e, 1.0),
+        lambda e: metrics.percentiles(e),
+    ],
+)
+def test_no_distances_are_refused(call):
+    with pytest.raises(InputError, match="at least one distance"):
+        call(np.empty(0))
+
+
+@pytest.mark.parametrize("threshold", [0.0, -1.0, np.nan])
+def test_thresholds_are_positive(threshold):
+    with pytest.raises(InputError, match="positive threshold"):
+        metrics.fscore(np.ones(3), np.ones(3), threshold)

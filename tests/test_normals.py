@@ -1,0 +1,70 @@
+"""Normals: surfaces whose normals are known, and numpy's eigenvectors."""
+
+import numpy as np
+import oracles
+import pytest
+import shapes
+
+from pcbench.errors import InputError
+from pcbench.neighbors import Index
+from pcbench.normals import Surface, estimate_normals, orient_towards, orient_up
+
+
+def angles_deg(a, b):
+    """Between lines, signs ignored."""
+    sine = np.linalg.norm(np.cross(a, b), axis=1)
+    return np.degrees(np.arctan2(sine, np.abs((a * b).sum(axis=1))))
+
+
+def test_exact_on_a_tilted_plane_even_at_utm():
+    points = shapes.plane_samples(500) @ shapes.rotation([1, 2, 0], 35).T
+    expected = np.tile(shapes.rotation([1, 2, 0], 35)[:, 2], (500, 1))
+    found = estimate_normals(Index(points), 12)
+    # 1e-6 degrees: rounding of coordinates of size 10 over patches of size 1.
+    assert angles_deg(found.directions, expected).max() < 1e-6
+    assert found.variation.max() < 1e-12
+    far = estimate_normals(Index(np.round(points * 2**20) / 2**20 + [5e5, 4.8e6, 0.0]), 12)
+    # 2^-20 m of rounding over patches of half a metre: 1e-4 degrees.
+    assert angles_deg(far.directions, expected).max() < 1e-3
+
+
+def test_sphere_within_its_curvature():
+    points, normals = shapes.fibonacci_sphere(4000)
+    found = estimate_normals(Index(points), 12)
+    # Half a spacing (sqrt(4 pi / 4000) rad): so far may the centre of twelve neighbours lie from the point.
+    assert angles_deg(found.directions, normals).max() < 1.6
+
+
+def test_against_numpy_eigenvectors():
+    points, _ = shapes.terrain(400)
+    points += np.random.default_rng(3).normal(0, 0.05, points.shape)
+    found = estimate_normals(Index(points), 10)
+    assert angles_deg(found.directions, oracles.normals(points, 10)).max() < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1, rtol=1e-14)
+    _, neighbors = oracles.k_nearest(points, points, 10)
+    values = [np.linalg.eigvalsh(np.cov(points[row].T)) for row in neighbors]
+    expected = [v[0] / v.sum() for v in values]
+    np.testing.assert_allclose(found.variation, expected, rtol=1e-9, atol=1e-15)
+
+
+def test_signs():
+    directions = np.array([[0, 0, -1.0], [0, -1, 0], [-1, 0, 0], [0.6, 0, 0.8]])
+    np.testing.assert_array_equal(orient_up(directions), [[0, 0, 1], [0, 1, 0], [1, 0, 0], [0.6, 0, 0.8]])
+    points, normals = shapes.sphere(50)
+    np.testing.assert_allclose(orient_towards(normals, points, 10 * points), normals)
+    np.testing.assert_allclose(orient_towards(normals, points, np.zeros(3)), -normals)
+
+
+def test_surface_keeps_given_normals_and_estimates_the_missing():
+    points = shapes.plane_grid(10)
+    given = np.tile([0, 3.0, 4.0], (100, 1))
+    given[7] = 0
+    normals = Surface(Index(points), given=given).normals(np.array([7, 8]))
+    np.testing.assert_allclose(normals, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-12)
+
+
+def test_duplicates_and_too_few():
+    same = np.zeros((10, 3))
+    assert np.isfinite(estimate_normals(Index(same), 5).directions).all()
+    with pytest.raises(InputError, match="at least 3 points"):
+        estimate_normals(Index(same[:2]))

@@ -1,0 +1,117 @@
+"""Presets: what other tools print, for the same aligned pair."""
+
+import json
+
+import numpy as np
+import oracles
+import pytest
+import shapes
+from data_folder import data_folder
+
+from pcbench import Cloud, Settings, compare, read_cloud
+from pcbench.errors import InputError
+
+
+def preset(name, reference, candidate, **settings):
+    settings = Settings(register="none", presets=(name,), **settings)
+    return compare(reference, candidate, settings).candidates[0].metrics["presets"][name]
+
+
+def flat(m):
+    return {
+        "mse1 (p2point)": m["d1_mse"]["a_to_b"],
+        "mse2 (p2point)": m["d1_mse"]["b_to_a"],
+        "mseF (p2point)": m["d1_mse"]["symmetric"],
+        "mse1 (p2plane)": m["d2_mse"]["a_to_b"],
+        "mse2 (p2plane)": m["d2_mse"]["b_to_a"],
+        "mseF (p2plane)": m["d2_mse"]["symmetric"],
+        "mseF,PSNR (p2point)": m["d1_psnr"],
+        "mseF,PSNR (p2plane)": m["d2_psnr"],
+        "h. (p2point)": m["hausdorff_squared_d1"],
+        "h. (p2plane)": m["hausdorff_squared_d2"],
+        "Peak distance for PSNR": m["peak"],
+    }
+
+
+@pytest.mark.parametrize("case", ["wave", "outliers"])
+def test_mpeg_prints_what_pc_error_printed(case):
+    folder = data_folder("dmetric")
+    expected = json.loads((folder / "expected.json").read_text())["cases"][case]
+    found = flat(preset("mpeg", read_cloud(folder / f"{case}_a.ply"), read_cloud(folder / f"{case}_b.ply")))
+    for name, value in found.items():
+        if name.startswith("mse") and "p2point" in name and "PSNR" not in name:
+            assert f"{value:.9g}" == f"{expected[name]:.9g}", name  # to the printed digits
+        else:
+            assert value == pytest.approx(expected[name], rel=1e-5), name
+
+
+@pytest.mark.parametrize("kind", ["random", "grid", "duplicates", "far"])
+def test_mpeg_against_the_slow_version(kind):
+    rng = np.random.default_rng(11)
+    a, normals = shapes.terrain(600, seed=1)
+    b = shapes.terrain(500, seed=2)[0] + rng.normal(0, 0.05, (500, 3))
+    if kind == "grid":  # many ties
+        a, b = np.unique(np.round(a), axis=0), np.unique(np.round(b), axis=0)
+        normals = rng.normal(size=a.shape)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    if kind == "duplicates":
+        a, normals, b = np.repeat(a, 2, axis=0), np.repeat(normals, 2, axis=0), np.repeat(b, 3, axis=0)
+    if kind == "far":
+        a, b = np.round(a * 1024) / 1024 + [5e5, 4.8e6, 0], np.round(b * 1024) / 1024 + [5e5, 4.8e6, 0]
+    expected = oracles.mpeg(a, normals, b)
+    found = flat(preset("mpeg", Cloud(a, normals=normals), b))
+    for name, value in found.items():
+        # 1e-6: coordinate differences are rounded to float32, as pc_error does.
+        assert value == pytest.approx(expected[name], rel=1e-6), name
+
+
+def test_mpeg_takes_normals_as_they_are():
+    a, normals = shapes.terrain(400, seed=1)
+    b = shapes.terrain(300, seed=2)[0]
+    found = flat(preset("mpeg", Cloud(a, normals=2 * normals), b))
+    assert found["mseF (p2plane)"] == pytest.approx(oracles.mpeg(a, 2 * normals, b)["mseF (p2plane)"], rel=1e-9)
+
+
+def test_gao2025_against_brute_force_with_a_hard_crop():
+    a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
+    low, high = np.array([10.0, 10, -10]), np.array([25.0, 30, 10])
+    kept_a, kept_b = (c[((c >= low) & (c <= high)).all(axis=1)] for c in (a, b))
+    found = preset("gao2025", a, b, crop="box:10,10,-10,25,30,10")
+    assert found["d1_mse"] == pytest.approx(oracles.d1(kept_b, kept_a), rel=1e-12)
+    assert found["hausdorff"] == pytest.approx(oracles.hausdorff(kept_a, kept_b), rel=1e-12)
+    assert found["chamfer"] == pytest.approx(oracles.chamfer_squared(kept_a, kept_b), rel=1e-12)
+    normals = oracles.normals(a, 20)[((a >= low) & (a <= high)).all(axis=1)]
+    assert found["d2_mse"] == pytest.approx(oracles.d2(kept_b, kept_a, normals), rel=1e-9)
+    mpeg = preset("mpeg", a, b, crop="box:10,10,-10,25,30,10")
+    assert mpeg["d1_mse"]["a_to_b"] == pytest.approx(oracles.d1(kept_a, kept_b), rel=1e-6)
+    assert mpeg["peak"] == pytest.approx(oracles.leave_one_out(kept_a).max(), rel=1e-12)
+
+
+def test_open3d_against_open3d():
+    o3d = pytest.importorskip("open3d", exc_type=ImportError)
+    a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
+    found = preset("open3d", a, b, thresholds=(0.3, 0.8))
+
+    def cloud(points):
+        return o3d.t.geometry.PointCloud(o3d.core.Tensor(points.astype(np.float32)))
+
+    metrics = o3d.t.geometry.Metric
+    names = [metrics.ChamferDistance, metrics.HausdorffDistance, metrics.FScore]
+    radii = o3d.t.geometry.MetricParameters(fscore_radius=[0.3, 0.8])
+    chamfer, hausdorff, *fscores = cloud(a).compute_metrics(cloud(b), names, radii).numpy()
+    # 1e-5: Open3D computes in float32.
+    assert found["chamfer"] == pytest.approx(chamfer, rel=1e-5)
+    assert found["hausdorff"] == pytest.approx(hausdorff, rel=1e-5)
+    assert [100 * row["fscore"] for row in found["fscore"]] == pytest.approx(fscores, rel=1e-5)
+
+
+def test_identical_clouds_have_no_psnr():
+    a = shapes.terrain(200)[0]
+    found = preset("mpeg", a, a)
+    assert found["d1_mse"]["symmetric"] == 0
+    assert found["d1_psnr"] is None
+
+
+def test_unknown_preset():
+    with pytest.raises(InputError, match="unknown preset 'nonsense': expected one of gao2025, mpeg"):
+        Settings(presets=("nonsense",))

@@ -1,0 +1,185 @@
+"""Registration: recovers known motions, says what it does not know, and refuses what it cannot do."""
+
+import numpy as np
+import pytest
+import shapes
+from data_folder import data_folder
+
+from pcbench import Cloud, read_cloud
+from pcbench.errors import InputError, RegistrationError
+from pcbench.registration import register
+from pcbench.synthetic import city
+from pcbench.transform import Similarity, format_matrix, read_matrix
+
+UTM = np.array([500_000.0, 4_800_000.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Two independent samples of a city's centre with 2 cm noise: about 160k and 24k points on 150 m x 150 m."""
+    town, rng = city(3), np.random.default_rng(4)
+    reference, candidate = (town.sample(n, rng)[0] for n in (1_000_000, 150_000))
+    reference, candidate = (c[np.abs(c[:, :2]).max(axis=1) < 75] for c in (reference, candidate))
+    return reference + rng.normal(0, 0.02, reference.shape), candidate + rng.normal(0, 0.02, candidate.shape)
+
+
+def motion(angle_deg=2.0, shift=(0.6, -0.4, 0.3), scale=1.0):
+    return Similarity(shapes.rotation([0.3, -0.5, 0.8], angle_deg), np.array(shift), scale)
+
+
+def error(found, true, points):
+    moved = true.inverse().apply(points)
+    return float(np.sqrt(np.mean(np.square(found.apply(moved) - points).sum(axis=1))))
+
+
+# Bounds in metres: three times what was measured; other tools reach 0.5-4.5 mm on such pairs, point to point 4.5 mm.
+@pytest.mark.parametrize(("method", "bound"), [("icp", 0.003), ("similarity", 0.003), ("icp-point", 0.03)])
+def test_recovers_a_known_motion(scene, method, bound):
+    reference, candidate = scene
+    true = motion()
+    result = register(reference, true.inverse().apply(candidate), method)
+    assert error(result.T_reference_candidate, true, candidate) < bound
+    assert result.converged
+    assert result.overlap > 0.95
+    assert result.weakest_sigma < 0.01
+    assert not result.warnings
+
+
+def test_recovers_scale_only_when_asked(scene):
+    reference, candidate = scene
+    true = motion(scale=1.02)
+    moved = true.inverse().apply(candidate)
+    assert error(register(reference, moved, "similarity").T_reference_candidate, true, candidate) < 0.003
+    assert register(reference, moved, "icp").T_reference_candidate.scale == 1.0
+
+
+def test_exact_copies_are_recovered_exactly(scene):
+    reference, _ = scene
+    true = motion()
+    result = register(reference, true.inverse().apply(reference[::7]))
+    assert error(result.T_reference_candidate, true, reference[::7]) < 1e-6
+
+
+def test_survives_outliers_and_partial_overlap(scene):
+    reference, candidate = scene
+    true, rng = motion(), np.random.default_rng(5)
+    stray = rng.uniform([-75, -75, 0], [75, 75, 60], (8000, 3))
+    result = register(reference, true.inverse().apply(np.concatenate([candidate, stray])))
+    assert error(result.T_reference_candidate, true, candidate) < 0.003
+    west, east = reference[reference[:, 0] < 15], candidate[candidate[:, 0] > -15]
+    result = register(west, true.inverse().apply(east))
+    assert error(result.T_reference_candidate, true, east) < 0.012
+    assert 0.2 < result.overlap < 0.6
+
+
+def test_far_coordinates_change_nothing(scene):
+    reference, candidate = (np.round(c * 2**20) / 2**20 for c in scene)
+    candidate = candidate + [0.5, -0.25, 0.125]
+    here, there = register(reference, candidate), register(reference + UTM, candidate + UTM)
+    np.testing.assert_array_equal(here.T_local.matrix, there.T_local.matrix)
+    assert (here.rmse, here.overlap, here.weakest_sigma) == (there.rmse, there.overlap, there.weakest_sigma)
+    moved = there.T_reference_candidate.apply(candidate + UTM) - UTM
+    # 1e-8 m: a rotation of coordinates of 5e6 in float64.
+    np.testing.assert_allclose(moved, here.T_reference_candidate.apply(candidate), atol=1e-8)
+
+
+def test_says_what_the_geometry_does_not_fix():
+    rng = np.random.default_rng(6)
+
+    def noisy(points):
+        return points + rng.normal(0, 0.02, points.shape)
+
+    flat = register(noisy(shapes.plane_samples(40_000, 40, seed=1)), noisy(shapes.plane_samples(8000, 40, seed=2)))
+    assert flat.weakest_sigma is None
+    assert "does not fix" in flat.warnings[0]
+
+    def cylinder(n):
+        angle, z = rng.uniform(0, 2 * np.pi, n), rng.uniform(0, 20, n)
+        return noisy(np.stack([5 * np.cos(angle), 5 * np.sin(angle), z], axis=1))
+
+    pipe = register(cylinder(40_000), cylinder(8000))
+    assert pipe.weakest_sigma is None
+    assert "does not fix" in pipe.warnings[0]
+
+
+def test_real_lidar_pair():
+    folder = data_folder("small_gicp")
+    reference, candidate = read_cloud(folder / "target.ply"), read_cloud(folder / "source.ply")
+    result = register(reference, candidate)
+    true = Similarity.from_matrix(np.loadtxt(folder / "T_target_source.txt"))
+    difference = result.T_reference_candidate.apply(candidate.points) - true.apply(candidate.points)
+    near = np.linalg.norm(candidate.points, axis=1) < 30
+    # The file's transform is good to 2-8 cm itself.
+    assert np.sqrt(np.mean(np.square(difference[near]).sum(axis=1))) < 0.1
+    assert result.converged
+
+
+def test_matrix_and_none(scene, tmp_path):
+    reference, candidate = scene
+    true = motion(0.5)
+    (tmp_path / "T.txt").write_text(format_matrix(true))
+    assert np.array_equal(read_matrix(tmp_path / "T.txt").matrix, true.matrix)
+    result = register(reference, true.inverse().apply(candidate), f"matrix:{tmp_path / 'T.txt'}")
+    np.testing.assert_array_equal(result.T_reference_candidate.matrix, true.matrix)
+    assert result.converged is None
+    assert result.rmse < 0.04
+    assert register(reference, candidate, "none").T_reference_candidate.scale == 1.0
+
+
+def test_control_and_check_points(scene, tmp_path):
+    reference, candidate = scene
+    true = motion(1.0, scale=1.5)
+    targets = candidate[[10, 500, 4000, 9000, 15000]]
+    sources = true.inverse().apply(targets)
+    sources[4] += [0.1, 0, 0]  # a check point that is off by 0.1 of the candidate's unit
+    names = ["a", "b", "c", "d", "check*"]
+    numbers = np.hstack([sources, targets]).tolist()
+    rows = [" ".join([name, *map(repr, row)]) for name, row in zip(names, numbers, strict=True)]
+    (tmp_path / "pairs.txt").write_text("# name, candidate, reference\n" + "\n".join(rows))
+    result = register(reference, true.inverse().apply(candidate), f"points:{tmp_path / 'pairs.txt'}")
+    np.testing.assert_allclose(result.T_reference_candidate.matrix, true.matrix, atol=1e-9)
+    assert result.check_points[0].name == "check"
+    assert result.check_points[0].error == pytest.approx(0.15, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a 1 2 3 4 5\n", "line 1: expected a name and six"),
+        ("a 1 2 3 4 5 6\nb x 2 3 4 5 6\n", "line 2"),
+        ("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\n", "at least 3 pairs"),
+        ("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 2 0 0 2 0 0\n", "on one line"),
+        ("", "at least 3 pairs"),
+    ],
+)
+def test_bad_pairs(scene, tmp_path, text, message):
+    (tmp_path / "pairs.txt").write_text(text)
+    with pytest.raises(InputError, match=message):
+        register(*scene, f"points:{tmp_path / 'pairs.txt'}")
+
+
+def test_refusals(scene):
+    reference, candidate = scene
+    with pytest.raises(InputError, match="unknown registration 'magic'"):
+        register(reference, candidate, "magic")
+    with pytest.raises(InputError, match="no-such"):
+        register(reference, candidate, "matrix:no-such")
+    for method in ("icp", "none"):
+        with pytest.raises(RegistrationError, match="does not overlap"):
+            register(reference, candidate + 5000, method)
+    with pytest.raises(RegistrationError, match="extent"):
+        register(np.zeros((100, 3)), candidate)
+
+
+def test_suspected_units(scene):
+    reference, candidate = scene
+    feet = register(reference, candidate / 0.3048, "none").warnings
+    assert any("feet against metres" in w for w in feet)
+    assert not register(reference, candidate, "none").warnings
+
+
+def test_clouds_and_tiny_clouds():
+    grid = shapes.plane_grid(4)
+    result = register(Cloud(grid), Cloud(grid[:5]), "none")
+    assert result.rmse == 0.0
+    assert result.overlap == 1.0
