@@ -162,7 +162,8 @@ def print_table(doc: dict[str, Any]) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=max(80, 34 + 26 * len(doc["candidates"])))
-    table = Table(title=_title(doc), title_justify="left", title_style="bold", box=None, padding=(0, 1), pad_edge=False)
+    console.print(_title(doc), style="bold", highlight=False, soft_wrap=True)
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column("", no_wrap=True)
     for candidate in doc["candidates"]:
         table.add_column(f"{candidate['name']}\nc→r", justify="right", overflow="fold")

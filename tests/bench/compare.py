@@ -1,0 +1,189 @@
+"""The whole comparison at the paper's sizes, beside a plain Open3D script of the same job, in one run.
+
+    python tests/bench/compare.py [--points 1270820] [--runs 3]
+
+Each side runs in a process of its own, alternating; medians of wall and CPU seconds per step, and peak memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+STEPS = ("import", "read", "index, normals", "registration", "distances, metrics", "total")
+
+
+def ours(folder: Path) -> dict:
+    clock = Clock()
+    from pcbench import compare, read_cloud
+    from pcbench.report import document  # noqa: F401
+
+    clock.step("import")
+    reference, candidates = (
+        read_cloud(folder / "reference.ply"),
+        {name: read_cloud(folder / f"{name}.ply") for name in ("sparse", "densified")},
+    )
+    clock.step("read")
+    result = compare(reference, candidates)
+    clock.step("compare")
+    values = {candidate.name: picked(candidate.metrics) for candidate in result.candidates}
+    inner = {
+        "registration": sum(c.timings_s["registration"] for c in result.candidates),
+        "index, normals": sum(c.timings_s["normals"] for c in result.candidates),
+    }
+    clock.steps["registration"] = (inner["registration"], None)
+    clock.steps["index, normals"] = (inner["index, normals"], None)
+    whole, _ = clock.steps.pop("compare")
+    clock.steps["distances, metrics"] = (whole - sum(inner.values()), None)
+    return clock.result(values)
+
+
+def open3d(folder: Path) -> dict:
+    """What a user writes today: normals k = 20, point-to-plane ICP, distances both ways, the paper's four numbers."""
+    clock = Clock()
+    import numpy as np
+    import open3d as o3d
+
+    clock.step("import")
+    read = o3d.io.read_point_cloud
+    reference = read(str(folder / "reference.ply"))
+    candidates = {name: read(str(folder / f"{name}.ply")) for name in ("sparse", "densified")}
+    clock.step("read")
+    reference.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
+    clock.step("index, normals")
+    registered = o3d.pipelines.registration
+    normals, points = np.asarray(reference.normals), np.asarray(reference.points)
+    values = {}
+    for name, candidate in candidates.items():
+        T = np.eye(4)
+        for gate in (3.0, 1.0):
+            T = registered.registration_icp(
+                candidate, reference, gate, T, registered.TransformationEstimationPointToPlane()
+            ).transformation
+        candidate.transform(T)
+        clock.step("registration")
+        forth = np.asarray(candidate.compute_point_cloud_distance(reference))
+        back = np.asarray(reference.compute_point_cloud_distance(candidate))
+        aligned = np.asarray(candidate.points)
+        # D2 needs to know which point is nearest: the fastest call that says so searches once more.
+        found = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(points))
+        found.knn_index()
+        nearest = found.knn_search(o3d.core.Tensor(aligned), 1)[0].numpy()[:, 0]
+        plane = np.einsum("ni,ni->n", aligned - points[nearest], normals[nearest])
+        values[name] = {
+            "d1": float(np.mean(forth**2)),
+            "d2": float(np.mean(plane**2)),
+            "hausdorff": float(max(forth.max(), back.max())),
+            "chamfer": float(np.mean(forth**2) + np.mean(back**2)),
+            "T": T.tolist(),
+        }
+        clock.step("distances, metrics")
+    return clock.result(values)
+
+
+def at_transform(reference, candidate, T: list) -> dict:
+    """Our metrics with another tool's registration."""
+    import numpy as np
+
+    from pcbench import Settings, compare
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "T.txt"
+        path.write_text("\n".join(" ".join(repr(v) for v in row) for row in np.array(T).tolist()))
+        return picked(compare(reference, candidate, Settings(register=f"matrix:{path}")).candidates[0].metrics)
+
+
+def picked(m: dict) -> dict:
+    return {
+        "d1": m["d1_mse"]["candidate_to_reference"],
+        "d2": m["d2_mse"]["candidate_to_reference"],
+        "hausdorff": m["hausdorff"]["symmetric_max"],
+        "chamfer": m["chamfer"]["sum_squared"],
+    }
+
+
+class Clock:
+    """Wall and CPU seconds of named steps; a name may come more than once."""
+
+    def __init__(self) -> None:
+        self.steps: dict[str, tuple[float, float | None]] = {}
+        self.start = self.last = self._now()
+
+    def step(self, name: str) -> None:
+        now = self._now()
+        wall, cpu = self.steps.get(name, (0.0, 0.0))
+        self.steps[name] = (wall + now[0] - self.last[0], (cpu or 0.0) + now[1] - self.last[1])
+        self.last = now
+
+    def result(self, values: dict) -> dict:
+        now = self._now()
+        self.steps["total"] = (now[0] - self.start[0], now[1] - self.start[1])
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        return {"steps": self.steps, "peak": peak, "values": values}
+
+    @staticmethod
+    def _now() -> tuple[float, float]:
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        return time.perf_counter(), usage.ru_utime + usage.ru_stime
+
+
+def run(side: str, folder: Path) -> dict:
+    command = [sys.executable, __file__, "--side", side, "--folder", str(folder)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--points", type=int, default=1_270_820)
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--side", choices=("ours", "open3d"), help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.side:
+        print(json.dumps({"ours": ours, "open3d": open3d}[arguments.side](arguments.folder)))
+        return
+
+    from pcbench import write_cloud
+    from pcbench.synthetic import demo
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        scene = demo(arguments.points)
+        for cloud_name, cloud in {"reference": scene.reference, **scene.candidates}.items():
+            write_cloud(folder / f"{cloud_name}.ply", cloud)
+        runs: dict[str, list[dict]] = {"ours": [], "open3d": []}
+        for number in range(arguments.runs):
+            for side in ("ours", "open3d") if number % 2 == 0 else ("open3d", "ours"):
+                runs[side].append(run(side, folder))
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
+    sizes = ", ".join(f"{len(cloud):,}" for cloud in scene.candidates.values())
+    print(f"{sizes} against {arguments.points:,} points; {arguments.runs} alternating runs, medians")
+    print(f"commit {commit}, {platform.machine()}, {len(os.sched_getaffinity(0))} cores\n")
+    print(f"{'wall seconds':22}{'pcbench':>10}{'Open3D':>10}{'ratio':>8}")
+    for step in STEPS:
+        a, b = (statistics.median(r["steps"][step][0] for r in runs[side]) for side in ("ours", "open3d"))
+        print(f"{step:22}{a:10.2f}{b:10.2f}{b / a:8.1f}")
+    a, b = (statistics.median(r["steps"]["total"][1] for r in runs[side]) for side in ("ours", "open3d"))
+    print(f"{'total, CPU seconds':22}{a:10.2f}{b:10.2f}{b / a:8.1f}")
+    a, b = (statistics.median(r["peak"] for r in runs[side]) / 2**20 for side in ("ours", "open3d"))
+    print(f"{'peak memory, MiB':22}{a:10.0f}{b:10.0f}{b / a:8.1f}\n")
+    print(f"{'':22}{'pcbench':>14}{'Open3D':>14}{'at its transform':>20}")
+    for candidate, values in runs["ours"][0]["values"].items():
+        theirs = runs["open3d"][0]["values"][candidate]
+        same = at_transform(scene.reference, scene.candidates[candidate], theirs["T"])
+        for metric, value in values.items():
+            print(f"{candidate + ' ' + metric:22}{value:14.9g}{theirs[metric]:14.9g}{same[metric]:20.9g}")
+    print("\nlast column: pcbench's figures with Open3D's registration, to tell search and metrics from alignment")
+
+
+if __name__ == "__main__":
+    main()

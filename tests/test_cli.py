@@ -1,0 +1,303 @@
+"""The command line as a user meets it: outputs, one-line errors, exit codes, and nothing half-written."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+
+from pcbench import Cloud, cli, read_cloud, write_cloud
+from pcbench.transform import read_matrix
+
+REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json"}
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """ref.ply, a.ply and b.ply in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    reference = shapes.city(4000, noise=0.01, seed=1)[0]
+    write_cloud("ref.ply", Cloud(reference, unit="m"))
+    for name, count, noise in (("a", 1500, 0.02), ("b", 700, 0.05)):
+        points = shapes.city(count, seed=count)[0]
+        write_cloud(f"{name}.ply", Cloud(points + rng.normal(0, noise, points.shape) + [0.05, 0.02, 0]))
+    return tmp_path
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Call the command line in this process: (exit code, stdout, stderr)."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["pcbench", *map(str, arguments)])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def doc(folder):
+    return json.loads((Path(folder) / "comparison.json").read_text())
+
+
+def without_the_clock(values):
+    values["provenance"] = None
+    for candidate in values["candidates"]:
+        candidate["timings_s"] = candidate["peak_rss_bytes"] = None
+    return values
+
+
+def one_line(err):
+    return err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
+
+
+def test_compare_prints_a_table_and_leaves_a_folder(files, run):
+    code, out, err = run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")
+    assert code == 0
+    assert not err
+    assert "D1 MSE" in out
+    assert "sampling floor" in out
+    expected = REPORT | {"a_deviation.ply", "a_T.txt", "b_deviation.ply", "b_T.txt"}
+    assert {p.name for p in Path("report").iterdir()} - {"figures"} == expected
+    values = doc("report")
+    assert [c["name"] for c in values["candidates"]] == ["a", "b"]
+    assert values["reference"]["sha256"]
+    assert "NaN" not in (files / "report/comparison.json").read_text()
+    deviation = read_cloud("report/a_deviation.ply")
+    assert len(deviation) == 1500
+    m = values["candidates"][0]["metrics"]
+    # The scalar is float32 in the file.
+    assert deviation.attributes["distance"].max() == pytest.approx(m["hausdorff"]["candidate_to_reference"], rel=1e-6)
+    matrix = read_matrix("report/a_T.txt").matrix
+    np.testing.assert_array_equal(matrix, values["candidates"][0]["registration"]["T_reference_candidate"])
+    rows = list(csv.DictReader((files / "report/metrics.csv").open()))
+    assert list(rows[0]) == ["candidate", "metric", "direction", "definition", "value", "unit", "ci_low", "ci_high"]
+    row = next(r for r in rows if r["metric"] == "d1_mse" and r["direction"] == "candidate_to_reference")
+    assert float(row["value"]) == m["d1_mse"]["candidate_to_reference"]
+    assert row["unit"] == "m^2"
+    assert "| D1 MSE |" in (files / "report/table.md").read_text()
+
+
+def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
+    options = ("--crop", "quantile:0.9", "--register", "similarity", "--thresholds", "0.1,0.3", "--preset", "open3d")
+    assert run("compare", "ref.ply", "a.ply", "b.ply", *options, "--seed", 5, "--out", "one")[0] == 0
+    assert run("compare", "--settings", "one/settings.json", "--out", "two")[0] == 0
+    one, two = without_the_clock(doc("one")), without_the_clock(doc("two"))
+    for values in (one, two):
+        for entry in (values["reference"], *values["candidates"]):
+            entry["path"] = Path(entry["path"]).name
+    assert one == two
+    code, _, err = run("compare", "--settings", "one/settings.json", "--crop", "none")
+    assert code == 2
+    assert "--settings already names" in err
+
+
+def test_settings_notice_a_changed_file(files, run):
+    run("compare", "ref.ply", "a.ply", "--out", "one", "-q")
+    write_cloud("a.ply", read_cloud("b.ply"))
+    code, out, _ = run("compare", "--settings", "one/settings.json")
+    assert code == 0
+    assert "has changed since" in out
+
+
+def test_json_on_standard_output(files, run):
+    code, out, _ = run("compare", "ref.ply", "a.ply", "--json", "-")
+    assert code == 0
+    assert json.loads(out)["schema"] == "pcbench.comparison/1"
+    assert run("compare", "ref.ply", "a.ply", "--quiet")[1] == ""
+
+
+def test_equal_stems_get_numbers(files, run):
+    (files / "sub").mkdir()
+    write_cloud("sub/a.ply", read_cloud("b.ply"))
+    write_cloud("reference.ply", read_cloud("b.ply"))
+    code, _, _ = run("compare", "ref.ply", "a.ply", "sub/a.ply", "reference.ply", "--out", "report")
+    assert code == 0
+    assert [c["name"] for c in doc("report")["candidates"]] == ["a", "a_2", "reference_2"]
+
+
+def test_one_bad_candidate_leaves_nothing(files, run):
+    (files / "bad.ply").write_bytes((files / "a.ply").read_bytes()[:-5])
+    code, _, err = run("compare", "ref.ply", "a.ply", "bad.ply", "--out", "new/report")
+    assert code == 2
+    assert one_line(err)
+    assert "bad.ply" in err
+    assert not (files / "new").exists()
+
+
+def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(files, run):
+    assert run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")[0] == 0
+    (files / "report/notes.txt").write_text("mine")
+    before = {p.name: p.read_bytes() for p in (files / "report").iterdir() if p.is_file()}
+    assert run("compare", "ref.ply", "a.ply", "--crop", "sphere:900,0,0,1", "--out", "report")[0] == 2
+    assert {p.name: p.read_bytes() for p in (files / "report").iterdir() if p.is_file()} == before
+    assert run("compare", "ref.ply", "a.ply", "--out", "report")[0] == 0
+    left = {p.name for p in (files / "report").iterdir()} - {"figures"}
+    assert left == REPORT | {"a_deviation.ply", "a_T.txt", "notes.txt"}
+    assert not [p for p in files.iterdir() if p.name.startswith(".")]
+
+
+def test_a_folder_of_something_else_is_left_alone(files, run):
+    (files / "thesis").mkdir()
+    (files / "thesis/chapter.tex").write_text("years of work")
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "thesis")
+    assert code == 2
+    assert "not empty and holds no report" in err
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "a.ply")
+    assert code == 2
+    assert "expected a folder" in err
+
+
+BAD = {
+    "missing file": ("compare ref.ply no.ply", "no.ply"),
+    "a directory": ("compare ref.ply .", "folder"),
+    "empty file": ("compare ref.ply empty.ply", "empty"),
+    "wrong magic": ("compare ref.ply magic.ply", "magic.ply"),
+    "truncated": ("compare ref.ply cut.ply", "of 1500 vert"),
+    "negative count": ("compare ref.ply negative.ply", "negative.ply"),
+    "absurd count": ("compare ref.ply absurd.ply", "absurd.ply"),
+    "unknown extension": ("compare ref.ply a.docx", ".ply"),
+    "no points": ("compare ref.ply none.ply", "none.ply"),
+    "all NaN": ("compare ref.ply nan.ply", "NaN"),
+    "no matrix": ("compare ref.ply a.ply --register matrix:empty.ply", "empty.ply"),
+    "no such matrix": ("compare ref.ply a.ply --register matrix:no.txt", "no.txt"),
+    "no such method": ("compare ref.ply a.ply --register magic", "unknown registration"),
+    "no such crop": ("compare ref.ply a.ply --crop circle:1", "circle"),
+    "empty crop": ("compare ref.ply a.ply --crop sphere:999,0,0,1", "leaves none"),
+    "no overlap": ("compare ref.ply far.ply", "does not overlap"),
+    "no overlap as it is": ("compare ref.ply far.ply --register none", "does not overlap"),
+    "bad thresholds": ("compare ref.ply a.ply --thresholds a,b", "--thresholds"),
+    "negative threshold": ("compare ref.ply a.ply --thresholds=-1", "positive thresholds"),
+    "unknown preset": ("compare ref.ply a.ply --preset x", "unknown preset"),
+    "no settings": ("compare --settings no.json", "no.json"),
+    "not settings": ("compare --settings ref.ply", "ref.ply"),
+    "crop keeps nothing": ("crop a.ply out.ply --crop box:900,900,900,901,901,901", "leaves none"),
+    "register far": ("register ref.ply far.ply --out out.ply", "does not overlap"),
+    "info of nothing": ("info no.ply", "no.ply"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_line(files, run, name):
+    header = b"ply\nformat binary_little_endian 1.0\nelement vertex %s\n"
+    body = b"property float x\nproperty float y\nproperty float z\nend_header\n"
+    (files / "empty.ply").touch()
+    (files / "magic.ply").write_bytes(b"PK\x03\x04 not a cloud")
+    (files / "cut.ply").write_bytes((files / "a.ply").read_bytes()[:-40])
+    (files / "negative.ply").write_bytes(header % b"-5" + body)
+    (files / "absurd.ply").write_bytes(header % b"99999999999999" + body + b"\0" * 12)
+    (files / "none.ply").write_bytes(header % b"0" + body)
+    (files / "nan.ply").write_bytes(header % b"2" + body + np.full(6, np.nan, "<f4").tobytes())
+    (files / "a.docx").write_bytes(b"x")
+    write_cloud("far.ply", Cloud(read_cloud("a.ply").points + 1e5))
+    before = sorted(p.name for p in files.iterdir())
+    arguments, expected = BAD[name]
+    out = ("--out", "report") if arguments.startswith("compare") else ()
+    code, stdout, err = run(*arguments.split(), *out)
+    assert code == 2
+    assert one_line(err), err
+    assert expected in err
+    assert not stdout
+    assert sorted(p.name for p in files.iterdir()) == before
+
+
+def test_usage_errors(run):
+    for arguments in (("compare",), ("compare", "ref.ply"), ("frobnicate",), ("compare", "--nonsense")):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert "Traceback" not in err
+
+
+def test_nan_points_are_dropped_and_counted(files, run):
+    points = read_cloud("a.ply").points.copy()
+    points[:7] = np.nan
+    np.save("holes.npy", points)
+    code, out, _ = run("compare", "ref.ply", "holes.npy", "--out", "report")
+    assert code == 0
+    assert "7 of 1500" in out
+    assert "7 of 1500" in doc("report")["candidates"][0]["warnings"][0]
+    assert doc("report")["candidates"][0]["points"] == 1493
+
+
+def test_suspected_units_are_warned_about(files, run):
+    points = read_cloud("ref.ply").points
+    write_cloud("mm.ply", Cloud(1000 * (points - points.mean(axis=0)) + points.mean(axis=0)))
+    code, out, _ = run("compare", "ref.ply", "mm.ply", "--register", "none")
+    assert code == 0
+    assert "millimetres against metres" in out
+
+
+def test_disk_full_leaves_nothing(files):
+    script = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+        "sys.argv = 'pcbench compare ref.ply a.ply --out report'.split()\n"
+        "from pcbench.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert one_line(done.stderr), done.stderr
+    assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written(files, run):
+    (files / "locked").mkdir(mode=0o555)
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "locked/report")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_out_below_a_file(files, run):
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "a.ply/report")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_crop_register_and_info(files, run):
+    code, out, _ = run("crop", "a.ply", "cut.ply", "--crop", "box:0,0,-1,10,10,30")
+    assert code == 0
+    assert "1,500 points" in out
+    assert (read_cloud("cut.ply").points[:, 0] <= 10).all()
+    code, out, _ = run("register", "ref.ply", "a.ply", "--out", "aligned.ply", "--matrix", "T.txt")
+    assert code == 0
+    assert "converged" in out
+    moved = read_matrix("T.txt").apply(read_cloud("a.ply").points)
+    np.testing.assert_allclose(read_cloud("aligned.ply").points, moved, atol=1e-12)
+    code, out, _ = run("compare", "ref.ply", "a.ply", "--register", "matrix:T.txt", "--json", "-")
+    assert json.loads(out)["candidates"][0]["registration"]["method"] == "matrix:T.txt"
+    code, out, _ = run("info", "ref.ply", "a.ply")
+    assert code == 0
+    assert "4,000 points" in out
+    assert "1,500 points" in out
+
+
+def test_demo_at_a_small_size(tmp_path, run):
+    code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo", "--no-figures")
+    assert code == 0
+    assert "was registered to" in out
+    assert {p.name for p in (tmp_path / "demo/report").iterdir()} >= REPORT
+    # The command that it prints works.
+    again = out.strip().splitlines()[-1].partition("again: pcbench ")[2].replace("REPORT", str(tmp_path / "again"))
+    assert run(*again.split())[0] == 0
+
+
+def test_interrupt_leaves_nothing(files, run, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pcbench.comparison.register", interrupt)
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report")
+    assert code == 130
+    assert err == "interrupted\n"
+    assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}

@@ -1,0 +1,36 @@
+"""The package as installed: what its import costs, and what it must not pull in."""
+
+import subprocess
+import sys
+
+HEAVY = ("scipy", "torch", "pycolmap", "pyvista", "vtk", "open3d", "trimesh", "laspy", "dask", "matplotlib", "rich")
+
+
+def modules_after(code):
+    script = f"import sys\n{code}\nprint('\\n'.join(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return {name.partition(".")[0] for name in done.stdout.split()}
+
+
+def test_import_needs_numpy_alone():
+    code = (
+        "import pcbench\n"
+        "pcbench.Cloud, pcbench.Settings, pcbench.compare, pcbench.metrics, pcbench.read_cloud, pcbench.register\n"
+    )
+    assert not modules_after(code) & set(HEAVY)
+
+
+def test_help_imports_nothing_heavy():
+    code = "from pcbench import cli\ntry: cli.app(['--help'])\nexcept SystemExit: pass"
+    assert not modules_after(code) & {*HEAVY, "numpy"}
+
+
+def test_public_names():
+    import pcbench
+
+    for name in pcbench.__all__:
+        assert getattr(pcbench, name) is not None
+    assert callable(pcbench.compare)
+    import pcbench.comparison
+
+    assert callable(pcbench.compare)
