@@ -6,8 +6,9 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -17,7 +18,10 @@ from pcbench.errors import InputError, PcbenchError
 if TYPE_CHECKING:
     from pcbench.cloud import Cloud
     from pcbench.comparison import Comparison, Settings
+    from pcbench.mesh import Mesh
     from pcbench.report import Inputs
+
+_Number = TypeVar("_Number", int, float)
 
 _FILE = click.Path(path_type=Path)
 _REGISTER_HELP = "icp, icp-point, similarity (ICP with scale), points:FILE, matrix:FILE or none."
@@ -40,7 +44,12 @@ def app() -> None:
 @register_option
 @click.option("--crop", default="none", show_default=True, metavar="REGION", help=_CROP_HELP)
 @click.option("--thresholds", metavar="T,T,...", help="Of the F-score.  [default: 1, 2, 5 x the reference's spacing]")
-@click.option("--preset", "presets", multiple=True, metavar="NAME", help="gao2025, mpeg (always there) or open3d.")
+@click.option(
+    "--preset", "presets", multiple=True, metavar="NAME", help="open3d, pdal or tnt; gao2025 and mpeg always."
+)
+@click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
+@click.option("--classes", metavar="N,N,...", help="Only these classes of LAS files, such as 2,6.")
+@click.option("--returns", metavar="WHICH", help="Only these returns of LAS files: first, last or numbers.")
 @click.option("--seed", default=0, show_default=True, help="Of the bootstrap.")
 @click.option("--settings", "settings_file", type=_FILE, help="Repeat the comparison of a report's settings.json.")
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
@@ -56,6 +65,9 @@ def compare(
     crop: str,
     thresholds: str | None,
     presets: tuple[str, ...],
+    maps: tuple[str, ...],
+    classes: str | None,
+    returns: str | None,
     seed: int,
     settings_file: Path | None,
     json_file: str | None,
@@ -71,7 +83,11 @@ def compare(
     from pcbench.report.folder import read_settings
 
     if settings_file is not None:
-        given = [name for name in ("register", "crop", "thresholds", "presets", "seed") if _given(context, name)]
+        given = [
+            name
+            for name in ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
+            if _given(context, name)
+        ]
         if reference is not None or given:
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
         settings, recorded = read_settings(settings_file)
@@ -81,9 +97,19 @@ def compare(
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
-        settings = Settings(register, crop, _thresholds(thresholds), presets, seed)
+        settings = Settings(
+            register=register,
+            crop=crop,
+            thresholds=_numbers("--thresholds", thresholds, float),
+            presets=presets,
+            maps=maps,
+            seed=seed,
+            classes=_numbers("--classes", classes, int),
+            returns=returns,
+        )
         named, expected = _names(candidates), {}
-    _compare_files(reference, named, settings, out, json_file, quiet=quiet, expected=expected)
+    outputs = _Outputs(out, json_file, figures=not no_figures, quiet=quiet)
+    _compare_files(reference, named, settings, outputs, expected)
 
 
 @app.command(short_help="Make a small city with exact truth and compare two clouds of it.")
@@ -112,7 +138,8 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, quiet: bool) -> No
         for name, path in paths.items():
             write_cloud(path, scene.reference if name == "reference" else scene.candidates[name])
     reference = paths.pop("reference")
-    comparison = _compare_files(reference, paths, Settings(seed=seed), out / "report", None, quiet=quiet)
+    outputs = _Outputs(out / "report", None, figures=not no_figures, quiet=quiet)
+    comparison = _compare_files(reference, paths, Settings(seed=seed), outputs)
     if not quiet:
         import numpy as np
 
@@ -194,6 +221,41 @@ def register(
             click.echo(f"# check point {point.name}: {point.error:.4g}")
 
 
+@app.command(short_help="Draw a report's pictures again.")
+@click.argument("report", type=_FILE)
+@click.argument("names", nargs=-1)
+@quiet_option
+def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
+    """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
+    a_distance, a_plane_distance). Needs no display.
+    """
+    from pcbench.plot import draw
+
+    with _steps(quiet) as step:
+        step("drawing")
+        written = draw(report, names)
+    if not quiet:
+        for path in written:
+            click.echo(path)
+
+
+@app.command(short_help="Write a cloud in another format.")
+@click.argument("cloud", type=_FILE)
+@click.argument("out", type=_FILE)
+@click.option("--classes", metavar="N,N,...", help="Only these classes of a LAS file, such as 2,6.")
+@click.option("--returns", metavar="WHICH", help="Only these returns of a LAS file: first, last or numbers.")
+@quiet_option
+def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, quiet: bool) -> None:
+    """Write CLOUD to OUT in the format that OUT's ending names, with normals, colours and attributes."""
+    from pcbench.io import read_cloud, write_cloud
+
+    warn = (lambda _: None) if quiet else _warn
+    data = read_cloud(cloud, on_warning=warn, classes=_numbers("--classes", classes, int), returns=returns)
+    write_cloud(out, data)
+    if not quiet:
+        click.echo(f"{out}: {len(data):,} points")
+
+
 @app.command(short_help="Say what is in a cloud.")
 @click.argument("clouds", type=_FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
@@ -220,14 +282,21 @@ def info(clouds: tuple[Path, ...]) -> None:
             click.echo(f"  attributes {', '.join(cloud.attributes)}")
 
 
+@dataclass(frozen=True)
+class _Outputs:
+    """Where results go."""
+
+    folder: Path | None
+    json_file: str | None
+    figures: bool
+    quiet: bool
+
+
 def _compare_files(
     reference: Path,
     candidates: dict[str, Path],
     settings: Settings,
-    out: Path | None,
-    json_file: str | None,
-    *,
-    quiet: bool,
+    outputs: _Outputs,
     expected: dict[str, str] | None = None,
 ) -> Comparison:
     """Read, compare, write: nothing is written unless everything went well."""
@@ -238,7 +307,7 @@ def _compare_files(
         clouds, files = {}, {}
         for name, path in {"reference": reference, **candidates}.items():
             step(f"reading {path}")
-            clouds[name], files[name] = _read_input(path)
+            clouds[name], files[name] = _read_input(path, settings, may_be_mesh=name == "reference")
             if expected and expected.get(name) not in (None, files[name]["sha256"]):
                 files[name]["warnings"].append(f"{path}: the file has changed since the settings were written")
         truth = clouds.pop("reference")
@@ -246,38 +315,57 @@ def _compare_files(
         inputs = Inputs(files["reference"], {name: files[name] for name in clouds})
         return comparison, document(comparison, inputs.by_name()), inputs
 
-    with _steps(quiet) as step:
-        if out is None:
-            comparison, doc, inputs = run(step)
+    without_figures = None
+    with _steps(outputs.quiet) as step:
+        if outputs.folder is None:
+            comparison, doc, _ = run(step)
         else:
-            with report_folder(out) as folder:
+            with report_folder(outputs.folder) as folder:
                 comparison, doc, inputs = run(step)
                 step("writing the report")
                 write_report(folder, comparison, doc, inputs)
-    if json_file == "-":
+                if outputs.figures:
+                    step("drawing the pictures")
+                    without_figures = _draw(folder)
+    if outputs.json_file == "-":
         click.echo(to_json(doc), nl=False)
-    elif json_file is not None:
+    elif outputs.json_file is not None:
         from pcbench.io.files import atomic_write
 
-        with atomic_write(Path(json_file)) as file:
+        with atomic_write(Path(outputs.json_file)) as file:
             file.write(to_json(doc).encode())
-    if not quiet and json_file != "-":
+    if not outputs.quiet and outputs.json_file != "-":
         print_table(doc)
-        if out is not None:
-            click.echo(f"report: {out}")
+        if outputs.folder is not None:
+            click.echo(f"report: {outputs.folder}")
+    if without_figures:
+        _warn(without_figures)
     return comparison
 
 
-def _read_input(path: Path) -> tuple[Cloud, dict[str, Any]]:
-    import hashlib
+def _draw(folder: Path) -> str | None:
+    """Draw a report's pictures; what stands in the way is returned, because the numbers are delivered all the same."""
+    from pcbench.plot import draw
 
+    try:
+        draw(folder)
+    except PcbenchError as error:
+        return str(error)
+    return None
+
+
+def _read_input(path: Path, settings: Settings, *, may_be_mesh: bool) -> tuple[Cloud | Mesh, dict[str, Any]]:
     from pcbench.io import read_cloud
+    from pcbench.io.files import digest
+    from pcbench.io.meshes import holds_mesh, read_mesh
 
     warnings: list[str] = []
-    cloud = read_cloud(path, on_warning=warnings.append)
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return cloud, {"path": str(path), "sha256": digest, "warnings": warnings}
+    data: Cloud | Mesh
+    if may_be_mesh and holds_mesh(path):
+        data = read_mesh(path, on_warning=warnings.append)
+    else:
+        data = read_cloud(path, on_warning=warnings.append)
+    return data, {"path": str(path), "sha256": digest(path), "warnings": warnings}
 
 
 def _read(path: Path, quiet: bool) -> Cloud:
@@ -301,13 +389,13 @@ def _names(paths: Sequence[Path]) -> dict[str, Path]:
     return named
 
 
-def _thresholds(text: str | None) -> tuple[float, ...] | None:
+def _numbers(option: str, text: str | None, kind: type[_Number]) -> tuple[_Number, ...] | None:
     if text is None:
         return None
     try:
-        return tuple(float(word) for word in text.split(","))
+        return tuple(kind(word) for word in text.split(","))
     except ValueError:
-        raise InputError(f"expected --thresholds as numbers with commas, got {text!r}") from None
+        raise InputError(f"expected {option} as numbers with commas, got {text!r}") from None
 
 
 def _given(context: click.Context, name: str) -> bool:

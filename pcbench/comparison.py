@@ -7,9 +7,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,14 +17,23 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench import intervals, metrics, presets
 from pcbench.cloud import Cloud, as_cloud
 from pcbench.crop import Region, parse_region
+from pcbench.crs import crs_name, same_crs
+from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError
 from pcbench.measure import Direction, measure, value_of
-from pcbench.neighbors import FloatArray, Index, IntArray, Matches
+from pcbench.mesh import Mesh, MeshIndex
+from pcbench.neighbors import FloatArray, Index, Matches
 from pcbench.normals import Surface
 from pcbench.registration import Registration, recentring, register
-from pcbench.voxels import robust_extent
+from pcbench.voxels import robust_extent, thin_to
+
+MAPS = ("poisson", "m3c2")
 
 _VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
+_MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
+_CORES = 50_000  # M3C2 core points: the reference, thinned evenly
+_CYLINDER_RADIUS = 6  # median spacings of the sparser cloud: about 30 of its points a cylinder
+_CYLINDER_REACH = 5  # radii to either side
 
 
 @dataclass(frozen=True)
@@ -36,16 +45,22 @@ class Settings:
         crop: which part is measured, see `pcbench.crop.parse_region`.
         thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
         presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
+        maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
+            the reference) and `m3c2`.
         seed: of the bootstrap.
         normal_neighbors: points a normal of the reference is estimated from where the file has none.
+        classes, returns: which points of LAS files count, see `pcbench.read_cloud`.
     """
 
     register: str = "icp"
     crop: str = "none"
     thresholds: tuple[float, ...] | None = None
     presets: tuple[str, ...] = ("gao2025", "mpeg")
+    maps: tuple[str, ...] = ()
     seed: int = 0
     normal_neighbors: int = 20
+    classes: tuple[int, ...] | None = None
+    returns: str | None = None
 
     def __post_init__(self) -> None:
         if self.thresholds is not None and not (
@@ -54,19 +69,12 @@ class Settings:
             raise InputError(f"expected positive thresholds, got {list(self.thresholds)}")
         if unknown := [name for name in self.presets if name not in presets.NAMES]:
             raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
+        if unknown := [name for name in self.maps if name not in MAPS]:
+            raise InputError(f"unknown map {unknown[0]!r}: expected {' or '.join(MAPS)}")
         if self.normal_neighbors < 3:
             raise InputError(f"expected at least 3 neighbours for a normal, got {self.normal_neighbors}")
         always = [name for name in ("gao2025", "mpeg") if name not in self.presets]
         object.__setattr__(self, "presets", (*always, *dict.fromkeys(self.presets)))
-
-
-class DeviationMap(NamedTuple):
-    """Where the candidate deviates: one value a candidate point inside the region, in reference coordinates."""
-
-    points: FloatArray  # (M, 3)
-    distances: FloatArray  # (M,) to the nearest reference point
-    plane_distances: FloatArray | None  # (M,) signed, to the tangent plane there; positive above it
-    rows: IntArray  # (M,) of the candidate's points
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +89,7 @@ class Candidate:
     deviation: DeviationMap
     timings_s: dict[str, float]
     peak_rss_bytes: int
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +103,7 @@ class Comparison:
 
 
 def compare(
-    reference: Cloud | ArrayLike,
+    reference: Cloud | Mesh | ArrayLike,
     candidates: Sequence[Cloud | ArrayLike] | Mapping[str, Cloud | ArrayLike] | Cloud | NDArray[Any],
     settings: Settings | None = None,
     *,
@@ -103,7 +112,7 @@ def compare(
     """Compare candidate clouds with a reference.
 
     Args:
-        reference: the cloud that is taken as truth.
+        reference: what is taken as truth; a mesh is sampled by area, with its faces' normals.
         candidates: one cloud, several, or several by name.
         settings: see `Settings`.
         on_step: called with a few words before every step that takes time.
@@ -125,7 +134,10 @@ def compare(
     step = on_step or (lambda _: None)
 
     step("indexing the reference")
-    truth = _Reference.prepare(as_cloud(reference), settings)
+    truth = _Reference.prepare(reference if isinstance(reference, Mesh) else as_cloud(reference), settings)
+    if "poisson" in settings.maps:
+        step("reconstructing the reference's surface")
+        truth = truth.with_poisson_mesh()
     results, replicates = [], []
     for name, cloud in named.items():
         result, means = _compare_one(truth, name, as_cloud(cloud), settings, step)
@@ -147,9 +159,11 @@ class _Reference:
     spacing: float
     blocks: intervals.Blocks
     voxel: float
+    meshes: Mapping[str, MeshIndex]  # by the name of the map, recentred
 
     @classmethod
-    def prepare(cls, cloud: Cloud, settings: Settings) -> _Reference:
+    def prepare(cls, given: Cloud | Mesh, settings: Settings) -> _Reference:
+        cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
         origin = recentring(cloud)
         points = cloud.points - origin
         region = parse_region(settings.crop, cloud)
@@ -170,7 +184,16 @@ class _Reference:
             spacing=spacing,
             blocks=intervals.partition(points, settings.seed),
             voxel=robust_extent(points[inside]) / _VOXELS_ALONG or 1.0,
+            meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
         )
+
+    def with_poisson_mesh(self) -> _Reference:
+        """The same with a Poisson mesh of the whole reference to measure distances to."""
+        from pcbench.poisson import poisson_mesh
+
+        normals = self.cloud.normals
+        mesh = poisson_mesh(Cloud(self.points, normals=normals))
+        return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})
 
     @property
     def index(self) -> Index:
@@ -192,6 +215,7 @@ class _Reference:
             "crs": self.cloud.crs,
             "unit": self.cloud.unit,
             "normals": "given" if self.cloud.normals is not None else "estimated" if self.has_normals else None,
+            "faces": len(self.meshes["mesh_distance"].mesh.faces) if "mesh_distance" in self.meshes else None,
             "block_side": self.blocks.side,
             "voxel_side": self.voxel,
         }
@@ -233,27 +257,53 @@ def _compare_one(
             voxel=truth.voxel,
             origin=truth.origin,
         )
+    with _timed(timings, "maps"):
+        deviation = _deviation_map(truth, index, candidate_to_reference, registration, settings)
     with _timed(timings, "presets"):
         pair = _hard_pair(truth, aligned, inside, forth, back)
-        values["presets"] = _presets(truth, pair, settings.presets, thresholds)
+        to_poisson = deviation.scalars.get("poisson_distance")
+        values["presets"] = _presets(truth, pair, to_poisson, settings.presets, thresholds)
 
-    deviation = DeviationMap(
-        candidate_to_reference.points + truth.origin,
-        candidate_to_reference.distances,
-        candidate_to_reference.plane,
-        np.flatnonzero(inside),
-    )
     result = Candidate(
         name=name,
         points=len(cloud),
         points_in_region=int(np.count_nonzero(inside)),
         registration=registration,
         metrics=values,
-        deviation=deviation,
+        deviation=replace(deviation, rows=np.flatnonzero(inside)),
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),
+        warnings=tuple(_crs_warnings(truth.cloud, cloud)),
     )
     return result, replicates
+
+
+def _deviation_map(
+    truth: _Reference, candidate: Index, forth: Direction, registration: Registration, settings: Settings
+) -> DeviationMap:
+    """All maps of one candidate; the distances to points and planes are those that were measured already."""
+    scalars = {"distance": forth.distances}
+    if forth.plane is not None:
+        scalars["plane_distance"] = forth.plane
+    for name, mesh in truth.meshes.items():
+        scalars[name] = mesh.query(forth.points, signed=mesh.mesh.is_closed).distances
+    along_normals = None
+    if "m3c2" in settings.maps and truth.has_normals:
+        spacing = max(truth.spacing, _median_spacing(candidate))
+        radius = _CYLINDER_RADIUS * spacing
+        rows = np.flatnonzero(truth.inside)
+        rows = rows[thin_to(truth.points[rows], _CORES, start=spacing)]
+        error = registration.weakest_sigma
+        along_normals = m3c2(
+            truth.index,
+            candidate,
+            truth.points[rows],
+            truth.surface.normals(rows),
+            radius=radius,
+            half_length=_CYLINDER_REACH * radius,
+            registration_error=registration.rmse if error is None else error,
+        ).shifted(-truth.origin)
+    return DeviationMap(forth.points + truth.origin, np.empty(0, np.int64), scalars, along_normals)
 
 
 def _from_candidate(truth: _Reference, queries: FloatArray, matches: Matches) -> Direction:
@@ -300,12 +350,18 @@ def _hard_pair(
 
 
 def _presets(
-    truth: _Reference, pair: presets.Pair, names: tuple[str, ...], thresholds: tuple[float, ...]
+    truth: _Reference,
+    pair: presets.Pair,
+    to_poisson: FloatArray | None,
+    names: tuple[str, ...],
+    thresholds: tuple[float, ...],
 ) -> dict[str, Any]:
     known: dict[str, Callable[[], dict[str, Any]]] = {
-        "gao2025": lambda: presets.gao2025(pair),
+        "gao2025": lambda: presets.gao2025(pair, to_poisson),
         "mpeg": lambda: presets.mpeg(pair, _peak(truth)),
         "open3d": lambda: presets.open3d(pair, thresholds),
+        "pdal": lambda: presets.pdal(pair),
+        "tnt": lambda: presets.tnt(pair, thresholds),
     }
     return {name: known[name]() for name in names}
 
@@ -336,6 +392,18 @@ def _differences(results: list[Candidate], replicates: list[dict[str, FloatArray
                 ci = intervals.interval(of_a[metric] - of_b[metric])
                 rows.append({"a": a.name, "b": b.name, "metric": metric, "difference": difference, "ci": ci})
     return rows
+
+
+def _median_spacing(index: Index) -> float:
+    return float(np.median(index.nearest_other().distances)) if len(index) > 1 else 0.0
+
+
+def _crs_warnings(reference: Cloud, candidate: Cloud) -> Iterator[str]:
+    if reference.crs and candidate.crs and not same_crs(reference.crs, candidate.crs):
+        yield (
+            f"the candidate's coordinate system ({crs_name(candidate.crs)}) is not the reference's"
+            f" ({crs_name(reference.crs)}): nothing was converted"
+        )
 
 
 @contextmanager

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from pcbench import metrics
 from pcbench.neighbors import FloatArray, Index, IntArray, Matches
+from pcbench.voxels import cell_means
 
-NAMES = ("gao2025", "mpeg", "open3d")
+NAMES = ("gao2025", "mpeg", "open3d", "pdal", "tnt")
 
 _TIE = 1e-8  # pc_error takes squared distances this close as equal
 _MOST_TIES = 30
@@ -67,11 +68,12 @@ def crop_matches(queries: FloatArray, matches: Matches, points: FloatArray, kept
     return Matches(distances, indices)
 
 
-def gao2025(pair: Pair) -> dict[str, Any]:
+def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> dict[str, Any]:
     """Gao et al. 2025, table 2, on one consistent reading of its definitions.
 
-    D1 and D2 are one way, candidate to reference, mean squares (D2 to tangent planes of the reference); the Hausdorff
-    distance is symmetric and unsquared; Chamfer is the sum of both mean squares.
+    D1 and D2 are one way, candidate to reference, mean squares; the Hausdorff distance is symmetric and unsquared;
+    Chamfer is the sum of both mean squares. The paper's "point to surface" is read in two ways, both named: `d2_mse` to
+    tangent planes of the reference, `d2_poisson_mse` to its Poisson mesh (None unless that was asked for).
     """
     a, b = pair.candidate, pair.reference
     d2 = None
@@ -80,6 +82,7 @@ def gao2025(pair: Pair) -> dict[str, Any]:
     return {
         "d1_mse": metrics.mean_square(a.distances),
         "d2_mse": d2,
+        "d2_poisson_mse": None if to_poisson is None else metrics.mean_square(to_poisson),
         "hausdorff": metrics.hausdorff(a.distances, b.distances),
         "chamfer": metrics.chamfer_squared(a.distances, b.distances),
     }
@@ -93,6 +96,32 @@ def open3d(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
         "hausdorff": metrics.hausdorff(a, b),
         "fscore": [metrics.fscore(a, b, threshold)._asdict() for threshold in thresholds],
     }
+
+
+def pdal(pair: Pair) -> dict[str, Any]:
+    """What `pdal chamfer` and `pdal hausdorff` print: the SUM of squares both ways, and the largest distance."""
+    a, b = pair.candidate.distances, pair.reference.distances
+    return {
+        "chamfer": float(np.sum(np.square(a))) + float(np.sum(np.square(b))),
+        "hausdorff": metrics.hausdorff(a, b),
+    }
+
+
+def tnt(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
+    """F-scores as in Tanks and Temples (Knapitsch et al. 2017): after cropping (give the selection volume as the crop),
+    both clouds are thinned to one mean point a voxel of half the threshold.
+    """
+    rows = []
+    for threshold in thresholds:
+        reference, candidate = (_voxel_down(side.points, threshold / 2) for side in (pair.reference, pair.candidate))
+        a, b = Index(reference).query(candidate).distances, Index(candidate).query(reference).distances
+        rows.append(metrics.fscore(a, b, threshold)._asdict())
+    return {"fscore": rows}
+
+
+def _voxel_down(points: FloatArray, side: float) -> FloatArray:
+    # The grid begins half a voxel below the lowest corner, as in Open3D, which the benchmark's code calls.
+    return cell_means(points, side, points.min(axis=0) - side / 2)
 
 
 def mpeg(pair: Pair, peak: float) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from pcbench.errors import InputError, RegistrationError
 from pcbench.neighbors import FloatArray, Index, IntArray
 from pcbench.normals import Surface, plane_normals
 from pcbench.transform import Similarity, fit_similarity, read_matrix
-from pcbench.voxels import cell_keys, robust_extent, thin
+from pcbench.voxels import cell_keys, cell_means, robust_extent, thin, thin_to
 
 METHODS = ("icp", "icp-point", "similarity", "points:FILE", "matrix:FILE", "none")
 
@@ -152,12 +152,12 @@ def _icp(target: Surface, points: FloatArray, origin: FloatArray, kind: str) -> 
     iterations = 0
 
     coarse_side = max(extent / 150, spacing)
-    coarse = Surface(Index(_cell_means(target.points, coarse_side)))
+    coarse = Surface(Index(cell_means(target.points, coarse_side)))
     sample = points[thin(points, coarse_side)]
     T, count, _ = _iterate(coarse, sample, T, kind, gate=(0.1 * extent, 2 * coarse_side), extent=extent)
     iterations += count
 
-    sample = points[_thin_to(points, _SAMPLE, start=max(extent / 500, spacing))]
+    sample = points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))]
     fine_gate = (3 * coarse_side, max(3 * spacing, 1e-9 * extent))
     T, count, converged = _iterate(target, sample, T, kind, gate=fine_gate, extent=extent)
     iterations += count
@@ -370,7 +370,7 @@ def _given(target: Surface, points: FloatArray, origin: FloatArray, method: str,
     """A transform from elsewhere, assessed like one of ours."""
     local = T.about(-origin)
     spacing = _spacing(target.index)
-    sample = points[_thin_to(points, _SAMPLE, start=spacing)] if spacing > 0 else points[:_SAMPLE]
+    sample = points[thin_to(points, _SAMPLE, start=spacing)] if spacing > 0 else points[:_SAMPLE]
     moved = local.apply(sample)
     lower, upper = target.points.min(axis=0), target.points.max(axis=0)
     margin = 0.1 * float(np.linalg.norm(upper - lower))
@@ -439,22 +439,6 @@ def _spacing(index: Index) -> float:
     distances = index.nearest_other(which).distances
     positive = distances[distances > 0]  # duplicates say nothing about spacing
     return float(np.median(positive)) if len(positive) else 0.0
-
-
-def _thin_to(points: FloatArray, count: int, start: float) -> IntArray:
-    """Indices of an evenly thinned sample of at most about `count` points: cells grow until it fits."""
-    side = max(start, 1e-12 * robust_extent(points), np.finfo(float).tiny)
-    which = thin(points, side)
-    while len(which) > 1.2 * count:
-        side *= max(1.1, np.sqrt(len(which) / count))  # surfaces: the count falls with the square of the side
-        which = which[thin(points[which], side)]
-    return which
-
-
-def _cell_means(points: FloatArray, side: float) -> FloatArray:
-    """Mean point of each occupied cell."""
-    _, cell, counts = np.unique(cell_keys(points, side, points.min(axis=0)), return_inverse=True, return_counts=True)
-    return np.stack([np.bincount(cell, points[:, axis]) / counts for axis in range(3)], axis=1)
 
 
 def _mad(values: FloatArray) -> float:

@@ -32,6 +32,23 @@ def thin(points: FloatArray, side: float) -> IntArray:
     return np.sort(first)
 
 
+def thin_to(points: FloatArray, count: int, start: float) -> IntArray:
+    """Indices of an even sample of at most about `count` points: the first in each cell; cells grow until it fits."""
+    side = max(start, 1e-12 * robust_extent(points), np.finfo(float).tiny)
+    which = thin(points, side)
+    while len(which) > 1.2 * count:
+        side *= max(1.1, np.sqrt(len(which) / count))  # surfaces: the count falls with the square of the side
+        which = which[thin(points[which], side)]
+    return which
+
+
+def cell_means(points: FloatArray, side: float, lower: FloatArray | None = None) -> FloatArray:
+    """Mean point (M, 3) of each occupied cell of edge `side`, counted from `lower` (default: the lowest corner)."""
+    keys = cell_keys(points, side, points.min(axis=0) if lower is None else lower)
+    _, cell, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(cell, points[:, axis]) / counts for axis in range(3)], axis=1)
+
+
 def robust_extent(points: FloatArray) -> float:
     """Diagonal of the box that holds the inner 98 % of points (N, 3) along each axis: stragglers do not count."""
     some = points[:: max(1, len(points) // 100_000)]

@@ -34,7 +34,9 @@ def files(tmp_path, monkeypatch):
 def run(monkeypatch, capsys):
     """Call the command line in this process: (exit code, stdout, stderr)."""
 
-    def call(*arguments):
+    def call(*arguments, figures=False):
+        if arguments[0] == "compare" and not figures:
+            arguments = (*arguments, "--no-figures")
         monkeypatch.setattr(sys, "argv", ["pcbench", *map(str, arguments)])
         try:
             cli.main()
@@ -213,7 +215,13 @@ def test_bad_input_is_one_line(files, run, name):
 
 
 def test_usage_errors(run):
-    for arguments in (("compare",), ("compare", "ref.ply"), ("frobnicate",), ("compare", "--nonsense")):
+    for arguments in (
+        ("compare",),
+        ("compare", "ref.ply"),
+        ("crop", "ref.ply"),
+        ("frobnicate",),
+        ("compare", "--nonsense"),
+    ):
         code, _, err = run(*arguments)
         assert code == 2
         assert "Traceback" not in err
@@ -241,7 +249,7 @@ def test_suspected_units_are_warned_about(files, run):
 def test_disk_full_leaves_nothing(files):
     script = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
-        "sys.argv = 'pcbench compare ref.ply a.ply --out report'.split()\n"
+        "sys.argv = 'pcbench compare ref.ply a.ply --out report --no-figures'.split()\n"
         "from pcbench.cli import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

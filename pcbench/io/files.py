@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import secrets
 import stat
 from collections.abc import Callable, Iterator, Mapping
@@ -56,6 +57,17 @@ def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
     file.seek(start)
     got = file.readinto(rest.data)  # type: ignore[attr-defined]
     return rest[:got]
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file in hexadecimal digits; of a folder, over the names and contents of the files in it."""
+    if not path.is_dir():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    whole = hashlib.sha256()
+    for inner in sorted(p for p in path.iterdir() if p.is_file()):
+        whole.update(inner.name.encode() + b"\0" + bytes.fromhex(digest(inner)))
+    return whole.hexdigest()
 
 
 @contextmanager

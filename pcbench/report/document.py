@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 
 import pcbench
-from pcbench.comparison import Candidate, Comparison, DeviationMap
+from pcbench.comparison import Candidate, Comparison
+from pcbench.deviation import M3C2, DeviationMap
 from pcbench.metrics import percentiles
+from pcbench.neighbors import FloatArray
 from pcbench.registration import Registration
 
 SCHEMA = "pcbench.comparison/1"
@@ -53,6 +55,7 @@ def _candidate(candidate: Candidate, file: dict[str, Any]) -> dict[str, Any]:
     return {
         "name": candidate.name,
         **file,
+        "warnings": [*file["warnings"], *candidate.warnings],
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
         "registration": _registration(candidate.registration),
@@ -80,14 +83,42 @@ def _registration(registration: Registration) -> dict[str, Any]:
 
 
 def _deviation(deviation: DeviationMap) -> dict[str, Any]:
-    plane = deviation.plane_distances
+    """The distances to the nearest points, and under `maps` every other map."""
+    distances = deviation.scalars["distance"]
+    plane = deviation.scalars.get("plane_distance")
     return {
         "kind": "nearest",
-        "percentiles": percentiles(deviation.distances),
-        "rms": float(np.sqrt(np.mean(np.square(deviation.distances)))),
+        "percentiles": percentiles(distances),
+        "rms": _rms(distances),
         # Distances to points have no sign; the bias is that of the distances to the tangent planes, positive above.
         "bias": None if plane is None else float(np.mean(plane)),
+        "maps": {name: _spread(values) for name, values in deviation.scalars.items() if name != "distance"},
+        "m3c2": None if deviation.m3c2 is None else _m3c2(deviation.m3c2),
     }
+
+
+def _m3c2(found: M3C2) -> dict[str, Any]:
+    known = np.isfinite(found.distances)
+    tested = np.isfinite(found.significant)
+    return {
+        "core_points": len(found.cores),
+        "valid": int(known.sum()),
+        "radius": found.radius,
+        "half_length": found.half_length,
+        "registration_error": found.registration_error,
+        "sign": "positive along the reference's normal",
+        "lod95_median": float(np.median(found.lod[tested])) if tested.any() else None,
+        "significant_share": float(found.significant[tested].mean()) if tested.any() else None,
+        **(_spread(found.distances[known]) if known.any() else {"percentiles": None, "rms": None, "bias": None}),
+    }
+
+
+def _spread(values: FloatArray) -> dict[str, Any]:
+    return {"percentiles": percentiles(values), "rms": _rms(values), "bias": float(np.mean(values))}
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _provenance(seed: int) -> dict[str, Any]:

@@ -17,15 +17,18 @@ from typing import Any
 import numpy as np
 
 from pcbench.cloud import Cloud
-from pcbench.comparison import Candidate, Comparison, Settings
+from pcbench.comparison import Comparison, Settings
+from pcbench.deviation import M3C2
 from pcbench.errors import InputError
 from pcbench.io import write_cloud
+from pcbench.report.colors import color_limit, ramp
 from pcbench.report.document import to_json
 from pcbench.report.table import Row, markdown, rows
 from pcbench.transform import format_matrix
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report
+_SUFFIXES = ("_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,8 @@ def write_report(folder: Path, comparison: Comparison, doc: dict[str, Any], inpu
     (folder / "metrics.csv").write_text(_csv(doc), encoding="utf-8")
     (folder / "table.md").write_text(markdown(doc), encoding="utf-8")
     (folder / "settings.json").write_text(to_json(_settings(comparison.settings, inputs)), encoding="utf-8")
+    _write_maps(folder, comparison, inputs)
     for candidate in comparison.candidates:
-        write_cloud(folder / f"{candidate.name}_deviation.ply", _deviation_cloud(candidate, comparison))
         transform = candidate.registration.T_reference_candidate
         (folder / f"{candidate.name}_T.txt").write_text(format_matrix(transform), encoding="utf-8")
 
@@ -97,14 +100,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         raise InputError(f"{path}: expected a settings.json that a report holds (schema {SETTINGS_SCHEMA})")
     try:
         chosen = values["settings"]
-        thresholds = chosen["thresholds"]
-        settings = Settings(
-            **{
-                **chosen,
-                "thresholds": None if thresholds is None else tuple(float(t) for t in thresholds),
-                "presets": tuple(chosen["presets"]),
-            }
-        )
+        settings = Settings(**{key: tuple(v) if isinstance(v, list) else v for key, v in chosen.items()})
         candidates = {row["name"]: {"path": row["path"], "sha256": row["sha256"]} for row in values["candidates"]}
         return settings, Inputs(values["reference"], candidates)
     except (KeyError, TypeError, ValueError) as error:
@@ -131,13 +127,37 @@ def _csv(doc: dict[str, Any]) -> str:
     return text.getvalue()
 
 
-def _deviation_cloud(candidate: Candidate, comparison: Comparison) -> Cloud:
-    deviation = candidate.deviation
-    attributes = {"distance": deviation.distances.astype(np.float32)}
-    if deviation.plane_distances is not None:
-        attributes["plane_distance"] = deviation.plane_distances.astype(np.float32)
+def _write_maps(folder: Path, comparison: Comparison, inputs: Inputs) -> None:
+    """NAME_deviation.ply (and .laz where a LAS file came in), NAME_m3c2.ply: named scalars, and RGB for all viewers."""
+    limit = color_limit([candidate.deviation.scalars["distance"] for candidate in comparison.candidates])
     reference = comparison.reference
-    return Cloud(deviation.points, attributes=attributes, crs=reference["crs"], unit=reference["unit"])
+    for candidate in comparison.candidates:
+        deviation = candidate.deviation
+        cloud = Cloud(
+            deviation.points,
+            colors=ramp(deviation.scalars["distance"], 0.0, limit),
+            attributes={name: values.astype(np.float32) for name, values in deviation.scalars.items()},
+            crs=reference["crs"],
+            unit=reference["unit"],
+        )
+        stem = folder / candidate.name
+        write_cloud(f"{stem}_deviation.ply", cloud)
+        if Path(inputs.candidates[candidate.name]["path"]).suffix.lower() in (".las", ".laz"):
+            write_cloud(f"{stem}_deviation.laz", cloud)
+        if deviation.m3c2 is not None:
+            write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
+
+
+def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
+    attributes = {
+        "m3c2_distance": found.distances.astype(np.float32),
+        "lod95": found.lod.astype(np.float32),
+        "significant": found.significant.astype(np.float32),
+        "count_reference": found.counts_reference.astype(np.int32),
+        "count_candidate": found.counts_candidate.astype(np.int32),
+    }
+    crs, unit = comparison.reference["crs"], comparison.reference["unit"]
+    return Cloud(found.cores, normals=found.normals, attributes=attributes, crs=crs, unit=unit)
 
 
 def _make_parents(folder: Path) -> list[Path]:
@@ -168,5 +188,5 @@ def _report_files(out: Path) -> list[Path]:
         candidates = [str(candidate["name"]) for candidate in doc["candidates"]]
     except (OSError, ValueError, KeyError, TypeError):
         candidates = []
-    names |= {f"{name}{suffix}" for name in candidates for suffix in ("_deviation.ply", "_T.txt")}
+    names |= {f"{name}{suffix}" for name in candidates for suffix in _SUFFIXES}
     return [out / name for name in sorted(names) if (out / name).is_file()] + sorted(out.glob("figures/*.png"))

@@ -1,0 +1,124 @@
+"""Local deviation maps: where, and by how much, a candidate lies off the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.neighbors import FloatArray, Index, IntArray
+
+CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
+
+
+@dataclass(frozen=True, eq=False)
+class DeviationMap:
+    """Deviations at the candidate's points inside the region, in reference coordinates.
+
+    Attributes:
+        points: (M, 3) aligned.
+        rows: (M,) which of the candidate's points they are.
+        scalars: (M,) each, in the clouds' unit: `distance` to the nearest reference point; `plane_distance`, signed, to
+            the tangent plane there (positive above it); `mesh_distance` to a surface (signed where that is closed,
+            negative inside).
+        m3c2: the map of M3C2 where it was asked for; it has places of its own.
+    """
+
+    points: FloatArray
+    rows: IntArray
+    scalars: Mapping[str, FloatArray]
+    m3c2: M3C2 | None = None
+
+
+class M3C2(NamedTuple):
+    """Distances between two clouds along the reference's normals, one a core point (K,); NaN where one has no points.
+
+    Lague et al. 2013, section 3.2: `distances` = mean position of the candidate minus that of the reference within a
+    cylinder along the normal, positive where the candidate lies on the side the normal points to. `lod` is the level
+    of detection at 95 %, eq. 1: 1.96 (sqrt(s1^2 / n1 + s2^2 / n2) + registration error), standard deviations s with
+    ddof 0 as in CloudCompare.
+    """
+
+    cores: FloatArray  # (K, 3)
+    normals: FloatArray  # (K, 3)
+    distances: FloatArray
+    lod: FloatArray
+    counts_reference: IntArray
+    counts_candidate: IntArray
+    std_reference: FloatArray
+    std_candidate: FloatArray
+    radius: float
+    half_length: float
+    registration_error: float
+
+    def shifted(self, origin: FloatArray) -> M3C2:
+        """The same map in coordinates from which `origin` (3,) was subtracted."""
+        return self._replace(cores=self.cores - origin)
+
+    @property
+    def significant(self) -> FloatArray:
+        """1 where |distance| exceeds the level of detection, 0 where it does not, NaN where there is no distance."""
+        known = np.isfinite(self.distances) & np.isfinite(self.lod)
+        return np.where(known, np.abs(self.distances) > self.lod, np.nan)
+
+
+def m3c2(
+    reference: Index,
+    candidate: Index,
+    cores: FloatArray,
+    normals: FloatArray,
+    *,
+    radius: float,
+    half_length: float,
+    registration_error: float = 0.0,
+) -> M3C2:
+    """M3C2 at core points (K, 3) along unit normals (K, 3).
+
+    Args:
+        radius: of the cylinders (half of CloudCompare's projection *scale*, which is a diameter).
+        half_length: how far the cylinders reach to either side of a core point.
+        registration_error: added to the level of detection, in the clouds' unit.
+
+    Raises:
+        InputError: a length is not positive, or the arrays do not match.
+    """
+    if not (radius > 0 and half_length > 0 and registration_error >= 0):
+        raise InputError(
+            f"expected positive lengths for M3C2, got radius {radius}, half length {half_length},"
+            f" registration error {registration_error}"
+        )
+    mean_r, std_r, count_r = _along(reference, cores, normals, radius, half_length)
+    mean_c, std_c, count_c = _along(candidate, cores, normals, radius, half_length)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = std_r**2 / count_r + std_c**2 / count_c
+    lod = CONFIDENCE * (np.sqrt(variance) + registration_error)
+    return M3C2(
+        cores,
+        normals,
+        mean_c - mean_r,
+        lod,
+        count_r,
+        count_c,
+        std_r,
+        std_c,
+        radius,
+        half_length,
+        registration_error,
+    )
+
+
+def _along(
+    index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Mean, standard deviation and number of the positions along each normal; NaN where there is none."""
+    found = index.query_cylinder(cores, normals, radius, half_length)
+    core = np.repeat(np.arange(len(cores)), found.counts)
+    position = np.einsum("ni,ni->n", index.points[found.indices] - cores[core], normals[core])
+    count = found.counts
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.bincount(core, position, minlength=len(cores)) / count
+        variance = np.bincount(core, np.square(position - mean[core]), minlength=len(cores)) / count
+    return mean, np.sqrt(variance), count
