@@ -1,22 +1,141 @@
 // The compiled core: loops over points that numpy cannot fuse. No Python objects inside the loops, the GIL released.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 
+#include <optional>
+
+#include "index.h"
 #include "normals.h"
 
 namespace nb = nanobind;
+
+namespace {
 
 template <typename T, typename... Shape>
 using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
 template <typename T, typename... Shape>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
+using Points = In<double, nb::shape<-1, 3>>;
+using Indices = In<int64_t, nb::shape<-1>>;
+
+constexpr const char* kBadCoordinate = "a coordinate is not finite or beyond 1e100";
+
+// True when Ctrl-C has raised KeyboardInterrupt, which then waits to be thrown.
+bool python_interrupts() {
+    nb::gil_scoped_acquire acquire;
+    return PyErr_CheckSignals() != 0;
+}
+
+// Runs a loop without the GIL; Ctrl-C ends it early and is raised here.
+template <typename Loop>
+void interruptible(Loop loop) {
+    pcbench::Interrupt interrupt(python_interrupts);
+    {
+        nb::gil_scoped_release release;
+        loop(interrupt);
+    }
+    if (interrupt.stopped()) throw nb::python_error();
+}
+
+// Queries are sorted in parts of this many, which bounds the memory.
+constexpr size_t kQueryPart = size_t{1} << 20;
+
+void check(bool holds, const char* message) {
+    if (!holds) throw nb::value_error(message);
+}
+
+class PointIndex {
+public:
+    explicit PointIndex(Points points) : points_(points) {
+        check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoPoint, "Index: 1 to 2^32 - 2 points");
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            index_.emplace(points_.data(), points_.shape(0), interrupt);
+        });
+        check(index_->valid(), kBadCoordinate);
+    }
+
+    const pcbench::Tree& tree() const { return index_->tree(); }
+    size_t bytes() const { return index_->bytes(); }
+
+    void nearest(Points queries, std::optional<Indices> hints, Out<double, nb::shape<-1>> distances,
+                 Out<int64_t, nb::shape<-1>> indices) const {
+        const size_t count = queries.shape(0);
+        check(distances.shape(0) == count && indices.shape(0) == count, "nearest: one row for each query");
+        if (hints) {
+            check(hints->shape(0) == count, "nearest: one hint for each query");
+            for (size_t i = 0; i < count; ++i)
+                check(hints->data()[i] >= 0 && static_cast<size_t>(hints->data()[i]) < tree().count,
+                      "nearest: a hint lies outside the points");
+        }
+        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
+            pcbench::kernels().nearest(tree(), part.leaves.get(), part.leaf_count,
+                                       hints ? hints->data() + offset : nullptr, false, distances.data() + offset,
+                                       indices.data() + offset, interrupt);
+        });
+    }
+
+    void nearest_of(const PointIndex& queries, Out<double, nb::shape<-1>> distances,
+                    Out<int64_t, nb::shape<-1>> indices) const {
+        const pcbench::Tree& from = queries.tree();
+        check(distances.shape(0) == from.count && indices.shape(0) == from.count, "nearest_of: one row for each query");
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            pcbench::kernels().nearest(tree(), from.leaves, from.leaf_count, nullptr, &queries == this,
+                                       distances.data(), indices.data(), interrupt);
+        });
+    }
+
+    void knearest(Points queries, Out<double, nb::ndim<2>> distances, Out<int64_t, nb::ndim<2>> indices) const {
+        const size_t count = queries.shape(0), k = distances.shape(1);
+        check(distances.shape(0) == count && indices.shape(0) == count && indices.shape(1) == k,
+              "knearest: one row for each query, k columns");
+        check(k > 0 && k <= tree().count, "knearest: k must lie between 1 and the number of points");
+        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
+            pcbench::kernels().knearest(tree(), part.leaves.get(), part.leaf_count, k, distances.data() + k * offset,
+                                        indices.data() + k * offset, interrupt);
+        });
+    }
+
+private:
+    template <typename Search>
+    void in_parts(Points queries, Search search) const {
+        bool valid = true;
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            for (size_t offset = 0; offset < queries.shape(0); offset += kQueryPart) {
+                const size_t count = std::min(kQueryPart, queries.shape(0) - offset);
+                const pcbench::SortedPoints part(queries.data() + 3 * offset, count, interrupt);
+                valid = valid && part.valid;
+                if (!valid || interrupt.requested()) return;
+                search(part, offset, interrupt);
+            }
+        });
+        check(valid, kBadCoordinate);
+    }
+
+    Points points_;  // keeps the caller's array alive
+    std::optional<pcbench::Index> index_;
+};
+
+}  // namespace
 
 NB_MODULE(_core, m) {
     m.doc() = "Compiled kernels of pcbench; call them through the modules that own them.";
 
+    m.def("isa", [] { return pcbench::kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
+
+    nb::class_<PointIndex>(m, "PointIndex", "A tree over points; results are written into the arrays given.")
+        .def(nb::init<Points>(), nb::arg("points").noconvert())
+        .def_prop_ro("bytes", &PointIndex::bytes, "Memory held beyond the points.")
+        .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("hints").noconvert().none(),
+             nb::arg("distances").noconvert(), nb::arg("indices").noconvert())
+        .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
+             nb::arg("indices").noconvert(), "Queries are another index's points, or its own: then no point is its own neighbour.")
+        .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
+             nb::arg("indices").noconvert());
+
     m.def(
         "plane_fits",
-        [](In<double, nb::shape<-1, 3>> points, In<int64_t, nb::ndim<2>> neighbors,
+        [](Points points, In<int64_t, nb::ndim<2>> neighbors,
            Out<double, nb::shape<-1, 3>> normals, Out<double, nb::shape<-1>> variation) {
             const size_t rows = neighbors.shape(0), k = neighbors.shape(1);
             if (normals.shape(0) != rows || variation.shape(0) != rows)

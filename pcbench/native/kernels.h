@@ -1,0 +1,33 @@
+// The loops that exist once for each instruction set, and the choice between them.
+#pragma once
+#include "interrupt.h"
+#include "tree.h"
+
+namespace pcbench {
+
+struct Kernels {
+    const char* name;
+    bool (*arrange)(const double* points, size_t count, double limit, Item* items, Leaf* leaves, Interrupt&);
+    void (*bound)(Tree&);
+    void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
+                    double* distances, int64_t* indices, Interrupt&);
+    void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances,
+                     int64_t* indices, Interrupt&);
+};
+
+namespace baseline {
+extern const Kernels kernels;
+}
+#ifdef PCB_X86
+namespace avx2 {
+extern const Kernels kernels;
+}
+namespace avx512 {
+extern const Kernels kernels;
+}
+#endif
+
+// The widest this machine has, or the one PCBENCH_ISA names; throws std::runtime_error when that one cannot run.
+const Kernels& kernels();
+
+}  // namespace pcbench
