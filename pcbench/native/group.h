@@ -7,15 +7,15 @@ namespace pcbench::PCB_ISA {
 
 struct Group {
     alignas(64) double x[kLanes], y[kLanes], z[kLanes];
-    uint32_t row[kLanes];
+    size_t row[kLanes];
     int count;  // lanes beyond repeat the first query
     Box box;
 
     explicit Group(const Leaf& leaf) : count(0) {
         for (size_t l = 0; l < kFan; ++l) {
-            const size_t from = leaf.index[l] == kNoPoint ? 0 : l;
+            const size_t from = leaf.row[l] == kNoRow ? 0 : l;
             count += from == l;
-            x[l] = leaf.x[from], y[l] = leaf.y[from], z[l] = leaf.z[from], row[l] = leaf.index[from];
+            x[l] = leaf.x[from], y[l] = leaf.y[from], z[l] = leaf.z[from], row[l] = static_cast<size_t>(leaf.row[from]);
         }
         const double* axes[3] = {x, y, z};
         for (int a = 0; a < 3; ++a) {
@@ -39,7 +39,7 @@ struct Group {
     }
 };
 
-inline bool comes_before(double squared, uint32_t row, double other_squared, uint32_t other_row) {
+inline bool comes_before(double squared, double row, double other_squared, double other_row) {
     return squared < other_squared || (squared == other_squared && row < other_row);
 }
 

@@ -1,7 +1,6 @@
 // The tree with its memory, and queries sorted in space: what module.cpp hands to the kernels.
 #pragma once
-#include <memory>
-
+#include "block.h"
 #include "kernels.h"
 
 namespace pcbench {
@@ -9,19 +8,14 @@ namespace pcbench {
 // Beyond it squared distances would overflow.
 constexpr double kCoordinateLimit = 1e100;
 
-// Uninitialised: every entry is written by the build, in parallel, so that each page is first touched where it is used.
-template <typename T>
-using Block = std::unique_ptr<T[]>;
-
 struct SortedPoints {
     Block<Leaf> leaves;
     size_t leaf_count;
     bool valid;  // every coordinate finite and within the limit
 
     SortedPoints(const double* points, size_t count, Interrupt& interrupt)
-        : leaves(new Leaf[(count + kFan - 1) / kFan]), leaf_count((count + kFan - 1) / kFan) {
-        const Block<Item> items(new Item[count]);
-        valid = kernels().arrange(points, count, kCoordinateLimit, items.get(), leaves.get(), interrupt);
+        : leaves(allocate<Leaf>((count + kFan - 1) / kFan)), leaf_count((count + kFan - 1) / kFan) {
+        valid = kernels().arrange(points, count, kCoordinateLimit, leaves.get(), interrupt);
     }
 };
 
@@ -36,7 +30,7 @@ public:
         for (size_t below = tree_.leaf_count; below > 1 || tree_.level_count == 0;) {
             below = (below + kFan - 1) / kFan;
             Block<Node>& level = levels_[tree_.level_count];
-            level.reset(new Node[below]);
+            level = allocate<Node>(below);
             tree_.levels[tree_.level_count] = level.get();
             tree_.level_size[tree_.level_count++] = below;
             bytes_ += below * sizeof(Node);

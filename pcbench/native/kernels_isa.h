@@ -1,6 +1,6 @@
 // Compiled once for each instruction set with its own flags (CMakeLists.txt) and its own namespace PCB_ISA: the linker
 // must never find two copies of one inline function and keep the one that this machine cannot run. For the same reason
-// these headers use no standard container, and std::sort on their own types only.
+// these headers keep to what the standard library always inlines.
 #pragma once
 #include "kernels.h"
 #include "knearest.h"

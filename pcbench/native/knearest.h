@@ -13,7 +13,7 @@ public:
         : tree_(tree), query_(query), k_(k), squared_(squared), rows_(rows) {}
 
     double bound() const { return found_ < k_ ? kFarAway : squared_[k_ - 1]; }
-    uint32_t last_tie() const { return found_ < k_ ? kNoPoint : static_cast<uint32_t>(rows_[k_ - 1]); }
+    uint32_t last_tie() const { return found_ < k_ ? UINT32_MAX : static_cast<uint32_t>(rows_[k_ - 1]); }
 
     void leaf(uint32_t id, const Node&, int) {
         const Leaf& leaf = tree_.leaves[id];
@@ -23,21 +23,21 @@ public:
         store(squared, d);
         for (unsigned near = bits(d <= splat(bound())); near; near &= near - 1) {
             const int i = __builtin_ctz(near);
-            insert(squared[i], leaf.index[i]);
+            insert(squared[i], leaf.row[i]);
         }
     }
 
 private:
-    void insert(double squared, uint32_t row) {
+    void insert(double squared, double row) {
         if (found_ == k_) {
-            if (!comes_before(squared, row, squared_[k_ - 1], static_cast<uint32_t>(rows_[k_ - 1]))) return;
+            if (!comes_before(squared, row, squared_[k_ - 1], static_cast<double>(rows_[k_ - 1]))) return;
         } else {
             ++found_;
         }
         size_t at = found_ - 1;
-        for (; at > 0 && comes_before(squared, row, squared_[at - 1], static_cast<uint32_t>(rows_[at - 1])); --at)
+        for (; at > 0 && comes_before(squared, row, squared_[at - 1], static_cast<double>(rows_[at - 1])); --at)
             squared_[at] = squared_[at - 1], rows_[at] = rows_[at - 1];
-        squared_[at] = squared, rows_[at] = row;
+        squared_[at] = squared, rows_[at] = static_cast<int64_t>(row);
     }
 
     const Tree& tree_;
@@ -52,9 +52,9 @@ inline void knearest(const Tree& tree, const Leaf* queries, size_t leaf_count, s
 #pragma omp parallel for schedule(dynamic, 16)
     for (size_t q = 0; q < leaf_count; ++q) {
         if (interrupt.requested()) continue;
-        for (size_t l = 0; l < kFan && queries[q].index[l] != kNoPoint; ++l) {
+        for (size_t l = 0; l < kFan && queries[q].row[l] != kNoRow; ++l) {
             const double query[3] = {queries[q].x[l], queries[q].y[l], queries[q].z[l]};
-            const size_t row = queries[q].index[l];
+            const size_t row = static_cast<size_t>(queries[q].row[l]);
             NearestK found(tree, query, k, distances + k * row, indices + k * row);
             walk(tree, Box{{query[0], query[1], query[2]}, {query[0], query[1], query[2]}}, found);
             for (size_t j = 0; j < k; ++j) distances[k * row + j] = std::sqrt(distances[k * row + j]);

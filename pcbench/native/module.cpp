@@ -48,7 +48,7 @@ void check(bool holds, const char* message) {
 class PointIndex {
 public:
     explicit PointIndex(Points points) : points_(points) {
-        check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoPoint, "Index: 1 to 2^32 - 2 points");
+        check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoRow, "Index: 1 to 2^32 - 2 points");
         interruptible([&](pcbench::Interrupt& interrupt) {
             index_.emplace(points_.data(), points_.shape(0), interrupt);
         });

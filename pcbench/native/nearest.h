@@ -10,7 +10,7 @@ class NearestOfGroup {
 public:
     NearestOfGroup(const Tree& tree, const Group& group) : tree_(tree), group_(group) {
         store(best_, splat(kFarAway));
-        store(row_, splat(kNoPoint));
+        store(row_, splat(kNoRow));
     }
 
     // Where the walk starts decides how much it prunes: any leaf will do, the previous group's answer is best.
@@ -32,7 +32,7 @@ public:
             const int64_t hint = hints[group_.row[l]];
             const double* p = tree_.points + 3 * hint;
             const double dx = group_.x[l] - p[0], dy = group_.y[l] - p[1], dz = group_.z[l] - p[2];
-            improve(l, (dx * dx + dy * dy) + dz * dz, static_cast<uint32_t>(hint));
+            improve(l, (dx * dx + dy * dy) + dz * dz, static_cast<double>(hint));
         }
         bound_ = largest(load(best_));
     }
@@ -74,7 +74,7 @@ private:
         for (size_t i = 0; i < kFan; ++i) {
             Lanes squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
             if (kOwnLeaf) squared = select(from_bits(1u << i), splat(HUGE_VAL), squared);
-            const Lanes index = splat(leaf.index[i]);
+            const Lanes index = splat(leaf.row[i]);
             const Mask better = (squared < best) | ((squared == best) & (index < row));
             best = min(best, squared);
             row = select(better, index, row);
@@ -96,13 +96,13 @@ private:
         bool improved = false;
         for (; near; near &= near - 1) {
             const int i = __builtin_ctz(near);
-            improved |= improve(lane, squared[i], leaf.index[i]);
+            improved |= improve(lane, squared[i], leaf.row[i]);
         }
         return improved;
     }
 
-    bool improve(int lane, double squared, uint32_t row) {
-        if (!comes_before(squared, row, best_[lane], static_cast<uint32_t>(row_[lane]))) return false;
+    bool improve(int lane, double squared, double row) {
+        if (!comes_before(squared, row, best_[lane], row_[lane])) return false;
         best_[lane] = squared, row_[lane] = row;
         return true;
     }
@@ -110,7 +110,7 @@ private:
     const Tree& tree_;
     const Group& group_;
     alignas(64) double best_[kLanes];
-    alignas(64) double row_[kLanes];  // as doubles: they travel in the same registers
+    alignas(64) double row_[kLanes];
     double bound_ = kFarAway;
     uint32_t seed_ = 0, near_ = 0;
 };

@@ -13,14 +13,6 @@ namespace pcbench::PCB_ISA {
 constexpr size_t kBlock = 64;     // up to here ranks are counted instead of partitioning
 constexpr size_t kTask = 16384;   // smaller parts are not worth a task
 
-struct Key {
-    double value;
-    uint64_t index;
-    bool operator<(const Key& other) const {
-        return value < other.value || (value == other.value && index < other.index);
-    }
-};
-
 inline int widest_axis(const Item* items, size_t count) {
     // A sample is enough: the axis decides how good the boxes are, never what is found.
     const size_t step = count > 256 ? count / 128 : 1;
@@ -36,45 +28,44 @@ inline int widest_axis(const Item* items, size_t count) {
     return x >= y ? (x >= z ? 0 : 2) : (y >= z ? 1 : 2);
 }
 
-// Moves the items below the pivot to the front without a branch on the data; returns how many.
-inline size_t partition(Item* items, size_t count, int axis, Key pivot) {
-    size_t below = 0;
+// Moves the items for which `first` holds to the front, without a branch on the data; returns how many.
+template <typename First>
+inline size_t partition(Item* items, size_t count, First first) {
+    size_t front = 0;
     for (size_t i = 0; i < count; ++i) {
         const Item item = items[i];
-        const double v = item.p[axis];
-        const bool less = (v < pivot.value) | ((v == pivot.value) & (item.index < pivot.index));
-        items[i] = items[below];
-        items[below] = item;
-        below += less;
+        const bool goes_first = first(item);
+        items[i] = items[front];
+        items[front] = item;
+        front += goes_first;
     }
-    return below;
+    return front;
 }
 
-// The `rank` lowest items along the axis come first. Ties fall by row, so equal coordinates cannot spoil the halving.
+// The `rank` lowest items along the axis come first.
 inline void select(Item* items, size_t count, size_t rank, int axis) {
-    constexpr size_t kSamples = 255;
+    constexpr size_t kSamples = 127;
     while (rank > 0 && rank < count) {
-        Key sample[kSamples];
+        double sample[kSamples];
         const size_t samples = count > 4096 ? kSamples : count > 256 ? 31 : count < 8 ? count : 7;
         for (size_t s = 0; s < samples; ++s) {
-            const Item& item = items[s * count / samples];
-            sample[s] = {item.p[axis], item.index};
+            const double value = items[s * count / samples].p[axis];
+            size_t at = s;
+            for (; at > 0 && value < sample[at - 1]; --at) sample[at] = sample[at - 1];
+            sample[at] = value;
         }
-        std::sort(sample, sample + samples);
         // A little beyond the wanted rank, seen from the shorter side: that side, with the rank in it, is what remains.
-        const size_t position = rank * samples / count, shift = samples > 31 ? 12 : samples > 7 ? 3 : 0;
-        const size_t at = 2 * rank < count ? std::min(position + shift, samples - 1)
-                                           : (position > shift ? position - shift : 0);
-        size_t below = partition(items, count, axis, sample[at]);
+        const size_t position = rank * samples / count, shift = samples > 31 ? 8 : samples > 7 ? 3 : 0;
+        const double pivot = sample[2 * rank < count ? std::min(position + shift, samples - 1)
+                                                     : (position > shift ? position - shift : 0)];
+        size_t below = partition(items, count, [=](const Item& item) { return item.p[axis] < pivot; });
         if (below >= rank) {
             count = below;
             continue;
         }
-        if (below == 0) {  // the pivot is the lowest: set it aside, so that each round removes something
-            size_t lowest = 0;
-            while (items[lowest].index != sample[at].index) ++lowest;
-            std::swap(items[0], items[lowest]);
-            below = 1;
+        if (below == 0) {  // the pivot is the lowest: all that equal it leave together, so each round removes some
+            below = partition(items, count, [=](const Item& item) { return item.p[axis] == pivot; });
+            if (below >= rank) return;
         }
         items += below, count -= below, rank -= below;
     }
@@ -86,24 +77,30 @@ inline void write_leaf(const Item* items, size_t count, Leaf& leaf) {
         leaf.x[i] = real ? items[i].p[0] : HUGE_VAL;
         leaf.y[i] = real ? items[i].p[1] : HUGE_VAL;
         leaf.z[i] = real ? items[i].p[2] : HUGE_VAL;
-        leaf.index[i] = real ? static_cast<uint32_t>(items[i].index) : kNoPoint;
+        leaf.row[i] = real ? items[i].row : kNoRow;
     }
 }
 
-// At most kBlock items: each one's rank is counted, eight comparisons at a time.
-inline void arrange_block(Item* items, size_t count, Leaf* leaves) {
-    if (count <= kFan) return write_leaf(items, count, *leaves);
+// At most kBlock items: each one's rank is counted, eight comparisons at a time. The leaves may lie where the items
+// lie: they are written once nothing of the items is needed any more.
+inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
+    Item sorted[kBlock];
+    if (count <= kFan) {
+        std::copy(items, items + count, sorted);
+        return write_leaf(sorted, count, *leaves);
+    }
     const int axis = widest_axis(items, count);
     alignas(64) double keys[kBlock];
     for (size_t i = 0; i < kBlock; ++i) {
-        // The row number in the lowest bits makes the keys distinct; it may disturb the order by as much, no more.
-        double key = i < count ? items[i].p[axis] : HUGE_VAL;
-        uint64_t raw;
-        std::memcpy(&raw, &key, sizeof raw);
-        if (i < count) raw = (raw & ~uint64_t{kBlock - 1}) | i;
+        // The position in the lowest bits makes the keys distinct; it may disturb the order by as much, no more.
+        uint64_t raw = 0;
+        if (i < count) {
+            std::memcpy(&raw, &items[i].p[axis], sizeof raw);
+            raw = (raw & ~uint64_t{kBlock - 1}) | i;
+        }
         std::memcpy(&keys[i], &raw, sizeof raw);
+        if (i >= count) keys[i] = HUGE_VAL;
     }
-    Item sorted[kBlock];
     for (size_t i = 0; i < count; ++i) {
         const Lanes own = splat(keys[i]);
         unsigned rank = 0;
@@ -116,34 +113,34 @@ inline void arrange_block(Item* items, size_t count, Leaf* leaves) {
 }
 
 // Halves are whole multiples of the largest full subtree, so that all leaves but the last are full.
-inline void arrange_part(Item* items, size_t count, Leaf* leaves, Interrupt& interrupt) {
+inline void arrange_part(Item* items, size_t count, Interrupt& interrupt) {
     while (count > kBlock) {
         if (count > kTask && interrupt.requested()) return;
         size_t unit = kBlock;
         while (unit * kFan < count) unit *= kFan;
         const size_t left = (count + unit - 1) / unit / 2 * unit;
         select(items, count, left, widest_axis(items, count));
-#pragma omp task if (left > kTask) firstprivate(items, left, leaves) shared(interrupt)
-        arrange_part(items, left, leaves, interrupt);
-        items += left, count -= left, leaves += left / kFan;
+#pragma omp task if (left > kTask) firstprivate(items, left) shared(interrupt)
+        arrange_part(items, left, interrupt);
+        items += left, count -= left;
     }
-    arrange_block(items, count, leaves);
+    arrange_block(items, count, reinterpret_cast<Leaf*>(items));
 }
 
 // Sorts points into leaves that are near each other in space. False when a coordinate is not finite or above `limit`.
-inline bool arrange(const double* points, size_t count, double limit, Item* items, Leaf* leaves,
-                    Interrupt& interrupt) {
+inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Interrupt& interrupt) {
+    Item* items = reinterpret_cast<Item*>(leaves);
     bool valid = true;
 #pragma omp parallel
     {
 #pragma omp for schedule(static) reduction(&& : valid)
         for (size_t i = 0; i < count; ++i) {
             const double* p = points + 3 * i;
-            items[i] = {{p[0], p[1], p[2]}, i};
+            items[i] = {{p[0], p[1], p[2]}, static_cast<double>(i)};
             valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
         }
 #pragma omp master
-        if (valid) arrange_part(items, count, leaves, interrupt);
+        if (valid) arrange_part(items, count, interrupt);
     }
     return valid;
 }
@@ -152,18 +149,18 @@ inline bool arrange(const double* points, size_t count, double limit, Item* item
 inline void bound_leaves(const Leaf* leaves, size_t count, Node& node) {
     for (size_t c = 0; c < kFan; ++c) {
         double low[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, high[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
-        uint32_t first = kNoPoint;
+        double first = kNoRow;
         if (c < count)
-            for (size_t i = 0; i < kFan && leaves[c].index[i] != kNoPoint; ++i) {
+            for (size_t i = 0; i < kFan && leaves[c].row[i] != kNoRow; ++i) {
                 const double p[3] = {leaves[c].x[i], leaves[c].y[i], leaves[c].z[i]};
                 for (int a = 0; a < 3; ++a) {
                     low[a] = p[a] < low[a] ? p[a] : low[a];
                     high[a] = p[a] > high[a] ? p[a] : high[a];
                 }
-                first = leaves[c].index[i] < first ? leaves[c].index[i] : first;
+                first = leaves[c].row[i] < first ? leaves[c].row[i] : first;
             }
         for (int a = 0; a < 3; ++a) node.low[a][c] = low[a], node.high[a][c] = high[a];
-        node.first[c] = first;
+        node.first[c] = static_cast<uint32_t>(first);
     }
 }
 
@@ -178,7 +175,7 @@ inline void bound_nodes(const Node* children, size_t count, Node& node) {
             }
             node.low[a][c] = low, node.high[a][c] = high;
         }
-        node.first[c] = kNoPoint;
+        node.first[c] = UINT32_MAX;
         for (size_t i = 0; c < count && i < kFan; ++i)
             node.first[c] = children[c].first[i] < node.first[c] ? children[c].first[i] : node.first[c];
     }

@@ -27,7 +27,7 @@ inline Lanes gaps(const Node& node, const Box& box) {
 }
 
 // Visitor: bound(), the squared distance above which nothing matters; last_tie(), the highest row at that very
-// distance that is still to be beaten; leaf(id, parent, child).
+// distance that may still be beaten; leaf(id, parent, child).
 template <typename Visitor>
 inline void walk(const Tree& tree, const Box& box, Visitor& visitor) {
     struct Entry {
