@@ -126,6 +126,21 @@ inline unsigned bits(Mask m) {
 
 #endif
 
+// Exchanges two runs of four doubles, 32-byte aligned, which may be the same.
+inline void exchange(double* a, double* b) {
+#if defined(__AVX2__)
+    const __m256d keep = _mm256_load_pd(a);
+    _mm256_store_pd(a, _mm256_load_pd(b));
+    _mm256_store_pd(b, keep);
+#else
+    for (int i = 0; i < 4; ++i) {
+        const double keep = a[i];
+        a[i] = b[i];
+        b[i] = keep;
+    }
+#endif
+}
+
 // The squared length of (x, y, z), always in this order: what "exact" means in this module.
 inline Lanes squared_length(Lanes x, Lanes y, Lanes z) { return (x * x + y * y) + z * z; }
 

@@ -126,6 +126,8 @@ inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, co
         for (size_t q = chunk * kChunk; q < end; ++q) {
             if (q % 16 == 0 && interrupt.requested()) break;
             const Group group(queries[q]);
+            // The rows are scattered over the result: their lines arrive while the tree is walked.
+            for (size_t row : group.row) __builtin_prefetch(distances + row, 1), __builtin_prefetch(indices + row, 1);
             NearestOfGroup found(tree, group);
             if (own)
                 found.start_at_own(static_cast<uint32_t>(q));

@@ -16,8 +16,7 @@ constexpr double kNoRow = UINT32_MAX;
 
 // A point on its way into a leaf.
 struct alignas(32) Item {
-    double p[3];
-    double row;
+    double p[4];  // x, y, z and the row of the input
 };
 
 // Eight points. Rows of the input are kept as doubles: they travel in the same registers as the distances.

@@ -2,7 +2,6 @@
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include <algorithm>
-#include <cstring>
 
 #include "interrupt.h"
 #include "lanes.h"
@@ -11,6 +10,7 @@
 namespace pcbench::PCB_ISA {
 
 constexpr size_t kBlock = 64;     // up to here ranks are counted instead of partitioning
+constexpr size_t kCounted = 16;   // ranks counted side by side
 constexpr size_t kTask = 16384;   // smaller parts are not worth a task
 
 inline int widest_axis(const Item* items, size_t count) {
@@ -33,10 +33,8 @@ template <typename First>
 inline size_t partition(Item* items, size_t count, First first) {
     size_t front = 0;
     for (size_t i = 0; i < count; ++i) {
-        const Item item = items[i];
-        const bool goes_first = first(item);
-        items[i] = items[front];
-        items[front] = item;
+        const bool goes_first = first(items[i]);
+        exchange(items[i].p, items[front].p);
         front += goes_first;
     }
     return front;
@@ -77,11 +75,11 @@ inline void write_leaf(const Item* items, size_t count, Leaf& leaf) {
         leaf.x[i] = real ? items[i].p[0] : HUGE_VAL;
         leaf.y[i] = real ? items[i].p[1] : HUGE_VAL;
         leaf.z[i] = real ? items[i].p[2] : HUGE_VAL;
-        leaf.row[i] = real ? items[i].row : kNoRow;
+        leaf.row[i] = real ? items[i].p[3] : kNoRow;
     }
 }
 
-// At most kBlock items: each one's rank is counted, eight comparisons at a time. The leaves may lie where the items
+// At most kBlock items: each one's rank is counted, many comparisons at a time. The leaves may lie where the items
 // lie: they are written once nothing of the items is needed any more.
 inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
     Item sorted[kBlock];
@@ -89,23 +87,22 @@ inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
         std::copy(items, items + count, sorted);
         return write_leaf(sorted, count, *leaves);
     }
+    // Quantised coordinates are enough to halve well; the position in the lowest bits makes them distinct.
     const int axis = widest_axis(items, count);
-    alignas(64) double keys[kBlock];
-    for (size_t i = 0; i < kBlock; ++i) {
-        // The position in the lowest bits makes the keys distinct; it may disturb the order by as much, no more.
-        uint64_t raw = 0;
-        if (i < count) {
-            std::memcpy(&raw, &items[i].p[axis], sizeof raw);
-            raw = (raw & ~uint64_t{kBlock - 1}) | i;
-        }
-        std::memcpy(&keys[i], &raw, sizeof raw);
-        if (i >= count) keys[i] = HUGE_VAL;
+    double low = items[0].p[axis], high = low;
+    for (size_t i = 1; i < count; ++i) {
+        low = items[i].p[axis] < low ? items[i].p[axis] : low;
+        high = items[i].p[axis] > high ? items[i].p[axis] : high;
     }
-    for (size_t i = 0; i < count; ++i) {
-        const Lanes own = splat(keys[i]);
-        unsigned rank = 0;
-        for (size_t j = 0; j < count; j += kLanes) rank += __builtin_popcount(bits(load(keys + j) < own));
-        sorted[rank] = items[i];
+    const double scale = high - low > 1e-290 ? (1 << 24) / (high - low) : 0.0;
+    int32_t keys[kBlock] = {};
+    for (size_t i = 0; i < count; ++i)
+        keys[i] = static_cast<int32_t>((items[i].p[axis] - low) * scale) * kBlock + static_cast<int32_t>(i);
+    for (size_t i = 0; i < count; i += kCounted) {
+        int32_t rank[kCounted] = {};
+        for (size_t j = 0; j < count; ++j)
+            for (size_t c = 0; c < kCounted; ++c) rank[c] += keys[j] < keys[i + c];
+        for (size_t c = 0; c < kCounted && i + c < count; ++c) sorted[rank[c]] = items[i + c];
     }
     const size_t left = (count + kFan - 1) / kFan / 2 * kFan;
     arrange_block(sorted, left, leaves);
@@ -136,7 +133,7 @@ inline bool arrange(const double* points, size_t count, double limit, Leaf* leav
 #pragma omp for schedule(static) reduction(&& : valid)
         for (size_t i = 0; i < count; ++i) {
             const double* p = points + 3 * i;
-            items[i] = {{p[0], p[1], p[2]}, static_cast<double>(i)};
+            items[i] = {{p[0], p[1], p[2], static_cast<double>(i)}};
             valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
         }
 #pragma omp master

@@ -26,6 +26,10 @@ inline Lanes gaps(const Node& node, const Box& box) {
     return squared_length(gap[0], gap[1], gap[2]);
 }
 
+inline void prefetch(const Leaf& leaf) {
+    __builtin_prefetch(leaf.x), __builtin_prefetch(leaf.y), __builtin_prefetch(leaf.z), __builtin_prefetch(leaf.row);
+}
+
 // Visitor: bound(), the squared distance above which nothing matters; last_tie(), the highest row at that very
 // distance that may still be beaten; leaf(id, parent, child).
 template <typename Visitor>
@@ -55,6 +59,8 @@ inline void walk(const Tree& tree, const Box& box, Visitor& visitor) {
             return best;
         };
         if (entry.level == 0) {
+            for (unsigned rest = open; rest; rest &= rest - 1)
+                prefetch(tree.leaves[kFan * entry.node + __builtin_ctz(rest)]);
             for (; open; bound = visitor.bound()) {
                 const int child = nearest();
                 open &= ~(1u << child);
