@@ -5,12 +5,13 @@
 #include "kernels.h"
 #include "knearest.h"
 #include "nearest.h"
+#include "regions.h"
 #include "tree_build.h"
 
 namespace pcbench::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, knearest};
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, knearest, in_balls, in_cylinders};
 
 }  // namespace pcbench::PCB_ISA

@@ -10,8 +10,9 @@ namespace pcbench::PCB_ISA {
 class NearestK {
 public:
     NearestK(const Tree& tree, const double* query, size_t k, double* squared, int64_t* rows)
-        : tree_(tree), query_(query), k_(k), squared_(squared), rows_(rows) {}
+        : tree_(tree), query_(query), box_(point_box(query)), k_(k), squared_(squared), rows_(rows) {}
 
+    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, box_); }
     double bound() const { return found_ < k_ ? kFarAway : squared_[k_ - 1]; }
     uint32_t last_tie() const { return found_ < k_ ? UINT32_MAX : static_cast<uint32_t>(rows_[k_ - 1]); }
 
@@ -42,6 +43,7 @@ private:
 
     const Tree& tree_;
     const double* query_;
+    Box box_;
     size_t k_, found_ = 0;
     double* squared_;
     int64_t* rows_;
@@ -56,7 +58,7 @@ inline void knearest(const Tree& tree, const Leaf* queries, size_t leaf_count, s
             const double query[3] = {queries[q].x[l], queries[q].y[l], queries[q].z[l]};
             const size_t row = static_cast<size_t>(queries[q].row[l]);
             NearestK found(tree, query, k, distances + k * row, indices + k * row);
-            walk(tree, Box{{query[0], query[1], query[2]}, {query[0], query[1], query[2]}}, found);
+            walk(tree, found);
             for (size_t j = 0; j < k; ++j) distances[k * row + j] = std::sqrt(distances[k * row + j]);
         }
     }

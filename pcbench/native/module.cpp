@@ -3,7 +3,9 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 
+#include <algorithm>
 #include <optional>
+#include <utility>
 
 #include "index.h"
 #include "normals.h"
@@ -43,6 +45,14 @@ constexpr size_t kQueryPart = size_t{1} << 20;
 
 void check(bool holds, const char* message) {
     if (!holds) throw nb::value_error(message);
+}
+
+// Hands the memory to numpy.
+auto to_numpy(pcbench::Block<int64_t> block, size_t count) {
+    int64_t* data = block.release();
+    return nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(data, {count}, nb::capsule(data, [](void* p) noexcept {
+                                                            pcbench::Free()(p);
+                                                        }));
 }
 
 class PointIndex {
@@ -96,7 +106,50 @@ public:
         });
     }
 
+    nb::tuple in_balls(Points centres, double radius) const {
+        return in_regions(centres, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
+                                       pcbench::Interrupt& interrupt) {
+            pcbench::kernels().in_balls(tree(), sorted.leaves.get(), sorted.leaf_count, radius, offsets, rows,
+                                        interrupt);
+        });
+    }
+
+    nb::tuple in_cylinders(Points origins, Points axes, double radius, double half_length) const {
+        check(axes.shape(0) == origins.shape(0), "in_cylinders: one axis for each origin");
+        return in_regions(origins, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
+                                       pcbench::Interrupt& interrupt) {
+            pcbench::kernels().in_cylinders(tree(), sorted.leaves.get(), sorted.leaf_count, axes.data(), radius,
+                                            half_length, offsets, rows, interrupt);
+        });
+    }
+
 private:
+    // Counts first, then fills: no list grows, and the result is as large as it needs to be.
+    template <typename Search>
+    nb::tuple in_regions(Points queries, Search search) const {
+        const size_t count = queries.shape(0);
+        pcbench::Block<int64_t> offsets = pcbench::allocate<int64_t>(count + 1), rows;
+        offsets[0] = 0;
+        bool valid = true;
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            if (count == 0) return;
+            const pcbench::SortedPoints sorted(queries.data(), count, interrupt);
+            valid = sorted.valid;
+            if (!valid || interrupt.requested()) return;
+            search(sorted, offsets.get(), nullptr, interrupt);
+            if (interrupt.requested()) return;
+            for (size_t i = 0; i < count; ++i) offsets[i + 1] += offsets[i];
+            rows = pcbench::allocate<int64_t>(offsets[count]);
+            search(sorted, offsets.get(), rows.get(), interrupt);
+            if (interrupt.requested()) return;
+#pragma omp parallel for schedule(dynamic, 256)
+            for (size_t i = 0; i < count; ++i) std::sort(rows.get() + offsets[i], rows.get() + offsets[i + 1]);
+        });
+        check(valid, kBadCoordinate);
+        const size_t found = offsets[count];
+        return nb::make_tuple(to_numpy(std::move(offsets), count + 1), to_numpy(std::move(rows), found));
+    }
+
     template <typename Search>
     void in_parts(Points queries, Search search) const {
         bool valid = true;
@@ -131,7 +184,13 @@ NB_MODULE(_core, m) {
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), "Queries are another index's points, or its own: then no point is its own neighbour.")
         .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
-             nb::arg("indices").noconvert());
+             nb::arg("indices").noconvert())
+        .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
+             "Offsets (N + 1,) and the rows found, ascending for each ball.",
+             nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
+        .def("in_cylinders", &PointIndex::in_cylinders, nb::arg("origins").noconvert(), nb::arg("axes").noconvert(),
+             nb::arg("radius"), nb::arg("half_length"), "Offsets (N + 1,) and the rows found, ascending for each cylinder.",
+             nb::sig("def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
 
     m.def(
         "plane_fits",

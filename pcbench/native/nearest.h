@@ -37,6 +37,7 @@ public:
         bound_ = largest(load(best_));
     }
 
+    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
     double bound() const { return bound_; }
 
     uint32_t last_tie() const {
@@ -134,7 +135,7 @@ inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, co
             else
                 found.start(near);
             if (hints) found.suggest(hints);
-            walk(tree, group.box, found);
+            walk(tree, found);
             near = found.near();
             for (int l = 0; l < group.count; ++l) {
                 distances[group.row[l]] = std::sqrt(found.squared(l));

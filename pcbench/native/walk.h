@@ -1,4 +1,4 @@
-// Visiting the leaves near a box of queries, nearest first, as long as they can change an answer.
+// Visiting the leaves near a query, nearest first, as long as they can change an answer.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include "lanes.h"
@@ -12,6 +12,8 @@ constexpr double kFarAway = 1e300;
 struct Box {
     double low[3], high[3];
 };
+
+inline Box point_box(const double* p) { return {{p[0], p[1], p[2]}, {p[0], p[1], p[2]}}; }
 
 inline Lanes axis_gap(Lanes low, Lanes high, Lanes other_low, Lanes other_high) {
     return max(max(other_low - high, low - other_high), splat(0.0));
@@ -30,10 +32,10 @@ inline void prefetch(const Leaf& leaf) {
     __builtin_prefetch(leaf.x), __builtin_prefetch(leaf.y), __builtin_prefetch(leaf.z), __builtin_prefetch(leaf.row);
 }
 
-// Visitor: bound(), the squared distance above which nothing matters; last_tie(), the highest row at that very
+// Visitor: gaps(node), for each child a squared distance that no point inside goes below; bound(), the squared distance above which nothing matters; last_tie(), the highest row at that very
 // distance that may still be beaten; leaf(id, parent, child).
 template <typename Visitor>
-inline void walk(const Tree& tree, const Box& box, Visitor& visitor) {
+inline void walk(const Tree& tree, Visitor& visitor) {
     struct Entry {
         double gap;
         uint32_t node, level;
@@ -46,7 +48,7 @@ inline void walk(const Tree& tree, const Box& box, Visitor& visitor) {
         double bound = visitor.bound();
         if (entry.gap > bound) continue;
         const Node& node = tree.levels[entry.level][entry.node];
-        const Lanes gap = gaps(node, box);
+        const Lanes gap = visitor.gaps(node);
         unsigned open = bits(gap <= splat(bound));
         for (unsigned equal = bits(gap == splat(bound)) & open; equal; equal &= equal - 1)
             if (node.first[__builtin_ctz(equal)] > visitor.last_tie()) open &= ~(equal & -equal);

@@ -1,0 +1,174 @@
+"""Exact nearest-neighbour search: the only caller of the compiled search kernels.
+
+Every answer equals a float64 brute force that evaluates (dx*dx + dy*dy) + dz*dz in this order and breaks ties by the
+lowest index, on any machine and with any number of threads.
+"""
+
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcbench.errors import InputError
+from pcbench.native import _core
+
+__all__ = ["Index", "Matches", "Neighborhoods", "match_both_ways"]
+
+# Squared distances between coordinates beyond it would overflow.
+_LARGEST_COORDINATE = 1e100
+
+
+class Matches(NamedTuple):
+    """Nearest points, in the unit of the coordinates: one row for each query."""
+
+    distances: NDArray[np.float64]
+    indices: NDArray[np.int64]
+
+
+class Neighborhoods(NamedTuple):
+    """Variable numbers of neighbours: those of query i are indices[offsets[i]:offsets[i + 1]], ascending."""
+
+    offsets: NDArray[np.int64]
+    indices: NDArray[np.int64]
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """The number of neighbours of each query (N,)."""
+        return np.diff(self.offsets)
+
+    def of(self, query: int) -> NDArray[np.int64]:
+        """The neighbours of one query, ascending."""
+        return self.indices[self.offsets[query] : self.offsets[query + 1]]
+
+
+class Index:
+    """A search tree over points (N, 3), N >= 1: built in parallel, at most 40 bytes a point beside the points.
+
+    The points are kept by reference when they are a C-contiguous float64 array, and must not change afterwards;
+    anything else is converted first. Raises InputError for another shape, no points, or coordinates that are not
+    finite. Ctrl-C stops building and searching.
+    """
+
+    def __init__(self, points: ArrayLike) -> None:
+        rows = _as_points(points, "points")
+        if len(rows) == 0:
+            raise InputError("points: expected at least one point, got none")
+        self.points: NDArray[np.float64] = rows.view()
+        self.points.flags.writeable = False
+        try:
+            self._tree = _core.PointIndex(rows)
+        except ValueError as error:
+            _explain(error, rows, "points")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the tree in bytes, without the points."""
+        return self._tree.bytes
+
+    def query(self, queries: ArrayLike, k: int = 1, *, hint: ArrayLike | None = None) -> Matches:
+        """Distances to the k nearest points, in the unit of the coordinates.
+
+        queries (M, 3); k = 1 gives arrays (M,), k > 1 gives (M, k) sorted by (distance, index). `hint` (M,) holds an
+        index near each answer, such as the answer before a small motion: it speeds up a search with k = 1 and never
+        changes its result. Raises InputError when k exceeds the number of points.
+        """
+        wanted = _as_points(queries, "queries")
+        if not 1 <= k <= len(self):
+            raise InputError(f"k: expected 1 to {len(self)} (the number of points), got {k}")
+        hints = None if hint is None else self._as_hints(hint, len(wanted))
+        shape = (len(wanted),) if k == 1 else (len(wanted), k)
+        found = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
+        try:
+            if k == 1:
+                self._tree.nearest(wanted, hints, *found)
+            else:
+                self._tree.knearest(wanted, *found)
+        except ValueError as error:
+            _explain(error, wanted, "queries")
+        return found
+
+    def query_radius(self, queries: ArrayLike, radius: float) -> Neighborhoods:
+        """The points whose squared distance to each query (M, 3) is at most radius * radius."""
+        wanted = _as_points(queries, "queries")
+        _check_length(radius, "radius")
+        try:
+            return Neighborhoods(*self._tree.in_balls(wanted, radius))
+        except ValueError as error:
+            _explain(error, wanted, "queries")
+
+    def query_cylinder(
+        self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float
+    ) -> Neighborhoods:
+        """The points p in a cylinder around each origin (M, 3) along its unit axis (M, 3).
+
+        With d = p - origin: |d . axis| <= half_length and |d - (d . axis) axis| <= radius.
+        """
+        centers, directions = _as_points(origins, "origins"), _as_points(axes, "axes")
+        _check_length(radius, "radius")
+        _check_length(half_length, "half_length")
+        if len(centers) != len(directions):
+            raise InputError(f"axes: expected one for each of the {len(centers)} origins, got {len(directions)}")
+        lengths = np.linalg.norm(directions, axis=1)
+        unit = np.abs(lengths - 1.0) <= 1e-6
+        if not unit.all():
+            row = int(np.argmin(unit))
+            raise InputError(f"axes: expected unit vectors, got length {lengths[row]:g} in row {row}")
+        try:
+            return Neighborhoods(*self._tree.in_cylinders(centers, directions, radius, half_length))
+        except ValueError as error:
+            _explain(error, centers, "origins")
+
+    def nearest_other(self) -> Matches:
+        """Distance from each indexed point to its nearest other point (another index; a duplicate is at distance 0)."""
+        if len(self) < 2:
+            raise InputError("nearest_other: expected an index of at least two points, got one")
+        return self._matches_of(self)
+
+    def _matches_of(self, queries: "Index") -> Matches:
+        found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
+        self._tree.nearest_of(queries._tree, *found)
+        return found
+
+    def _as_hints(self, hint: ArrayLike, count: int) -> NDArray[np.int64]:
+        hints = np.ascontiguousarray(hint, np.int64)
+        if hints.shape != (count,):
+            raise InputError(f"hint: expected one index for each of the {count} queries, got shape {hints.shape}")
+        if count and not (hints.min() >= 0 and hints.max() < len(self)):
+            raise InputError(f"hint: expected indices from 0 to {len(self) - 1}, got {hints.min()} to {hints.max()}")
+        return hints
+
+
+def match_both_ways(reference: Index, candidate: Index) -> tuple[Matches, Matches]:
+    """Nearest distances in both directions: candidate -> reference, then reference -> candidate.
+
+    The queries come from the other tree, where they are sorted in space already: about a third faster than `query`.
+    """
+    if reference is candidate:
+        itself = reference.query(reference.points)
+        return itself, itself
+    return reference._matches_of(candidate), candidate._matches_of(reference)
+
+
+def _as_points(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    array: NDArray[Any] = np.asarray(values)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+        raise InputError(f"{name}: expected real numbers of shape (N, 3), got {array.dtype} {array.shape}")
+    return np.ascontiguousarray(array, np.float64)
+
+
+def _check_length(value: float, name: str) -> None:
+    if not 0 <= value <= _LARGEST_COORDINATE:
+        raise InputError(f"{name}: expected a finite length of at least 0, got {value}")
+
+
+def _explain(error: ValueError, rows: NDArray[np.float64], name: str) -> NoReturn:
+    """The kernels check coordinates as they read them; which one is wrong is only looked up when one is."""
+    wrong = ~(np.abs(rows) <= _LARGEST_COORDINATE)
+    if not wrong.any():
+        raise error
+    row = int(np.argmax(wrong.any(axis=1)))
+    expected = f"expected finite coordinates of at most {_LARGEST_COORDINATE:g}"
+    raise InputError(f"{name}: {expected}, got {rows[row].tolist()} in row {row}; remove such points first") from error
