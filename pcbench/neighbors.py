@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError
 from pcbench.native import _core
 
-__all__ = ["Index", "Matches", "Neighborhoods", "match_both_ways"]
+__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways"]
 
 # Squared distances between coordinates beyond it would overflow.
 _LARGEST_COORDINATE = 1e100
@@ -39,6 +39,18 @@ class Neighborhoods(NamedTuple):
     def of(self, query: int) -> NDArray[np.int64]:
         """The neighbours of one query, ascending."""
         return self.indices[self.offsets[query] : self.offsets[query + 1]]
+
+
+class LocalPlanes(NamedTuple):
+    """Planes through the nearest points around some of the indexed points: one row for each.
+
+    normals (M, 3): unit, of either sign. variation (M,): smallest eigenvalue of the covariance over the sum of all
+    three, 0 to 1/3. spacings (M,): distance to the nearest other point.
+    """
+
+    normals: NDArray[np.float64]
+    variation: NDArray[np.float64]
+    spacings: NDArray[np.float64]
 
 
 class Index:
@@ -78,7 +90,9 @@ class Index:
         wanted = _as_points(queries, "queries")
         if not 1 <= k <= len(self):
             raise InputError(f"k: expected 1 to {len(self)} (the number of points), got {k}")
-        hints = None if hint is None else self._as_hints(hint, len(wanted))
+        hints = None if hint is None else self._as_rows(hint, "hint")
+        if hints is not None and len(hints) != len(wanted):
+            raise InputError(f"hint: expected one index for each of the {len(wanted)} queries, got {len(hints)}")
         shape = (len(wanted),) if k == 1 else (len(wanted), k)
         found = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
         try:
@@ -127,18 +141,28 @@ class Index:
             raise InputError("nearest_other: expected an index of at least two points, got one")
         return self._matches_of(self)
 
+    def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
+        """The plane through the k nearest points of each point, itself included, or of those in `rows` (M,)."""
+        if not 3 <= k <= len(self):
+            raise InputError(f"k: expected 3 to {len(self)} (the number of points), got {k}")
+        chosen = None if rows is None else self._as_rows(rows, "rows")
+        count = len(self) if chosen is None else len(chosen)
+        fits = LocalPlanes(np.empty((count, 3)), np.empty(count), np.empty(count))
+        self._tree.planes(k, chosen, *fits)
+        return fits
+
     def _matches_of(self, queries: "Index") -> Matches:
         found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         self._tree.nearest_of(queries._tree, *found)
         return found
 
-    def _as_hints(self, hint: ArrayLike, count: int) -> NDArray[np.int64]:
-        hints = np.ascontiguousarray(hint, np.int64)
-        if hints.shape != (count,):
-            raise InputError(f"hint: expected one index for each of the {count} queries, got shape {hints.shape}")
-        if count and not (hints.min() >= 0 and hints.max() < len(self)):
-            raise InputError(f"hint: expected indices from 0 to {len(self) - 1}, got {hints.min()} to {hints.max()}")
-        return hints
+    def _as_rows(self, values: ArrayLike, name: str) -> NDArray[np.int64]:
+        rows: NDArray[Any] = np.asarray(values)
+        if rows.ndim != 1 or (len(rows) and rows.dtype.kind not in "iu"):
+            raise InputError(f"{name}: expected indices of shape (M,), got {rows.dtype} {rows.shape}")
+        if len(rows) and not (rows.min() >= 0 and rows.max() < len(self)):
+            raise InputError(f"{name}: expected indices from 0 to {len(self) - 1}, got {rows.min()} to {rows.max()}")
+        return np.ascontiguousarray(rows, np.int64)
 
 
 def match_both_ways(reference: Index, candidate: Index) -> tuple[Matches, Matches]:

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include "index.h"
 #include "normals.h"
@@ -123,6 +124,39 @@ public:
         });
     }
 
+    void planes(size_t k, std::optional<Indices> rows, Out<double, nb::shape<-1, 3>> normals,
+                Out<double, nb::shape<-1>> variation, std::optional<Out<double, nb::shape<-1>>> spacing) const {
+        const size_t count = rows ? rows->shape(0) : tree().count;
+        check(normals.shape(0) == count && variation.shape(0) == count && (!spacing || spacing->shape(0) == count),
+              "planes: one row for each point asked for");
+        check(k > 1 && k <= tree().count, "planes: k must lie between 2 and the number of points");
+        pcbench::Block<double> picked;
+        if (rows) {
+            picked = pcbench::allocate<double>(3 * count);
+            for (size_t i = 0; i < count; ++i) {
+                const int64_t row = rows->data()[i];
+                check(row >= 0 && static_cast<size_t>(row) < tree().count, "planes: a row lies outside the points");
+                std::copy_n(tree().points + 3 * row, 3, picked.get() + 3 * i);
+            }
+        }
+        const pcbench::Kernels& kernels = pcbench::kernels();
+        const size_t stride = (kernels.plane_scratch_bytes(k) + 4095) / 4096 * 4096 / sizeof(double);
+        const size_t threads = static_cast<size_t>(omp_get_max_threads());
+        const pcbench::Block<double> memory = pcbench::allocate<double>(stride * threads);
+        std::vector<double*> scratch;
+        for (size_t t = 0; t < threads; ++t) scratch.push_back(memory.get() + t * stride);
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            const auto fit = [&](const pcbench::Leaf* queries, size_t leaf_count) {
+                kernels.planes(tree(), queries, leaf_count, rows ? rows->data() : nullptr, k, normals.data(),
+                               variation.data(), spacing ? spacing->data() : nullptr, scratch.data(), interrupt);
+            };
+            if (!rows) return fit(tree().leaves, tree().leaf_count);
+            if (count == 0) return;
+            const pcbench::SortedPoints sorted(picked.get(), count, interrupt);
+            if (!interrupt.requested()) fit(sorted.leaves.get(), sorted.leaf_count);
+        });
+    }
+
 private:
     // Counts first, then fills: no list grows, and the result is as large as it needs to be.
     template <typename Search>
@@ -185,6 +219,10 @@ NB_MODULE(_core, m) {
              nb::arg("indices").noconvert(), "Queries are another index's points, or its own: then no point is its own neighbour.")
         .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert())
+        .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),
+             nb::arg("normals").noconvert(), nb::arg("variation").noconvert(), nb::arg("spacing").noconvert().none(),
+             "Planes through the k nearest points of each point, or of those in rows, itself included; spacing is the"
+             " distance to its nearest other point.")
         .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
              "Offsets (N + 1,) and the rows found, ascending for each ball.",
              nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
