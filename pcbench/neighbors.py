@@ -113,9 +113,7 @@ class Index:
         except ValueError as error:
             _explain(error, wanted, "queries")
 
-    def query_cylinder(
-        self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float
-    ) -> Neighborhoods:
+    def query_cylinder(self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float) -> Neighborhoods:
         """The points p in a cylinder around each origin (M, 3) along its unit axis (M, 3).
 
         With d = p - origin: |d . axis| <= half_length and |d - (d . axis) axis| <= radius.

@@ -3,26 +3,15 @@
 #include <atomic>
 #include <chrono>
 
-#include <omp.h>
-
 namespace pcbench {
 
 class Interrupt {
 public:
     // `asks` returns true when the work shall stop; it is only ever called on the thread that made this object.
-    explicit Interrupt(bool (*asks)()) : asks_(asks), last_(std::chrono::steady_clock::now()) {}
+    explicit Interrupt(bool (*asks)());
 
-    bool requested() {
-        if (omp_get_thread_num() == 0) {
-            const auto now = std::chrono::steady_clock::now();
-            if (now - last_ > std::chrono::milliseconds(50)) {
-                last_ = now;
-                if (!stopped() && asks_()) stop_.store(true, std::memory_order_relaxed);
-            }
-        }
-        return stopped();
-    }
-
+    // Cheap enough for every few microseconds of work. Not inline: it must exist once, for all instruction sets.
+    bool requested();
     bool stopped() const { return stop_.load(std::memory_order_relaxed); }
 
 private:

@@ -2,6 +2,8 @@
 // never listed: each query only gets the distance that separates its k nearest from the rest.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
+#include <omp.h>
+
 #include "eigen.h"
 #include "group.h"
 #include "interrupt.h"
@@ -128,6 +130,7 @@ private:
             low = select(over, low, middle), below = select(over, below, count);
         }
         store(limit_, high);
+        store(last_row_, splat(kNoRow));
         unsigned tied = surplus == 0 ? ~bits(within <= enough) & 0xff : 0;
         for (; tied; tied &= tied - 1) settle_ties(__builtin_ctz(tied));
         bound_ = largest(load(limit_));
@@ -160,8 +163,6 @@ private:
             ++kept;
         }
         count_ = kept;
-        // What comes later may win a tie.
-        store(last_row_, splat(kNoRow));
     }
 
     const Tree& tree_;
