@@ -7,7 +7,7 @@ namespace pcbench {
 
 struct Kernels {
     const char* name;
-    bool (*arrange)(const double* points, size_t count, double limit, Leaf* leaves, Interrupt&);
+    bool (*arrange)(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt&);
     void (*bound)(Tree&);
     void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
                     double* distances, int64_t* indices, Interrupt&);

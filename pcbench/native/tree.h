@@ -33,7 +33,7 @@ struct alignas(32) Node {
     uint32_t first[kFan];                // lowest row of the input in the child: decides ties between boxes
 };
 
-// A view: the memory belongs to TreeStorage (tree_storage.h).
+// A view: the memory belongs to Index (index.h).
 struct Tree {
     const double* points = nullptr;  // (count, 3), the caller's
     size_t count = 0;

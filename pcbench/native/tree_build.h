@@ -79,6 +79,25 @@ inline void write_leaf(const Item* items, size_t count, Leaf& leaf) {
     }
 }
 
+// The boxes of eight leaves.
+inline void bound_leaves(const Leaf* leaves, size_t count, Node& node) {
+    for (size_t c = 0; c < kFan; ++c) {
+        double low[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, high[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
+        double first = kNoRow;
+        if (c < count)
+            for (size_t i = 0; i < kFan && leaves[c].row[i] != kNoRow; ++i) {
+                const double p[3] = {leaves[c].x[i], leaves[c].y[i], leaves[c].z[i]};
+                for (int a = 0; a < 3; ++a) {
+                    low[a] = p[a] < low[a] ? p[a] : low[a];
+                    high[a] = p[a] > high[a] ? p[a] : high[a];
+                }
+                first = leaves[c].row[i] < first ? leaves[c].row[i] : first;
+            }
+        for (int a = 0; a < 3; ++a) node.low[a][c] = low[a], node.high[a][c] = high[a];
+        node.first[c] = static_cast<uint32_t>(first);
+    }
+}
+
 // At most kBlock items: each one's rank is counted, many comparisons at a time. The leaves may lie where the items
 // lie: they are written once nothing of the items is needed any more.
 inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
@@ -109,26 +128,32 @@ inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
     arrange_block(sorted + left, count - left, leaves + left / kFan);
 }
 
-// Halves are whole multiples of the largest full subtree, so that all leaves but the last are full.
-inline void arrange_part(Item* items, size_t count, Interrupt& interrupt) {
+// Halves are whole multiples of the largest full subtree, so that all leaves but the last are full. A block of leaves
+// gets its node while it is in the cache.
+inline void arrange_part(Item* items, size_t count, Node* nodes, Interrupt& interrupt) {
     while (count > kBlock) {
         if (count > kTask && interrupt.requested()) return;
         size_t unit = kBlock;
         while (unit * kFan < count) unit *= kFan;
         const size_t left = (count + unit - 1) / unit / 2 * unit;
         select(items, count, left, widest_axis(items, count));
-#pragma omp task if (left > kTask) firstprivate(items, left) shared(interrupt)
-        arrange_part(items, left, interrupt);
+#pragma omp task if (left > kTask) firstprivate(items, left, nodes) shared(interrupt)
+        arrange_part(items, left, nodes, interrupt);
         items += left, count -= left;
+        if (nodes) nodes += left / kBlock;
     }
-    arrange_block(items, count, reinterpret_cast<Leaf*>(items));
+    Leaf* leaves = reinterpret_cast<Leaf*>(items);
+    arrange_block(items, count, leaves);
+    if (nodes) bound_leaves(leaves, (count + kFan - 1) / kFan, *nodes);
 }
 
-// Sorts points into leaves that are near each other in space. False when a coordinate is not finite or above `limit`.
-inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Interrupt& interrupt) {
+// Sorts points into leaves that are near each other in space, with their nodes unless null is given for them. False
+// when a coordinate is not finite or above `limit`.
+inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes,
+                    Interrupt& interrupt) {
     Item* items = reinterpret_cast<Item*>(leaves);
     bool valid = true;
-#pragma omp parallel
+#pragma omp parallel if (count > 2 * kTask)
     {
 #pragma omp for schedule(static) reduction(&& : valid)
         for (size_t i = 0; i < count; ++i) {
@@ -137,28 +162,9 @@ inline bool arrange(const double* points, size_t count, double limit, Leaf* leav
             valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
         }
 #pragma omp master
-        if (valid) arrange_part(items, count, interrupt);
+        if (valid) arrange_part(items, count, nodes, interrupt);
     }
     return valid;
-}
-
-// The boxes of eight leaves.
-inline void bound_leaves(const Leaf* leaves, size_t count, Node& node) {
-    for (size_t c = 0; c < kFan; ++c) {
-        double low[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, high[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
-        double first = kNoRow;
-        if (c < count)
-            for (size_t i = 0; i < kFan && leaves[c].row[i] != kNoRow; ++i) {
-                const double p[3] = {leaves[c].x[i], leaves[c].y[i], leaves[c].z[i]};
-                for (int a = 0; a < 3; ++a) {
-                    low[a] = p[a] < low[a] ? p[a] : low[a];
-                    high[a] = p[a] > high[a] ? p[a] : high[a];
-                }
-                first = leaves[c].row[i] < first ? leaves[c].row[i] : first;
-            }
-        for (int a = 0; a < 3; ++a) node.low[a][c] = low[a], node.high[a][c] = high[a];
-        node.first[c] = static_cast<uint32_t>(first);
-    }
 }
 
 // The boxes of eight nodes.
@@ -178,19 +184,16 @@ inline void bound_nodes(const Node* children, size_t count, Node& node) {
     }
 }
 
+// All levels above the nodes of the leaves.
 inline void bound(Tree& tree) {
-    for (size_t level = 0; level < tree.level_count; ++level) {
+    for (size_t level = 1; level < tree.level_count; ++level) {
         Node* nodes = tree.levels[level];
-        const size_t count = tree.level_size[level];
-        const size_t below = level == 0 ? tree.leaf_count : tree.level_size[level - 1];
-#pragma omp parallel for schedule(static) if (count > 64)
-        for (size_t j = 0; j < count; ++j) {
-            const size_t children = std::min(kFan, below - kFan * j);
-            if (level == 0)
-                bound_leaves(tree.leaves + kFan * j, children, nodes[j]);
-            else
-                bound_nodes(tree.levels[level - 1] + kFan * j, children, nodes[j]);
-        }
+        const Node* below = tree.levels[level - 1];
+        const size_t count = tree.level_size[level], below_count = tree.level_size[level - 1];
+        // Waking threads costs more than a few hundred nodes, much more where the processor is shared.
+#pragma omp parallel for schedule(static) if (count > 2048)
+        for (size_t j = 0; j < count; ++j)
+            bound_nodes(below + kFan * j, std::min(kFan, below_count - kFan * j), nodes[j]);
     }
 }
 
