@@ -274,7 +274,7 @@ def info(clouds: tuple[Path, ...]) -> None:
         if len(cloud) > 1:
             points = cloud.points - lower  # small numbers search more exactly
             which = np.arange(0, len(points), max(1, len(points) // 100_000))
-            spacing = float(np.median(Index(points).nearest_other(which).distances))
+            spacing = float(np.median(Index(points).query(points[which], k=2).distances[:, 1]))
             click.echo(f"  median distance to the nearest other point {spacing:.4g}")
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}, crs {cloud.crs or 'unknown'}")

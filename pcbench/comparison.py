@@ -22,7 +22,7 @@ from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError
 from pcbench.measure import Direction, measure, value_of
 from pcbench.mesh import Mesh, MeshIndex
-from pcbench.neighbors import FloatArray, Index, Matches
+from pcbench.neighbors import FloatArray, Index, Matches, match_both_ways
 from pcbench.normals import Surface
 from pcbench.registration import Registration, recentring, register
 from pcbench.voxels import robust_extent, thin_to
@@ -237,13 +237,15 @@ def _compare_one(
     step(f"{name}: matching both ways")
     with _timed(timings, "matching"):
         index = Index(aligned)
-        forth = presets.two_nearest(truth.index, aligned[inside])
-        back = presets.two_nearest(index, truth.points[truth.inside])
+        if truth.region is None:
+            forth, back = match_both_ways(truth.index, index)
+        else:
+            forth, back = truth.index.query(aligned[inside]), index.query(truth.points[truth.inside])
 
     step(f"{name}: measuring")
     with _timed(timings, "normals"):
         if truth.has_normals:
-            truth.surface.normals(np.concatenate([np.flatnonzero(truth.inside), forth.indices[:, 0]]))
+            truth.surface.normals(np.concatenate([np.flatnonzero(truth.inside), forth.indices]))
     with _timed(timings, "floors"):
         candidate_to_reference = _from_candidate(truth, aligned[inside], forth)
         reference_to_candidate = _from_reference(truth, index, forth, back)
@@ -260,7 +262,7 @@ def _compare_one(
     with _timed(timings, "maps"):
         deviation = _deviation_map(truth, index, candidate_to_reference, registration, settings)
     with _timed(timings, "presets"):
-        pair = _hard_pair(truth, aligned, inside, forth, back)
+        pair = _hard_pair(truth, index, inside, forth, back)
         to_poisson = deviation.scalars.get("poisson_distance")
         values["presets"] = _presets(truth, pair, to_poisson, settings.presets, thresholds)
 
@@ -308,7 +310,7 @@ def _deviation_map(
 
 def _from_candidate(truth: _Reference, queries: FloatArray, matches: Matches) -> Direction:
     """Candidate -> reference. Floor: leave-one-out distances inside the reference at the matched places."""
-    distances, feet = matches.distances[:, 0], matches.indices[:, 0]
+    distances, feet = matches
     floor = other = None
     if truth.nearest_other is not None:
         floor, other = truth.nearest_other.distances[feet], truth.nearest_other.indices[feet]
@@ -323,30 +325,26 @@ def _from_candidate(truth: _Reference, queries: FloatArray, matches: Matches) ->
 def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Matches) -> Direction:
     """Reference -> candidate. Floor: distances to the pseudo-candidate of the matched reference points."""
     rows = np.flatnonzero(truth.inside)
-    queries, feet = truth.points[rows], index.points[back.indices[:, 0]]
-    pseudo = Index(truth.points[np.unique(forth.indices[:, 0])])
+    queries, feet = truth.points[rows], index.points[back.indices]
+    pseudo = Index(truth.points[np.unique(forth.indices)])
     floor, nearest = pseudo.query(queries)
     plane = floor_plane = None
     if truth.has_normals:
         normals = truth.surface.normals(rows)
         plane = metrics.plane_distances(queries, feet, normals)
         floor_plane = metrics.plane_distances(queries, pseudo.points[nearest], normals)
-    return Direction(queries, back.distances[:, 0], plane, floor, floor_plane, truth.blocks.of_point[rows])
+    return Direction(queries, back.distances, plane, floor, floor_plane, truth.blocks.of_point[rows])
 
 
 def _hard_pair(
-    truth: _Reference, aligned: FloatArray, inside: NDArray[np.bool_], forth: Matches, back: Matches
+    truth: _Reference, candidate: Index, inside: NDArray[np.bool_], forth: Matches, back: Matches
 ) -> presets.Pair:
-    """Both clouds cut to the region, with the matches that are left or have to be found anew."""
-    reference, candidate = truth.points[truth.inside], aligned[inside]
+    """Both clouds cut to the region; where there is none, with the matches that are known already."""
     normals = truth.surface.normals(np.flatnonzero(truth.inside)) if truth.has_normals else None
-    given = truth.cloud.normals
-    return presets.Pair(
-        presets.Side(reference, presets.crop_matches(reference, back, aligned, inside)),
-        presets.Side(candidate, presets.crop_matches(candidate, forth, truth.points, truth.inside)),
-        normals,
-        normals if given is None else given[truth.inside],
-    )
+    given = None if truth.cloud.normals is None else truth.cloud.normals[truth.inside]
+    if truth.region is None:
+        return presets.Pair(truth.index, candidate, forth, back, truth.nearest_other, normals, given)
+    return presets.match(Index(truth.points[truth.inside]), Index(candidate.points[inside]), normals, given)
 
 
 def _presets(
@@ -358,28 +356,12 @@ def _presets(
 ) -> dict[str, Any]:
     known: dict[str, Callable[[], dict[str, Any]]] = {
         "gao2025": lambda: presets.gao2025(pair, to_poisson),
-        "mpeg": lambda: presets.mpeg(pair, _peak(truth)),
+        "mpeg": lambda: presets.mpeg(pair),
         "open3d": lambda: presets.open3d(pair, thresholds),
         "pdal": lambda: presets.pdal(pair),
         "tnt": lambda: presets.tnt(pair, thresholds),
     }
     return {name: known[name]() for name in names}
-
-
-def _peak(truth: _Reference) -> float:
-    """MPEG's peak: the largest distance from a (hard-cropped, merged) reference point to its nearest other one."""
-    if truth.nearest_other is None:
-        return 0.0
-    distances, indices = truth.nearest_other
-    lone = truth.inside & (~truth.inside[indices] | (distances == 0))
-    safe = truth.inside & ~lone
-    peak = float(distances[safe].max(initial=0.0))
-    if lone.any():  # their neighbour was cut away or is a duplicate
-        kept = np.unique(truth.points[truth.inside], axis=0)
-        if len(kept) > 1:
-            found = Index(kept).query(truth.points[lone], k=2).distances
-            peak = max(peak, float(found[:, 1].max()))
-    return peak
 
 
 def _differences(results: list[Candidate], replicates: list[dict[str, FloatArray]]) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ from pcbench.errors import InputError
 from pcbench.neighbors import FloatArray, Index, IntArray
 
 CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
+_FEWEST = 5  # points that a standard deviation is estimated from, as in CloudCompare
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class M3C2(NamedTuple):
     Lague et al. 2013, section 3.2: `distances` = mean position of the candidate minus that of the reference within a
     cylinder along the normal, positive where the candidate lies on the side the normal points to. `lod` is the level
     of detection at 95 %, eq. 1: 1.96 (sqrt(s1^2 / n1 + s2^2 / n2) + registration error), standard deviations s with
-    ddof 0 as in CloudCompare.
+    ddof 0 as in CloudCompare; NaN where either cloud has fewer than five points.
     """
 
     cores: FloatArray  # (K, 3)
@@ -94,7 +95,8 @@ def m3c2(
     mean_c, std_c, count_c = _along(candidate, cores, normals, radius, half_length)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = std_r**2 / count_r + std_c**2 / count_c
-    lod = CONFIDENCE * (np.sqrt(variance) + registration_error)
+    enough = np.minimum(count_r, count_c) >= _FEWEST
+    lod = np.where(enough, CONFIDENCE * (np.sqrt(variance) + registration_error), np.nan)
     return M3C2(
         cores,
         normals,

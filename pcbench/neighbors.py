@@ -1,68 +1,199 @@
-"""Exact nearest-neighbour search; the only room that knows which engine does it."""
+"""Exact nearest-neighbour search: the only caller of the compiled search kernels.
 
-from __future__ import annotations
+Every answer equals a float64 brute force that evaluates (dx*dx + dy*dy) + dz*dz in this order and breaks ties by the
+lowest index, on any machine and with any number of threads.
+"""
 
-import os
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
+from pcbench.native import _core
+
+__all__ = ["FloatArray", "Index", "IntArray", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+# Squared distances between coordinates beyond it would overflow.
+_LARGEST_COORDINATE = 1e100
+
 
 class Matches(NamedTuple):
-    """Distances in the clouds' unit and indices of the matched points; (N,) for one neighbour, (N, k) for k."""
+    """Nearest points, in the unit of the coordinates: one row for each query."""
 
-    distances: FloatArray
-    indices: IntArray
+    distances: NDArray[np.float64]
+    indices: NDArray[np.int64]
+
+
+class Neighborhoods(NamedTuple):
+    """Variable numbers of neighbours: those of query i are indices[offsets[i]:offsets[i + 1]], ascending."""
+
+    offsets: NDArray[np.int64]
+    indices: NDArray[np.int64]
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """The number of neighbours of each query (N,)."""
+        return np.diff(self.offsets)
+
+    def of(self, query: int) -> NDArray[np.int64]:
+        """The neighbours of one query, ascending."""
+        return self.indices[self.offsets[query] : self.offsets[query + 1]]
+
+
+class LocalPlanes(NamedTuple):
+    """Planes through the nearest points around some of the indexed points: one row for each.
+
+    normals (M, 3): unit, of either sign. variation (M,): smallest eigenvalue of the covariance over the sum of all
+    three, 0 to 1/3. spacings (M,): distance to the nearest other point.
+    """
+
+    normals: NDArray[np.float64]
+    variation: NDArray[np.float64]
+    spacings: NDArray[np.float64]
 
 
 class Index:
-    """Nearest-neighbour queries against a fixed set of points (N, 3)."""
+    """A search tree over points (N, 3), N >= 1: built in parallel, at most 40 bytes a point beside the points.
 
-    def __init__(self, points: FloatArray) -> None:
-        from scipy.spatial import cKDTree
+    The points are kept by reference when they are a C-contiguous float64 array, and must not change afterwards;
+    anything else is converted first. Raises InputError for another shape, no points, or coordinates that are not
+    finite. Ctrl-C stops building and searching.
+    """
 
-        if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-            raise InputError(f"expected points of shape (N, 3) with N >= 1, got {points.shape}")
-        self.points = points
-        # Sliding midpoints without shrunken boxes build three times faster and answer as fast on surfaces.
-        self._tree = cKDTree(points, leafsize=16, balanced_tree=False, compact_nodes=False)
+    def __init__(self, points: ArrayLike) -> None:
+        rows = _as_points(points, "points")
+        if len(rows) == 0:
+            raise InputError("points: expected at least one point, got none")
+        self.points: NDArray[np.float64] = rows.view()
+        self.points.flags.writeable = False
+        try:
+            self._tree = _core.PointIndex(rows)
+        except ValueError as error:
+            _explain(error, rows, "points")
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def query(self, queries: FloatArray, k: int = 1) -> Matches:
-        """The k nearest points of each query (M, 3), nearest first.
+    @property
+    def nbytes(self) -> int:
+        """Memory of the tree in bytes, without the points."""
+        return self._tree.bytes
 
-        Raises:
-            InputError: there are fewer than k points.
+    def query(self, queries: ArrayLike, k: int = 1, *, hint: ArrayLike | None = None) -> Matches:
+        """Distances to the k nearest points, in the unit of the coordinates.
+
+        queries (M, 3); k = 1 gives arrays (M,), k > 1 gives (M, k) sorted by (distance, index). `hint` (M,) holds an
+        index near each answer, such as the answer before a small motion: it speeds up a search with k = 1 and never
+        changes its result. Raises InputError when k exceeds the number of points.
         """
-        if k > len(self):
-            raise InputError(f"expected at least {k} points to find {k} neighbours, got {len(self)}")
-        distances, indices = self._tree.query(queries, k=k, workers=_threads())
-        return Matches(np.asarray(distances), np.asarray(indices, dtype=np.int64))
+        wanted = _as_points(queries, "queries")
+        if not 1 <= k <= len(self):
+            raise InputError(f"k: expected 1 to {len(self)} (the number of points), got {k}")
+        hints = None if hint is None else self._as_rows(hint, "hint")
+        if hints is not None and len(hints) != len(wanted):
+            raise InputError(f"hint: expected one index for each of the {len(wanted)} queries, got {len(hints)}")
+        shape = (len(wanted),) if k == 1 else (len(wanted), k)
+        found = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
+        try:
+            if k == 1:
+                self._tree.nearest(wanted, hints, *found)
+            else:
+                self._tree.knearest(wanted, *found)
+        except ValueError as error:
+            _explain(error, wanted, "queries")
+        return found
 
-    def nearest_other(self, which: IntArray | None = None) -> Matches:
-        """For each point (or those of `which`) its nearest other point, at distance 0 where it has a duplicate.
+    def query_radius(self, queries: ArrayLike, radius: float) -> Neighborhoods:
+        """The points whose squared distance to each query (M, 3) is at most radius * radius."""
+        wanted = _as_points(queries, "queries")
+        _check_length(radius, "radius")
+        try:
+            return Neighborhoods(*self._tree.in_balls(wanted, radius))
+        except ValueError as error:
+            _explain(error, wanted, "queries")
 
-        Raises:
-            InputError: there is one point only.
+    def query_cylinder(self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float) -> Neighborhoods:
+        """The points p in a cylinder around each origin (M, 3) along its unit axis (M, 3).
+
+        With d = p - origin: |d . axis| <= half_length and |d - (d . axis) axis| <= radius.
         """
-        own = np.arange(len(self)) if which is None else which
-        matches = self.query(self.points[own], k=2)
-        # Among duplicates the point itself need not come first.
-        other = (matches.indices[:, 0] == own).astype(np.int64)
-        rows = np.arange(len(own))
-        return Matches(matches.distances[rows, other], matches.indices[rows, other])
+        centers, directions = _as_points(origins, "origins"), _as_points(axes, "axes")
+        _check_length(radius, "radius")
+        _check_length(half_length, "half_length")
+        if len(centers) != len(directions):
+            raise InputError(f"axes: expected one for each of the {len(centers)} origins, got {len(directions)}")
+        lengths = np.linalg.norm(directions, axis=1)
+        unit = np.abs(lengths - 1.0) <= 1e-6
+        if not unit.all():
+            row = int(np.argmin(unit))
+            raise InputError(f"axes: expected unit vectors, got length {lengths[row]:g} in row {row}")
+        try:
+            return Neighborhoods(*self._tree.in_cylinders(centers, directions, radius, half_length))
+        except ValueError as error:
+            _explain(error, centers, "origins")
+
+    def nearest_other(self) -> Matches:
+        """Distance from each indexed point to its nearest other point (another index; a duplicate is at distance 0)."""
+        if len(self) < 2:
+            raise InputError("nearest_other: expected an index of at least two points, got one")
+        return self._matches_of(self)
+
+    def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
+        """The plane through the k nearest points of each point, itself included, or of those in `rows` (M,)."""
+        if not 3 <= k <= len(self):
+            raise InputError(f"k: expected 3 to {len(self)} (the number of points), got {k}")
+        chosen = None if rows is None else self._as_rows(rows, "rows")
+        count = len(self) if chosen is None else len(chosen)
+        fits = LocalPlanes(np.empty((count, 3)), np.empty(count), np.empty(count))
+        self._tree.planes(k, chosen, *fits)
+        return fits
+
+    def _matches_of(self, queries: "Index") -> Matches:
+        found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
+        self._tree.nearest_of(queries._tree, *found)
+        return found
+
+    def _as_rows(self, values: ArrayLike, name: str) -> NDArray[np.int64]:
+        rows: NDArray[Any] = np.asarray(values)
+        if rows.ndim != 1 or (len(rows) and rows.dtype.kind not in "iu"):
+            raise InputError(f"{name}: expected indices of shape (M,), got {rows.dtype} {rows.shape}")
+        if len(rows) and not (rows.min() >= 0 and rows.max() < len(self)):
+            raise InputError(f"{name}: expected indices from 0 to {len(self) - 1}, got {rows.min()} to {rows.max()}")
+        return np.ascontiguousarray(rows, np.int64)
 
 
-def _threads() -> int:
-    # One knob for the whole package: OpenMP's, which batch systems and tests already set.
-    limit = os.environ.get("OMP_NUM_THREADS", "")
-    available = len(os.sched_getaffinity(0))
-    return min(int(limit), available) if limit.isdigit() and int(limit) > 0 else available
+def match_both_ways(reference: Index, candidate: Index) -> tuple[Matches, Matches]:
+    """Nearest distances in both directions: candidate -> reference, then reference -> candidate.
+
+    The queries come from the other tree, where they are sorted in space already: about a third faster than `query`.
+    """
+    if reference is candidate:
+        itself = reference.query(reference.points)
+        return itself, itself
+    return reference._matches_of(candidate), candidate._matches_of(reference)
+
+
+def _as_points(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    array: NDArray[Any] = np.asarray(values)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+        raise InputError(f"{name}: expected real numbers of shape (N, 3), got {array.dtype} {array.shape}")
+    return np.ascontiguousarray(array, np.float64)
+
+
+def _check_length(value: float, name: str) -> None:
+    if not 0 <= value <= _LARGEST_COORDINATE:
+        raise InputError(f"{name}: expected a finite length of at least 0, got {value}")
+
+
+def _explain(error: ValueError, rows: NDArray[np.float64], name: str) -> NoReturn:
+    """The kernels check coordinates as they read them; which one is wrong is only looked up when one is."""
+    wrong = ~(np.abs(rows) <= _LARGEST_COORDINATE)
+    if not wrong.any():
+        raise error
+    row = int(np.argmax(wrong.any(axis=1)))
+    expected = f"expected finite coordinates of at most {_LARGEST_COORDINATE:g}"
+    raise InputError(f"{name}: {expected}, got {rows[row].tolist()} in row {row}; remove such points first") from error

@@ -11,9 +11,6 @@ from pcbench.errors import InputError
 from pcbench.native import _core
 from pcbench.neighbors import FloatArray, Index, IntArray
 
-_CHUNK = 1 << 18  # rows of neighbours held at once: 40 MB at k = 20
-
-
 class Normals(NamedTuple):
     """Unit normals (M, 3), their sign chosen upwards, and surface variation (M,): 0 flat, 1/3 shapeless."""
 
@@ -33,12 +30,8 @@ def estimate_normals(index: Index, k: int = 20, which: IntArray | None = None) -
     k = min(k, len(index))
     if k < 3:
         raise InputError(f"expected at least 3 points to estimate normals, got {k}")
-    own = np.arange(len(index)) if which is None else which
-    chunks = [own[start : start + _CHUNK] for start in range(0, len(own), _CHUNK)]
-    fits = [plane_normals(index.points, index.query(index.points[rows], k).indices) for rows in chunks]
-    directions = np.concatenate([fit.directions for fit in fits]) if fits else np.empty((0, 3))
-    variation = np.concatenate([fit.variation for fit in fits]) if fits else np.empty(0)
-    return Normals(orient_up(directions), variation)
+    planes = index.local_planes(k, which)
+    return Normals(orient_up(planes.normals), planes.variation)
 
 
 def plane_normals(points: FloatArray, neighbors: IntArray) -> Normals:

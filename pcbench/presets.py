@@ -8,10 +8,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench import metrics
-from pcbench.neighbors import FloatArray, Index, IntArray, Matches
+from pcbench.neighbors import FloatArray, Index, IntArray, Matches, match_both_ways
 from pcbench.voxels import cell_means
 
 NAMES = ("gao2025", "mpeg", "open3d", "pdal", "tnt")
@@ -20,52 +19,23 @@ _TIE = 1e-8  # pc_error takes squared distances this close as equal
 _MOST_TIES = 30
 
 
-class Side(NamedTuple):
-    """One hard-cropped cloud and its two nearest neighbours in the other: (N, 2), nearest first."""
-
-    points: FloatArray
-    matches: Matches
-
-    @property
-    def distances(self) -> FloatArray:
-        return self.matches.distances[:, 0]
-
-    @property
-    def indices(self) -> IntArray:
-        return self.matches.indices[:, 0]
-
-
 class Pair(NamedTuple):
-    """Reference and candidate after a hard crop."""
+    """Reference and candidate after a hard crop, and the nearest points both ways."""
 
-    reference: Side
-    candidate: Side
+    reference: Index
+    candidate: Index
+    to_reference: Matches  # of the candidate's points
+    to_candidate: Matches  # of the reference's points
+    nearest_other: Matches | None  # inside the reference; None for a single point
     normals: FloatArray | None  # (N, 3) of the reference, unit length
     raw_normals: FloatArray | None  # the same as they were given, where they were
 
 
-def two_nearest(index: Index, queries: FloatArray) -> Matches:
-    """The nearest and the second nearest point of each query, (N, 2); where there is one point only, Inf and 0."""
-    if len(index) >= 2:
-        return index.query(queries, k=2)
-    matches = index.query(queries)
-    return Matches(
-        np.stack([matches.distances, np.full(len(queries), np.inf)], axis=1),
-        np.stack([matches.indices, np.zeros(len(queries), np.int64)], axis=1),
-    )
-
-
-def crop_matches(queries: FloatArray, matches: Matches, points: FloatArray, kept: NDArray[np.bool_]) -> Matches:
-    """Matches (N, 2) of queries against all `points`, as they are when only the `kept` points exist."""
-    if kept.all():
-        return matches
-    inside = kept[matches.indices].all(axis=1)
-    number = np.cumsum(kept) - 1
-    distances, indices = matches.distances.copy(), number[matches.indices]
-    if not inside.all():  # only queries near the cut have lost a neighbour
-        again = two_nearest(Index(points[kept]), queries[~inside])
-        distances[~inside], indices[~inside] = again
-    return Matches(distances, indices)
+def match(reference: Index, candidate: Index, normals: FloatArray | None, raw_normals: FloatArray | None) -> Pair:
+    """The pair with everything its presets need to know of neighbours."""
+    to_reference, to_candidate = match_both_ways(reference, candidate)
+    other = reference.nearest_other() if len(reference) > 1 else None
+    return Pair(reference, candidate, to_reference, to_candidate, other, normals, raw_normals)
 
 
 def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> dict[str, Any]:
@@ -75,22 +45,24 @@ def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> dict[str, Any]:
     Chamfer is the sum of both mean squares. The paper's "point to surface" is read in two ways, both named: `d2_mse` to
     tangent planes of the reference, `d2_poisson_mse` to its Poisson mesh (None unless that was asked for).
     """
-    a, b = pair.candidate, pair.reference
+    a, feet = pair.to_reference
+    b = pair.to_candidate.distances
     d2 = None
     if pair.normals is not None:
-        d2 = metrics.mean_square(metrics.plane_distances(a.points, b.points[a.indices], pair.normals[a.indices]))
+        points = pair.candidate.points
+        d2 = metrics.mean_square(metrics.plane_distances(points, pair.reference.points[feet], pair.normals[feet]))
     return {
-        "d1_mse": metrics.mean_square(a.distances),
+        "d1_mse": metrics.mean_square(a),
         "d2_mse": d2,
         "d2_poisson_mse": None if to_poisson is None else metrics.mean_square(to_poisson),
-        "hausdorff": metrics.hausdorff(a.distances, b.distances),
-        "chamfer": metrics.chamfer_squared(a.distances, b.distances),
+        "hausdorff": metrics.hausdorff(a, b),
+        "chamfer": metrics.chamfer_squared(a, b),
     }
 
 
 def open3d(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
     """What Open3D's `t.geometry.PointCloud.compute_metrics` returns: unsquared Chamfer sum, Hausdorff, F-scores."""
-    a, b = pair.candidate.distances, pair.reference.distances
+    a, b = pair.to_reference.distances, pair.to_candidate.distances
     return {
         "chamfer": metrics.chamfer_unsquared(a, b),
         "hausdorff": metrics.hausdorff(a, b),
@@ -100,7 +72,7 @@ def open3d(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
 
 def pdal(pair: Pair) -> dict[str, Any]:
     """What `pdal chamfer` and `pdal hausdorff` print: the SUM of squares both ways, and the largest distance."""
-    a, b = pair.candidate.distances, pair.reference.distances
+    a, b = pair.to_reference.distances, pair.to_candidate.distances
     return {
         "chamfer": float(np.sum(np.square(a))) + float(np.sum(np.square(b))),
         "hausdorff": metrics.hausdorff(a, b),
@@ -113,9 +85,9 @@ def tnt(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
     """
     rows = []
     for threshold in thresholds:
-        reference, candidate = (_voxel_down(side.points, threshold / 2) for side in (pair.reference, pair.candidate))
-        a, b = Index(reference).query(candidate).distances, Index(candidate).query(reference).distances
-        rows.append(metrics.fscore(a, b, threshold)._asdict())
+        thinned = (Index(_voxel_down(cloud.points, threshold / 2)) for cloud in (pair.reference, pair.candidate))
+        a, b = match_both_ways(*thinned)
+        rows.append(metrics.fscore(a.distances, b.distances, threshold)._asdict())
     return {"fscore": rows}
 
 
@@ -124,25 +96,24 @@ def _voxel_down(points: FloatArray, side: float) -> FloatArray:
     return cell_means(points, side, points.min(axis=0) - side / 2)
 
 
-def mpeg(pair: Pair, peak: float) -> dict[str, Any]:
+def mpeg(pair: Pair) -> dict[str, Any]:
     """MPEG's pc_error (mpeg-pcc-dmetric 0.14.2), a = reference, b = candidate; Hausdorff distances are SQUARED.
 
     Duplicate points are merged first. D2 takes the target's normals; the candidate's are averaged from the
-    reference's, neither oriented nor scaled to length one again. Ties are averaged. Coordinate differences are rounded
-    to float32 as in pc_error, for its printed digits; the coordinates are not, where its float32 loses up to several
-    per cent at UTM offsets.
+    reference's, neither oriented nor scaled to length one again. Ties are averaged. The peak is the largest distance
+    from a reference point to its nearest other one. Coordinate differences are rounded to float32 as in pc_error, for
+    its printed digits; the coordinates are not, where its float32 loses up to several per cent at UTM offsets.
     """
     pair = _merge_duplicates(pair)
-    a, b = pair.reference, pair.candidate
-    d1 = [_float32_squares(a.points, b.points[a.indices]), _float32_squares(b.points, a.points[b.indices])]
+    a, b = pair.reference.points, pair.candidate.points
+    d1 = [_float32_squares(a, b[pair.to_candidate.indices]), _float32_squares(b, a[pair.to_reference.indices])]
     d2: list[FloatArray] = []
-    if pair.raw_normals is not None:
-        ties_ab, ties_ba = _ties(a, b.points), _ties(b, a.points)
-        normals_b = _averaged_normals(pair.raw_normals, ties_ab, ties_ba, len(b.points))
-        d2 = [
-            _tied_plane_squares(a.points, b.points, normals_b, ties_ab),
-            _tied_plane_squares(b.points, a.points, pair.raw_normals, ties_ba),
-        ]
+    normals = pair.normals if pair.raw_normals is None else pair.raw_normals
+    if normals is not None:
+        ties_ab, ties_ba = _ties(a, pair.candidate, pair.to_candidate), _ties(b, pair.reference, pair.to_reference)
+        normals_b = _averaged_normals(normals, ties_ab, ties_ba, len(b))
+        d2 = [_tied_plane_squares(a, b, normals_b, ties_ab), _tied_plane_squares(b, a, normals, ties_ba)]
+    peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
 
     def both_ways(squares: list[FloatArray]) -> dict[str, float | None]:
         if not squares:
@@ -176,14 +147,13 @@ class _Ties(NamedTuple):
     indices: IntArray
 
 
-def _ties(side: Side, others: FloatArray) -> _Ties:
-    squared = np.square(side.matches.distances)
-    tied = np.flatnonzero(squared[:, 1] - squared[:, 0] < _TIE)
-    single = np.ones(len(squared), dtype=bool)
-    single[tied] = False
-    rows, indices = np.flatnonzero(single), side.indices[single]
+def _ties(queries: FloatArray, others: Index, nearest: Matches) -> _Ties:
+    squared = np.square(others.query(queries, k=min(2, len(others))).distances.reshape(len(queries), -1))
+    several = squared[:, -1] - squared[:, 0] < _TIE if len(others) > 1 else np.zeros(len(queries), dtype=bool)
+    single, tied = np.flatnonzero(~several), np.flatnonzero(several)
+    rows, indices = single, nearest.indices[single]
     if len(tied):
-        found = Index(others).query(side.points[tied], k=min(_MOST_TIES, len(others)))
+        found = others.query(queries[tied], k=min(_MOST_TIES, len(others)))
         near = np.square(found.distances)
         which, column = np.nonzero(near - near[:, :1] < _TIE)
         rows = np.concatenate([rows, tied[which]])
@@ -215,12 +185,8 @@ def _merge_duplicates(pair: Pair) -> Pair:
         return pair
     reference, first = np.unique(pair.reference.points, axis=0, return_index=True)
     candidate = np.unique(pair.candidate.points, axis=0)
-    return Pair(
-        Side(reference, two_nearest(Index(candidate), reference)),
-        Side(candidate, two_nearest(Index(reference), candidate)),
-        None if pair.normals is None else pair.normals[first],
-        None if pair.raw_normals is None else pair.raw_normals[first],
-    )
+    normals, raw = (None if n is None else n[first] for n in (pair.normals, pair.raw_normals))
+    return match(Index(reference), Index(candidate), normals, raw)
 
 
 def _has_duplicates(points: FloatArray) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcbench.cloud import Cloud, as_cloud
 from pcbench.errors import InputError, RegistrationError
-from pcbench.neighbors import FloatArray, Index, IntArray
+from pcbench.neighbors import FloatArray, Index, IntArray, Matches
 from pcbench.normals import Surface, plane_normals
 from pcbench.transform import Similarity, fit_similarity, read_matrix
 from pcbench.voxels import cell_keys, cell_means, robust_extent, thin, thin_to
@@ -175,9 +175,13 @@ def _iterate(
     step = _point_step if kind == "icp-point" else _plane_step
     radius, final = gate
     previous = np.inf
+    hint: IntArray | None = None  # where the last search ended: the next one starts there
     for iteration in range(1, _ITERATIONS + 1):
         annealing = radius > final
-        pairs = _match(target, T.apply(sample), radius, robust=not annealing)
+        moved = T.apply(sample)
+        nearest = target.index.query(moved, hint=hint)
+        hint = nearest.indices
+        pairs = _weigh(target, moved, nearest, radius, robust=not annealing)
         if len(pairs.weights) < max(10, 0.01 * len(sample)) or pairs.weights.sum() < 6:
             raise RegistrationError(
                 f"the candidate does not overlap the reference: {len(pairs.weights)} of {len(sample)} sampled points"
@@ -202,8 +206,8 @@ def _iterate(
     return T, _ITERATIONS, False
 
 
-def _match(target: Surface, moved: FloatArray, radius: float, *, robust: bool) -> _Pairs:
-    distances, indices = target.index.query(moved)
+def _weigh(target: Surface, moved: FloatArray, nearest: Matches, radius: float, *, robust: bool) -> _Pairs:
+    distances, indices = nearest
     near = distances <= radius
     moved, distances, indices = moved[near], distances[near], indices[near]
     feet, normals = target.points[indices], target.normals(indices)
@@ -267,13 +271,14 @@ def _assess(
 ) -> _Quality:
     """Residual, overlap and what the geometry fixes, at a transform that is taken as it is."""
     moved = T.apply(sample)
-    nearest = target.index.query(moved).distances
+    nearest = target.index.query(moved)
+    distances = nearest.distances
     # On the reference: nearer than the gate, or than three robust sigmas where the noise is larger than the gate.
-    within = max(reach, 3 * _mad(nearest[nearest <= np.median(nearest)]))
-    overlap = float(np.mean(nearest <= within))
-    pairs = _match(target, moved, within, robust=True) if len(target) >= 3 else None
+    within = max(reach, 3 * _mad(distances[distances <= np.median(distances)]))
+    overlap = float(np.mean(distances <= within))
+    pairs = _weigh(target, moved, nearest, within, robust=True) if len(target) >= 3 else None
     if pairs is None or np.count_nonzero(pairs.weights) < 10:
-        rms = float(np.sqrt(np.mean(np.square(nearest))))
+        rms = float(np.sqrt(np.mean(np.square(distances))))
         return _Quality(rms, overlap, (), None, ["too few points to say what the geometry fixes"])
     pairs = pairs.take(pairs.weights > 0)
     errors = pairs.residuals if plane else pairs.distances
@@ -436,7 +441,7 @@ def _spacing(index: Index) -> float:
     if len(index) < 2:
         return 0.0
     which = np.arange(0, len(index), max(1, len(index) // 20_000))
-    distances = index.nearest_other(which).distances
+    distances = index.query(index.points[which], k=2).distances[:, 1]
     positive = distances[distances > 0]  # duplicates say nothing about spacing
     return float(np.median(positive)) if len(positive) else 0.0
 

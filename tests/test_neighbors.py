@@ -1,52 +1,391 @@
-"""Exact search: brute force in float64 on every kind of cloud."""
+"""The search against a brute force in numpy that shares no code with it: equal to the last bit, ties by index."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
 
 import numpy as np
-import oracles
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from pcbench.errors import InputError
-from pcbench.neighbors import Index
-
-RNG = np.random.default_rng(1)
-CLOUDS = {
-    "uniform": RNG.random((400, 3)),
-    "clustered": np.concatenate([RNG.normal(c, 0.01, (100, 3)) for c in range(4)]),
-    "planar": RNG.random((400, 3)) * [1, 1, 0],
-    "collinear": RNG.random((300, 1)) * [1.0, 2.0, 3.0],
-    "duplicates": np.repeat(RNG.random((80, 3)), 4, axis=0),
-    "far": RNG.random((400, 3)) + [5e5, 4.8e6, 100.0],
-    "single": RNG.random((1, 3)),
-}
+from pcbench.neighbors import Index, match_both_ways
 
 
-@pytest.mark.parametrize("name", CLOUDS)
-def test_nearest_equals_brute_force(name):
-    points = CLOUDS[name]
-    queries = np.concatenate([points[:50], points[:50] + 0.1, points.mean(axis=0) + RNG.normal(0, 2, (50, 3))])
-    distances, indices = Index(points).query(queries)
-    expected, _ = oracles.nearest(queries, points)
-    # 1e-12 of the distance, or the rounding of the coordinates themselves.
-    np.testing.assert_allclose(distances, expected, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(np.linalg.norm(queries - points[indices], axis=1), expected, rtol=1e-12, atol=1e-15)
-    assert indices.dtype == np.int64
+def squared_distances(queries, points):
+    """(M, N), evaluated in the promised order; numpy never fuses a multiplication and an addition."""
+    x, y, z = (queries[:, None, a] - points[None, :, a] for a in range(3))
+    return (x * x + y * y) + z * z
 
 
-@pytest.mark.parametrize("name", [name for name in CLOUDS if name != "single"])
-def test_k_nearest_and_leave_one_out(name):
-    points = CLOUDS[name]
+def brute_nearest(queries, points, k=1):
+    squared = squared_distances(queries, points)
+    order = np.argsort(squared, axis=1, kind="stable")[:, :k]  # stable: ties stay in the order of the index
+    distances = np.sqrt(np.take_along_axis(squared, order, axis=1))
+    return (distances[:, 0], order[:, 0]) if k == 1 else (distances, order)
+
+
+def assert_matches(found, expected):
+    np.testing.assert_array_equal(found.distances, expected[0])
+    np.testing.assert_array_equal(found.indices, expected[1])
+    assert found.distances.dtype == np.float64 and found.indices.dtype == np.int64
+
+
+def uniform(rng, n):
+    return rng.uniform(-1, 1, (n, 3))
+
+
+def clustered(rng, n):
+    centers = rng.uniform(-1000, 1000, (12, 3))
+    return centers[rng.integers(0, 12, n)] + rng.normal(0, 1, (n, 3)) * 10.0 ** rng.uniform(-4, 1, (n, 1))
+
+
+def planar(rng, n):
+    return np.column_stack([rng.uniform(-50, 50, (n, 2)), np.full(n, 3.25)])
+
+
+def oblique_plane(rng, n):
+    return rng.uniform(-50, 50, (n, 2)) @ np.array([[0.6, 0.64, 0.48], [0.8, -0.48, -0.36]])
+
+
+def collinear(rng, n):
+    return rng.uniform(-1, 1, (n, 1)) * np.array([[3.0, -2.0, 0.5]])
+
+
+def duplicated(rng, n):
+    return rng.uniform(0, 1, (max(1, n // 5), 3))[rng.integers(0, max(1, n // 5), n)]
+
+
+def grid(rng, n):
+    return rng.integers(0, 8, (n, 3)).astype(np.float64)
+
+
+def identical(rng, n):
+    return np.full((n, 3), 7.5)
+
+
+def half_at_the_origin(rng, n):
+    return np.where(rng.random((n, 1)) < 0.5, 0.0, rng.uniform(-5, 5, (n, 3)))
+
+
+def utm(rng, n):
+    return rng.uniform(0, 300, (n, 3)) + np.array([5e5, 4.8e6, 100.0])
+
+
+def tiny(rng, n):
+    return rng.uniform(-1e-12, 1e-12, (n, 3))
+
+
+def huge(rng, n):
+    return rng.uniform(-1e12, 1e12, (n, 3))
+
+
+def far_outlier(rng, n):
+    points = rng.uniform(0, 1, (n, 3))
+    points[0] = 1e12
+    return points
+
+
+SHAPES = [
+    uniform, clustered, planar, oblique_plane, collinear, duplicated, grid, identical, half_at_the_origin, utm, tiny,
+    huge, far_outlier,
+]  # fmt: skip
+
+
+@pytest.fixture(params=SHAPES, ids=lambda shape: shape.__name__)
+def shape(request):
+    return request.param
+
+
+def near_and_far_queries(rng, points, n):
+    extent = np.ptp(points, axis=0).max() or 1.0
+    picked = points[rng.integers(0, len(points), n)]
+    return np.concatenate(
+        [
+            picked,
+            picked + rng.normal(0, 0.01 * extent, picked.shape),
+            picked + rng.normal(0, 30 * extent, picked.shape),
+            picked[:5] + 1e9 * extent,
+        ]
+    )
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 8, 9, 63, 64, 65, 520, 3000])
+def test_nearest_equals_brute_force(shape, n):
+    rng = np.random.default_rng(n)
+    points = shape(rng, n)
+    queries = near_and_far_queries(rng, points, 150)
+    assert_matches(Index(points).query(queries), brute_nearest(queries, points))
+
+
+@pytest.mark.parametrize("k", [2, 5, 20, 200])
+def test_k_nearest_equals_brute_force(shape, k):
+    rng = np.random.default_rng(k)
+    points = shape(rng, 1500)
+    queries = near_and_far_queries(rng, points, 60)
+    assert_matches(Index(points).query(queries, k), brute_nearest(queries, points, k))
+
+
+def test_all_points_are_neighbors_when_k_is_their_number(shape):
+    rng = np.random.default_rng(3)
+    points = shape(rng, 77)
+    assert_matches(Index(points).query(points, 77), brute_nearest(points, points, 77))
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    points=hnp.arrays(np.float64, st.tuples(st.integers(1, 150), st.just(3)), elements=st.floats(-1e100, 1e100)),
+    queries=hnp.arrays(np.float64, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e100, 1e100)),
+)
+def test_any_finite_coordinates(points, queries):
     index = Index(points)
-    np.testing.assert_allclose(index.query(points, 7).distances, oracles.k_nearest(points, points, 7)[0], atol=1e-9)
-    other = index.nearest_other()
-    np.testing.assert_allclose(other.distances, oracles.leave_one_out(points), rtol=1e-12, atol=1e-15)
-    assert (other.indices != np.arange(len(points))).all()
-    some = np.array([5, 0, 17])
-    np.testing.assert_array_equal(index.nearest_other(some).distances, other.distances[some])
+    assert_matches(index.query(queries), brute_nearest(queries, points))
+    if len(points) > 1:
+        assert_matches(index.query(queries, 2), brute_nearest(queries, points, 2))
 
 
-def test_refusals():
-    with pytest.raises(InputError, match=r"expected points of shape \(N, 3\)"):
-        Index(np.empty((0, 3)))
-    with pytest.raises(InputError, match="at least 3 points to find 3 neighbours, got 2"):
-        Index(RNG.random((2, 3))).query(RNG.random((1, 3)), k=3)
-    with pytest.raises(InputError, match="at least 2 points"):
-        Index(RNG.random((1, 3))).nearest_other()
+def test_a_million_points_agree_with_scipy():
+    scipy_spatial = pytest.importorskip("scipy.spatial")
+    rng = np.random.default_rng(11)
+    points, queries = clustered(rng, 1_000_000), clustered(rng, 50_000)
+    found = Index(points).query(queries)
+    _, expected = scipy_spatial.cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries, workers=-1)
+    x, y, z = (queries - points[expected]).T
+    np.testing.assert_array_equal(found.distances, np.sqrt((x * x + y * y) + z * z))
+    np.testing.assert_array_equal(found.indices, expected)
+
+
+def test_a_hint_never_changes_the_result(shape):
+    rng = np.random.default_rng(4)
+    points = shape(rng, 700)
+    queries = near_and_far_queries(rng, points, 100)
+    index, expected = Index(points), brute_nearest(queries, points)
+    assert_matches(index.query(queries, hint=expected[1]), expected)
+    assert_matches(index.query(queries, hint=rng.integers(0, 700, len(queries))), expected)
+
+
+@pytest.mark.parametrize("n", [2, 8, 9, 65, 900])
+def test_nearest_other_leaves_out_the_point_itself(shape, n):
+    points = shape(np.random.default_rng(n), n)
+    squared = squared_distances(points, points)
+    np.fill_diagonal(squared, np.inf)
+    indices = squared.argmin(axis=1)
+    assert_matches(Index(points).nearest_other(), (np.sqrt(squared[np.arange(n), indices]), indices))
+
+
+def test_both_ways_equal_two_queries(shape):
+    rng = np.random.default_rng(5)
+    reference, candidate = shape(rng, 1100), shape(rng, 333)
+    to_reference, to_candidate = match_both_ways(Index(reference), Index(candidate))
+    assert_matches(to_reference, brute_nearest(candidate, reference))
+    assert_matches(to_candidate, brute_nearest(reference, candidate))
+
+
+def test_an_index_matched_with_itself_finds_every_point():
+    index = Index(uniform(np.random.default_rng(6), 50))
+    for found in match_both_ways(index, index):
+        assert_matches(found, (np.zeros(50), np.arange(50)))
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.03, 0.3, 10.0])
+def test_radius_equals_brute_force(shape, fraction):
+    rng = np.random.default_rng(7)
+    points = shape(rng, 400)
+    queries = near_and_far_queries(rng, points, 40)
+    radius = fraction * (np.ptp(points, axis=0).max() or 1.0)
+    inside = squared_distances(queries, points) <= radius * radius
+    found = Index(points).query_radius(queries, radius)
+    np.testing.assert_array_equal(found.counts, inside.sum(axis=1))
+    np.testing.assert_array_equal(found.indices, np.nonzero(inside)[1])
+    np.testing.assert_array_equal(found.of(3), np.nonzero(inside[3])[0])
+
+
+@pytest.mark.parametrize("radius, half_length", [(0.0, 0.2), (0.02, 0.5), (0.2, 0.01), (0.3, 0.0), (2.0, 2.0)])
+def test_cylinder_equals_brute_force(shape, radius, half_length):
+    rng = np.random.default_rng(8)
+    points = shape(rng, 600)
+    extent = np.ptp(points, axis=0).max() or 1.0
+    radius, half_length = radius * extent, half_length * extent
+    origins = near_and_far_queries(rng, points, 40)
+    axes = rng.normal(size=origins.shape)
+    axes[::7] = [0, 0, 1]
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    dx, dy, dz = (points[None, :, a] - origins[:, None, a] for a in range(3))
+    ax, ay, az = (axes[:, None, a] for a in range(3))
+    along = (dx * ax + dy * ay) + dz * az
+    ex, ey, ez = dx - along * ax, dy - along * ay, dz - along * az
+    inside = (np.abs(along) <= half_length) & ((ex * ex + ey * ey) + ez * ez <= radius * radius)
+    found = Index(points).query_cylinder(origins, axes, radius, half_length)
+    np.testing.assert_array_equal(found.counts, inside.sum(axis=1))
+    np.testing.assert_array_equal(found.indices, np.nonzero(inside)[1])
+
+
+def neighborhood_eigen(points, k):
+    """Eigenvalues (N, 3) ascending and eigenvectors of the covariance of each point's k nearest, by LAPACK."""
+    near = points[brute_nearest(points, points, k)[1]] - points[:, None]
+    near -= near.mean(axis=1, keepdims=True)
+    return np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
+
+
+@pytest.mark.parametrize("k", [3, 8, 20, 150])
+def test_local_planes_equal_lapack(shape, k):
+    points = shape(np.random.default_rng(k), 600)
+    fits = Index(points).local_planes(k)
+    values, vectors = neighborhood_eigen(points, k)
+    total = values.sum(axis=1)
+    share = np.where(total > 0, np.maximum(values[:, 0], 0) / np.where(total > 0, total, 1), 0)
+    # Sums of up to 150 products, each rounded at 1e-16 of the spread of the points.
+    np.testing.assert_allclose(fits.variation, share, rtol=0, atol=3e-14)
+    np.testing.assert_allclose(np.linalg.norm(fits.normals, axis=1), 1, atol=1e-15)
+    separated = values[:, 1] - values[:, 0] > 1e-3 * values[:, 2]
+    sine = np.linalg.norm(np.cross(fits.normals, vectors[:, :, 0]), axis=1)
+    assert sine[separated].max(initial=0) < 1e-9
+    np.testing.assert_array_equal(fits.spacings, Index(points).nearest_other().distances)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-9, 1e-6])
+def test_normals_of_nearly_flat_neighborhoods_keep_their_digits(noise):
+    rng = np.random.default_rng(13)
+    points = oblique_plane(rng, 2000) + rng.normal(0, noise, (2000, 3)) + np.array([5e5, 4.8e6, 100.0]) * (noise > 1e-9)
+    values, vectors = neighborhood_eigen(points, 12)
+    sine = np.linalg.norm(np.cross(Index(points).local_planes(12).normals, vectors[:, :, 0]), axis=1)
+    assert sine[values[:, 1] > 1e-3 * values[:, 2]].max() < 1e-9
+
+
+def test_local_planes_of_some_rows_are_those_of_all(shape):
+    rng = np.random.default_rng(14)
+    index = Index(shape(rng, 900))
+    rows = rng.integers(0, 900, 250)
+    some, every = index.local_planes(9, rows), index.local_planes(9)
+    np.testing.assert_array_equal(some.spacings, every.spacings[rows])
+    # The same neighbours, summed in another order: rounding only.
+    np.testing.assert_allclose(some.variation, every.variation[rows], rtol=0, atol=1e-14)
+    assert index.local_planes(9, np.empty(0, np.int64)).normals.shape == (0, 3)
+
+
+def test_no_queries_give_empty_answers():
+    index, none = Index(np.zeros((3, 3))), np.empty((0, 3))
+    assert index.query(none).distances.shape == (0,)
+    assert index.query(none, 2).indices.shape == (0, 2)
+    assert index.query_radius(none, 1.0).counts.shape == (0,)
+    assert index.query_cylinder(none, none, 1.0, 1.0).offsets.tolist() == [0]
+
+
+def test_points_are_kept_by_reference_and_read_only():
+    points = uniform(np.random.default_rng(9), 10)
+    index = Index(points)
+    assert np.shares_memory(index.points, points) and not index.points.flags.writeable and points.flags.writeable
+    assert Index(points.astype(np.float32)).points.dtype == np.float64
+    assert len(Index(points[::2])) == 5
+
+
+def test_memory_is_at_most_40_bytes_a_point():
+    assert Index(uniform(np.random.default_rng(10), 500_000)).nbytes <= 40 * 500_000
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: Index(np.empty((0, 3))), "points: expected at least one point, got none"),
+        (lambda: Index(np.zeros((4, 2))), r"points: expected real numbers of shape \(N, 3\), got float64 \(4, 2\)"),
+        (lambda: Index([["a", "b", "c"]]), "points: expected real numbers"),
+        (lambda: Index([[0, 0, 0], [0, np.nan, 0]]), "points: expected finite coordinates .* in row 1"),
+        (lambda: Index([[0, 0, -1e101]]), "points: expected finite coordinates of at most 1e"),
+        (lambda: Index(np.zeros((3, 3))).query([[np.inf, 0, 0]]), "queries: expected finite coordinates"),
+        (lambda: Index(np.zeros((3, 3))).query([0, 0, 0]), "queries: expected real numbers"),
+        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 4), "k: expected 1 to 3 .* got 4"),
+        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 0), "k: expected 1 to 3 .* got 0"),
+        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[3]), "hint: expected indices from 0 to 2"),
+        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[0, 1]), "hint: expected one index for each"),
+        (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0), "radius: expected a finite length"),
+        (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan), "radius: expected a finite length"),
+        (lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1), "unit vectors, got length 2"),
+        (lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], np.eye(3), 1, 1), "axes: expected one for each"),
+        (lambda: Index(np.zeros((3, 3))).local_planes(4), "k: expected 3 to 3 .* got 4"),
+        (lambda: Index(np.zeros((3, 3))).local_planes(3, [-1]), "rows: expected indices from 0 to 2, got -1 to -1"),
+        (
+            lambda: Index(np.zeros((3, 3))).local_planes(3, [0.5]),
+            r"rows: expected indices of shape \(M,\), got float64",
+        ),
+        (lambda: Index(np.zeros((1, 3))).nearest_other(), "at least two points, got one"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+ANSWERS = """
+import hashlib, json, sys
+import numpy as np
+sys.path[:0] = {path!r}
+from test_neighbors import SHAPES
+from pcbench.native import _core
+from pcbench.neighbors import Index, match_both_ways
+
+digest = hashlib.sha256()
+for shape in SHAPES:
+    rng = np.random.default_rng(1)
+    a, b = shape(rng, 40_000 if shape.__name__ != "grid" else 4_000), shape(rng, 3_000)
+    index, axes = Index(a), np.tile([0.6, 0.0, 0.8], (20, 1))
+    extent = np.ptp(a, axis=0).max()
+    answers = [*match_both_ways(index, Index(b)), index.query(b), index.query(b[:500], 7), index.nearest_other()]
+    answers.append(index.local_planes(8, np.arange(0, len(a), 11)))
+    answers += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]
+    for answer in answers:
+        for array in answer:
+            digest.update(array.tobytes())
+print(json.dumps([_core.isa(), digest.hexdigest()]))
+"""
+
+
+def answers_with(**environment):
+    """A digest of many answers from a fresh process."""
+    script = ANSWERS.format(path=[str(Path(__file__).parent)])
+    return subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
+    )
+
+
+def test_the_same_bits_with_any_instruction_set_and_any_number_of_threads():
+    expected = answers_with(OMP_NUM_THREADS="1")
+    assert expected.returncode == 0, expected.stderr
+    digest = json.loads(expected.stdout)[1]
+    assert json.loads(answers_with(OMP_NUM_THREADS="3").stdout)[1] == digest
+    ran = []
+    for isa in ("baseline", "avx2", "avx512"):
+        done = answers_with(PCBENCH_ISA=isa, OMP_NUM_THREADS="2")
+        if done.returncode:
+            assert "PCBENCH_ISA: expected one that this machine runs" in done.stderr
+        else:
+            assert json.loads(done.stdout) == [isa, digest]
+            ran.append(isa)
+    assert "baseline" in ran
+
+
+def test_an_unknown_instruction_set_is_refused():
+    done = answers_with(PCBENCH_ISA="sse9")
+    assert done.returncode != 0
+    assert "PCBENCH_ISA: expected one that this machine runs (" in done.stderr and "got 'sse9'" in done.stderr
+
+
+def test_ctrl_c_stops_a_search():
+    points = uniform(np.random.default_rng(12), 100_000)
+    index = Index(points)
+    timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):  # uninterrupted, it takes about a minute
+        index.query(points, 1_500)
+    timer.join()
+    assert_matches(index.query(points[:9]), (np.zeros(9), np.arange(9)))
+
+
+def test_importing_the_room_costs_no_scipy():
+    script = "import sys, pcbench.neighbors; print('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout == "False\n"

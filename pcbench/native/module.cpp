@@ -1,22 +1,240 @@
 // The compiled core: loops over points that numpy cannot fuse. No Python objects inside the loops, the GIL released.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 
+#include <algorithm>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include <omp.h>
+
+#include "index.h"
 #include "normals.h"
 
 namespace nb = nanobind;
+
+namespace {
 
 template <typename T, typename... Shape>
 using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
 template <typename T, typename... Shape>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
+using Points = In<double, nb::shape<-1, 3>>;
+using Indices = In<int64_t, nb::shape<-1>>;
+
+constexpr const char* kBadCoordinate = "a coordinate is not finite or beyond 1e100";
+
+// True when Ctrl-C has raised KeyboardInterrupt, which then waits to be thrown.
+bool python_interrupts() {
+    nb::gil_scoped_acquire acquire;
+    return PyErr_CheckSignals() != 0;
+}
+
+// Runs a loop without the GIL; Ctrl-C ends it early and is raised here.
+template <typename Loop>
+void interruptible(Loop loop) {
+    pcbench::Interrupt interrupt(python_interrupts);
+    {
+        nb::gil_scoped_release release;
+        loop(interrupt);
+    }
+    if (interrupt.stopped()) throw nb::python_error();
+}
+
+// Queries are sorted in parts of this many, which bounds the memory.
+constexpr size_t kQueryPart = size_t{1} << 20;
+
+void check(bool holds, const char* message) {
+    if (!holds) throw nb::value_error(message);
+}
+
+// Hands the memory to numpy.
+auto to_numpy(pcbench::Block<int64_t> block, size_t count) {
+    int64_t* data = block.release();
+    return nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(data, {count}, nb::capsule(data, [](void* p) noexcept {
+                                                            pcbench::Free()(p);
+                                                        }));
+}
+
+class PointIndex {
+public:
+    explicit PointIndex(Points points) : points_(points) {
+        check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoRow, "Index: 1 to 2^32 - 2 points");
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            index_.emplace(points_.data(), points_.shape(0), interrupt);
+        });
+        check(index_->valid(), kBadCoordinate);
+    }
+
+    const pcbench::Tree& tree() const { return index_->tree(); }
+    size_t bytes() const { return index_->bytes(); }
+
+    void nearest(Points queries, std::optional<Indices> hints, Out<double, nb::shape<-1>> distances,
+                 Out<int64_t, nb::shape<-1>> indices) const {
+        const size_t count = queries.shape(0);
+        check(distances.shape(0) == count && indices.shape(0) == count, "nearest: one row for each query");
+        if (hints) {
+            check(hints->shape(0) == count, "nearest: one hint for each query");
+            for (size_t i = 0; i < count; ++i)
+                check(hints->data()[i] >= 0 && static_cast<size_t>(hints->data()[i]) < tree().count,
+                      "nearest: a hint lies outside the points");
+        }
+        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
+            pcbench::kernels().nearest(tree(), part.leaves.get(), part.leaf_count,
+                                       hints ? hints->data() + offset : nullptr, false, distances.data() + offset,
+                                       indices.data() + offset, interrupt);
+        });
+    }
+
+    void nearest_of(const PointIndex& queries, Out<double, nb::shape<-1>> distances,
+                    Out<int64_t, nb::shape<-1>> indices) const {
+        const pcbench::Tree& from = queries.tree();
+        check(distances.shape(0) == from.count && indices.shape(0) == from.count, "nearest_of: one row for each query");
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            pcbench::kernels().nearest(tree(), from.leaves, from.leaf_count, nullptr, &queries == this,
+                                       distances.data(), indices.data(), interrupt);
+        });
+    }
+
+    void knearest(Points queries, Out<double, nb::ndim<2>> distances, Out<int64_t, nb::ndim<2>> indices) const {
+        const size_t count = queries.shape(0), k = distances.shape(1);
+        check(distances.shape(0) == count && indices.shape(0) == count && indices.shape(1) == k,
+              "knearest: one row for each query, k columns");
+        check(k > 0 && k <= tree().count, "knearest: k must lie between 1 and the number of points");
+        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
+            pcbench::kernels().knearest(tree(), part.leaves.get(), part.leaf_count, k, distances.data() + k * offset,
+                                        indices.data() + k * offset, interrupt);
+        });
+    }
+
+    nb::tuple in_balls(Points centres, double radius) const {
+        return in_regions(centres, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
+                                       pcbench::Interrupt& interrupt) {
+            pcbench::kernels().in_balls(tree(), sorted.leaves.get(), sorted.leaf_count, radius, offsets, rows,
+                                        interrupt);
+        });
+    }
+
+    nb::tuple in_cylinders(Points origins, Points axes, double radius, double half_length) const {
+        check(axes.shape(0) == origins.shape(0), "in_cylinders: one axis for each origin");
+        return in_regions(origins, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
+                                       pcbench::Interrupt& interrupt) {
+            pcbench::kernels().in_cylinders(tree(), sorted.leaves.get(), sorted.leaf_count, axes.data(), radius,
+                                            half_length, offsets, rows, interrupt);
+        });
+    }
+
+    void planes(size_t k, std::optional<Indices> rows, Out<double, nb::shape<-1, 3>> normals,
+                Out<double, nb::shape<-1>> variation, std::optional<Out<double, nb::shape<-1>>> spacing) const {
+        const size_t count = rows ? rows->shape(0) : tree().count;
+        check(normals.shape(0) == count && variation.shape(0) == count && (!spacing || spacing->shape(0) == count),
+              "planes: one row for each point asked for");
+        check(k > 1 && k <= tree().count, "planes: k must lie between 2 and the number of points");
+        pcbench::Block<double> picked;
+        if (rows) {
+            picked = pcbench::allocate<double>(3 * count);
+            for (size_t i = 0; i < count; ++i) {
+                const int64_t row = rows->data()[i];
+                check(row >= 0 && static_cast<size_t>(row) < tree().count, "planes: a row lies outside the points");
+                std::copy_n(tree().points + 3 * row, 3, picked.get() + 3 * i);
+            }
+        }
+        const pcbench::Kernels& kernels = pcbench::kernels();
+        const size_t stride = (kernels.plane_scratch_bytes(k) + 4095) / 4096 * 4096 / sizeof(double);
+        const size_t threads = static_cast<size_t>(omp_get_max_threads());
+        const pcbench::Block<double> memory = pcbench::allocate<double>(stride * threads);
+        std::vector<double*> scratch;
+        for (size_t t = 0; t < threads; ++t) scratch.push_back(memory.get() + t * stride);
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            const auto fit = [&](const pcbench::Leaf* queries, size_t leaf_count) {
+                kernels.planes(tree(), queries, leaf_count, rows ? rows->data() : nullptr, k, normals.data(),
+                               variation.data(), spacing ? spacing->data() : nullptr, scratch.data(), interrupt);
+            };
+            if (!rows) return fit(tree().leaves, tree().leaf_count);
+            if (count == 0) return;
+            const pcbench::SortedPoints sorted(picked.get(), count, interrupt);
+            if (!interrupt.requested()) fit(sorted.leaves.get(), sorted.leaf_count);
+        });
+    }
+
+private:
+    // Counts first, then fills: no list grows, and the result is as large as it needs to be.
+    template <typename Search>
+    nb::tuple in_regions(Points queries, Search search) const {
+        const size_t count = queries.shape(0);
+        pcbench::Block<int64_t> offsets = pcbench::allocate<int64_t>(count + 1), rows;
+        offsets[0] = 0;
+        bool valid = true;
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            if (count == 0) return;
+            const pcbench::SortedPoints sorted(queries.data(), count, interrupt);
+            valid = sorted.valid;
+            if (!valid || interrupt.requested()) return;
+            search(sorted, offsets.get(), nullptr, interrupt);
+            if (interrupt.requested()) return;
+            for (size_t i = 0; i < count; ++i) offsets[i + 1] += offsets[i];
+            rows = pcbench::allocate<int64_t>(offsets[count]);
+            search(sorted, offsets.get(), rows.get(), interrupt);
+            if (interrupt.requested()) return;
+#pragma omp parallel for schedule(dynamic, 256)
+            for (size_t i = 0; i < count; ++i) std::sort(rows.get() + offsets[i], rows.get() + offsets[i + 1]);
+        });
+        check(valid, kBadCoordinate);
+        const size_t found = offsets[count];
+        return nb::make_tuple(to_numpy(std::move(offsets), count + 1), to_numpy(std::move(rows), found));
+    }
+
+    template <typename Search>
+    void in_parts(Points queries, Search search) const {
+        bool valid = true;
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            for (size_t offset = 0; offset < queries.shape(0); offset += kQueryPart) {
+                const size_t count = std::min(kQueryPart, queries.shape(0) - offset);
+                const pcbench::SortedPoints part(queries.data() + 3 * offset, count, interrupt);
+                valid = valid && part.valid;
+                if (!valid || interrupt.requested()) return;
+                search(part, offset, interrupt);
+            }
+        });
+        check(valid, kBadCoordinate);
+    }
+
+    Points points_;  // keeps the caller's array alive
+    std::optional<pcbench::Index> index_;
+};
+
+}  // namespace
 
 NB_MODULE(_core, m) {
     m.doc() = "Compiled kernels of pcbench; call them through the modules that own them.";
 
+    m.def("isa", [] { return pcbench::kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
+
+    nb::class_<PointIndex>(m, "PointIndex", "A tree over points; results are written into the arrays given.")
+        .def(nb::init<Points>(), nb::arg("points").noconvert())
+        .def_prop_ro("bytes", &PointIndex::bytes, "Memory held beyond the points.")
+        .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("hints").noconvert().none(),
+             nb::arg("distances").noconvert(), nb::arg("indices").noconvert())
+        .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
+             nb::arg("indices").noconvert(), "Queries are another index's points, or its own: then no point is its own neighbour.")
+        .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
+             nb::arg("indices").noconvert())
+        .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),
+             nb::arg("normals").noconvert(), nb::arg("variation").noconvert(), nb::arg("spacing").noconvert().none(),
+             "Planes through the k nearest points of each point, or of those in rows, itself included; spacing is the"
+             " distance to its nearest other point.")
+        .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
+             "Offsets (N + 1,) and the rows found, ascending for each ball.",
+             nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
+        .def("in_cylinders", &PointIndex::in_cylinders, nb::arg("origins").noconvert(), nb::arg("axes").noconvert(),
+             nb::arg("radius"), nb::arg("half_length"), "Offsets (N + 1,) and the rows found, ascending for each cylinder.",
+             nb::sig("def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
+
     m.def(
         "plane_fits",
-        [](In<double, nb::shape<-1, 3>> points, In<int64_t, nb::ndim<2>> neighbors,
+        [](Points points, In<int64_t, nb::ndim<2>> neighbors,
            Out<double, nb::shape<-1, 3>> normals, Out<double, nb::shape<-1>> variation) {
             const size_t rows = neighbors.shape(0), k = neighbors.shape(1);
             if (normals.shape(0) != rows || variation.shape(0) != rows)

@@ -1,0 +1,47 @@
+// Eight queries that lie near each other and walk the tree together, one in each lane.
+// Included once for each instruction set, see kernels_isa.h.
+#pragma once
+#include "walk.h"
+
+namespace pcbench::PCB_ISA {
+
+struct Group {
+    alignas(64) double x[kLanes], y[kLanes], z[kLanes];
+    size_t row[kLanes];    // of the result
+    size_t point[kLanes];  // of the tree, for queries that are its own points
+    int count;  // lanes beyond repeat the first query
+    Box box;
+
+    explicit Group(const Leaf& leaf) : count(0) {
+        for (size_t l = 0; l < kFan; ++l) {
+            const size_t from = leaf.row[l] == kNoRow ? 0 : l;
+            count += from == l;
+            x[l] = leaf.x[from], y[l] = leaf.y[from], z[l] = leaf.z[from], row[l] = point[l] = static_cast<size_t>(leaf.row[from]);
+        }
+        const double* axes[3] = {x, y, z};
+        for (int a = 0; a < 3; ++a) {
+            box.low[a] = box.high[a] = axes[a][0];
+            for (int l = 1; l < kLanes; ++l) {
+                box.low[a] = axes[a][l] < box.low[a] ? axes[a][l] : box.low[a];
+                box.high[a] = axes[a][l] > box.high[a] ? axes[a][l] : box.high[a];
+            }
+        }
+    }
+
+    // Squared distance of each query to one of the node's children.
+    Lanes gaps_to(const Node& node, int child) const {
+        const double* axes[3] = {x, y, z};
+        Lanes gap[3];
+        for (int a = 0; a < 3; ++a) {
+            const Lanes q = load(axes[a]);
+            gap[a] = axis_gap(q, q, splat(node.low[a][child]), splat(node.high[a][child]));
+        }
+        return squared_length(gap[0], gap[1], gap[2]);
+    }
+};
+
+inline bool comes_before(double squared, double row, double other_squared, double other_row) {
+    return squared < other_squared || (squared == other_squared && row < other_row);
+}
+
+}  // namespace pcbench::PCB_ISA

@@ -1,0 +1,2 @@
+#define PCB_ISA avx2
+#include "kernels_isa.h"

@@ -1,0 +1,2 @@
+#define PCB_ISA avx512
+#include "kernels_isa.h"

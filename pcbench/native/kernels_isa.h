@@ -1,0 +1,19 @@
+// Compiled once for each instruction set with its own flags (CMakeLists.txt) and its own namespace PCB_ISA: the linker
+// must never find two copies of one inline function and keep the one that this machine cannot run. For the same reason
+// these headers keep to what the standard library always inlines.
+#pragma once
+#include "kernels.h"
+#include "knearest.h"
+#include "nearest.h"
+#include "planes.h"
+#include "regions.h"
+#include "tree_build.h"
+
+namespace pcbench::PCB_ISA {
+
+#define PCB_QUOTE_(name) #name
+#define PCB_QUOTE(name) PCB_QUOTE_(name)
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, knearest, in_balls, in_cylinders, planes,
+                                PlaneScratch::bytes};
+
+}  // namespace pcbench::PCB_ISA

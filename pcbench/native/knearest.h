@@ -1,0 +1,67 @@
+// The k nearest points of one query after the other.
+// Included once for each instruction set, see kernels_isa.h.
+#pragma once
+#include "group.h"
+#include "interrupt.h"
+
+namespace pcbench::PCB_ISA {
+
+// A list sorted by (distance, row), filled in the rows of the result itself.
+class NearestK {
+public:
+    NearestK(const Tree& tree, const double* query, size_t k, double* squared, int64_t* rows)
+        : tree_(tree), query_(query), box_(point_box(query)), k_(k), squared_(squared), rows_(rows) {}
+
+    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, box_); }
+    double bound() const { return found_ < k_ ? kFarAway : squared_[k_ - 1]; }
+    uint32_t last_tie() const { return found_ < k_ ? UINT32_MAX : static_cast<uint32_t>(rows_[k_ - 1]); }
+
+    void leaf(uint32_t id, const Node&, int) {
+        const Leaf& leaf = tree_.leaves[id];
+        const Lanes d = squared_length(splat(query_[0]) - load(leaf.x), splat(query_[1]) - load(leaf.y),
+                                       splat(query_[2]) - load(leaf.z));
+        alignas(64) double squared[kLanes];
+        store(squared, d);
+        for (unsigned near = bits(d <= splat(bound())); near; near &= near - 1) {
+            const int i = __builtin_ctz(near);
+            insert(squared[i], leaf.row[i]);
+        }
+    }
+
+private:
+    void insert(double squared, double row) {
+        if (found_ == k_) {
+            if (!comes_before(squared, row, squared_[k_ - 1], static_cast<double>(rows_[k_ - 1]))) return;
+        } else {
+            ++found_;
+        }
+        size_t at = found_ - 1;
+        for (; at > 0 && comes_before(squared, row, squared_[at - 1], static_cast<double>(rows_[at - 1])); --at)
+            squared_[at] = squared_[at - 1], rows_[at] = rows_[at - 1];
+        squared_[at] = squared, rows_[at] = static_cast<int64_t>(row);
+    }
+
+    const Tree& tree_;
+    const double* query_;
+    Box box_;
+    size_t k_, found_ = 0;
+    double* squared_;
+    int64_t* rows_;
+};
+
+inline void knearest(const Tree& tree, const Leaf* queries, size_t leaf_count, size_t k, double* distances,
+                     int64_t* indices, Interrupt& interrupt) {
+#pragma omp parallel for schedule(dynamic, 16)
+    for (size_t q = 0; q < leaf_count; ++q) {
+        if (interrupt.requested()) continue;
+        for (size_t l = 0; l < kFan && queries[q].row[l] != kNoRow; ++l) {
+            const double query[3] = {queries[q].x[l], queries[q].y[l], queries[q].z[l]};
+            const size_t row = static_cast<size_t>(queries[q].row[l]);
+            NearestK found(tree, query, k, distances + k * row, indices + k * row);
+            walk(tree, found);
+            for (size_t j = 0; j < k; ++j) distances[k * row + j] = std::sqrt(distances[k * row + j]);
+        }
+    }
+}
+
+}  // namespace pcbench::PCB_ISA

@@ -1,0 +1,148 @@
+// The nearest point of each query, eight queries at a time.
+// Included once for each instruction set, see kernels_isa.h.
+#pragma once
+#include "group.h"
+#include "interrupt.h"
+
+namespace pcbench::PCB_ISA {
+
+class NearestOfGroup {
+public:
+    NearestOfGroup(const Tree& tree, const Group& group) : tree_(tree), group_(group) {
+        store(best_, splat(kFarAway));
+        store(row_, splat(kNoRow));
+    }
+
+    // Where the walk starts decides how much it prunes: any leaf will do, the previous group's answer is best.
+    void start(uint32_t leaf) {
+        seed_ = near_ = leaf;
+        visit_all_lanes(leaf);
+        bound_ = largest(load(best_));
+    }
+
+    // Starts in the queries' own leaf, where a query is not its own neighbour.
+    void start_at_own(uint32_t leaf) {
+        seed_ = near_ = leaf;
+        visit_all_lanes<true>(leaf);
+        bound_ = largest(load(best_));
+    }
+
+    void suggest(const int64_t* hints) {
+        for (int l = 0; l < kLanes; ++l) {
+            const int64_t hint = hints[group_.row[l]];
+            const double* p = tree_.points + 3 * hint;
+            const double dx = group_.x[l] - p[0], dy = group_.y[l] - p[1], dz = group_.z[l] - p[2];
+            improve(l, (dx * dx + dy * dy) + dz * dz, static_cast<double>(hint));
+        }
+        bound_ = largest(load(best_));
+    }
+
+    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
+    double bound() const { return bound_; }
+
+    uint32_t last_tie() const {
+        double last = 0;
+        for (int l = 0; l < kLanes; ++l)
+            if (best_[l] == bound_ && row_[l] > last) last = row_[l];
+        return static_cast<uint32_t>(last);
+    }
+
+    void leaf(uint32_t leaf, const Node& parent, int child) {
+        if (leaf == seed_) return;
+        unsigned lanes = bits(group_.gaps_to(parent, child) <= load(best_));
+        if (!lanes) return;
+        bool improved = false;
+        if (__builtin_popcount(lanes) > 2)
+            improved = visit_all_lanes(leaf);
+        else
+            for (; lanes; lanes &= lanes - 1) improved |= visit_one_lane(leaf, __builtin_ctz(lanes));
+        if (!improved) return;
+        near_ = leaf;
+        bound_ = largest(load(best_));
+    }
+
+    uint32_t near() const { return near_; }
+    double squared(int lane) const { return best_[lane]; }
+    int64_t row(int lane) const { return static_cast<int64_t>(row_[lane]); }
+
+private:
+    // One point after the other, against eight queries.
+    template <bool kOwnLeaf = false>
+    bool visit_all_lanes(uint32_t id) {
+        const Leaf& leaf = tree_.leaves[id];
+        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), before = load(best_);
+        Lanes best = before, row = load(row_);
+        for (size_t i = 0; i < kFan; ++i) {
+            Lanes squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
+            if (kOwnLeaf) squared = select(from_bits(1u << i), splat(HUGE_VAL), squared);
+            const Lanes index = splat(leaf.row[i]);
+            const Mask better = (squared < best) | ((squared == best) & (index < row));
+            best = min(best, squared);
+            row = select(better, index, row);
+        }
+        store(best_, best);
+        store(row_, row);
+        return bits(best < before);
+    }
+
+    // One query, against eight points.
+    bool visit_one_lane(uint32_t id, int lane) {
+        const Leaf& leaf = tree_.leaves[id];
+        alignas(64) double squared[kLanes];
+        const Lanes d = squared_length(splat(group_.x[lane]) - load(leaf.x), splat(group_.y[lane]) - load(leaf.y),
+                                       splat(group_.z[lane]) - load(leaf.z));
+        unsigned near = bits(d <= splat(best_[lane]));
+        if (!near) return false;
+        store(squared, d);
+        bool improved = false;
+        for (; near; near &= near - 1) {
+            const int i = __builtin_ctz(near);
+            improved |= improve(lane, squared[i], leaf.row[i]);
+        }
+        return improved;
+    }
+
+    bool improve(int lane, double squared, double row) {
+        if (!comes_before(squared, row, best_[lane], row_[lane])) return false;
+        best_[lane] = squared, row_[lane] = row;
+        return true;
+    }
+
+    const Tree& tree_;
+    const Group& group_;
+    alignas(64) double best_[kLanes];
+    alignas(64) double row_[kLanes];
+    double bound_ = kFarAway;
+    uint32_t seed_ = 0, near_ = 0;
+};
+
+// `queries` are leaves: sorted in space, each with its row. `own` says that they are the tree's own leaves.
+inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
+                    double* distances, int64_t* indices, Interrupt& interrupt) {
+    constexpr size_t kChunk = 256;
+#pragma omp parallel for schedule(dynamic) if (leaf_count > kChunk)
+    for (size_t chunk = 0; chunk < (leaf_count + kChunk - 1) / kChunk; ++chunk) {
+        uint32_t near = 0;
+        const size_t end = chunk * kChunk + kChunk < leaf_count ? chunk * kChunk + kChunk : leaf_count;
+        for (size_t q = chunk * kChunk; q < end; ++q) {
+            if (q % 16 == 0 && interrupt.requested()) break;
+            const Group group(queries[q]);
+            // The rows are scattered over the result: their lines arrive while the tree is walked.
+            for (size_t row : group.row) __builtin_prefetch(distances + row, 1), __builtin_prefetch(indices + row, 1);
+            NearestOfGroup found(tree, group);
+            if (own)
+                found.start_at_own(static_cast<uint32_t>(q));
+            else
+                found.start(near);
+            if (hints) found.suggest(hints);
+            walk(tree, found);
+            near = found.near();
+            for (int l = 0; l < group.count; ++l) {
+                distances[group.row[l]] = std::sqrt(found.squared(l));
+                indices[group.row[l]] = found.row(l);
+            }
+        }
+    }
+}
+
+}  // namespace pcbench::PCB_ISA

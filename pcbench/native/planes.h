@@ -1,0 +1,194 @@
+// Planes through the k nearest points of points of the tree, eight neighbouring queries at a time. The neighbours are
+// never listed: each query only gets the distance that separates its k nearest from the rest.
+// Included once for each instruction set, see kernels_isa.h.
+#pragma once
+#include <omp.h>
+
+#include "eigen.h"
+#include "group.h"
+#include "interrupt.h"
+
+namespace pcbench::PCB_ISA {
+
+// Room for the candidates of one group; one for each thread, reused.
+struct PlaneScratch {
+    // After tightening at most k points of each query remain, in as many leaves.
+    static size_t leaves(size_t k) { return kLanes * k + 64; }
+    static size_t bytes(size_t k) { return leaves(k) * (kFan * sizeof(double[kLanes]) + sizeof(uint64_t)); }
+};
+
+class PlanesOfGroup {
+public:
+    PlanesOfGroup(const Tree& tree, const Group& group, size_t k, double* scratch)
+        : tree_(tree),
+          group_(group),
+          k_(k),
+          room_(PlaneScratch::leaves(k)),
+          first_tightening_(2 * k / kFan + 4),
+          squared_(scratch),
+          leaves_(reinterpret_cast<uint64_t*>(scratch + room_ * kFan * kLanes)) {
+        store(limit_, splat(kFarAway));
+        store(last_row_, splat(kNoRow));
+    }
+
+    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
+    double bound() const { return bound_; }
+    uint32_t last_tie() const { return UINT32_MAX; }
+
+    void leaf(uint32_t id, const Node& parent, int child) {
+        if (!bits(group_.gaps_to(parent, child) <= load(limit_))) return;
+        if (count_ == room_) {
+            tighten(0);
+            drop_unselected();
+        }
+        const Leaf& leaf = tree_.leaves[id];
+        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z);
+        double* squared = squared_ + count_ * kFan * kLanes;
+        for (size_t i = 0; i < kFan; ++i)
+            store(squared + i * kLanes,
+                  squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i])));
+        leaves_[count_++] = id;
+        if (count_ == first_tightening_) tighten(k_ / 4);
+    }
+
+    // Writes the rows of the group.
+    void fit(double* normals, double* variation, double* spacing) {
+        tighten(0);
+        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), zero = splat(0.0);
+        Lanes sx = zero, sy = zero, sz = zero, xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
+        alignas(64) double own[kLanes];
+        for (int l = 0; l < kLanes; ++l) own[l] = static_cast<double>(group_.point[l]);
+        Lanes nearest = splat(HUGE_VAL);
+        for (size_t n = 0; n < count_; ++n) {
+            const Leaf& leaf = tree_.leaves[leaves_[n]];
+            for (size_t i = 0; i < kFan; ++i) {
+                const Mask selected = is_selected(n, i, leaf);
+                if (!bits(selected)) continue;
+                // Differences to the query, which is one of the points: large coordinates cost no digits.
+                const Lanes dx = select(selected, splat(leaf.x[i]) - x, zero);
+                const Lanes dy = select(selected, splat(leaf.y[i]) - y, zero);
+                const Lanes dz = select(selected, splat(leaf.z[i]) - z, zero);
+                sx = sx + dx, sy = sy + dy, sz = sz + dz;
+                xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
+                yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
+                const Mask itself = splat(leaf.row[i]) == load(own);
+                nearest = min(nearest, select(itself, splat(HUGE_VAL), at(n, i)));
+            }
+        }
+        const Lanes share = splat(1.0 / static_cast<double>(k_));
+        Symmetric covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
+                             yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
+        const SmallestEigen smallest = smallest_eigen(covariance);
+        alignas(64) double out[5][kLanes];
+        store(out[0], smallest.x), store(out[1], smallest.y), store(out[2], smallest.z);
+        store(out[3], smallest.share), store(out[4], sqrt(nearest));
+        for (int l = 0; l < group_.count; ++l) {
+            const size_t row = group_.row[l];
+            for (int a = 0; a < 3; ++a) normals[3 * row + a] = out[a][l];
+            variation[row] = out[3][l];
+            if (spacing) spacing[row] = out[4][l];
+        }
+    }
+
+private:
+    Lanes at(size_t n, size_t i) const { return load(squared_ + (n * kFan + i) * kLanes); }
+
+    Mask is_selected(size_t n, size_t i, const Leaf& leaf) const {
+        const Lanes squared = at(n, i), limit = load(limit_);
+        return (squared < limit) | ((squared == limit) & (splat(leaf.row[i]) <= load(last_row_)));
+    }
+
+    Lanes count_up_to(Lanes limit) const {
+        const Lanes zero = splat(0.0), one = splat(1.0);
+        Lanes count = zero;
+        for (size_t c = 0; c < count_ * kFan; ++c) count = count + select(load(squared_ + c * kLanes) <= limit, one, zero);
+        return count;
+    }
+
+    // Lowers each query's limit until between k and k + surplus candidates are within it. Their number grows about
+    // linearly with the squared distance on a surface, so interpolation needs few rounds; ties need a look one by one.
+    void tighten(size_t surplus) {
+        const Lanes k = splat(static_cast<double>(k_)), enough = splat(static_cast<double>(k_ + surplus));
+        Lanes low = splat(0.0), below = count_up_to(low);  // too few within `low`, unless it is the answer already
+        Lanes high = splat(0.0);
+        for (size_t c = 0; c < count_ * kFan; ++c) {
+            const Lanes squared = load(squared_ + c * kLanes);
+            high = max(high, select(squared <= splat(kFarAway), squared, splat(0.0)));
+        }
+        high = min(high, load(limit_));
+        Lanes within = count_up_to(high);
+        const Mask at_zero = k <= below;
+        high = select(at_zero, low, high), within = select(at_zero, below, within);
+        for (int round = 0; round < 9 && bits(within <= enough) != 0xff; ++round) {
+            const Lanes aim = splat(static_cast<double>(k_) + 0.5 * static_cast<double>(surplus + 1));
+            Lanes part = (aim - below) / (within - below + splat(1.0));
+            if (round % 3 == 2) part = splat(0.5);
+            const Lanes middle = select(within <= enough, high, low + (high - low) * part);
+            const Lanes count = count_up_to(middle);
+            const Mask over = k <= count;
+            high = select(over, middle, high), within = select(over, count, within);
+            low = select(over, low, middle), below = select(over, below, count);
+        }
+        store(limit_, high);
+        store(last_row_, splat(kNoRow));
+        unsigned tied = surplus == 0 ? ~bits(within <= enough) & 0xff : 0;
+        for (; tied; tied &= tied - 1) settle_ties(__builtin_ctz(tied));
+        bound_ = largest(load(limit_));
+    }
+
+    // The k-th of one query's candidates by (distance, row), one after the other.
+    void settle_ties(int lane) {
+        double squared = -1.0, row = -1.0;
+        for (size_t found = 0; found < k_; ++found) {
+            double next = HUGE_VAL, next_row = kNoRow;
+            for (size_t n = 0; n < count_; ++n)
+                for (size_t i = 0; i < kFan; ++i) {
+                    const double s = squared_[(n * kFan + i) * kLanes + lane], r = tree_.leaves[leaves_[n]].row[i];
+                    if (comes_before(squared, row, s, r) && comes_before(s, r, next, next_row)) next = s, next_row = r;
+                }
+            squared = next, row = next_row;
+        }
+        limit_[lane] = squared, last_row_[lane] = row;
+    }
+
+    void drop_unselected() {
+        size_t kept = 0;
+        for (size_t n = 0; n < count_; ++n) {
+            const Leaf& leaf = tree_.leaves[leaves_[n]];
+            unsigned any = 0;
+            for (size_t i = 0; i < kFan; ++i) any |= bits(is_selected(n, i, leaf));
+            if (!any) continue;
+            leaves_[kept] = leaves_[n];
+            for (size_t i = 0; i < kFan; ++i) store(squared_ + (kept * kFan + i) * kLanes, at(n, i));
+            ++kept;
+        }
+        count_ = kept;
+    }
+
+    const Tree& tree_;
+    const Group& group_;
+    const size_t k_, room_, first_tightening_;
+    double* squared_;     // [leaf][point][query]
+    uint64_t* leaves_;
+    size_t count_ = 0;
+    alignas(64) double limit_[kLanes];     // squared distance within which the k nearest lie
+    alignas(64) double last_row_[kLanes];  // of those at that very distance, the last one that is taken
+    double bound_ = kFarAway;
+};
+
+// Queries are points of the tree, sorted into leaves; `rows` says which point each is, null that they are its own.
+inline void planes(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* rows, size_t k,
+                   double* normals, double* variation, double* spacing, double* const* scratch, Interrupt& interrupt) {
+#pragma omp parallel for schedule(dynamic, 64)
+    for (size_t q = 0; q < leaf_count; ++q) {
+        if (q % 16 == 0 && interrupt.requested()) continue;
+        Group group(queries[q]);
+        if (rows)
+            for (size_t& point : group.point) point = static_cast<size_t>(rows[point]);
+        PlanesOfGroup found(tree, group, k, scratch[omp_get_thread_num()]);
+        walk(tree, found);
+        found.fit(normals, variation, spacing);
+    }
+}
+
+}  // namespace pcbench::PCB_ISA

@@ -1,0 +1,117 @@
+// All points inside a ball or a cylinder.
+// Included once for each instruction set, see kernels_isa.h.
+#pragma once
+#include "interrupt.h"
+#include "walk.h"
+
+namespace pcbench::PCB_ISA {
+
+struct Ball {
+    double centre[3];
+    double squared_radius;
+
+    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, point_box(centre)); }
+    double bound() const { return squared_radius; }
+
+    unsigned inside(const Leaf& leaf) const {
+        const Lanes squared = squared_length(splat(centre[0]) - load(leaf.x), splat(centre[1]) - load(leaf.y),
+                                             splat(centre[2]) - load(leaf.z));
+        return bits(squared <= splat(squared_radius));
+    }
+};
+
+// p is inside when |(p - origin) . axis| <= half_length and the rest of p - origin is no longer than the radius.
+struct Cylinder {
+    double origin[3], axis[3];
+    double radius, half_length;
+
+    double bound() const { return 0.0; }
+
+    // 0 for a child that may hold a point inside. Its box is taken as the ball around it, and as its shadow on the axis.
+    Lanes gaps(const Node& node) const {
+        Lanes offset[3], along = splat(0.0), shadow = splat(0.0), magnitude = splat(radius + half_length), half[3];
+        for (int a = 0; a < 3; ++a) {
+            const Lanes low = load(node.low[a]), high = load(node.high[a]);
+            offset[a] = (low + high) * splat(0.5) - splat(origin[a]);
+            half[a] = (high - low) * splat(0.5);
+            along = along + offset[a] * splat(axis[a]);
+            shadow = shadow + half[a] * splat(std::fabs(axis[a]));
+            magnitude = magnitude + abs(low) + abs(high) + splat(std::fabs(origin[a]));
+        }
+        // Some twenty roundings, each below 2^-53 of the magnitude.
+        const Lanes slack = magnitude * splat(1e-13);
+        const Lanes across = sqrt(squared_length(offset[0] - along * splat(axis[0]), offset[1] - along * splat(axis[1]),
+                                                 offset[2] - along * splat(axis[2])));
+        const Lanes reach = sqrt(squared_length(half[0], half[1], half[2]));
+        // Written so that the NaN of a missing child is outside.
+        const Mask maybe = (abs(along) <= splat(half_length) + shadow + slack) & (across <= splat(radius) + reach + slack);
+        return select(maybe, splat(0.0), splat(HUGE_VAL));
+    }
+
+    unsigned inside(const Leaf& leaf) const {
+        const Lanes x = load(leaf.x) - splat(origin[0]), y = load(leaf.y) - splat(origin[1]),
+                    z = load(leaf.z) - splat(origin[2]);
+        const Lanes along = (x * splat(axis[0]) + y * splat(axis[1])) + z * splat(axis[2]);
+        const Lanes squared = squared_length(x - along * splat(axis[0]), y - along * splat(axis[1]),
+                                             z - along * splat(axis[2]));
+        return bits((abs(along) <= splat(half_length)) & (squared <= splat(radius * radius)));
+    }
+};
+
+template <typename Region>
+class PointsInside {
+public:
+    PointsInside(const Tree& tree, const Region& region, int64_t* rows) : tree_(tree), region_(region), rows_(rows) {}
+
+    Lanes gaps(const Node& node) const { return region_.gaps(node); }
+    double bound() const { return region_.bound(); }
+    uint32_t last_tie() const { return UINT32_MAX; }
+
+    void leaf(uint32_t id, const Node&, int) {
+        unsigned inside = region_.inside(tree_.leaves[id]);
+        if (rows_)
+            for (unsigned rest = inside; rest; rest &= rest - 1)
+                *rows_++ = static_cast<int64_t>(tree_.leaves[id].row[__builtin_ctz(rest)]);
+        found_ += __builtin_popcount(inside);
+    }
+
+    int64_t found() const { return found_; }
+
+private:
+    const Tree& tree_;
+    const Region& region_;
+    int64_t* rows_;
+    int64_t found_ = 0;
+};
+
+template <typename MakeRegion>
+inline void inside_regions(const Tree& tree, const Leaf* queries, size_t leaf_count, MakeRegion make, int64_t* offsets,
+                           int64_t* rows, Interrupt& interrupt) {
+#pragma omp parallel for schedule(dynamic, 16)
+    for (size_t q = 0; q < leaf_count; ++q)
+        for (size_t l = 0; l < kFan && queries[q].row[l] != kNoRow; ++l) {
+            if (interrupt.requested()) break;
+            const size_t row = static_cast<size_t>(queries[q].row[l]);
+            const auto region = make(queries[q].x[l], queries[q].y[l], queries[q].z[l], row);
+            PointsInside found(tree, region, rows ? rows + offsets[row] : nullptr);
+            walk(tree, found);
+            if (!rows) offsets[row + 1] = found.found();
+        }
+}
+
+inline void in_balls(const Tree& tree, const Leaf* centres, size_t leaf_count, double radius, int64_t* offsets,
+                     int64_t* rows, Interrupt& interrupt) {
+    const auto ball = [=](double x, double y, double z, size_t) { return Ball{{x, y, z}, radius * radius}; };
+    inside_regions(tree, centres, leaf_count, ball, offsets, rows, interrupt);
+}
+
+inline void in_cylinders(const Tree& tree, const Leaf* origins, size_t leaf_count, const double* axes, double radius,
+                         double half_length, int64_t* offsets, int64_t* rows, Interrupt& interrupt) {
+    const auto cylinder = [=](double x, double y, double z, size_t row) {
+        const double* axis = axes + 3 * row;
+        return Cylinder{{x, y, z}, {axis[0], axis[1], axis[2]}, radius, half_length};
+    };
+    inside_regions(tree, origins, leaf_count, cylinder, offsets, rows, interrupt);
+}
+
+}  // namespace pcbench::PCB_ISA

@@ -1,0 +1,200 @@
+// Building the tree: points are halved at the median of their widest axis until eight are left, all leaves full.
+// Included once for each instruction set, see kernels_isa.h.
+#pragma once
+#include <algorithm>
+
+#include "interrupt.h"
+#include "lanes.h"
+#include "tree.h"
+
+namespace pcbench::PCB_ISA {
+
+constexpr size_t kBlock = 64;     // up to here ranks are counted instead of partitioning
+constexpr size_t kCounted = 16;   // ranks counted side by side
+constexpr size_t kTask = 16384;   // smaller parts are not worth a task
+
+inline int widest_axis(const Item* items, size_t count) {
+    // A sample is enough: the axis decides how good the boxes are, never what is found.
+    const size_t step = count > 256 ? count / 128 : 1;
+    double low[3], high[3];
+    for (int a = 0; a < 3; ++a) low[a] = high[a] = items[0].p[a];
+    for (size_t i = step; i < count; i += step)
+        for (int a = 0; a < 3; ++a) {
+            const double v = items[i].p[a];
+            low[a] = v < low[a] ? v : low[a];
+            high[a] = v > high[a] ? v : high[a];
+        }
+    const double x = high[0] - low[0], y = high[1] - low[1], z = high[2] - low[2];
+    return x >= y ? (x >= z ? 0 : 2) : (y >= z ? 1 : 2);
+}
+
+// Moves the items for which `first` holds to the front, without a branch on the data; returns how many.
+template <typename First>
+inline size_t partition(Item* items, size_t count, First first) {
+    size_t front = 0;
+    for (size_t i = 0; i < count; ++i) {
+        const bool goes_first = first(items[i]);
+        exchange(items[i].p, items[front].p);
+        front += goes_first;
+    }
+    return front;
+}
+
+// The `rank` lowest items along the axis come first.
+inline void select(Item* items, size_t count, size_t rank, int axis) {
+    constexpr size_t kSamples = 127;
+    while (rank > 0 && rank < count) {
+        double sample[kSamples];
+        const size_t samples = count > 4096 ? kSamples : count > 256 ? 31 : count < 8 ? count : 7;
+        for (size_t s = 0; s < samples; ++s) {
+            const double value = items[s * count / samples].p[axis];
+            size_t at = s;
+            for (; at > 0 && value < sample[at - 1]; --at) sample[at] = sample[at - 1];
+            sample[at] = value;
+        }
+        // A little beyond the wanted rank, seen from the shorter side: that side, with the rank in it, is what remains.
+        const size_t position = rank * samples / count, shift = samples > 31 ? 8 : samples > 7 ? 3 : 0;
+        const double pivot = sample[2 * rank < count ? std::min(position + shift, samples - 1)
+                                                     : (position > shift ? position - shift : 0)];
+        size_t below = partition(items, count, [=](const Item& item) { return item.p[axis] < pivot; });
+        if (below >= rank) {
+            count = below;
+            continue;
+        }
+        if (below == 0) {  // the pivot is the lowest: all that equal it leave together, so each round removes some
+            below = partition(items, count, [=](const Item& item) { return item.p[axis] == pivot; });
+            if (below >= rank) return;
+        }
+        items += below, count -= below, rank -= below;
+    }
+}
+
+inline void write_leaf(const Item* items, size_t count, Leaf& leaf) {
+    for (size_t i = 0; i < kFan; ++i) {
+        const bool real = i < count;
+        leaf.x[i] = real ? items[i].p[0] : HUGE_VAL;
+        leaf.y[i] = real ? items[i].p[1] : HUGE_VAL;
+        leaf.z[i] = real ? items[i].p[2] : HUGE_VAL;
+        leaf.row[i] = real ? items[i].p[3] : kNoRow;
+    }
+}
+
+// The boxes of eight leaves.
+inline void bound_leaves(const Leaf* leaves, size_t count, Node& node) {
+    for (size_t c = 0; c < kFan; ++c) {
+        double low[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, high[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
+        double first = kNoRow;
+        if (c < count)
+            for (size_t i = 0; i < kFan && leaves[c].row[i] != kNoRow; ++i) {
+                const double p[3] = {leaves[c].x[i], leaves[c].y[i], leaves[c].z[i]};
+                for (int a = 0; a < 3; ++a) {
+                    low[a] = p[a] < low[a] ? p[a] : low[a];
+                    high[a] = p[a] > high[a] ? p[a] : high[a];
+                }
+                first = leaves[c].row[i] < first ? leaves[c].row[i] : first;
+            }
+        for (int a = 0; a < 3; ++a) node.low[a][c] = low[a], node.high[a][c] = high[a];
+        node.first[c] = static_cast<uint32_t>(first);
+    }
+}
+
+// At most kBlock items: each one's rank is counted, many comparisons at a time. The leaves may lie where the items
+// lie: they are written once nothing of the items is needed any more.
+inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
+    Item sorted[kBlock];
+    if (count <= kFan) {
+        std::copy(items, items + count, sorted);
+        return write_leaf(sorted, count, *leaves);
+    }
+    // Quantised coordinates are enough to halve well; the position in the lowest bits makes them distinct.
+    const int axis = widest_axis(items, count);
+    double low = items[0].p[axis], high = low;
+    for (size_t i = 1; i < count; ++i) {
+        low = items[i].p[axis] < low ? items[i].p[axis] : low;
+        high = items[i].p[axis] > high ? items[i].p[axis] : high;
+    }
+    const double scale = high - low > 1e-290 ? (1 << 24) / (high - low) : 0.0;
+    int32_t keys[kBlock] = {};
+    for (size_t i = 0; i < count; ++i)
+        keys[i] = static_cast<int32_t>((items[i].p[axis] - low) * scale) * kBlock + static_cast<int32_t>(i);
+    for (size_t i = 0; i < count; i += kCounted) {
+        int32_t rank[kCounted] = {};
+        for (size_t j = 0; j < count; ++j)
+            for (size_t c = 0; c < kCounted; ++c) rank[c] += keys[j] < keys[i + c];
+        for (size_t c = 0; c < kCounted && i + c < count; ++c) sorted[rank[c]] = items[i + c];
+    }
+    const size_t left = (count + kFan - 1) / kFan / 2 * kFan;
+    arrange_block(sorted, left, leaves);
+    arrange_block(sorted + left, count - left, leaves + left / kFan);
+}
+
+// Halves are whole multiples of the largest full subtree, so that all leaves but the last are full. A block of leaves
+// gets its node while it is in the cache.
+inline void arrange_part(Item* items, size_t count, Node* nodes, Interrupt& interrupt) {
+    while (count > kBlock) {
+        if (count > kTask && interrupt.requested()) return;
+        size_t unit = kBlock;
+        while (unit * kFan < count) unit *= kFan;
+        const size_t left = (count + unit - 1) / unit / 2 * unit;
+        select(items, count, left, widest_axis(items, count));
+#pragma omp task if (left > kTask) firstprivate(items, left, nodes) shared(interrupt)
+        arrange_part(items, left, nodes, interrupt);
+        items += left, count -= left;
+        if (nodes) nodes += left / kBlock;
+    }
+    Leaf* leaves = reinterpret_cast<Leaf*>(items);
+    arrange_block(items, count, leaves);
+    if (nodes) bound_leaves(leaves, (count + kFan - 1) / kFan, *nodes);
+}
+
+// Sorts points into leaves that are near each other in space, with their nodes unless null is given for them. False
+// when a coordinate is not finite or above `limit`.
+inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes,
+                    Interrupt& interrupt) {
+    Item* items = reinterpret_cast<Item*>(leaves);
+    bool valid = true;
+#pragma omp parallel if (count > 2 * kTask)
+    {
+#pragma omp for schedule(static) reduction(&& : valid)
+        for (size_t i = 0; i < count; ++i) {
+            const double* p = points + 3 * i;
+            items[i] = {{p[0], p[1], p[2], static_cast<double>(i)}};
+            valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
+        }
+#pragma omp master
+        if (valid) arrange_part(items, count, nodes, interrupt);
+    }
+    return valid;
+}
+
+// The boxes of eight nodes.
+inline void bound_nodes(const Node* children, size_t count, Node& node) {
+    for (size_t c = 0; c < kFan; ++c) {
+        for (int a = 0; a < 3; ++a) {
+            double low = HUGE_VAL, high = -HUGE_VAL;
+            for (size_t i = 0; c < count && i < kFan; ++i) {
+                low = children[c].low[a][i] < low ? children[c].low[a][i] : low;
+                high = children[c].high[a][i] > high ? children[c].high[a][i] : high;
+            }
+            node.low[a][c] = low, node.high[a][c] = high;
+        }
+        node.first[c] = UINT32_MAX;
+        for (size_t i = 0; c < count && i < kFan; ++i)
+            node.first[c] = children[c].first[i] < node.first[c] ? children[c].first[i] : node.first[c];
+    }
+}
+
+// All levels above the nodes of the leaves.
+inline void bound(Tree& tree) {
+    for (size_t level = 1; level < tree.level_count; ++level) {
+        Node* nodes = tree.levels[level];
+        const Node* below = tree.levels[level - 1];
+        const size_t count = tree.level_size[level], below_count = tree.level_size[level - 1];
+        // Waking threads costs more than a few hundred nodes, much more where the processor is shared.
+#pragma omp parallel for schedule(static) if (count > 2048)
+        for (size_t j = 0; j < count; ++j)
+            bound_nodes(below + kFan * j, std::min(kFan, below_count - kFan * j), nodes[j]);
+    }
+}
+
+}  // namespace pcbench::PCB_ISA

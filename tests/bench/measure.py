@@ -1,0 +1,49 @@
+"""Side-by-side timing: runs alternate between the contestants, medians are reported, nothing is asserted."""
+
+import gc
+import os
+import platform
+import statistics
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Seconds(NamedTuple):
+    wall: float
+    cpu: float
+
+
+def alternate(contestants: dict[str, Callable[[], object]], runs: int) -> dict[str, Seconds]:
+    """Median wall and CPU seconds of each; one run of all before the next, so that a busy machine is busy for all."""
+    samples: dict[str, list[Seconds]] = {name: [] for name in contestants}
+    for _ in range(runs):
+        for name, run in contestants.items():
+            gc.collect()
+            wall, cpu = time.perf_counter(), time.process_time()
+            run()
+            samples[name].append(Seconds(time.perf_counter() - wall, time.process_time() - cpu))
+    return {
+        name: Seconds(statistics.median(s.wall for s in seconds), statistics.median(s.cpu for s in seconds))
+        for name, seconds in samples.items()
+    }
+
+
+def limit_threads(threads: int) -> None:
+    """Before the libraries are imported: OpenMP reads the variable, TBB the affinity."""
+    os.environ["OMP_NUM_THREADS"] = str(threads)
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
+
+
+def setting() -> str:
+    """Commit and machine, for the head of a table."""
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
+    ).stdout.strip()
+    model = next(
+        (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        platform.processor(),
+    )
+    return f"commit {commit or 'unknown'}; {model}, {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}"

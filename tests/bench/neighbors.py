@@ -1,0 +1,144 @@
+"""Two-way nearest-neighbour search, both indices built, against other libraries: python tests/bench/neighbors.py
+
+--sizes 1e4,1e5,1e6   points of the reference; the candidate has a fifth
+--threads 1,2         each in a process of its own
+--runs 5              alternating; medians are printed
+--chart FILE          log-log chart of the wall seconds at the most threads
+"""
+
+import argparse
+import importlib.util
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from measure import alternate, limit_threads, setting
+
+PEERS = {
+    "scipy": "scipy",
+    "pykdtree": "pykdtree",
+    "pykdtree float32": "pykdtree",  # not exact: coordinates are rounded to float32
+    "small_gicp": "small_gicp",
+    "open3d": "open3d",
+    "point-cloud-utils": "point_cloud_utils",
+}
+
+
+def contestants(reference, candidate, threads: int) -> dict[str, Callable[[], object]]:
+    """Each builds both indices from float64 arrays and searches both ways."""
+    import numpy as np
+
+    from pcbench.neighbors import Index, match_both_ways
+
+    def scipy(points, queries):
+        from scipy.spatial import cKDTree
+
+        cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries, workers=threads)
+
+    def pykdtree(points, queries):
+        from pykdtree.kdtree import KDTree
+
+        KDTree(points).query(queries)
+
+    def pykdtree_float32(points, queries):
+        pykdtree(points.astype(np.float32), queries.astype(np.float32))
+
+    def small_gicp(points, queries):
+        from small_gicp import KdTree
+
+        KdTree(points, num_threads=threads).batch_nearest_neighbor_search(queries, num_threads=threads)
+
+    def open3d(points, queries):
+        from open3d import core
+
+        search = core.nns.NearestNeighborSearch(core.Tensor(points))
+        search.knn_index()
+        search.knn_search(core.Tensor(queries), 1)
+
+    def point_cloud_utils(points, queries):
+        from point_cloud_utils import k_nearest_neighbors
+
+        k_nearest_neighbors(queries, points, 1, num_threads=threads)
+
+    one_way = {
+        "scipy": scipy,
+        "pykdtree": pykdtree,
+        "pykdtree float32": pykdtree_float32,
+        "small_gicp": small_gicp,
+        "open3d": open3d,
+        "point-cloud-utils": point_cloud_utils,
+    }
+    runs: dict[str, Callable[[], object]] = {"pcbench": lambda: match_both_ways(Index(reference), Index(candidate))}
+    for name, search in one_way.items():
+        if importlib.util.find_spec(PEERS[name]):
+            runs[name] = lambda search=search: (search(reference, candidate), search(candidate, reference))
+    return runs
+
+
+def measure(density: str, size: int, threads: int, runs: int) -> None:
+    """The child process: prints the medians as JSON."""
+    limit_threads(threads)
+    from clouds import pair
+
+    race = contestants(*pair(density, size), threads)
+    alternate(race, 1)  # imports and first calls
+    print(json.dumps(alternate(race, runs)))
+
+
+def draw(rows: list[dict], threads: int, file: str) -> None:
+    import matplotlib.pyplot as plt
+
+    densities = list(dict.fromkeys(row["density"] for row in rows))
+    figure, axes = plt.subplots(1, len(densities), figsize=(4.5 * len(densities), 4), sharey=True, squeeze=False)
+    for axis, density in zip(axes[0], densities, strict=True):
+        chosen = [row for row in rows if row["density"] == density and row["threads"] == threads]
+        for name in dict.fromkeys(name for row in chosen for name in row["seconds"]):
+            line = [(row["size"], row["seconds"][name][0]) for row in chosen if name in row["seconds"]]
+            axis.loglog(*zip(*line, strict=True), marker="o", label=name, linewidth=2.5 if name == "pcbench" else 1)
+        axis.set(title=density, xlabel="reference points")
+        axis.grid(True, which="both", alpha=0.3)
+    axes[0, 0].set_ylabel(f"seconds, both ways, {threads} threads")
+    axes[0, 0].legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(file, dpi=150)
+
+
+def main() -> None:
+    from clouds import DENSITIES
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", default="1e4,1e5,1e6")
+    parser.add_argument("--densities", default=",".join(DENSITIES))
+    parser.add_argument("--threads", default="1,2")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--chart")
+    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        density, *numbers = options.child
+        measure(density, *map(int, numbers))
+        return
+    missing = [name for name, module in PEERS.items() if not importlib.util.find_spec(module)]
+    print(f"{setting()}; median of {options.runs} alternating runs" + (f"; missing: {missing}" if missing else ""))
+    print(f"{'density':14}{'points':>10}{'threads':>8}  {'library':18}{'wall s':>9}{'CPU s':>9}{'ratio':>7}")
+    rows = []
+    for density in options.densities.split(","):
+        for size in (round(float(text)) for text in options.sizes.split(",")):
+            for threads in map(int, options.threads.split(",")):
+                child = [density, str(size), str(threads), str(options.runs)]
+                done = subprocess.run(
+                    [sys.executable, Path(__file__), "--child", *child], check=True, stdout=subprocess.PIPE, text=True
+                )
+                seconds = json.loads(done.stdout)
+                rows.append({"density": density, "size": size, "threads": threads, "seconds": seconds})
+                for name, (wall, cpu) in seconds.items():
+                    ratio = wall / seconds["pcbench"][0]
+                    print(f"{density:14}{size:10}{threads:8}  {name:18}{wall:9.4f}{cpu:9.4f}{ratio:7.1f}", flush=True)
+    if options.chart:
+        draw(rows, max(map(int, options.threads.split(","))), options.chart)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Deviation maps: closed forms, and CloudCompare's own M3C2."""
+
+import numpy as np
+import pytest
+import shapes
+from data_folder import data_folder
+
+from pcbench import Settings, compare, read_cloud
+from pcbench.deviation import m3c2
+from pcbench.errors import InputError
+from pcbench.mesh import Mesh
+from pcbench.neighbors import Index
+
+UP = np.array([0, 0, 1.0])
+
+
+def test_m3c2_of_a_shifted_noisy_plane():
+    rng = np.random.default_rng(0)
+    reference, candidate = shapes.plane_samples(20_000, seed=1), shapes.plane_samples(30_000, seed=2)
+    reference, candidate = (
+        reference + rng.normal(0, 0.02, (20_000, 1)) * UP,
+        candidate + rng.normal(0, 0.03, (30_000, 1)) * UP,
+    )
+    cores = np.array([[2.0, 2, 0], [5, 5, 0], [7, 3, 0]])
+    found = m3c2(Index(reference), Index(candidate + 0.1 * UP), cores, np.tile(UP, (3, 1)), radius=0.5, half_length=1.0)
+    # About 157 and 236 points a cylinder: standard errors of 1.6 and 2.0 mm.
+    np.testing.assert_allclose(found.distances, 0.1, atol=0.01)
+    expected = 1.96 * np.sqrt(0.02**2 / found.counts_reference + 0.03**2 / found.counts_candidate)
+    np.testing.assert_allclose(found.lod, expected, rtol=0.2)
+    assert found.significant.all()
+    down = m3c2(Index(reference), Index(candidate + 0.1 * UP), cores, np.tile(-UP, (3, 1)), radius=0.5, half_length=1.0)
+    np.testing.assert_allclose(down.distances, -found.distances)
+
+
+def test_m3c2_registration_error_and_empty_cylinders():
+    plane = shapes.plane_samples(5000)
+    cores = np.array([[5.0, 5, 0], [50, 50, 0]])
+    found = m3c2(
+        Index(plane), Index(plane), cores, np.tile(UP, (2, 1)), radius=1, half_length=1, registration_error=0.01
+    )
+    assert found.distances[0] == 0
+    assert found.lod[0] == pytest.approx(0.0196)
+    assert found.significant[0] == 0
+    assert np.isnan([found.distances[1], found.lod[1], found.significant[1]]).all()
+    with pytest.raises(InputError, match="positive lengths"):
+        m3c2(Index(plane), Index(plane), cores, np.tile(UP, (2, 1)), radius=0, half_length=1)
+
+
+def test_m3c2_equals_cloudcompare():
+    folder = data_folder("autzen")
+    pytest.importorskip("laspy")
+    reference, candidate = (read_cloud(folder / f"autzen-bmx-{year}.las").points for year in (2010, 2023))
+    path = folder / "autzen-bmx-cc.txt"
+    names = path.read_text().splitlines()[0].replace('"', "").split(",")
+    column = dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    normals = np.stack([column[f"Normal{axis}"] for axis in "XYZ"], axis=1)
+    valid = np.linalg.norm(normals, axis=1) > 0.5
+    normals = normals[valid] / np.linalg.norm(normals[valid], axis=1, keepdims=True)
+    cores = np.stack([column[axis] for axis in "XYZ"], axis=1)[valid]
+    origin = np.floor(reference.mean(axis=0))
+    found = m3c2(
+        Index(reference - origin), Index(candidate - origin), cores - origin, normals, radius=2.890432, half_length=5.5
+    )
+    assert len(cores) == 97
+    np.testing.assert_array_equal(found.counts_reference, column["Npoints_cloud1"][valid])
+    np.testing.assert_array_equal(found.counts_candidate, column["Npoints_cloud2"][valid])
+    # The file has three decimals, for its normals too; NaN stands in the same places.
+    np.testing.assert_allclose(found.distances, column["M3C2 distance"][valid], atol=1e-3)
+    np.testing.assert_allclose(found.lod, column["distance uncertainty"][valid], atol=1e-3)
+    np.testing.assert_allclose(found.std_reference, column["STD_cloud1"][valid], atol=1e-3)
+    np.testing.assert_array_equal(np.nan_to_num(found.significant), column["significant change"][valid])
+
+
+def test_maps_of_a_shifted_plane():
+    plane = shapes.plane_grid(40, 0.25)
+    settings = Settings(register="none", maps=("m3c2",))
+    deviation = compare(plane, plane - [0, 0, 0.1], settings).candidates[0].deviation
+    np.testing.assert_allclose(deviation.scalars["distance"], 0.1)
+    np.testing.assert_allclose(deviation.scalars["plane_distance"], -0.1)
+    np.testing.assert_allclose(deviation.m3c2.distances, -0.1)
+    assert deviation.m3c2.radius == pytest.approx(6 * 0.25)
+
+
+def test_sphere_against_its_mesh():
+    icosphere = pytest.importorskip("trimesh").creation.icosphere(subdivisions=5)
+    mesh = Mesh(np.asarray(icosphere.vertices), np.asarray(icosphere.faces))
+    directions = shapes.sphere(2000, seed=3)[1]
+    for radius in (1.1, 0.9):
+        deviation = compare(mesh, radius * directions, Settings(register="none")).candidates[0].deviation
+        # Signed, because the mesh is closed; an icosphere of 20480 faces lies at most 4e-4 inside its sphere.
+        np.testing.assert_allclose(deviation.scalars["mesh_distance"], radius - 1, atol=1e-3)
+
+
+def test_poisson_map_and_the_papers_d2():
+    pytest.importorskip("open3d", exc_type=ImportError)
+    points, normals = shapes.fibonacci_sphere(20_000, 5.0)
+    from pcbench import Cloud
+
+    settings = Settings(register="none", maps=("poisson",))
+    candidate = compare(Cloud(points, normals=normals), 1.02 * points[::7], settings).candidates[0]
+    # The sphere lies 0.1 outside; the Poisson surface follows the points to about a tenth of their spacing (0.1).
+    np.testing.assert_allclose(np.abs(candidate.deviation.scalars["poisson_distance"]), 0.1, atol=0.02)
+    gao = candidate.metrics["presets"]["gao2025"]
+    assert gao["d2_poisson_mse"] == pytest.approx(0.01, rel=0.2)
+    assert gao["d2_mse"] == pytest.approx(0.01, rel=0.2)
+
+
+def test_unknown_map():
+    with pytest.raises(InputError, match="unknown map 'x'"):
+        Settings(maps=("x",))
