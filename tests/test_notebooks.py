@@ -1,0 +1,21 @@
+"""Notebooks run as they are stored, and are stored without outputs."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs(path):
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("matplotlib")
+    cells = json.loads(path.read_text())["cells"]
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear the outputs"
+    nbclient.NotebookClient(nbformat.read(path, as_version=4), timeout=300).execute(cwd=str(path.parent))
+
+
+def test_there_is_one():
+    assert NOTEBOOKS
