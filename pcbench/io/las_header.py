@@ -1,0 +1,205 @@
+"""What stands before the points of a LAS file, checked against the size of the file before anything is believed.
+
+LAS 1.0 to 1.4, point formats 0 to 10; LAZ and COPC have the same header. ASPRS, "LAS Specification 1.4 - R15", 2019.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.io.files import Warn
+
+HEADER = struct.Struct("<4s HH 16s BB 32s 32s HH H I I B H I 5I 3d 3d 6d")  # all versions: 227 bytes
+HEADER_1_4 = struct.Struct("<Q QI Q 15Q")  # waveforms; first extended record, their number; points, by return
+VLR = struct.Struct("<H 16s H H 32s")
+EVLR = struct.Struct("<H 16s H Q 32s")
+
+_XYZI = [("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"), ("intensity", "<u2"), ("returns", "u1")]
+_OLD = [*_XYZI, ("class_flags", "u1"), ("scan_angle", "i1"), ("user_data", "u1"), ("point_source_id", "<u2")]
+_NEW = [*_XYZI, ("flags", "u1"), ("classification", "u1"), ("user_data", "u1"), ("scan_angle", "<i2")]
+_NEW += [("point_source_id", "<u2"), ("gps_time", "<f8")]
+_GPS = [("gps_time", "<f8")]
+_RGB = [("red", "<u2"), ("green", "<u2"), ("blue", "<u2")]
+_NIR = [("nir", "<u2")]
+_WAVE = [("wave_packet", "V29")]
+POINT_FORMATS = (
+    _OLD,
+    _OLD + _GPS,
+    _OLD + _RGB,
+    _OLD + _GPS + _RGB,
+    _OLD + _GPS + _WAVE,
+    _OLD + _GPS + _RGB + _WAVE,
+    _NEW,
+    _NEW + _RGB,
+    _NEW + _RGB + _NIR,
+    _NEW + _WAVE,
+    _NEW + _RGB + _NIR + _WAVE,
+)
+
+# The types of extra bytes by their number, from 1; 11 to 20 and 21 to 30 are pairs and triples of the same.
+EXTRA_TYPES = ("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8")
+EXTRA = struct.Struct("<2s BB 32s 4s 24s 24s 24s 3d 3d 32s")
+EXTRA_NO_DATA, EXTRA_SCALE, EXTRA_OFFSET = 1, 8, 16  # bits of a description's options
+
+_VLR_LIMIT = 10_000  # real files have a dozen
+_RECORD_LIMIT = 1 << 20  # bytes; longer extended records (waveforms, COPC's hierarchy) are of no interest here
+# The variable length records that are read: coordinate system, extra bytes, LASzip.
+_WANTED = {("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4), ("laszip encoded", 22204)}
+
+
+class Extra(NamedTuple):
+    """One described dimension behind the standard ones of a point record; `size` numbers of type `dtype`."""
+
+    name: str
+    dtype: np.dtype[Any]
+    size: int
+    no_data: bytes | None  # eight bytes a number
+    scales: tuple[float, ...]
+    offsets: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Header:
+    """What is needed to read the points, and known to lie within the file."""
+
+    point_format: int
+    compressed: bool
+    record_bytes: int
+    count: int
+    start: int  # first byte of the points
+    end: int  # first byte after them at most: the extended records or the end of the file
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    records: dict[tuple[str, int], bytes]  # by user and number
+
+    @property
+    def extended(self) -> bool:
+        """Point formats 6 to 10: wider return numbers and classes."""
+        return self.point_format >= 6
+
+    @property
+    def extra_bytes(self) -> int:
+        return self.record_bytes - np.dtype(POINT_FORMATS[self.point_format]).itemsize
+
+
+def read_header(file: BinaryIO, warn: Warn) -> Header:
+    """The header and the records that matter.
+
+    Raises:
+        InputError: it is no LAS file, or its numbers do not fit each other or the size of the file.
+    """
+    size = file.seek(0, 2)
+    file.seek(0)
+    block = file.read(HEADER.size + HEADER_1_4.size)
+    if block[:4] != b"LASF":
+        raise InputError(f"expected a LAS file that starts with b'LASF', got {block[:4]!r}")
+    if len(block) < HEADER.size:
+        raise InputError(f"truncated: {len(block)} of {HEADER.size} bytes of the header: copy or export the file again")
+    fields = HEADER.unpack_from(block)
+    major, minor = fields[4:6]
+    header_bytes, start, vlr_count, format_byte, record_bytes, count = fields[10:16]
+    scales, offsets = fields[21:24], fields[24:27]
+
+    if major != 1 or minor > 4:
+        raise InputError(f"expected LAS 1.0 to 1.4, got version {major}.{minor}")
+    least = {3: HEADER.size + 8, 4: HEADER.size + HEADER_1_4.size}.get(minor, HEADER.size)
+    if header_bytes < least:
+        raise InputError(f"expected a header of at least {least} bytes in LAS 1.{minor}, got {header_bytes}")
+    if not header_bytes <= start:
+        raise InputError(f"points start at byte {start}, inside the header of {header_bytes} bytes: damaged header")
+    if start > size:
+        raise InputError(f"truncated: points start at byte {start}, the file has {size}: copy or export the file again")
+    point_format = format_byte & 0x3F  # LASzip marks its files in the two bits above
+    if point_format >= len(POINT_FORMATS):
+        raise InputError(f"expected a point format of 0 to {len(POINT_FORMATS) - 1}, got {point_format}")
+    least = np.dtype(POINT_FORMATS[point_format]).itemsize
+    if record_bytes < least:
+        raise InputError(f"expected at least {least} bytes a point in format {point_format}, got {record_bytes}")
+    if not all(math.isfinite(number) for number in (*scales, *offsets)) or 0 in scales:
+        raise InputError(f"expected finite scales other than 0 and finite offsets, got {scales} and {offsets}")
+
+    end, first_evlr, evlr_count = size, 0, 0
+    if minor == 4:
+        _, first_evlr, evlr_count, long_count = HEADER_1_4.unpack_from(block, HEADER.size)[:4]
+        if long_count and count not in (0, long_count):
+            raise InputError(f"the header says both {count} and {long_count} points: export the file again")
+        count = long_count or count
+    if not count:
+        raise InputError("expected at least one point, got 0")
+    records = _read_records(file, VLR, vlr_count, header_bytes, start)
+    if evlr_count:
+        if start <= first_evlr <= size:
+            end = first_evlr
+        try:
+            records = _read_records(file, EVLR, evlr_count, first_evlr, size) | records
+        except InputError as error:
+            warn(f"extended records left out: {error}")
+    return Header(
+        point_format, bool(format_byte & 0xC0), record_bytes, count, start, end, scales, offsets, records
+    )  # fmt: skip
+
+
+def _read_records(
+    file: BinaryIO, layout: struct.Struct, count: int, place: int, end: int
+) -> dict[tuple[str, int], bytes]:
+    """The wanted ones of `count` records between two bytes; of several alike the first."""
+    if count > min(_VLR_LIMIT, max(end - place, 0) // layout.size):
+        raise InputError(f"{count} variable length records do not fit between byte {place} and {end}: damaged header")
+    records: dict[tuple[str, int], bytes] = {}
+    for number in range(count):
+        file.seek(place)
+        head = file.read(layout.size) if place + layout.size <= end else b""
+        if len(head) < layout.size:
+            raise InputError(f"{number} of {count} variable length records end at byte {end}: damaged header")
+        _, user, record_id, length, _ = layout.unpack(head)
+        place += layout.size
+        if place + length > end:
+            raise InputError(
+                f"variable length record {number + 1} of {count} would end at byte {place + length}, behind byte {end}:"
+                " damaged header"
+            )
+        key = (user.split(b"\0")[0].decode("latin-1"), record_id)
+        if key in _WANTED and key not in records and length <= _RECORD_LIMIT:
+            records[key] = file.read(length)
+        place += length
+    return records
+
+
+def read_extras(header: Header, warn: Warn) -> list[Extra]:
+    """The described extra bytes in their order, undescribed gaps (`name` is empty) included.
+
+    Descriptions that do not fit the record are left out with a warning: the points do not depend on them.
+    """
+    data = header.records.get(("LASF_Spec", 4), b"")
+    extras = []
+    for fields in EXTRA.iter_unpack(data[: len(data) // EXTRA.size * EXTRA.size]):
+        _, kind, options, name, _, no_data, _, _, *numbers, _ = fields
+        size, dtype = 1, np.dtype("u1")
+        if kind == 0:  # undocumented bytes; the options are their number
+            size, name = options, b""
+        elif kind <= 3 * len(EXTRA_TYPES):
+            size, dtype = (kind - 1) // len(EXTRA_TYPES) + 1, np.dtype(EXTRA_TYPES[(kind - 1) % len(EXTRA_TYPES)])
+        else:
+            warn(f"left out the extra bytes: expected a type of 0 to {3 * len(EXTRA_TYPES)}, got {kind}")
+            return []
+        extras.append(
+            Extra(
+                name.split(b"\0")[0].decode("utf-8", errors="replace").strip(),
+                dtype,
+                size,
+                no_data if kind and options & EXTRA_NO_DATA else None,
+                tuple(numbers[:3]) if kind and options & EXTRA_SCALE else (1.0,) * 3,
+                tuple(numbers[3:]) if kind and options & EXTRA_OFFSET else (0.0,) * 3,
+            )
+        )
+    described = sum(extra.size * extra.dtype.itemsize for extra in extras)
+    if described > header.extra_bytes:
+        warn(f"left out the extra bytes: {described} are described, a point has {header.extra_bytes}")
+        return []
+    return extras

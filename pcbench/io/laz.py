@@ -1,0 +1,167 @@
+"""The compressed points of LAZ and COPC files, through lazrs.
+
+Martin Isenburg, "LASzip: lossless compression of LiDAR data", Photogrammetric Engineering & Remote Sensing, 2013.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import struct
+import subprocess
+import sys
+from io import BytesIO
+from pathlib import Path
+from threading import Timer
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError, MissingExtra
+from pcbench.io.las_header import Header
+
+LASZIP = ("laszip encoded", 22204)
+_LASZIP = struct.Struct("<HHBBHIIqqH")  # compressor, coder, version (3), options, chunk size, 2 counts, items
+_ITEM = struct.Struct("<HHH")  # type, bytes, version
+_VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table tells how many points a chunk has
+
+# A file may grow so many times when unpacked: real clouds shrink 3 to 20 times, a bare grid a few hundred times.
+_GROWTH_LIMIT, _GROWTH_FREE = 1000, 256 << 20
+_WORKER = str(Path(__file__).with_name("laz_worker.py"))
+_WORKER_MEMORY = 1 << 30  # bytes of address space, beside twice the points: code, stacks, one heap a thread
+_WORKER_SECONDS, _WORKER_SPEED = 30.0, 1e6  # and so many bytes a second, where lazrs does 50 million on one core
+
+
+def require_lazrs() -> None:
+    """Raises MissingExtra where lazrs is not installed."""
+    if importlib.util.find_spec("lazrs") is None:
+        raise MissingExtra("lazrs", "las")
+
+
+def decompress(file: BinaryIO, header: Header) -> NDArray[np.uint8]:
+    """The point records as they would stand in a LAS file, (count * record_bytes,).
+
+    Raises:
+        InputError: the compressed data are damaged.
+        MissingExtra: lazrs is not installed.
+    """
+    require_lazrs()
+    _check(file, header)
+    if not sys.executable:
+        raise InputError(
+            "LAZ is unpacked by a Python process of its own, and this program names no Python: write a .las"
+        )
+    total = header.count * header.record_bytes
+    points = np.empty(total, dtype=np.uint8)
+    job = {
+        "start": header.start,
+        "laszip": header.records[LASZIP].hex(),
+        "count": header.count,
+        "record_bytes": header.record_bytes,
+        "memory": _WORKER_MEMORY + 2 * total,
+        "sys_path": sys.path,
+    }
+    # -I -S: neither the working directory nor the environment decides what is imported, sys_path does.
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-S", _WORKER, json.dumps(job)],
+        stdin=file,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+        env=os.environ | {"MALLOC_ARENA_MAX": "4"},  # each arena takes 64 MiB of the address space allowed
+    )
+    watch = Timer(_WORKER_SECONDS + total / _WORKER_SPEED, process.kill)
+    watch.start()
+    try:
+        got = _receive(process, points)
+        status = process.wait()
+    finally:
+        watch.cancel()
+        process.kill()
+        process.wait()
+    if status == 3:
+        raise MissingExtra("lazrs", "las", "it is installed but does not load")
+    if status or got < total:
+        raise _damaged(f"{got // header.record_bytes} of {header.count} points could be decompressed")
+    return points
+
+
+def _receive(process: subprocess.Popen[bytes], points: NDArray[np.uint8]) -> int:
+    """Fills the buffer from the worker's output; how many bytes came."""
+    assert process.stdout is not None
+    got = 0
+    with process.stdout as pipe:
+        while got < len(points) and (more := pipe.readinto(points[got:].data)):  # type: ignore[attr-defined]
+            got += more
+    return got
+
+
+def _damaged(reason: str) -> InputError:
+    return InputError(f"damaged LAZ data: {reason}: copy or export the file again")
+
+
+def _check(file: BinaryIO, header: Header) -> None:
+    """The LASzip record and the place and length of the chunk table, which stands behind the points."""
+    record = header.records.get(LASZIP, b"")
+    if len(record) < _LASZIP.size:
+        raise _damaged("the header has no LASzip record")
+    compressor, *_, chunk_size, _, _, items = _LASZIP.unpack_from(record)
+    if compressor not in (2, 3):
+        raise InputError(f"expected LASzip compressor 2 or 3 (in chunks), got {compressor}: compress the file again")
+    if len(record) < _LASZIP.size + items * _ITEM.size:
+        raise _damaged("the LASzip record is not complete")
+    item_bytes = sum(_ITEM.unpack_from(record, _LASZIP.size + k * _ITEM.size)[1] for k in range(items))
+    if item_bytes != header.record_bytes:
+        raise _damaged(f"its LASzip record has {item_bytes} bytes a point, the header {header.record_bytes}")
+
+    size = file.seek(0, 2)
+    table = _integer(file, header.start, "<q")
+    if table == -1:  # written as a stream: the place stands at the very end
+        table = _integer(file, size - 8, "<q")
+    if not header.start + 8 <= table <= size - 8:
+        raise InputError(
+            f"truncated LAZ data: the chunk table should stand at byte {table}, the file has {size}:"
+            " copy or export the file again"
+        )
+    chunks = _integer(file, table + 4, "<I")
+    if chunks * header.record_bytes > table - header.start - 8:  # each chunk starts with a point as it is
+        raise _damaged(f"{chunks} chunks do not fit into {table - header.start - 8} bytes")
+    if chunk_size != _VARIABLE_CHUNKS and header.count > chunks * chunk_size:
+        raise _damaged(f"{chunks} chunks of {chunk_size} points cannot hold {header.count} points")
+    unpacked = header.count * header.record_bytes
+    if unpacked > _GROWTH_FREE + _GROWTH_LIMIT * size:
+        raise _damaged(f"{size} bytes would unpack to {unpacked}")
+
+
+def _integer(file: BinaryIO, place: int, code: str) -> int:
+    layout = struct.Struct(code)
+    file.seek(max(place, 0))
+    data = file.read(layout.size)
+    if len(data) < layout.size:
+        raise InputError("truncated LAZ data: the file ends before its points: copy or export the file again")
+    return int(layout.unpack(data)[0])
+
+
+def laszip_record(point_format: int, extra_bytes: int) -> bytes:
+    """The LASzip record for new files."""
+    require_lazrs()
+    import lazrs
+
+    return bytes(lazrs.LazVlr.new_for_compression(point_format, extra_bytes).record_data())
+
+
+def compressed(points: memoryview, laszip: bytes, start: int) -> memoryview:
+    """Point records as they stand in a LAZ file from its byte `start`.
+
+    In memory, not into the file: lazrs would turn "No space left on device" into an error of its own.
+    """
+    import lazrs
+
+    buffer = BytesIO(bytes(start))  # the chunk table's place is counted from the start of the file
+    buffer.seek(start)
+    compressor = lazrs.ParLasZipCompressor(buffer, lazrs.LazVlr(laszip))
+    compressor.compress_many(points)
+    compressor.done()
+    return buffer.getbuffer()[start:]
