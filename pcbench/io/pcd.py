@@ -1,0 +1,358 @@
+"""PCD 0.7 of the Point Cloud Library: ascii, binary and binary_compressed.
+
+As with PLY, the header is believed only as far as the file is long. "The PCD (Point Cloud Data) file format", in the
+documentation of the Point Cloud Library.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError
+from pcbench.io import lzf
+from pcbench.io.files import Fields, Warn, atomic_write, read_rest
+
+_HEADER_LIMIT = 1 << 20  # bytes
+_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)}
+_TYPES |= {"F4": "<f4", "F8": "<f8"}
+_IDENTITY = "0 0 0 1 0 0 0"  # viewpoint: translation, and rotation as a quaternion wxyz
+_DATA = ("ascii", "binary", "binary_compressed")
+_XYZ = ("x", "y", "z")
+_NORMALS = ("normal_x", "normal_y", "normal_z")
+_PACKED = ("rgb", "rgba")
+
+Columns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class _Field:
+    """`count` numbers of one type in a point; padding is called "_"."""
+
+    name: str
+    dtype: np.dtype[Any]
+    count: int
+
+    @property
+    def size(self) -> int:
+        return self.dtype.itemsize * self.count
+
+
+@dataclass(frozen=True)
+class _Header:
+    fields: list[_Field]
+    count: int
+    data: str
+    viewpoint: str
+
+    @property
+    def values(self) -> int:
+        return sum(field.count for field in self.fields)
+
+    @property
+    def point_bytes(self) -> int:
+        return sum(field.size for field in self.fields)
+
+    def truncated(self, complete: int) -> InputError:
+        return InputError(f"truncated: {complete} of {self.count} points: copy or export the file again")
+
+
+def read_pcd(path: Path, warn: Warn) -> Fields:
+    """The points of a PCD file: x y z, normal_x normal_y normal_z, packed rgb or rgba, and the rest as attributes.
+
+    A field of several numbers becomes attributes "name[0]", "name[1]"; the alpha of rgba is left out. An ascii file's
+    coordinates keep the digits they have. The viewpoint is not applied: points are returned as they are stored.
+
+    Raises:
+        InputError: the file is not a complete PCD file with at least one point.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        header = _read_header(file)
+        body = read_rest(file)
+    if not _is_identity(header.viewpoint):
+        warn(f"the viewpoint {header.viewpoint[:80]!r} was not applied")
+    with np.errstate(invalid="ignore", over="ignore"):
+        if header.data == "ascii":
+            columns = _ascii_columns(body.tobytes(), header)
+        elif header.data == "binary":
+            columns = _binary_columns(body, header, warn)
+        else:
+            columns = _compressed_columns(body, header)
+        points = np.stack([columns.pop(name)[:, 0] for name in _XYZ], axis=1, dtype=np.float64, casting="unsafe")
+        normals = None
+        if columns.keys() >= set(_NORMALS) and all(columns[name].shape[1] == 1 for name in _NORMALS):
+            normals = np.stack([columns.pop(name)[:, 0] for name in _NORMALS], axis=1)
+    packed = next((name for name in _PACKED if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None)
+    return Fields(
+        points=points,
+        normals=normals,
+        colors=_unpacked(columns.pop(packed)) if packed else None,
+        attributes=_attributes(columns),
+    )
+
+
+def _is_identity(viewpoint: str) -> bool:
+    try:
+        return [float(word) for word in viewpoint.split()] == [0, 0, 0, 1, 0, 0, 0]
+    except ValueError:
+        return False
+
+
+def _unpacked(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """Red, green and blue (N, 3) from the bits of a uint32 or float32: alpha, red, green, blue from the top."""
+    bits = np.ascontiguousarray(values[:, 0]).view(np.uint32)
+    return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
+
+
+def _attributes(columns: Columns) -> Columns:
+    attributes: Columns = {}
+    for name, values in columns.items():
+        for k in range(values.shape[1]):
+            column = values[:, k]
+            key = name if values.shape[1] == 1 else f"{name}[{k}]"
+            attributes[key] = np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("="))
+    return attributes
+
+
+# ---- header -------------------------------------------------------------------------------------------------------
+
+
+def _read_header(file: BinaryIO) -> _Header:
+    """Reads up to and including the line DATA: the file then stands at the body."""
+    entries: dict[str, list[str]] = {}
+    used = 0
+    while "DATA" not in entries:
+        line = file.readline(_HEADER_LIMIT - used + 1)
+        used += len(line)
+        if used > _HEADER_LIMIT:
+            raise InputError(f"expected a PCD header of at most {_HEADER_LIMIT} bytes, got no DATA line until there")
+        if not line:
+            raise InputError("header without a DATA line: expected a PCD file (VERSION, FIELDS, SIZE, TYPE, ...)")
+        words = line.decode("latin-1").split()
+        if not words or words[0].startswith("#"):
+            continue
+        key = words[0].upper()
+        if key == "COLUMNS":  # an old name
+            key = "FIELDS"
+        if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
+            raise InputError(f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_shown(line)}")
+        if key in entries:
+            raise InputError(f"header: a second {key} line")
+        entries[key] = words[1:]
+
+    if missing := [key for key in ("FIELDS", "SIZE", "TYPE") if not entries.get(key)]:
+        raise InputError(f"header without {', '.join(missing)}: export the file again")
+    names = entries["FIELDS"]
+    counts = entries.get("COUNT", ["1"] * len(names))
+    for key, words in (("SIZE", entries["SIZE"]), ("TYPE", entries["TYPE"]), ("COUNT", counts)):
+        if len(words) != len(names):
+            raise InputError(f"header: {len(names)} FIELDS, but {len(words)} values in {key}")
+    fields = [
+        _field(name, kind + size, count)
+        for name, kind, size, count in zip(names, entries["TYPE"], entries["SIZE"], counts, strict=True)
+    ]
+    _check_fields(fields)
+    width, height = _one(entries, "WIDTH"), _one(entries, "HEIGHT")
+    count = _one(entries, "POINTS") if "POINTS" in entries else width * height
+    if "WIDTH" in entries and count != width * height:
+        raise InputError(f"header: WIDTH {width} x HEIGHT {height} is not POINTS {count}")
+    if not count:
+        raise InputError("expected at least one point, got POINTS 0")
+    if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA:
+        raise InputError(f"header: expected DATA {', '.join(_DATA)}; got {' '.join(entries['DATA'])[:40]!r}")
+    return _Header(fields, count, entries["DATA"][0].lower(), " ".join(entries.get("VIEWPOINT", [_IDENTITY])))
+
+
+def _one(entries: dict[str, list[str]], key: str) -> int:
+    words = entries.get(key, ["1"])
+    return _whole(words[0] if len(words) == 1 else " ".join(words), key)
+
+
+def _whole(word: str, key: str) -> int:
+    if not word.isdigit() or len(word) > 18:
+        raise InputError(f"header: expected {key} as a whole number, got {word[:40]!r}")
+    return int(word)
+
+
+def _field(name: str, code: str, count: str) -> _Field:
+    if code.upper() not in _TYPES:
+        raise InputError(
+            f"header: expected a type and size of {', '.join(_TYPES)}; got {code[:40]!r} for {name[:40]!r}"
+        )
+    return _Field(name, np.dtype(_TYPES[code.upper()]), _whole(count, "COUNT"))
+
+
+def _check_fields(fields: list[_Field]) -> None:
+    names = [field.name for field in fields if field.name != "_"]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"field {twice[:40]!r} stands twice in the header")
+    if missing := [name for name in _XYZ if name not in names]:
+        raise InputError(f"expected fields x, y, z; missing: {', '.join(missing)}")
+    for field in fields:
+        if not field.count or (field.name in _XYZ + _PACKED and field.count != 1):
+            raise InputError(f"header: expected COUNT 1 of {field.name[:40]!r}, got {field.count}")
+
+
+def _shown(line: bytes) -> str:
+    text = line.strip()
+    return repr(text[:60])[1:] + ("..." if len(text) > 60 else "")
+
+
+# ---- body ---------------------------------------------------------------------------------------------------------
+
+
+def _binary_columns(body: NDArray[np.uint8], header: _Header, warn: Warn) -> Columns:
+    """Columns (N, count) as views: points stand one after the other."""
+    if len(body) < header.count * header.point_bytes:
+        raise header.truncated(len(body) // header.point_bytes)
+    if extra := len(body) - header.count * header.point_bytes:
+        warn(f"{extra} bytes after the last point were left out")
+    columns, place = {}, 0
+    for field in header.fields:
+        if field.name != "_":
+            shape, strides = (header.count, field.count), (header.point_bytes, field.dtype.itemsize)
+            columns[field.name] = np.ndarray(shape, field.dtype, body.data, place, strides)
+        place += field.size
+    return columns
+
+
+def _compressed_columns(body: NDArray[np.uint8], header: _Header) -> Columns:
+    """Columns (N, count) as views: fields stand one after the other, and are compressed as a whole."""
+    total = header.count * header.point_bytes
+    if len(body) < 8:
+        raise header.truncated(0)
+    packed, unpacked = struct.unpack("<II", body[:8].tobytes())
+    if unpacked != total:
+        raise InputError(f"expected {header.count} points in {total} bytes, the body says {unpacked}: damaged header")
+    if packed > len(body) - 8:
+        raise InputError(f"truncated: {len(body) - 8} of {packed} compressed bytes: copy or export the file again")
+    if unpacked > packed * lzf.GROWTH_LIMIT:
+        raise InputError(f"damaged LZF data: {packed} bytes cannot become {unpacked}: export the file again")
+    data = lzf.decompress(body[8 : 8 + packed].tobytes(), total)
+    columns, place = {}, 0
+    for field in header.fields:
+        if field.name != "_":
+            columns[field.name] = np.ndarray((header.count, field.count), field.dtype, data, place)
+        place += field.size * header.count
+    return columns
+
+
+def _ascii_columns(text: bytes, header: _Header) -> Columns:
+    """Columns (N, count) in their types; coordinates in float64."""
+    if header.count * header.values * 2 - 1 > len(text):  # a digit and a blank each
+        raise header.truncated(min(len(text.splitlines()), header.count - 1))
+    lines = [line for line in text.splitlines() if line.strip()]
+    if len(lines) < header.count:
+        raise header.truncated(len(lines))
+    if len(lines) > header.count:
+        raise InputError(f"{len(lines) - header.count} lines after the last point: header and body disagree")
+    table = _ascii_table(lines, header)
+    columns, place = {}, 0
+    for field in header.fields:
+        values = table[:, place : place + field.count]
+        if field.name in _XYZ:
+            columns[field.name] = values
+        elif field.name != "_":
+            columns[field.name] = _typed(values, field)
+            if field.dtype.itemsize == 8 and field.dtype.kind != "f" and np.abs(values).max() >= 2**53:
+                columns[field.name] = _long_integers(lines, place, field)
+        place += field.count
+    return columns
+
+
+def _ascii_table(lines: list[bytes], header: _Header) -> NDArray[np.float64]:
+    try:
+        table = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
+        if table.shape == (header.count, header.values):
+            return table
+    except ValueError:
+        pass  # the walk below says which row is wrong
+    for number, line in enumerate(lines):
+        words = line.split()
+        if len(words) != header.values:
+            raise InputError(f"point {number + 1}: expected {header.values} values, got {len(words)}")
+        for word in words:
+            try:
+                float(word)
+            except ValueError:
+                raise InputError(f"point {number + 1}: expected numbers, got {_shown(line)}") from None
+    raise InputError("expected lines of numbers, got something else")
+
+
+def _typed(values: NDArray[np.float64], field: _Field) -> NDArray[Any]:
+    if field.dtype.kind == "f":
+        return values.astype(field.dtype)
+    typed = values.astype(field.dtype)
+    if len(wrong := np.flatnonzero((typed != values).any(axis=1))):
+        raise InputError(f"point {wrong[0] + 1}: expected {field.name!r} as {field.dtype.name}, got another number")
+    return typed
+
+
+def _long_integers(lines: list[bytes], place: int, field: _Field) -> NDArray[Any]:
+    """Integers that float64 would round."""
+    try:
+        words = [line.split()[place : place + field.count] for line in lines]
+        return np.array([[int(word) for word in row] for row in words], dtype=field.dtype)
+    except (ValueError, OverflowError):
+        raise InputError(f"expected {field.name!r} as {field.dtype.name}, got another number") from None
+
+
+# ---- writer -------------------------------------------------------------------------------------------------------
+
+
+def write_pcd(path: Path, cloud: Cloud) -> None:
+    """Writes binary PCD: x y z, normals float, packed rgb, attributes in their type. No place for crs and unit.
+
+    Coordinates are float where that is exact, else double: PCL and Open3D know points of floats only (Open3D takes
+    doubles for zeros), but a float is off by 0.1 m and more at UTM coordinates.
+
+    Raises:
+        InputError: an attribute's name or type cannot stand in a PCD file.
+        OSError: the file cannot be written; an existing one is then unchanged.
+    """
+    with np.errstate(over="ignore"):
+        floats = cloud.points.astype(np.float32)
+    points = floats if np.array_equal(floats, cloud.points) else cloud.points
+    columns: Columns = {name: points[:, axis] for axis, name in enumerate(_XYZ)}
+    if cloud.normals is not None:
+        columns |= {name: cloud.normals[:, axis].astype("<f4") for axis, name in enumerate(_NORMALS)}
+    if cloud.colors is not None:
+        red, green, blue = cloud.colors.T.astype(np.uint32)
+        columns["rgb"] = red << 16 | green << 8 | blue
+    for name, values in cloud.attributes.items():
+        values = values.astype(np.uint8) if values.dtype.kind == "b" else values
+        values = values.astype(np.float32) if values.dtype == np.float16 else values
+        if name in (*columns, *_PACKED, "_") or not name.isascii() or not name.isprintable() or len(name.split()) != 1:
+            raise InputError(
+                f"{path}: expected attribute names of ASCII that PCD does not use, got {name!r}: rename it"
+            )
+        if values.dtype.kind not in "iuf" or values.dtype.str[1:].upper() not in _TYPES:
+            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
+        columns[name] = values
+    codes = {name: column.dtype.str[1:] for name, column in columns.items()}
+    rows = np.empty(len(cloud), dtype=[(name, f"<{code}") for name, code in codes.items()])
+    for name, column in columns.items():
+        rows[name] = column
+    lines = {
+        "VERSION": "0.7",
+        "FIELDS": " ".join(codes),
+        "SIZE": " ".join(code[1] for code in codes.values()),
+        "TYPE": " ".join(code[0].upper() for code in codes.values()),
+        "COUNT": " ".join("1" for _ in codes),
+        "WIDTH": str(len(cloud)),
+        "HEIGHT": "1",
+        "VIEWPOINT": _IDENTITY,
+        "POINTS": str(len(cloud)),
+        "DATA": "binary",
+    }
+    with atomic_write(path) as file:
+        file.write("".join(f"{key} {value}\n" for key, value in lines.items()).encode())
+        file.write(rows.view(np.uint8).data)
