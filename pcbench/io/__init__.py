@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.cloud import Cloud
 from pcbench.errors import InputError
-from pcbench.io.files import Fields, Warn, check_readable
+from pcbench.io.files import Fields, check_readable
+from pcbench.io.las import read_las, write_las
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
+from pcbench.io.pcd import read_pcd, write_pcd
 from pcbench.io.ply import read_ply, write_ply
+from pcbench.io.text import read_text, write_text
 
 __all__ = ["read_cloud", "write_cloud"]
 
@@ -20,33 +24,57 @@ __all__ = ["read_cloud", "write_cloud"]
 class _Format(NamedTuple):
     """Readers name neither the path in their errors nor drop NaN points: `read_cloud` does both for all of them."""
 
-    read: Callable[[Path, Warn], Fields]
-    write: Callable[[Path, Cloud], None]
+    read: Callable[..., Fields]  # (path, warn), and the filters of _FILTERED
+    write: Callable[[Path, Cloud], None] | None
 
 
 _FORMATS = {
+    ".asc": _Format(read_text, write_text),
+    ".csv": _Format(read_text, write_text),
+    ".las": _Format(read_las, write_las),
+    ".laz": _Format(read_las, write_las),  # .copc.laz too
     ".npy": _Format(read_npy, write_npy),
     ".npz": _Format(read_npz, write_npz),
+    ".pcd": _Format(read_pcd, write_pcd),
     ".ply": _Format(read_ply, write_ply),
+    ".pts": _Format(read_text, None),
+    ".txt": _Format(read_text, write_text),
+    ".xyz": _Format(read_text, write_text),
 }
+_FILTERED = (".las", ".laz")  # their readers take classes and returns
 
 
-def read_cloud(path: str | os.PathLike[str], *, on_warning: Callable[[str], None] | None = None) -> Cloud:
+def read_cloud(
+    path: str | os.PathLike[str],
+    *,
+    on_warning: Callable[[str], None] | None = None,
+    classes: Collection[int] | None = None,
+    returns: str | Collection[int] | None = None,
+) -> Cloud:
     """The point cloud in a file, without the points whose coordinates are NaN or Inf.
 
     Args:
         path: a file with a known extension, in upper or lower case.
         on_warning: called with one line for each thing left out ("a.ply: dropped 12 of 1000 points with NaN or Inf
             coordinates"); `warnings.warn` if not given.
+        classes: only points of these classes, such as (2, 6); LAS, LAZ and COPC.
+        returns: only the "first" or "last" return of each pulse, or those of these numbers; the same formats.
 
     Raises:
-        InputError: the file cannot be read or is not what its extension says; the message starts with the path.
+        InputError: the file cannot be read or is not what its extension says, or no point is of these classes and
+            returns; the message starts with the path.
+        MissingExtra: an optional library is needed for this file.
     """
     path = Path(path)
     notes: list[str] = []
     try:
         check_readable(path)
-        fields = _format(path).read(path, notes.append)
+        read = _format(path).read
+        if classes is not None or returns is not None:
+            if path.suffix.lower() not in _FILTERED:
+                raise InputError(f"classes and returns are known in {', '.join(_FILTERED)} only")
+            read = partial(read, classes=classes, returns=returns)
+        fields = read(path, notes.append)
         count = len(fields["points"])
         cloud, dropped = Cloud.from_finite(**fields)
     except InputError as error:
@@ -74,10 +102,13 @@ def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:
     """
     path = Path(path)
     try:
-        form = _format(path)
+        write = _format(path).write
+        if write is None:
+            writable = ", ".join(extension for extension, form in _FORMATS.items() if form.write)
+            raise InputError(f"{path.suffix} is read but not written: choose one of {writable}")
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    form.write(path, cloud)
+    write(path, cloud)
 
 
 def _format(path: Path) -> _Format:

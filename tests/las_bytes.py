@@ -1,0 +1,128 @@
+"""LAS files made by hand, byte by byte with struct; LAZ through lazrs alone. Imports nothing from pcbench."""
+
+import io
+import struct
+
+RECORDS = {  # a point of each format, without waveforms
+    0: "<3iHBBbBH",
+    1: "<3iHBBbBHd",
+    2: "<3iHBBbBH3H",
+    3: "<3iHBBbBHd3H",
+    6: "<3iHBBBBhHd",
+    7: "<3iHBBBBhHd3H",
+    8: "<3iHBBBBhHd4H",
+}
+SCALES, OFFSETS = (0.01, 0.001, 0.5), (500_000.0, 4_000_000.25, -100.0)
+
+
+def integers(i):
+    return 1000 * i - 7, 2**31 - 1 - i, -(2**31) + 3 * i
+
+
+def values(form, i, color=256):
+    """Point i: class 2 or 6 in turn, return 1, 2 or 3 of 3 in turn."""
+    number, of, kind = i % 3 + 1, 3, 2 if i % 2 else 6
+    if form < 6:
+        row = [*integers(i), 100 + i, number | of << 3, kind, -5, 9, 40 + i]
+        row += [i + 0.25] if form in (1, 3) else []
+    else:
+        row = [*integers(i), 100 + i, number | of << 4, 0, kind, 9, -500, 40 + i, i + 0.25]
+    if form in (2, 3, 7, 8):
+        row += [color * (i % 200), color * 7, color * 255]
+    return [*row, 5] if form == 8 else row
+
+
+def vlr(user, number, data, extended=False):
+    return struct.pack("<H16sHQ32s" if extended else "<H16sHH32s", 0, user, number, len(data), b"") + data
+
+
+def wkt(text):
+    return vlr(b"LASF_Projection", 2112, text.encode() + b"\0")
+
+
+def geo_keys(**keys):
+    names = {"model": 1024, "geographic": 2048, "projected": 3072, "unit": 3076, "vertical": 4096}
+    entries = b"".join(struct.pack("<4H", names[name], 0, 1, value) for name, value in keys.items())
+    return vlr(b"LASF_Projection", 34735, struct.pack("<4H", 1, 1, 0, len(keys)) + entries)
+
+
+def extra(name, kind, options=0, no_data=b"", scale=0.0, offset=0.0):
+    data = struct.pack("<2sBB32s4s24s24s24s3d3d32s", b"", kind, options, name, b"", no_data, b"", b"",
+                       scale, scale, scale, offset, offset, offset, b"")  # fmt: skip
+    return data
+
+
+def extras(*descriptions):
+    return vlr(b"LASF_Spec", 4, b"".join(descriptions))
+
+
+def las(form=0, count=10, minor=None, vlrs=(), evlrs=(), tail=lambda i: b"", compress=None, **replaced):
+    """A file. `tail` gives the extra bytes of a point; `compress` is None, "chunks" or "variable" (as in COPC)."""
+    minor = (4 if form >= 6 else 2) if minor is None else minor
+    points = b"".join(struct.pack(RECORDS[form], *values(form, i, replaced.get("color", 256))) + tail(i)
+                      for i in range(count))  # fmt: skip
+    record_bytes = struct.calcsize(RECORDS[form]) + len(tail(0))
+    header_bytes = {3: 235, 4: 375}.get(minor, 227)
+    laszip = None
+    if compress:
+        import lazrs
+
+        laszip = lazrs.LazVlr.new_for_compression(form, len(tail(0)), compress == "variable")
+        vlrs = [*vlrs, vlr(b"laszip encoded", 22204, bytes(laszip.record_data()))]
+    start = header_bytes + sum(map(len, vlrs))
+    if compress == "chunks":
+        points = compressed(points, laszip, start)
+    elif compress:
+        cut = len(points) // record_bytes // 3 * record_bytes
+        points = compressed([points[:cut], points[cut:]], laszip, start)
+    said = replaced.get("said", count)
+    block = struct.pack("<4sHH16sBB32s32sHHHIIBHI5I3d3d6d", b"LASF", 0, 0, b"", 1, minor, b"by hand", b"", 1, 2024,
+                        header_bytes, start, len(vlrs), form | (128 if compress else 0), record_bytes,
+                        said if minor < 4 else 0, 0, 0, 0, 0, 0,
+                        *replaced.get("scales", SCALES), *replaced.get("offsets", OFFSETS), *[0.0] * 6)  # fmt: skip
+    if minor == 3:
+        block += bytes(8)
+    if minor == 4:
+        block += struct.pack("<QQIQ15Q", 0, start + len(points) if evlrs else 0, len(evlrs), said, *[0] * 15)
+    return b"".join([block, *vlrs, points, *evlrs])
+
+
+def compressed(points, laszip, start):
+    import lazrs
+
+    buffer = io.BytesIO(bytes(start))
+    buffer.seek(start)
+    compressor = lazrs.LasZipCompressor(buffer, laszip)
+    if isinstance(points, list):
+        compressor.compress_chunks(points)
+    else:
+        compressor.compress_many(points)
+    compressor.done()
+    return buffer.getvalue()[start:]
+
+
+UTM = (
+    'PROJCS["WGS 84 / UTM zone 17N",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+    'PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",-81],PARAMETER["scale_factor",0.9996],'
+    'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1],AUTHORITY["EPSG","32617"]]'
+)
+
+
+def corpus():
+    """Valid uncompressed files of all variants, as name -> bytes."""
+    described = extras(extra(b"height", 9), extra(b"count", 3, 8 | 16, b"", 0.5, 10.0), extra(b"", 0, 2))
+    files = {f"format {form}": las(form, 20) for form in RECORDS}
+    files |= {f"1.{minor}": las(1, 12, minor=minor, vlrs=[geo_keys(model=1, projected=32617)]) for minor in range(5)}
+    files["extra bytes"] = las(3, 9, vlrs=[described], tail=lambda i: struct.pack("<fHxx", i / 4, i))
+    files["wkt"] = las(7, 9, vlrs=[wkt(UTM), vlr(b"other", 9, b"1234")])
+    files["extended"] = las(6, 9, evlrs=[vlr(b"LASF_Projection", 2112, UTM.encode(), extended=True)])
+    return files
+
+
+def laz_corpus():
+    described = extras(extra(b"height", 9))
+    files = {f"format {form}": las(form, 300, compress="chunks") for form in RECORDS}
+    files["extra bytes"] = las(7, 99, vlrs=[described], tail=lambda i: struct.pack("<f", i / 4), compress="chunks")
+    files["variable"] = las(7, 300, compress="variable", vlrs=[wkt(UTM)])
+    return files

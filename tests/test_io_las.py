@@ -1,0 +1,516 @@
+"""LAS, LAZ and COPC: hand-made bytes, laspy as the other reader, filters, coordinate systems, damage."""
+
+import os
+import struct
+import subprocess
+import sys
+
+import las_bytes
+import numpy as np
+import pytest
+from data_folder import data_folder
+from las_bytes import OFFSETS, SCALES, UTM, extra, extras, geo_keys, las, vlr, wkt
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError, MissingExtra
+from pcbench.io import las_header, laz, read_cloud, write_cloud
+
+COMPRESSED = pytest.mark.parametrize("compress", [None, "chunks"])
+
+
+def needs_lazrs():
+    pytest.importorskip("lazrs")
+
+
+def read(tmp_path, data, **options):
+    path = tmp_path / "a.las"
+    path.write_bytes(data)
+    return read_cloud(path, **options)
+
+
+def noted(tmp_path, data):
+    notes = []
+    cloud = read(tmp_path, data, on_warning=notes.append)
+    return cloud, [note.removeprefix(f"{tmp_path / 'a.las'}: ") for note in notes]
+
+
+def refusal(tmp_path, data, **options):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, data, **options)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'a.las'}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{tmp_path / 'a.las'}: ")
+
+
+# ---- reading ----
+
+
+@COMPRESSED
+@pytest.mark.parametrize("form", list(las_bytes.RECORDS))
+def test_point_formats(tmp_path, form, compress):
+    if compress:
+        needs_lazrs()
+    count = 200
+    cloud = read(tmp_path, las(form, count, compress=compress))
+    # Exactly integer * scale + offset, in this order, in float64.
+    expected = [
+        [v * s + o for v, s, o in zip(las_bytes.integers(i), SCALES, OFFSETS, strict=True)] for i in range(count)
+    ]
+    np.testing.assert_array_equal(cloud.points, expected)
+    attributes = {
+        "intensity": np.arange(100, 100 + count, dtype=np.uint16),
+        "classification": np.where(np.arange(count) % 2, 2, 6).astype(np.uint8),
+        "return_number": (np.arange(count) % 3 + 1).astype(np.uint8),
+        "number_of_returns": np.full(count, 3, np.uint8),
+        "point_source_id": np.arange(40, 40 + count, dtype=np.uint16),
+    }
+    if form not in (0, 2):
+        attributes["gps_time"] = np.arange(count) + 0.25
+    assert cloud.attributes.keys() == attributes.keys()
+    for name, values in attributes.items():
+        np.testing.assert_array_equal(cloud.attributes[name], values)
+        assert cloud.attributes[name].dtype == values.dtype
+    if form in (2, 3, 7, 8):
+        assert cloud.colors[[1, 199]].tolist() == [[1, 7, 255], [199, 7, 255]]
+    else:
+        assert cloud.colors is None
+
+
+@pytest.mark.parametrize("minor", range(5))
+def test_versions(tmp_path, minor):
+    assert len(read(tmp_path, las(1, 7, minor=minor))) == 7
+
+
+def test_sizes_of_point_formats():
+    laspy = pytest.importorskip("laspy")
+    for number, fields in enumerate(las_header.POINT_FORMATS):
+        assert np.dtype(fields).itemsize == laspy.PointFormat(number).size
+
+
+def test_eight_bit_colors_as_they_are(tmp_path):
+    assert read(tmp_path, las(2, 3, color=1)).colors.tolist() == [[i, 7, 255] for i in range(3)]
+
+
+def test_copc_like_chunks(tmp_path):
+    needs_lazrs()
+    info = vlr(b"copc", 1, bytes(160))
+    hierarchy = vlr(b"copc", 1000, bytes(32), extended=True)
+    data = las(7, 300, vlrs=[info], evlrs=[hierarchy], compress="variable")
+    (tmp_path / "a.copc.laz").write_bytes(data)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.copc.laz").points, read(tmp_path, las(7, 300)).points)
+
+
+def test_extra_bytes(tmp_path):
+    descriptions = extras(
+        extra(b"plain", 9),
+        extra(b"scaled", 3, 8 | 16, b"", 0.5, 10.0),
+        extra(b"", 0, 2),
+        extra(b"gaps", 6, 1, struct.pack("<q", -1)),
+        extra(b"pair", 11),
+        extra(b"intensity", 1),
+    )
+    data = las(0, 4, vlrs=[descriptions],
+               tail=lambda i: struct.pack("<fHxxiBBB", i / 4, i, -1 if i == 2 else i, i, 2 * i, 9))  # fmt: skip
+    cloud, notes = noted(tmp_path, data)
+    assert notes == ["left out the extra bytes 'intensity': the name is taken or unprintable"]
+    extra_names = ["plain", "scaled", "gaps", "pair[0]", "pair[1]"]
+    assert list(cloud.attributes)[-5:] == extra_names
+    assert cloud.attributes["plain"].dtype == np.float32
+    assert cloud.attributes["plain"].tolist() == [0, 0.25, 0.5, 0.75]
+    assert cloud.attributes["scaled"].tolist() == [10, 10.5, 11, 11.5]
+    np.testing.assert_array_equal(cloud.attributes["gaps"], [0, 1, np.nan, 3])
+    assert cloud.attributes["pair[0]"].tolist() == [0, 1, 2, 3]
+    assert cloud.attributes["pair[1]"].tolist() == [0, 2, 4, 6]
+
+
+def test_extra_bytes_that_do_not_fit_are_left_out(tmp_path):
+    cloud, notes = noted(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 10))], tail=lambda i: b"1234"))
+    assert notes == ["left out the extra bytes: 8 are described, a point has 4"]
+    assert "a" not in cloud.attributes
+    cloud, notes = noted(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 31))], tail=lambda i: b"1234"))
+    assert notes == ["left out the extra bytes: expected a type of 0 to 30, got 31"]
+
+
+def test_withheld_points_are_mentioned(tmp_path):
+    data = bytearray(las(0, 4))
+    data[227 + 15] |= 128
+    cloud, notes = noted(tmp_path, data)
+    assert (len(cloud), notes) == (4, ["1 of 4 points are marked as withheld; they were kept"])
+    assert cloud.attributes["classification"][0] == 6
+
+
+@pytest.mark.parametrize("name", ["autzen-bmx-2010", "autzen-bmx-2023", "autzen-thin", "autzen_trim"])
+def test_real_files_as_laspy_reads_them(name):
+    laspy = pytest.importorskip("laspy")
+    path = data_folder("autzen") / f"{name}.las"
+    cloud, other = read_cloud(path, on_warning=lambda note: None), laspy.read(path)
+    np.testing.assert_array_equal(cloud.points, np.stack([other.x, other.y, other.z], axis=1))
+    for dimension, values in cloud.attributes.items():
+        np.testing.assert_array_equal(values, other[dimension])
+
+
+# ---- filters ----
+
+
+def test_filters(tmp_path):
+    data = las(6, 12)
+    every = read(tmp_path, data)
+    number, kind = every.attributes["return_number"], every.attributes["classification"]
+    for options, mask in [
+        ({"classes": (2,)}, kind == 2),
+        ({"classes": [2, 6, 9]}, kind > 0),
+        ({"returns": "first"}, number == 1),
+        ({"returns": "last"}, number == 3),
+        ({"returns": (1, 2)}, number < 3),
+        ({"returns": "1,2"}, number < 3),
+        ({"classes": {6}, "returns": "first"}, (kind == 6) & (number == 1)),
+    ]:
+        cloud = read(tmp_path, data, **options)
+        np.testing.assert_array_equal(cloud.points, every.points[mask])
+        np.testing.assert_array_equal(cloud.attributes["gps_time"], every.attributes["gps_time"][mask])
+
+
+def test_filters_that_leave_nothing_say_what_there_is(tmp_path):
+    there = "the file has class 2 (6 points), class 6 (6 points); return 1 (4 points), return 2 (4 points), return 3"
+    assert refusal(tmp_path, las(0, 12), classes=(9,)).startswith(f"no point is left by classes (9,): {there}")
+    both = refusal(tmp_path, las(0, 12), classes=[9], returns="last")
+    assert both.startswith(f"no point is left by classes [9] and returns last: {there}")
+
+
+@pytest.mark.parametrize("options", [{"classes": ()}, {"classes": (300,)}, {"classes": 2}, {"classes": ("ground",)}])
+def test_wrong_classes(tmp_path, options):
+    assert refusal(tmp_path, las(0, 3), **options).startswith("expected classes as numbers 0 to 255, such as 2,6; got ")
+
+
+@pytest.mark.parametrize("returns", ["firts", (), (-1,)])
+def test_wrong_returns(tmp_path, returns):
+    assert refusal(tmp_path, las(0, 3), returns=returns).startswith("expected returns as 'first', 'last' or numbers")
+
+
+def test_filters_of_other_formats(tmp_path):
+    np.save(tmp_path / "a.npy", np.ones((2, 3)))
+    with pytest.raises(InputError, match=r"classes and returns are known in \.las, \.laz only"):
+        read_cloud(tmp_path / "a.npy", classes=(2,))
+
+
+# ---- coordinate reference systems ----
+
+
+def projected(tmp_path, *vlrs):
+    cloud, notes = noted(tmp_path, las(0, 3, vlrs=vlrs))
+    return cloud.crs, cloud.unit, notes
+
+
+@pytest.mark.parametrize(
+    ("record", "crs", "unit"),
+    [
+        (wkt(UTM), "EPSG:32617", "m"),
+        (geo_keys(model=1, projected=32617), "EPSG:32617", "m"),
+        (geo_keys(model=1, projected=2992), "EPSG:2992", "ft"),
+        (geo_keys(model=1, projected=2256), "EPSG:2256", "ft"),
+        (geo_keys(model=1, projected=2225), "EPSG:2225", "US-ft"),
+        (geo_keys(model=2, geographic=4326), "EPSG:4326", "deg"),
+        (geo_keys(model=1, projected=32617, vertical=5703), "EPSG:32617+5703", "m"),
+        (geo_keys(), None, None),
+    ],
+)
+def test_crs(tmp_path, record, crs, unit):
+    pytest.importorskip("pyproj")
+    found = projected(tmp_path, record)
+    assert found[:2] == (crs, unit)
+
+
+def test_unknown_systems_are_warnings(tmp_path):
+    pytest.importorskip("pyproj")
+    crs, unit, notes = projected(tmp_path, wkt("PROJCS[hello"))
+    assert (crs, unit, len(notes)) == (None, None, 1)
+    assert notes[0].startswith("coordinate reference system not understood: ")
+    crs, unit, notes = projected(tmp_path, geo_keys(model=1, projected=32767, unit=9002))
+    assert (crs, unit) == (None, "ft")
+    assert notes == ["coordinate reference system not understood: its GeoTIFF keys name no EPSG code"]
+
+
+def test_system_without_a_code_stays_as_it_is(tmp_path):
+    pytest.importorskip("pyproj")
+    text = UTM.replace(',AUTHORITY["EPSG","32617"]', "").replace('central_meridian",-81', 'central_meridian",-80.3')
+    assert projected(tmp_path, wkt(text))[:2] == (text, "m")
+
+
+def test_heights_in_another_unit_are_a_warning():
+    pytest.importorskip("pyproj")
+    notes = []
+    cloud = read_cloud(data_folder("autzen") / "autzen-bmx-2010.las", on_warning=notes.append)
+    assert cloud.unit == "m"
+    assert len(notes) == 1
+    assert notes[0].endswith("x and y are in m, z is in US-ft: the coordinates were left as they are")
+
+
+def test_without_pyproj(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    assert projected(tmp_path, wkt(UTM)) == (UTM, None, [])
+    assert projected(tmp_path, geo_keys(model=1, projected=2992, unit=9002)) == ("EPSG:2992", "ft", [])
+    with pytest.raises(MissingExtra, match="pyproj is needed"):
+        write_cloud(tmp_path / "b.las", Cloud(np.zeros((1, 3)), crs="EPSG:32617"))
+    assert not (tmp_path / "b.las").exists()
+
+
+# ---- damage ----
+
+
+def patched(data, place, code, *numbers):
+    data = bytearray(data)
+    struct.pack_into(f"<{code}", data, place, *numbers)
+    return bytes(data)
+
+
+PLAIN, LONG = las(0, 10), las(6, 10)
+ONE = las(0, 10, vlrs=[vlr(b"x", 1, b"12")])
+HEADERS = {
+    "magic": (b"ply\n" + PLAIN, "expected a LAS file that starts with b'LASF', got b'ply"),
+    "random": (b"LASF" + bytes(range(7, 250)) * 2, "expected LAS 1.0 to 1.4, got version"),
+    "short": (PLAIN[:100], "truncated: 100 of 227 bytes of the header"),
+    "version": (patched(PLAIN, 25, "B", 5), "expected LAS 1.0 to 1.4, got version 1.5"),
+    "header size": (patched(LONG, 94, "H", 227), "expected a header of at least 375 bytes in LAS 1.4, got 227"),
+    "start": (patched(PLAIN, 96, "I", 100), "points start at byte 100, inside the header of 227 bytes"),
+    "start behind": (patched(PLAIN, 96, "I", 2**31), f"truncated: points start at byte {2**31}, the file has 427"),
+    "records": (patched(PLAIN, 100, "I", 2**32 - 1), f"{2**32 - 1} variable length records do not fit between"),
+    "record length": (patched(ONE, 227 + 20, "H", 3), "variable length record 1 of 1 would end at byte 284, behind"),
+    "format": (patched(PLAIN, 104, "B", 11), "expected a point format of 0 to 10, got 11"),
+    "point size": (patched(PLAIN, 105, "H", 19), "expected at least 20 bytes a point in format 0, got 19"),
+    "scale": (patched(PLAIN, 131, "d", 0.0), "expected finite scales other than 0 and finite offsets, got (0.0, "),
+    "scale nan": (patched(PLAIN, 139, "d", float("nan")), "expected finite scales other than 0 and finite offsets"),
+    "offset": (patched(PLAIN, 155, "d", float("inf")), "expected finite scales other than 0 and finite offsets"),
+    "two counts": (patched(LONG, 107, "I", 9), "the header says both 9 and 10 points"),
+    "none": (patched(PLAIN, 107, "I", 0), "expected at least one point, got 0"),
+    "absurd": (patched(LONG, 247, "Q", 2**63), f"truncated: 10 of {2**63} points: copy or export the file again"),
+    "truncated": (PLAIN[:-101], "truncated: 4 of 10 points: copy or export the file again"),
+    "header only": (PLAIN[:227], "truncated: 0 of 10 points: copy or export the file again"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_damaged_headers(tmp_path, name):
+    data, expected = HEADERS[name]
+    assert refusal(tmp_path, data)[: len(expected)] == expected
+
+
+def test_more_points_than_said(tmp_path):
+    cloud, notes = noted(tmp_path, las(0, 10, said=4))
+    assert len(cloud) == 4
+    assert notes == ["the header says 4 points, there is room for 10: the rest was left out"]
+
+
+def test_damaged_extended_records_are_a_warning(tmp_path):
+    data = las(6, 10, evlrs=[vlr(b"LASF_Projection", 2112, UTM.encode(), extended=True)])
+    assert read(tmp_path, data).crs in ("EPSG:32617", UTM)
+    cloud, notes = noted(tmp_path, data[:-5])
+    assert (len(cloud), cloud.crs, len(notes)) == (10, None, 1)
+    assert notes[0].startswith("extended records left out: variable length record 1 of 1 would end at byte")
+
+
+def test_damaged_laz(tmp_path):
+    needs_lazrs()
+    data = las(3, 1000, compress="chunks")
+    start = struct.unpack_from("<I", data, 96)[0]
+    (table,) = struct.unpack_from("<q", data, start)
+    chunk_size = start - struct.calcsize("<IqqH") - 3 * 6
+    assert struct.unpack_from("<I", data, chunk_size) == (50_000,)
+    damage = {
+        "truncated LAZ data: the chunk table should stand at byte": data[: table - 100],
+        "truncated LAZ data: the file ends before its points": data[:start],
+        "damaged LAZ data: the header has no LASzip record": patched(data, 227 + 18, "H", 1),
+        "expected LASzip compressor 2 or 3 (in chunks), got 7": patched(data, 227 + 54, "H", 7),
+        "damaged LAZ data: the LASzip record is not complete": patched(data, start - 20, "H", 99),
+        "damaged LAZ data: its LASzip record has 34 bytes a point, the header 35": patched(data, 105, "H", 35),
+        f"damaged LAZ data: {2**31} chunks do not fit into": patched(data, table + 4, "I", 2**31),
+        "damaged LAZ data: 1 chunks of 50000 points cannot hold 50001": patched(data, 107, "I", 50_001),
+        "damaged LAZ data: 0 of 9000 points could be decompressed": patched(data, 107, "I", 9000),
+    }
+    for expected, damaged in damage.items():
+        assert refusal(tmp_path, damaged)[: len(expected)] == expected
+
+
+def test_an_aborting_decompressor_is_one_line(tmp_path, monkeypatch):
+    needs_lazrs()
+    for line in ("import os; os.abort()", "import time; time.sleep(60)", "import sys; sys.stdout.write('1234')"):
+        worker = tmp_path / "worker.py"
+        worker.write_text(line)
+        monkeypatch.setattr(laz, "_WORKER", str(worker))
+        monkeypatch.setattr(laz, "_WORKER_SECONDS", 0.5)
+        message = refusal(tmp_path, las(0, 10, compress="chunks"))
+        assert message == "damaged LAZ data: 0 of 10 points could be decompressed: copy or export the file again"
+
+
+def test_memory_of_the_decompressor_is_limited():
+    script = (
+        "import resource, runpy, sys\n"
+        "try: runpy.run_path(sys.argv.pop(1), run_name='__main__')\n"
+        "except SystemExit as end: print(end.code, resource.getrlimit(resource.RLIMIT_AS)[0])\n"
+    )
+    job = f'{{"memory": {1 << 30}, "sys_path": []}}'  # without a path there is no lazrs: status 3
+    done = subprocess.run([sys.executable, "-c", script, laz._WORKER, job], capture_output=True, text=True, timeout=60)
+    assert done.stdout == f"3 {1 << 30}\n", done.stderr
+
+
+def test_laz_from_any_program(tmp_path):
+    """From a script without a main guard, in another folder where modules of the same names lie in wait."""
+    needs_lazrs()
+    (tmp_path / "a.laz").write_bytes(las(0, 10, compress="chunks"))
+    for name in ("lazrs", "json", "resource"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong module')")
+    (tmp_path / "sub").mkdir()
+    script = tmp_path / "sub" / "script.py"
+    script.write_text("import pcbench\nprint(len(pcbench.read_cloud('a.laz')))\n")
+    environment = os.environ | {"PYTHONSTARTUP": "none.py", "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert (done.stdout, done.stderr) == ("10\n", "")
+
+
+def test_without_lazrs(tmp_path, monkeypatch):
+    needs_lazrs()
+    data = las(0, 10, compress="chunks")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtra, match=r"lazrs is needed for this: pip install 'pcbench\[las\]'"):
+        read(tmp_path, data)
+    with pytest.raises(MissingExtra):
+        write_cloud(tmp_path / "b.laz", Cloud(np.zeros((1, 3))))
+    assert not (tmp_path / "b.laz").exists()
+    assert len(read(tmp_path, las(0, 10))) == 10
+
+
+# ---- writer ----
+
+
+def full_cloud(count=500, seed=1):
+    rng = np.random.default_rng(seed)
+    return Cloud(
+        rng.normal(size=(count, 3)) * [300, 300, 20] + [5e5, 4e6, 100],
+        normals=rng.normal(size=(count, 3)),
+        colors=rng.integers(0, 256, (count, 3), dtype=np.uint8),
+        attributes={
+            "intensity": rng.integers(0, 65536, count),
+            "classification": rng.integers(0, 256, count, dtype=np.uint8),
+            "return_number": rng.integers(1, 4, count),
+            "number_of_returns": np.full(count, 3),
+            "gps_time": rng.random(count) * 1e9,
+            "point_source_id": rng.integers(0, 9, count).astype(np.float32),
+            "confidence": rng.random(count).astype(np.float32),
+            "Größe": rng.random(count),
+            "id": rng.integers(-(2**62), 2**62, count),
+            "flag": rng.random(count) < 0.5,
+            "half": rng.random(count).astype(np.float16),
+            "big": np.arange(count, dtype=">u2"),
+        },
+        crs="EPSG:32617",
+        unit="m",
+    )
+
+
+@pytest.mark.parametrize("extension", [".las", ".laz", ".LAZ"])
+def test_round_trip(tmp_path, extension):
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("pyproj")
+    needs_lazrs()
+    cloud, path = full_cloud(), tmp_path / f"a{extension}"
+    write_cloud(path, cloud)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    again = read_cloud(path)
+    assert np.abs(again.points - cloud.points).max() <= 5.1e-5  # half the scale, and rounding at 4e6
+    np.testing.assert_array_equal(again.normals, cloud.normals.astype(np.float32))
+    np.testing.assert_array_equal(again.colors, cloud.colors)
+    assert again.attributes.keys() == cloud.attributes.keys()
+    for name, values in cloud.attributes.items():
+        np.testing.assert_array_equal(again.attributes[name], values)
+    assert (again.crs, again.unit) == ("EPSG:32617", "m")
+
+    other = laspy.read(path)
+    np.testing.assert_array_equal(np.stack([other.x, other.y, other.z], axis=1), again.points)
+    assert other.header.parse_crs().to_epsg() == 32617
+    np.testing.assert_array_equal(other.header.mins, again.points.min(axis=0))
+    np.testing.assert_array_equal(other.header.maxs, again.points.max(axis=0))
+    counts = np.bincount(cloud.attributes["return_number"], minlength=16)[1:]
+    np.testing.assert_array_equal(other.header.number_of_points_by_return, counts)
+    for name in ("id", "confidence", "intensity", "gps_time", "return_number"):
+        np.testing.assert_array_equal(other[name], cloud.attributes[name])
+    np.testing.assert_array_equal(other.red, cloud.colors[:, 0] * np.uint16(257))
+
+
+def test_the_same_cloud_gives_the_same_bytes(tmp_path):
+    cloud = Cloud(np.random.default_rng(3).normal(size=(100, 3)))
+    for name in ("a.las", "b.las"):
+        write_cloud(tmp_path / name, cloud)
+    assert (tmp_path / "a.las").read_bytes() == (tmp_path / "b.las").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("extent", "step"),
+    [(0.0, 1e-4), (1e-3, 1e-9), (2.0, 1e-6), (99.0, 1e-5), (1e3, 1e-4), (4e5, 1e-4), (8e5, 2e-4)],
+)
+@pytest.mark.parametrize("centre", [0.0, 0.499, -5e6 + 0.5])
+def test_precision_follows_the_extent(tmp_path, extent, step, centre):
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 3)) * extent + centre
+    points[:2] = [[centre - extent / 2] * 3, [centre + extent / 2] * 3]
+    write_cloud(tmp_path / "a.las", Cloud(points))
+    assert struct.unpack_from("<d", (tmp_path / "a.las").read_bytes(), 131) == (step,)
+    rounding = 4 * np.spacing(np.abs(points).max())
+    assert np.abs(read_cloud(tmp_path / "a.las").points - points).max() <= step / 2 + rounding
+
+
+def test_an_extent_next_to_nothing(tmp_path):
+    write_cloud(tmp_path / "a.las", Cloud(np.array([[0.0] * 3, [1e-320] * 3])))
+    assert read_cloud(tmp_path / "a.las").points.tolist() == [[0.0] * 3] * 2
+
+
+def test_hundredths_come_back_as_they_were(tmp_path):
+    """Coordinates of a LAS file in hundredths are whole multiples of the finer step: no error creeps in."""
+    points = np.round(np.random.default_rng(2).uniform(0, 1000, (200, 3)), 2) + [636_000, 849_000, 0]
+    write_cloud(tmp_path / "a.las", Cloud(points))
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.las").points, points, rtol=0, atol=1e-9)
+
+
+def write_refusal(path, cloud):
+    with pytest.raises(InputError) as caught:
+        write_cloud(path, cloud)
+    assert not path.exists()
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+def test_extent_beyond_32_bits(tmp_path):
+    for reach in (1e6, 1e90):
+        cloud = Cloud(np.array([[-reach] * 3, [reach] * 3]))
+        message = write_refusal(tmp_path / "a.las", cloud)
+        assert message.startswith("an extent of ") and "does not fit LAS's 32 bits" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("intensity", [0.5], "expected attribute 'intensity' as whole numbers 0 to 65535: rename or rescale it"),
+        ("intensity", [70000], "expected attribute 'intensity' as whole numbers 0 to 65535"),
+        ("return_number", [16], "expected attribute 'return_number' as whole numbers 0 to 15"),
+        ("classification", [np.nan], "expected attribute 'classification' as whole numbers 0 to 255"),
+        ("a" * 33, [1], "expected attribute names of 1 to 32 bytes that LAS does not use itself, got 'aaa"),
+        ("", [1], "expected attribute names of 1 to 32 bytes"),
+        ("X", [1], "expected attribute names of 1 to 32 bytes"),
+        ("withheld", [1], "expected attribute names of 1 to 32 bytes"),
+        ("a", ["word"], "expected attribute 'a' as numbers, got <U4"),
+        ("a", [1j], "expected attribute 'a' as numbers, got complex128"),
+    ],
+)
+def test_attributes_that_las_cannot_hold(tmp_path, name, values, expected):
+    cloud = Cloud(np.zeros((1, 3)), attributes={name: np.array(values)})
+    assert write_refusal(tmp_path / "a.las", cloud)[: len(expected)] == expected
+
+
+def test_other_refusals(tmp_path):
+    many = Cloud(np.zeros((1, 3)), attributes={f"a{k}": np.zeros(1) for k in range(400)})
+    assert write_refusal(tmp_path / "a.las", many).startswith(
+        "400 attributes or the crs are more than LAS can describe"
+    )
+    assert write_refusal(tmp_path / "a.copc.laz", Cloud(np.zeros((1, 3)))).startswith("COPC is read but not written")
+    pytest.importorskip("pyproj")
+    message = write_refusal(tmp_path / "a.las", Cloud(np.zeros((1, 3)), crs="the village"))
+    assert message.startswith("expected a crs that pyproj knows, got 'the village'")

@@ -1,0 +1,252 @@
+"""PCD: hand-made files in the three encodings, LZF, what is refused, and what is written."""
+
+import numpy as np
+import pytest
+from pcd_bytes import XYZ, corpus, lzf, pcd, points
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError
+from pcbench.io import lzf as reader
+from pcbench.io import read_cloud, write_cloud
+
+DATA = pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
+
+
+def read(tmp_path, data, **options):
+    path = tmp_path / "a.pcd"
+    path.write_bytes(data)
+    return read_cloud(path, **options)
+
+
+def refusal(tmp_path, data):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, data)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'a.pcd'}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{tmp_path / 'a.pcd'}: ")
+
+
+# ---- reading ----
+
+
+@DATA
+def test_plain(tmp_path, data):
+    cloud = read(tmp_path, pcd(data, XYZ, points(50)))
+    assert cloud.points.tolist() == [list(p) for p in points(50)]
+    assert (cloud.normals, cloud.colors, cloud.attributes, cloud.crs) == (None, None, {}, None)
+
+
+def test_corpus_reads_alike_in_all_encodings(tmp_path):
+    clouds = {name: read(tmp_path, data) for name, data in corpus().items()}
+    for name, cloud in clouds.items():
+        twin = clouds["ascii " + name.split()[1]]
+        np.testing.assert_array_equal(cloud.points, twin.points)
+        assert cloud.attributes.keys() == twin.attributes.keys()
+        for key, values in cloud.attributes.items():
+            np.testing.assert_array_equal(values, twin.attributes[key])
+            assert values.dtype == twin.attributes[key].dtype
+
+
+@DATA
+def test_all_fields(tmp_path, data):
+    cloud = read(tmp_path, corpus()[f"{data} full"])
+    assert cloud.points.tolist() == [list(p) for p in points(12)]
+    assert cloud.normals.tolist() == [[0, 0, 1]] * 12
+    assert cloud.colors.tolist() == [[0x10, 0x20, 0x30 + i] for i in range(12)]
+    assert list(cloud.attributes) == ["hist[0]", "hist[1]", "hist[2]", "hist[3]", "t"]
+    assert cloud.attributes["hist[3]"].tolist() == [i / 2 for i in range(12)]
+    assert cloud.attributes["t"].dtype == np.uint64
+    assert cloud.attributes["t"].tolist() == [2**60 + i for i in range(12)]
+
+
+@DATA
+@pytest.mark.parametrize("kind", ["I1", "U1", "I2", "U2", "I4", "U4", "I8", "U8", "F4", "F8"])
+def test_types(tmp_path, data, kind):
+    low = 0 if kind[0] == "U" else -(2 ** (8 * int(kind[1]) - 1)) if kind[0] == "I" else -0.5
+    cloud = read(tmp_path, pcd(data, [*XYZ, f"a {kind}"], [(0.0, 0.0, 0.0, value) for value in (low, 1, 100)]))
+    assert cloud.attributes["a"].tolist() == [low, 1, 100]
+    assert cloud.attributes["a"].dtype == np.dtype(kind[0].lower() + kind[1])
+
+
+@DATA
+def test_colors_in_the_bits_of_a_float(tmp_path, data):
+    bits = np.array([0x00102030, 0x3F8090A0], dtype=np.uint32).view(np.float32).tolist()
+    cloud = read(tmp_path, pcd(data, [*XYZ, "rgb F4"], [(0.0, 0.0, 0.0, value) for value in bits]))
+    assert cloud.colors.tolist() == [[0x10, 0x20, 0x30], [0x80, 0x90, 0xA0]]
+
+
+def test_rgba_loses_alpha(tmp_path):
+    cloud = read(tmp_path, pcd("binary", [*XYZ, "rgba U4"], [(0.0, 0.0, 0.0, 0x80010203)]))
+    assert cloud.colors.tolist() == [[1, 2, 3]]
+
+
+def test_invalid_points_of_an_organised_cloud_are_dropped(tmp_path):
+    nan = float("nan")
+    notes = []
+    data = pcd("binary", XYZ, [(1.0, 2.0, 3.0), (nan, nan, nan)] * 3, WIDTH=2, HEIGHT=3)
+    assert len(read(tmp_path, data, on_warning=notes.append)) == 3
+    assert notes == [f"{tmp_path / 'a.pcd'}: dropped 3 of 6 points with NaN or Inf coordinates"]
+
+
+def test_ascii_keeps_the_digits(tmp_path):
+    assert read(tmp_path, pcd("ascii", XYZ, [(4e6 + 0.123456, 1.0, 2.0)])).points[0, 0] == 4e6 + 0.123456
+
+
+def test_viewpoint_is_not_applied(tmp_path):
+    notes = []
+    read(tmp_path, pcd("ascii", XYZ, points(2), viewpoint="0 0 0.0 1 0 0 0"), on_warning=notes.append)
+    assert not notes
+    cloud = read(tmp_path, pcd("ascii", XYZ, points(2), viewpoint="0 0 5 1 0 0 0"), on_warning=notes.append)
+    assert notes == [f"{tmp_path / 'a.pcd'}: the viewpoint '0 0 5 1 0 0 0' was not applied"]
+    assert cloud.points.tolist() == [list(p) for p in points(2)]
+
+
+def test_trailing_bytes_are_mentioned(tmp_path):
+    notes = []
+    assert len(read(tmp_path, pcd("binary", XYZ, points(4)) + b"12345", on_warning=notes.append)) == 4
+    assert notes == [f"{tmp_path / 'a.pcd'}: 5 bytes after the last point were left out"]
+
+
+# ---- LZF ----
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lzf_round_trip(seed):
+    rng = np.random.default_rng(seed)
+    data = b"".join(
+        rng.integers(0, 256, rng.integers(1, 90), dtype=np.uint8).tobytes() * rng.integers(1, 99) for _ in range(60)
+    )
+    for size in (0, 1, 3, 40, len(data)):
+        packed = lzf(data[:size])
+        assert reader.decompress(packed, size) == data[:size]
+    assert len(packed) < len(data) / 3
+
+
+def test_lzf_overlapping_copies():
+    assert reader.decompress(b"\x00a\xe0\xff\x00", 265) == b"a" * 265
+    assert reader.decompress(b"\x01ab\x60\x01", 7) == b"abababa"
+
+
+@pytest.mark.parametrize("data", [b"\x05abc", b"\xe0", b"\x00a\x20", b"\x00a", b"\x00a\xe0\xff\x00" * 9])
+def test_lzf_of_another_size(data):
+    with pytest.raises(InputError, match=r"damaged LZF data: expected 7 bytes, got \d+"):
+        reader.decompress(data, 7)
+
+
+def test_lzf_reference_before_the_start():
+    with pytest.raises(InputError, match="a reference to before the first byte"):
+        reader.decompress(b"\x00a\x20\x05", 4)
+
+
+# ---- damage ----
+
+FOUR = points(4)
+PACKED = pcd("binary_compressed", XYZ, FOUR)
+BODY = PACKED.index(b"binary_compressed\n") + len(b"binary_compressed\n")
+DAMAGED = {
+    "another format": (b"ply\nformat ascii 1.0\n", "header: expected a line that starts with one of VERSION, FIELDS,"),
+    "no data": (b"VERSION 0.7\nFIELDS x y z\n", "header without a DATA line"),
+    "long": (b"# long\n" * 200_000, "expected a PCD header of at most 1048576 bytes, got no DATA line until there"),
+    "no size": (pcd("ascii", XYZ, FOUR, SIZE=None), "header without SIZE: export the file again"),
+    "sizes": (pcd("ascii", XYZ, FOUR, SIZE="4 4"), "header: 3 FIELDS, but 2 values in SIZE"),
+    "type": (pcd("ascii", XYZ, FOUR, TYPE="F F X"), "header: expected a type and size of I1, I2"),
+    "half": (pcd("ascii", XYZ, FOUR, SIZE="4 4 2"), "header: expected a type and size of I1, I2"),
+    "no z": (pcd("ascii", ["x F4", "y F4"], [(1.0, 2.0)]), "expected fields x, y, z; missing: z"),
+    "twice": (pcd("ascii", [*XYZ, "x F4"], [(1.0, 2.0, 3.0, 4.0)]), "field 'x' stands twice in the header"),
+    "line twice": (b"VERSION 0.7\nVERSION 0.7\n", "header: a second VERSION line"),
+    "count 0": (pcd("ascii", XYZ, FOUR, COUNT="1 1 0"), "header: expected COUNT 1 of 'z', got 0"),
+    "count 2": (pcd("ascii", XYZ, FOUR, COUNT="1 2 1"), "header: expected COUNT 1 of 'y', got 2"),
+    "count -1": (pcd("ascii", XYZ, FOUR, COUNT="1 1 -1"), "header: expected COUNT as a whole number, got '-1'"),
+    "width": (pcd("ascii", XYZ, FOUR, WIDTH=5), "header: WIDTH 5 x HEIGHT 1 is not POINTS 4"),
+    "points": (pcd("ascii", XYZ, FOUR, POINTS="4e0"), "header: expected POINTS as a whole number, got '4e0'"),
+    "no points": (pcd("ascii", XYZ, []), "expected at least one point, got POINTS 0"),
+    "data": (pcd("ascii", XYZ, FOUR, DATA="gzip"), "header: expected DATA ascii, binary, binary_compressed; got"),
+    "truncated": (pcd("binary", XYZ, FOUR)[:-1], "truncated: 3 of 4 points: copy or export the file again"),
+    "absurd": (pcd("binary", XYZ, FOUR, POINTS=10**17, WIDTH=10**17), f"truncated: 4 of {10**17} points"),
+    "absurd ascii": (pcd("ascii", XYZ, FOUR, POINTS=10**17, WIDTH=10**17), f"truncated: 4 of {10**17} points"),
+    "absurd count": (pcd("ascii", [*XYZ, "a U1"], [(*p, 1) for p in FOUR], COUNT=f"1 1 1 {10**17}"), "truncated: 3 of"),
+    "truncated ascii": (pcd("ascii", XYZ, FOUR, POINTS=5, WIDTH=5), "truncated: 4 of 5 points"),
+    "too many lines": (pcd("ascii", XYZ, FOUR, POINTS=3, WIDTH=3), "1 lines after the last point"),
+    "short line": (pcd("ascii", XYZ, [*FOUR[:2], (1.0, 2.0)]), "point 3: expected 3 values, got 2"),
+    "word": (pcd("ascii", XYZ, FOUR).replace(b"0.5 -1.0", b"half -1.0"), "point 3: expected numbers, got 'half -1.0"),
+    "uchar": (pcd("ascii", [*XYZ, "a U1"], [(*p, 300) for p in FOUR]), "point 1: expected 'a' as uint8"),
+    "no body": (PACKED[:BODY], "truncated: 0 of 4 points"),
+    "truncated packed": (PACKED[:-1], "truncated: "),
+    "sizes differ": (PACKED[: BODY + 4] + b"\xff\0\0\0" + PACKED[BODY + 8 :], "expected 4 points in 48 bytes"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged(tmp_path, name):
+    data, expected = DAMAGED[name]
+    assert refusal(tmp_path, data)[: len(expected)] == expected
+
+
+def test_lzf_that_cannot_grow_so_much(tmp_path):
+    data = pcd("binary", XYZ, [], POINTS=10**8, WIDTH=10**8, DATA="binary_compressed")
+    data += (5).to_bytes(4, "little") + (12 * 10**8).to_bytes(4, "little") + b"\x00a\xe0\xff\x00"
+    assert refusal(tmp_path, data).startswith("damaged LZF data: 5 bytes cannot become 1200000000")
+
+
+# ---- writer ----
+
+
+def test_round_trip(tmp_path):
+    rng = np.random.default_rng(3)
+    attributes = {code: np.arange(50).astype(code) for code in ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", ">f4")}
+    attributes |= {"flag": np.arange(50) % 2 == 0, "half": np.arange(50).astype(np.float16)}
+    cloud = Cloud(
+        rng.normal(size=(50, 3)) * 1e6,
+        normals=rng.normal(size=(50, 3)),
+        colors=rng.integers(0, 256, (50, 3), dtype=np.uint8),
+        attributes=attributes,
+    )
+    write_cloud(tmp_path / "a.pcd", cloud)
+    again = read_cloud(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(again.points, cloud.points)
+    np.testing.assert_array_equal(again.normals, cloud.normals.astype(np.float32))
+    np.testing.assert_array_equal(again.colors, cloud.colors)
+    assert again.attributes.keys() == attributes.keys()
+    for name, values in attributes.items():
+        np.testing.assert_array_equal(again.attributes[name], values)
+
+
+def test_open3d_reads_what_is_written(tmp_path):
+    open3d = pytest.importorskip("open3d")
+    points = np.random.default_rng(3).normal(size=(50, 3)).astype(np.float32)
+    colors = np.arange(150, dtype=np.uint8).reshape(50, 3)
+    write_cloud(tmp_path / "a.pcd", Cloud(points, colors=colors))
+    other = open3d.io.read_point_cloud(str(tmp_path / "a.pcd"))
+    np.testing.assert_array_equal(np.asarray(other.points), points)
+    np.testing.assert_allclose(np.asarray(other.colors) * 255, colors, atol=1e-9)
+
+
+@pytest.mark.parametrize("options", [{"write_ascii": True}, {"compressed": True}, {}])
+def test_what_open3d_writes(tmp_path, options):
+    open3d = pytest.importorskip("open3d")
+    rng = np.random.default_rng(4)
+    other = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(rng.normal(size=(3000, 3))))
+    other.colors = open3d.utility.Vector3dVector(rng.integers(0, 256, (3000, 3)) / 255)
+    other.normals = open3d.utility.Vector3dVector(rng.normal(size=(3000, 3)))
+    open3d.io.write_point_cloud(str(tmp_path / "a.pcd"), other, **options)
+    cloud = read_cloud(tmp_path / "a.pcd")
+    rounding = 1e-6 if options.get("write_ascii") else 4e-7  # ten digits, or float32
+    np.testing.assert_allclose(cloud.points, np.asarray(other.points), rtol=rounding, atol=rounding)
+    np.testing.assert_allclose(cloud.normals, np.asarray(other.normals), rtol=rounding, atol=rounding)
+    np.testing.assert_array_equal(cloud.colors, np.rint(np.asarray(other.colors) * 255))
+
+
+@pytest.mark.parametrize("name", ["", "_", "two words", "x", "rgb", "Größe"])
+def test_refuses_names(tmp_path, name):
+    cloud = Cloud(np.zeros((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)})
+    with pytest.raises(InputError, match="rename it"):
+        write_cloud(tmp_path / "a.pcd", cloud)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
+def test_refuses_what_is_no_number(tmp_path, values):
+    with pytest.raises(InputError, match="expected attribute 'a' as numbers"):
+        write_cloud(tmp_path / "a.pcd", Cloud(np.zeros((1, 3)), attributes={"a": values}))
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,246 @@
+"""Text tables: delimiters, headers, columns without names, what is refused with its line, and what is written."""
+
+import numpy as np
+import pytest
+from data_folder import data_folder
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError
+from pcbench.io import read_cloud, write_cloud
+
+DOUBLES = st.floats(-1e99, 1e99)
+
+
+def read(tmp_path, text, name="a.txt", **options):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_cloud(path, **options)
+
+
+def refusal(tmp_path, text, name="a.txt"):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, text, name)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / name}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{tmp_path / name}: ")
+
+
+# ---- delimiters and lines ----
+
+
+@pytest.mark.parametrize("extension", ["xyz", "csv", "txt", "asc", "pts", "XYZ"])
+@pytest.mark.parametrize("delimiter", [" ", "  ", ",", ", ", ";", "; ", "\t", " \t ", " , "])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_delimiters(tmp_path, extension, delimiter, newline):
+    lines = [delimiter.join(row) for row in (["1", "-2.5", "3e2"], ["+4.", ".5", "6E-1"])]
+    cloud = read(tmp_path, newline.join(lines), f"a.{extension}")
+    assert cloud.points.tolist() == [[1, -2.5, 300], [4, 0.5, 0.6]]
+
+
+def test_single_point_and_byte_order_mark(tmp_path):
+    assert read(tmp_path, b"\xef\xbb\xbf1 2 3").points.tolist() == [[1, 2, 3]]
+    assert read(tmp_path, b"\xef\xbb\xbfx,y,z\n1,2,3\n", "a.csv").points.tolist() == [[1, 2, 3]]
+
+
+def test_comments_and_empty_lines(tmp_path):
+    text = "# made by hand\n\n// in metres\n  1 2 3\n\n# half way\n4 5 6 # the end\n7 8 9 // really\n   \n"
+    assert read(tmp_path, text).points.tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+
+
+def test_crs_and_unit(tmp_path):
+    cloud = read(tmp_path, "# crs EPSG:32617\n# unit US survey foot\n# crs other\n1 2 3\n")
+    assert (cloud.crs, cloud.unit) == ("EPSG:32617", "US survey foot")
+
+
+def test_points_of_nan_are_dropped(tmp_path):
+    notes = []
+    cloud = read(tmp_path, "1 2 3\nnan nan NaN\n4 5 inf\n", on_warning=notes.append)
+    assert (len(cloud), notes) == (1, [f"{tmp_path / 'a.txt'}: dropped 2 of 3 points with NaN or Inf coordinates"])
+
+
+# ---- headers ----
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "X,Y,Z,R,G,B,Nx,Ny,Nz,Scalar",
+        '"x","y","z","red","green","blue","nx","ny","nz","Scalar"',
+        "Easting,Northing,Elevation,Red,Green,Blue,normal_x,normal_y,normal_z,Scalar",
+        "//X,Y,Z,R,G,B,Nx,Ny,Nz,Scalar",
+        "# x,y,z,r,g,b,NormalX,NormalY,NormalZ,Scalar",
+    ],
+)
+def test_headers(tmp_path, header):
+    cloud = read(tmp_path, f"{header}\n1,2,3,255,0,7,0,0,1,0.5\n4,5,6,1,2,3,1,0,0,1.5\n")
+    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert cloud.colors.tolist() == [[255, 0, 7], [1, 2, 3]]
+    assert cloud.normals.tolist() == [[0, 0, 1], [1, 0, 0]]
+    assert list(cloud.attributes) == ["Scalar"]
+    assert cloud.attributes["Scalar"].tolist() == [0.5, 1.5]
+
+
+def test_header_in_another_order(tmp_path):
+    cloud = read(tmp_path, "id;z;;y;x\n1;2;3;4;5\n")
+    assert cloud.points.tolist() == [[5, 4, 2]]
+    assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"id": [1], "column_3": [3]}
+
+
+def test_header_with_blanks_in_names(tmp_path):
+    assert list(read(tmp_path, "x\ty\tz\tpoint number\n1\t2\t3\t4\n").attributes) == ["point number"]
+
+
+@pytest.mark.parametrize("values", ["0.5,0.5,0.5", "256,0,0", "-1,0,0", "nan,0,0"])
+def test_other_colors_stay_attributes(tmp_path, values):
+    cloud = read(tmp_path, f"x,y,z,r,g,b\n1,2,3,{values}\n")
+    assert cloud.colors is None
+    assert list(cloud.attributes) == ["red", "green", "blue"]
+
+
+def test_prose_is_no_header(tmp_path):
+    assert read(tmp_path, "# x y z in metres\n1 2 3\n").points.tolist() == [[1, 2, 3]]
+
+
+def test_cloudcompare_header_and_count(tmp_path):
+    assert len(read(tmp_path, "//X Y Z Intensity\n2\n1 2 3 4\n5 6 7 8\n", "a.asc")) == 2
+
+
+# ---- without a header ----
+
+
+def test_six_columns(tmp_path):
+    assert read(tmp_path, "1 2 3 0 128 255\n").colors.tolist() == [[0, 128, 255]]
+    cloud = read(tmp_path, "1 2 3 0.6 0 -0.8\n1 2 3 0 1 0\n")
+    assert cloud.normals.tolist() == [[0.6, 0, -0.8], [0, 1, 0]]
+    cloud = read(tmp_path, "1 2 3 0.6 0 -0.8\n1 2 3 0 1.5 0\n")
+    assert (cloud.normals, cloud.colors) == (None, None)
+    assert list(cloud.attributes) == ["column_4", "column_5", "column_6"]
+
+
+def test_other_widths(tmp_path):
+    assert list(read(tmp_path, "1 2 3 4\n").attributes) == ["column_4"]
+    assert list(read(tmp_path, "1 2 3 4 5 6 7\n").attributes) == ["column_4", "column_5", "column_6", "column_7"]
+
+
+def test_pts(tmp_path):
+    cloud = read(tmp_path, "2\n1 2 3 -2048 10 20 30\n4 5 6 2047 40 50 60\n", "a.pts")
+    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert cloud.colors.tolist() == [[10, 20, 30], [40, 50, 60]]
+    assert cloud.attributes["intensity"].tolist() == [-2048, 2047]
+    assert list(read(tmp_path, "1\n1 2 3 4\n", "a.pts").attributes) == ["intensity"]
+
+
+def test_real_files():
+    folder = data_folder("autzen")
+    cloud = read_cloud(folder / "autzen-bmx-cc.txt")
+    lines = (folder / "autzen-bmx-cc.txt").read_text().splitlines()
+    assert len(cloud) == sum(line[:1] in "-0123456789" and len(line.split()) > 0 for line in lines if line)
+
+
+# ---- damage ----
+
+DAMAGED = {
+    "binary": (b"1 2 3\n\0\0", "expected text, got NUL bytes: a binary file, or UTF-16"),
+    "utf-16": ("1 2 3\n".encode("utf-16"), "expected text, got NUL bytes"),
+    "blank": ("\n \n# nothing\n", "expected lines of numbers, got none in 3 lines"),
+    "header only": ("x y z\n", "expected lines of numbers, got none in 1 lines"),
+    "two columns": ("1 2\n3 4\n", "line 1: expected at least 3 columns, got '1 2'"),
+    "ragged": ("1 2 3\n\n4 5\n7 8 9\n", "line 3: expected 3 values as in line 1, got 2"),
+    "longer": ("# a\n1 2 3\n4 5 6 7\n", "line 3: expected 3 values as in line 2, got 4"),
+    "word": ("1 2 3\n4 five 6\n", "line 2: expected numbers, got '4 five 6'"),
+    "gap": ("1,2,3\n4,,6\n", "line 2: expected numbers, got '4,,6'"),
+    "underscore": ("1 2 3\n4 5_0 6\n", "line 2: expected numbers, got '4 5_0 6'"),
+    "other digits": ("1 2 3\n4 \u0665 6\n", "line 2: expected numbers, got '4 \u0665 6'"),
+    "latin-1": (b"1 2 3\n4 5 6 m\xb2\n", "line 2: expected numbers, got '4 5 6 m\ufffd'"),
+    "label": ("P1 1 2 3\n", "line 1: expected numbers, got 'P1 1 2 3'"),
+    "prose": ("hello world\n1 2 3\n", "line 1: expected columns x, y, z; missing x, y, z in 'hello world'"),
+    "two headers": ("x y z\na b c\n1 2 3\n", "line 2: expected numbers, got 'a b c'"),
+    "names": ("x y z a\n1 2 3\n", "line 1: 4 column names, but the first point has 3 values"),
+    "twice": ("x y z a a\n1 2 3 4 5\n", "line 1: column 'a' stands twice"),
+    "comma ;": ("1,5;2,5;3,5\n", "line 1: expected a point in decimal numbers, got a comma: '1,5;2,5;3,5'"),
+    "comma blank": ("x y z\n1,5 2,5 3,5\n", "line 2: expected a point in decimal numbers, got a comma"),
+    "comma tab": ("1,5\t2,5\t3,5\n", "line 1: expected a point in decimal numbers, got a comma"),
+    "count": ("3\n1 2 3\n4 5 6\n", "truncated: 2 of 3 points: copy or export the file again"),
+    "lower count": ("1\n1 2 3\n4 5 6\n", "expected 1 points as its first line says, got 2"),
+    "two blocks": ("1\n1 2 3\n1\n1 2 3\n", "line 3: expected 3 values as in line 2, got 1"),
+    "long": ("1 2 3\n" + "a" * 1000, "line 2: expected numbers, got 'aaaa"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged(tmp_path, name):
+    text, expected = DAMAGED[name]
+    message = refusal(tmp_path, text)
+    assert message[: len(expected)] == expected
+    assert len(message) < 200
+
+
+# ---- writer ----
+
+
+@settings(max_examples=50, deadline=None)
+@given(points=arrays(np.float64, st.tuples(st.integers(1, 9), st.just(3)), elements=DOUBLES))
+@pytest.mark.parametrize("extension", ["xyz", "csv"])
+def test_float64_survives_exactly(tmp_path_factory, extension, points):
+    path = tmp_path_factory.mktemp("exact") / f"a.{extension}"
+    write_cloud(path, Cloud(points))
+    np.testing.assert_array_equal(read_cloud(path).points, points)
+
+
+@pytest.mark.parametrize("extension", ["xyz", "txt", "asc", "csv"])
+def test_all_fields_survive(tmp_path, extension):
+    rng = np.random.default_rng(3)
+    cloud = Cloud(
+        rng.normal(size=(70_000, 3)) * 1e6,  # more than are written at a time
+        normals=rng.normal(size=(70_000, 3)),
+        colors=rng.integers(0, 256, (70_000, 3), dtype=np.uint8),
+        attributes={"id": np.arange(70_000), "flag": np.arange(70_000) % 2 == 0, "f": rng.random(70_000, np.float32)},
+        crs="EPSG:32617",
+        unit="US survey\nfoot",
+    )
+    path = tmp_path / f"a.{extension}"
+    write_cloud(path, cloud)
+    again = read_cloud(path)
+    np.testing.assert_array_equal(again.points, cloud.points)
+    np.testing.assert_array_equal(again.normals, cloud.normals)
+    np.testing.assert_array_equal(again.colors, cloud.colors)
+    assert list(again.attributes) == ["id", "flag", "f"]
+    for name, values in cloud.attributes.items():
+        np.testing.assert_array_equal(again.attributes[name], values)
+    assert (again.crs, again.unit) == ((None, None) if extension == "csv" else ("EPSG:32617", "US survey foot"))
+
+
+def test_as_written(tmp_path):
+    cloud = Cloud(np.array([[0.1, 1e-300, 3]]), colors=np.array([[1, 2, 3]], np.uint8), unit="m")
+    write_cloud(tmp_path / "a.csv", cloud)
+    assert (tmp_path / "a.csv").read_text() == "x,y,z,red,green,blue\n0.1,1e-300,3.0,1,2,3\n"
+    write_cloud(tmp_path / "a.txt", cloud)
+    assert (tmp_path / "a.txt").read_text() == "# unit m\n# x y z red green blue\n0.1 1e-300 3.0 1 2 3\n"
+    write_cloud(tmp_path / "a.xyz", Cloud(np.ones((2, 3))))
+    assert (tmp_path / "a.xyz").read_text() == "1.0 1.0 1.0\n1.0 1.0 1.0\n"
+
+
+def test_pts_is_not_written(tmp_path):
+    with pytest.raises(InputError, match=r"\.pts is read but not written: choose one of \.asc"):
+        write_cloud(tmp_path / "a.pts", Cloud(np.zeros((1, 3))))
+
+
+@pytest.mark.parametrize("name", ["", "two words", "a,b", "a;b", "#a", "x", "nx", "R", 'a"b', "a//b", "Y"])
+def test_refuses_names(tmp_path, name):
+    cloud = Cloud(
+        np.zeros((1, 3)), normals=np.ones((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)}
+    )
+    with pytest.raises(InputError, match="rename it"):
+        write_cloud(tmp_path / "a.csv", cloud)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
+def test_refuses_what_is_no_number(tmp_path, values):
+    with pytest.raises(InputError, match="expected attribute 'a' as numbers"):
+        write_cloud(tmp_path / "a.csv", Cloud(np.zeros((1, 3)), attributes={"a": values}))
+    assert not list(tmp_path.iterdir())
