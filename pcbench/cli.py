@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
+import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
@@ -17,9 +18,8 @@ from pcbench.errors import InputError, PcbenchError
 
 if TYPE_CHECKING:
     from pcbench.cloud import Cloud
-    from pcbench.comparison import Comparison, Settings
-    from pcbench.mesh import Mesh
-    from pcbench.report import Inputs
+    from pcbench.compare_files import Job
+    from pcbench.comparison import Comparison
 
 _Number = TypeVar("_Number", int, float)
 
@@ -50,7 +50,7 @@ def app() -> None:
 @click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
 @click.option("--classes", metavar="N,N,...", help="Only these classes of LAS files, such as 2,6.")
 @click.option("--returns", metavar="WHICH", help="Only these returns of LAS files: first, last or numbers.")
-@click.option("--seed", default=0, show_default=True, help="Of the bootstrap.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the bootstrap.")
 @click.option("--settings", "settings_file", type=_FILE, help="Repeat the comparison of a report's settings.json.")
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
 @click.option("--no-figures", is_flag=True, help="Leave the pictures out.")
@@ -79,21 +79,14 @@ def compare(
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
     """
+    from pcbench.compare_files import Job
     from pcbench.comparison import Settings
-    from pcbench.report.folder import read_settings
 
     if settings_file is not None:
-        given = [
-            name
-            for name in ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
-            if _given(context, name)
-        ]
-        if reference is not None or given:
+        options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
+        if reference is not None or any(_given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
-        settings, recorded = read_settings(settings_file)
-        reference = Path(recorded.reference["path"])
-        named = {name: Path(values["path"]) for name, values in recorded.candidates.items()}
-        expected = {name: values["sha256"] for name, values in recorded.by_name().items()}
+        job = Job.recorded(settings_file)
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -105,41 +98,44 @@ def compare(
             maps=maps,
             seed=seed,
             classes=_numbers("--classes", classes, int),
-            returns=returns,
+            returns=_returns(returns),
         )
-        named, expected = _names(candidates), {}
-    outputs = _Outputs(out, json_file, figures=not no_figures, quiet=quiet)
-    _compare_files(reference, named, settings, outputs, expected)
+        job = Job.of(reference, candidates, settings)
+    _compare(job, out, json_file, figures=not no_figures, quiet=quiet)
 
 
 @app.command(short_help="Make a small city with exact truth and compare two clouds of it.")
 @click.option("--out", type=_FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
-@click.option("--points", default=1_270_820, show_default=True, help="Of the reference; candidates in proportion.")
-@click.option("--seed", default=0, show_default=True, help="Of the city and its noise.")
+@click.option(
+    "--points",
+    default=1_270_820,
+    show_default=True,
+    type=click.IntRange(20_000, 100_000_000),
+    help="Of the reference; candidates in proportion.",
+)
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the city and its noise.")
 @click.option("--no-figures", is_flag=True, help="Leave the pictures out.")
 @quiet_option
 def demo(out: Path, points: int, seed: int, no_figures: bool, quiet: bool) -> None:
     """Make a small city whose geometry is known exactly, a dense reference of it, a sparse and a densified candidate
     with noise, outliers and a rigid offset (the second also gently bent), and compare them.
     """
+    from pcbench.compare_files import Job
     from pcbench.comparison import Settings
+    from pcbench.io import write_cloud
     from pcbench.synthetic import demo as make_demo
 
-    if points < 1000:
-        raise InputError(f"expected at least 1000 points for the demo's reference, got {points}")
     with _steps(quiet) as step:
         step("making the city")
         scene = make_demo(points, seed)
         clouds = out / "clouds"
         clouds.mkdir(parents=True, exist_ok=True)
         paths = {name: clouds / f"{name}.ply" for name in ("reference", *scene.candidates)}
-        from pcbench.io import write_cloud
-
         for name, path in paths.items():
             write_cloud(path, scene.reference if name == "reference" else scene.candidates[name])
     reference = paths.pop("reference")
-    outputs = _Outputs(out / "report", None, figures=not no_figures, quiet=quiet)
-    comparison = _compare_files(reference, paths, Settings(seed=seed), outputs)
+    job = Job(reference, paths, Settings(seed=seed), {})
+    comparison = _compare(job, out / "report", None, figures=not no_figures, quiet=quiet)
     if not quiet:
         import numpy as np
 
@@ -190,10 +186,12 @@ def register(
 ) -> None:
     """Align CANDIDATE to REFERENCE and say how well that is determined. Prints the 4x4 matrix."""
     from pcbench.io import write_cloud
-    from pcbench.io.files import atomic_write
+    from pcbench.io.files import atomic_write, check_output
     from pcbench.registration import register as register_clouds
     from pcbench.transform import format_matrix
 
+    for path in filter(None, (out, matrix)):
+        check_output(path, (reference, candidate))
     truth, cloud = _read(reference, quiet), _read(candidate, quiet)
     with _steps(quiet) as step:
         step("registering")
@@ -250,7 +248,7 @@ def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, qu
     from pcbench.io import read_cloud, write_cloud
 
     warn = (lambda _: None) if quiet else _warn
-    data = read_cloud(cloud, on_warning=warn, classes=_numbers("--classes", classes, int), returns=returns)
+    data = read_cloud(cloud, on_warning=warn, classes=_numbers("--classes", classes, int), returns=_returns(returns))
     write_cloud(out, data)
     if not quiet:
         click.echo(f"{out}: {len(data):,} points")
@@ -282,111 +280,29 @@ def info(clouds: tuple[Path, ...]) -> None:
             click.echo(f"  attributes {', '.join(cloud.attributes)}")
 
 
-@dataclass(frozen=True)
-class _Outputs:
-    """Where results go."""
+def _compare(job: Job, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool) -> Comparison:
+    from pcbench.compare_files import Outputs, compare_files
+    from pcbench.report import print_table, to_json
 
-    folder: Path | None
-    json_file: str | None
-    figures: bool
-    quiet: bool
-
-
-def _compare_files(
-    reference: Path,
-    candidates: dict[str, Path],
-    settings: Settings,
-    outputs: _Outputs,
-    expected: dict[str, str] | None = None,
-) -> Comparison:
-    """Read, compare, write: nothing is written unless everything went well."""
-    from pcbench.comparison import compare as compare_clouds
-    from pcbench.report import Inputs, document, print_table, report_folder, to_json, write_report
-
-    def run(step: Callable[[str], None]) -> tuple[Comparison, dict[str, Any], Inputs]:
-        clouds, files = {}, {}
-        for name, path in {"reference": reference, **candidates}.items():
-            step(f"reading {path}")
-            clouds[name], files[name] = _read_input(path, settings, may_be_mesh=name == "reference")
-            if expected and expected.get(name) not in (None, files[name]["sha256"]):
-                files[name]["warnings"].append(f"{path}: the file has changed since the settings were written")
-        truth = clouds.pop("reference")
-        comparison = compare_clouds(truth, clouds, settings, on_step=step)
-        inputs = Inputs(files["reference"], {name: files[name] for name in clouds})
-        return comparison, document(comparison, inputs.by_name()), inputs
-
-    without_figures = None
-    with _steps(outputs.quiet) as step:
-        if outputs.folder is None:
-            comparison, doc, _ = run(step)
-        else:
-            with report_folder(outputs.folder) as folder:
-                comparison, doc, inputs = run(step)
-                step("writing the report")
-                write_report(folder, comparison, doc, inputs)
-                if outputs.figures:
-                    step("drawing the pictures")
-                    without_figures = _draw(folder)
-    if outputs.json_file == "-":
-        click.echo(to_json(doc), nl=False)
-    elif outputs.json_file is not None:
-        from pcbench.io.files import atomic_write
-
-        with atomic_write(Path(outputs.json_file)) as file:
-            file.write(to_json(doc).encode())
-    if not outputs.quiet and outputs.json_file != "-":
-        print_table(doc)
-        if outputs.folder is not None:
-            click.echo(f"report: {outputs.folder}")
-    if without_figures:
-        _warn(without_figures)
-    return comparison
-
-
-def _draw(folder: Path) -> str | None:
-    """Draw a report's pictures; what stands in the way is returned, because the numbers are delivered all the same."""
-    from pcbench.plot import draw
-
-    try:
-        draw(folder)
-    except PcbenchError as error:
-        return str(error)
-    return None
-
-
-def _read_input(path: Path, settings: Settings, *, may_be_mesh: bool) -> tuple[Cloud | Mesh, dict[str, Any]]:
-    from pcbench.io import read_cloud
-    from pcbench.io.files import digest
-    from pcbench.io.meshes import holds_mesh, read_mesh
-
-    warnings: list[str] = []
-    data: Cloud | Mesh
-    if may_be_mesh and holds_mesh(path):
-        data = read_mesh(path, on_warning=warnings.append)
-    else:
-        data = read_cloud(path, on_warning=warnings.append)
-    return data, {"path": str(path), "sha256": digest(path), "warnings": warnings}
+    to_stdout = json_file == "-"
+    outputs = Outputs(out, None if json_file is None or to_stdout else Path(json_file), figures)
+    with _steps(quiet) as step:
+        outcome = compare_files(job, outputs, step)
+    if to_stdout:
+        click.echo(to_json(outcome.document), nl=False)
+    elif not quiet:
+        print_table(outcome.document)
+        if out is not None:
+            click.echo(f"report: {out}")
+    if outcome.without_figures:
+        _warn(outcome.without_figures)
+    return outcome.comparison
 
 
 def _read(path: Path, quiet: bool) -> Cloud:
     from pcbench.io import read_cloud
 
     return read_cloud(path, on_warning=(lambda _: None) if quiet else _warn)
-
-
-def _names(paths: Sequence[Path]) -> dict[str, Path]:
-    """Each candidate's name: its file's stem, with a number where stems are equal."""
-    named: dict[str, Path] = {}
-    taken = {path.stem for path in paths} | {"reference"}
-    for path in paths:
-        name, number = path.stem, 2
-        if name in named or name == "reference":
-            while f"{path.stem}_{number}" in taken:
-                number += 1
-            name = f"{path.stem}_{number}"
-            taken.add(name)
-        named[name] = path
-    return named
 
 
 def _numbers(option: str, text: str | None, kind: type[_Number]) -> tuple[_Number, ...] | None:
@@ -396,6 +312,10 @@ def _numbers(option: str, text: str | None, kind: type[_Number]) -> tuple[_Numbe
         return tuple(kind(word) for word in text.split(","))
     except ValueError:
         raise InputError(f"expected {option} as numbers with commas, got {text!r}") from None
+
+
+def _returns(text: str | None) -> str | tuple[int, ...] | None:
+    return text if text in (None, "first", "last") else _numbers("--returns", text, int)
 
 
 def _given(context: click.Context, name: str) -> bool:
@@ -417,23 +337,32 @@ def _steps(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield lambda _: None
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("starting", total=None)
-        yield lambda text: progress.update(task, description=text)
+        yield lambda text: progress.update(task, description=escape(text))
 
 
 def main() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2; anything else keeps its traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without arrows still gets its table
+            stream.reconfigure(errors="replace")
+    for name in ("SIGTERM", "SIGHUP"):  # batch systems stop jobs by these: clean up as after Ctrl-C
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _stop)
     try:
         app(standalone_mode=False)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
     except click.UsageError as error:
-        error.show()
-        sys.exit(2)
+        help_of = error.ctx.command_path if error.ctx else "pcbench"
+        _fail(f"{error.format_message()} (see {help_of} --help)")
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         sys.exit(130)
@@ -441,12 +370,20 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(2)
     except OSError as error:
-        what = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
-        click.echo(f"error: {what}", err=True)
-        sys.exit(2)
+        _fail(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
+    except MemoryError:
+        _fail("not enough memory for these clouds: crop or thin them first")
     except (PcbenchError, click.ClickException) as error:
-        click.echo(f"error: {' '.join(str(error).split())}", err=True)
-        sys.exit(2)
+        _fail(str(error))
+
+
+def _fail(message: str) -> NoReturn:
+    click.echo(f"error: {' '.join(message.split())}", err=True)
+    sys.exit(2)
+
+
+def _stop(number: int, _: Any) -> NoReturn:
+    sys.exit(128 + number)
 
 
 if __name__ == "__main__":

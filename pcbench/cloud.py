@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+LARGEST = 1e100  # beyond it squared distances overflow
+
 # Per-point quantities of a Gaussian splat that live in its own axes: a change of frame makes them wrong.
 _FRAME_BOUND = ("rot_", "scale_", "f_rest_")
 
@@ -50,6 +52,8 @@ class Cloud:
         # The sum is non-finite whenever a term is: one pass without a temporary mask decides the usual case.
         with np.errstate(over="ignore", invalid="ignore"):
             finite = bool(np.isfinite(points.sum()))
+        if finite and np.abs(points).max() > LARGEST:
+            raise InputError(f"expected coordinates up to {LARGEST:g}, got {np.abs(points).max():g}: squares overflow")
         if not finite and (bad := int(np.count_nonzero(~np.isfinite(points).all(axis=1)))):
             raise InputError(
                 f"expected finite coordinates, got NaN or Inf in {bad} of {len(points)} points:"
@@ -60,6 +64,11 @@ class Cloud:
             object.__setattr__(self, "normals", self._matching("normals", _triples("normals", self.normals)))
         if self.colors is not None:
             object.__setattr__(self, "colors", self._matching("colors", _bytes(self.colors), (len(points), 3)))
+        if not isinstance(self.attributes, Mapping) or not all(isinstance(name, str) for name in self.attributes):
+            raise InputError("expected attributes as a mapping from names to arrays")
+        for what, text in (("crs", self.crs), ("unit", self.unit)):
+            if not isinstance(text, str | None):
+                raise InputError(f"expected {what} as text, got {type(text).__name__}")
         attributes = {name: np.asarray(values) for name, values in self.attributes.items()}
         for name, values in attributes.items():
             self._matching(f"attribute {name!r}", values, (len(points),))
@@ -125,6 +134,9 @@ def as_cloud(data: Cloud | ArrayLike) -> Cloud:
 
 
 def _triples(what: str, data: ArrayLike) -> FloatArray:
+    kind = getattr(getattr(data, "dtype", None), "kind", "f")
+    if isinstance(data, np.ma.MaskedArray) or kind not in "fiub":
+        raise InputError(f"expected {what} as a plain array of real numbers, got {type(data).__name__}")
     try:
         array = np.ascontiguousarray(data, dtype=np.float64)
     except (TypeError, ValueError) as error:

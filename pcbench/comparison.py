@@ -60,21 +60,38 @@ class Settings:
     seed: int = 0
     normal_neighbors: int = 20
     classes: tuple[int, ...] | None = None
-    returns: str | None = None
+    returns: str | tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.thresholds is not None and not (
-            self.thresholds and all(np.isfinite(t) and t > 0 for t in self.thresholds)
-        ):
-            raise InputError(f"expected positive thresholds, got {list(self.thresholds)}")
+        for name, text in (("register", self.register), ("crop", self.crop)):
+            if not isinstance(text, str):
+                raise InputError(f"expected {name} as text, got {text!r}")
+        if self.thresholds is not None:
+            object.__setattr__(self, "thresholds", tuple(dict.fromkeys(_positive(self.thresholds))))
+        if not _is_whole(self.seed) or self.seed < 0:
+            raise InputError(f"expected the seed as a whole number >= 0, got {self.seed!r}")
+        if not _is_whole(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
+            raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
         if unknown := [name for name in self.presets if name not in presets.NAMES]:
             raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
         if unknown := [name for name in self.maps if name not in MAPS]:
             raise InputError(f"unknown map {unknown[0]!r}: expected {' or '.join(MAPS)}")
-        if self.normal_neighbors < 3:
-            raise InputError(f"expected at least 3 neighbours for a normal, got {self.normal_neighbors}")
         always = [name for name in ("gao2025", "mpeg") if name not in self.presets]
         object.__setattr__(self, "presets", (*always, *dict.fromkeys(self.presets)))
+
+
+def _positive(values: Any) -> list[float]:
+    try:
+        numbers = [] if isinstance(values, str) else [float(v) for v in values]
+    except (TypeError, ValueError, OverflowError):
+        numbers = []
+    if not numbers or not all(np.isfinite(v) and v > 0 for v in numbers):
+        raise InputError(f"expected positive thresholds, got {values!r}")
+    return numbers
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +121,7 @@ class Comparison:
 
 def compare(
     reference: Cloud | Mesh | ArrayLike,
-    candidates: Sequence[Cloud | ArrayLike] | Mapping[str, Cloud | ArrayLike] | Cloud | NDArray[Any],
+    candidates: Sequence[Cloud | ArrayLike] | Mapping[str, Cloud] | Mapping[str, ArrayLike] | Cloud | NDArray[Any],
     settings: Settings | None = None,
     *,
     on_step: Callable[[str], None] | None = None,
@@ -121,7 +138,11 @@ def compare(
         InputError: a cloud, a setting or a region is not usable.
         RegistrationError: a candidate does not overlap the reference.
     """
-    settings = settings or Settings()
+    settings = Settings() if settings is None else settings
+    if not isinstance(settings, Settings):
+        raise InputError(f"expected settings as pcbench.Settings, got {type(settings).__name__}")
+    if not isinstance(candidates, Cloud | np.ndarray | Mapping | Sequence) or isinstance(candidates, str):
+        raise InputError(f"expected one or several clouds as candidates, got {type(candidates).__name__}")
     if isinstance(candidates, Cloud | np.ndarray):
         candidates = [candidates]
     named = (
@@ -257,6 +278,7 @@ def _compare_one(
             thresholds,
             block_weights=truth.blocks.weights,
             voxel=truth.voxel,
+            corner=truth.points[truth.inside].min(axis=0),
             origin=truth.origin,
         )
     with _timed(timings, "maps"):

@@ -39,6 +39,7 @@ def measure(
     *,
     block_weights: FloatArray,
     voxel: float,
+    corner: FloatArray,
     origin: FloatArray,
 ) -> Measurement:
     """Measure candidate -> reference (`forth`) and reference -> candidate (`back`).
@@ -46,12 +47,12 @@ def measure(
     Args:
         thresholds: of the F-score.
         block_weights: (R, B) of the bootstrap's replicates.
-        voxel: side of the cells that area weighting averages over first.
+        voxel, corner: side of the cells that area weighting averages over first, and where (3,) they are counted from.
         origin: (3,) added to the coordinates of the worst points.
     """
     ways = {FORTH: forth, BACK: back}
     means = {way: _replicate_means(direction, thresholds, block_weights) for way, direction in ways.items()}
-    voxels = {way: cell_keys(direction.points, voxel, np.zeros(3)) for way, direction in ways.items()}
+    voxels = {way: cell_keys(direction.points, voxel, corner) for way, direction in ways.items()}
     replicates: dict[str, FloatArray] = {}
 
     def interval(name: str, samples: FloatArray) -> list[float]:

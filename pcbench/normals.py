@@ -11,6 +11,7 @@ from pcbench.errors import InputError
 from pcbench.native import _core
 from pcbench.neighbors import FloatArray, Index, IntArray
 
+
 class Normals(NamedTuple):
     """Unit normals (M, 3), their sign chosen upwards, and surface variation (M,): 0 flat, 1/3 shapeless."""
 

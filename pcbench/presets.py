@@ -108,7 +108,7 @@ def mpeg(pair: Pair) -> dict[str, Any]:
     a, b = pair.reference.points, pair.candidate.points
     d1 = [_float32_squares(a, b[pair.to_candidate.indices]), _float32_squares(b, a[pair.to_reference.indices])]
     d2: list[FloatArray] = []
-    normals = pair.normals if pair.raw_normals is None else pair.raw_normals
+    normals = pair.normals if pair.raw_normals is None else np.nan_to_num(pair.raw_normals, posinf=0, neginf=0)
     if normals is not None:
         ties_ab, ties_ba = _ties(a, pair.candidate, pair.to_candidate), _ties(b, pair.reference, pair.to_reference)
         normals_b = _averaged_normals(normals, ties_ab, ties_ba, len(b))

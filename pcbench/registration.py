@@ -24,6 +24,7 @@ METHODS = ("icp", "icp-point", "similarity", "points:FILE", "matrix:FILE", "none
 
 _SAMPLE = 30_000  # candidate points a fine iteration looks at: enough for millimetres, few enough for seconds
 _ITERATIONS = 60  # a stage
+_FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
 
@@ -89,8 +90,10 @@ def register(
     origin = recentring(reference)
     surface = surface or Surface(Index(reference.points - origin), given=reference.normals)
     points = candidate.points - origin
-    kind, _, path = method.partition(":")
-    if kind in ("icp", "icp-point", "similarity") and not path:
+    if not isinstance(method, str):
+        raise InputError(f"expected the registration as text, got {type(method).__name__}")
+    kind, colon, path = method.partition(":")
+    if kind in ("icp", "icp-point", "similarity") and not colon:
         result = _icp(surface, points, origin, kind)
     elif kind == "matrix" and path:
         result = _given(surface, points, origin, method, read_matrix(path))
@@ -107,13 +110,16 @@ def register(
 
 
 def recentring(cloud: Cloud) -> FloatArray:
-    """The whole-numbered point (3,) near a cloud's centre that is subtracted before anything is computed.
+    """The round point (3,) near a cloud's centre that is subtracted before anything is computed.
 
     Whole numbers, because subtracting them from coordinates on any binary grid is exact: a cloud at UTM coordinates
-    and the same cloud at the origin become the same bits.
+    and the same cloud at the origin become the same bits. For a cloud smaller than 1, multiples of a power of two.
     """
     lower, upper = cloud.bounds
-    return np.floor(0.5 * (lower + upper))
+    extent = float((upper - lower).max())
+    step = 2.0 ** min(0, np.frexp(extent)[1] - 1) if extent > 0 else 2.0**-1000
+    center: FloatArray = 0.5 * lower + 0.5 * upper
+    return np.floor(center / step) * step if extent > 0 else center
 
 
 class _Pairs(NamedTuple):
@@ -142,37 +148,54 @@ class _Pairs(NamedTuple):
 def _icp(target: Surface, points: FloatArray, origin: FloatArray, kind: str) -> Registration:
     """Coarse to fine; the gate narrows, then a Tukey kernel whose width follows the residuals decides.
 
-    Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin.
+    Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. Where the
+    geometry turns out not to fix some motion, all starts again with that motion held: noise must not move the pose.
     """
+    if len(points) < _FEWEST or len(target) < _FEWEST:
+        raise RegistrationError(
+            f"expected at least {_FEWEST} points in each cloud for ICP, got {len(points)} and {len(target)}: use"
+            " --register points:FILE, matrix:FILE or none"
+        )
     extent = robust_extent(target.points)
     if extent == 0:
         raise RegistrationError("expected a reference with an extent to register to, got points at one place")
     spacing = _spacing(target.index)
-    T = Similarity.identity()
-    iterations = 0
-
     coarse_side = max(extent / 150, spacing)
     coarse = Surface(Index(cell_means(target.points, coarse_side)))
-    sample = points[thin(points, coarse_side)]
-    T, count, _ = _iterate(coarse, sample, T, kind, gate=(0.1 * extent, 2 * coarse_side), extent=extent)
-    iterations += count
-
+    coarse_sample = points[thin(points, coarse_side)]
     sample = points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))]
-    fine_gate = (3 * coarse_side, max(3 * spacing, 1e-9 * extent))
-    T, count, converged = _iterate(target, sample, T, kind, gate=fine_gate, extent=extent)
-    iterations += count
+    with_scale = kind == "similarity"
+    wide, narrow = (0.1 * extent, 2 * coarse_side), (3 * coarse_side, max(3 * spacing, 1e-9 * extent))
 
-    quality = _assess(target, sample, T, plane=kind != "icp-point", with_scale=kind == "similarity", reach=fine_gate[1])
+    held = np.zeros((7 if with_scale else 6, 0))
+    for attempt in range(2):
+        T, first, _ = _iterate(coarse, coarse_sample, Similarity.identity(), kind, held, gate=wide, extent=extent)
+        T, second, converged = _iterate(target, sample, T, kind, held, gate=narrow, extent=extent)
+        quality = _assess(target, sample, T, plane=kind != "icp-point", with_scale=with_scale, spacing=spacing)
+        if attempt or not quality.unfixed.shape[1] or kind == "icp-point":
+            break
+        held = quality.unfixed
     if not converged:
-        quality.warnings.append(f"ICP did not converge within {iterations} iterations: check the aligned clouds")
-    return _registration(kind, T.about(origin), T, quality, iterations, converged)
+        quality.warnings.append(f"ICP did not converge within {first + second} iterations: check the aligned clouds")
+    return _registration(kind, T.about(origin), T, quality, first + second, converged)
 
 
 def _iterate(
-    target: Surface, sample: FloatArray, T: Similarity, kind: str, *, gate: tuple[float, float], extent: float
+    target: Surface,
+    sample: FloatArray,
+    T: Similarity,
+    kind: str,
+    held: FloatArray,
+    *,
+    gate: tuple[float, float],
+    extent: float,
 ) -> tuple[Similarity, int, bool]:
-    """Gauss-Newton on re-matched pairs until the update is below the noise of the estimate."""
-    step = _point_step if kind == "icp-point" else _plane_step
+    """Gauss-Newton on re-matched pairs until the update is below the noise of the estimate.
+
+    Args:
+        held: (6 or 7, H) orthonormal motions that are not to be made.
+        gate: largest distance of a pair at first and in the end.
+    """
     radius, final = gate
     previous = np.inf
     hint: IntArray | None = None  # where the last search ended: the next one starts there
@@ -182,13 +205,16 @@ def _iterate(
         nearest = target.index.query(moved, hint=hint)
         hint = nearest.indices
         pairs = _weigh(target, moved, nearest, radius, robust=not annealing)
-        if len(pairs.weights) < max(10, 0.01 * len(sample)) or pairs.weights.sum() < 6:
+        if len(pairs.weights) < max(_FEWEST, 0.01 * len(sample)) or pairs.weights.sum() < 6:
             raise RegistrationError(
                 f"the candidate does not overlap the reference: {len(pairs.weights)} of {len(sample)} sampled points"
                 f" lie within {radius:.3g} of it. Align it coarsely first (--register points:FILE or matrix:FILE),"
                 " and check that both clouds use the same unit and coordinate system"
             )
-        delta, size = step(pairs, with_scale=kind == "similarity")
+        if kind == "icp-point":
+            delta, size = _point_step(pairs)
+        else:
+            delta, size = _plane_step(pairs, held, with_scale=kind == "similarity")
         T = delta @ T
         if kind == "similarity" and not _SCALE_RANGE[0] < T.scale < _SCALE_RANGE[1]:
             raise RegistrationError(
@@ -213,7 +239,8 @@ def _weigh(target: Surface, moved: FloatArray, nearest: Matches, radius: float, 
     feet, normals = target.points[indices], target.normals(indices)
     residuals = np.einsum("ni,ni->n", moved - feet, normals)
     if robust and len(residuals):
-        width = 4.685 * max(_mad(residuals), 1e-12 * radius)  # Tukey's biweight at 95 % efficiency
+        # Tukey's biweight at 95 % efficiency; exact copies have residuals of nothing but rounding.
+        width = 4.685 * max(_mad(residuals), 1e-12 * radius, np.finfo(float).tiny)
         weights = np.square(np.clip(1 - np.square(residuals / width), 0, None))
     else:
         # Trimmed: the worst tenth is dropped while the gate is still wide.
@@ -222,23 +249,24 @@ def _weigh(target: Surface, moved: FloatArray, nearest: Matches, radius: float, 
     return _Pairs(moved, feet, normals, indices, distances, residuals, weights)
 
 
-def _plane_step(pairs: _Pairs, *, with_scale: bool) -> tuple[Similarity, float]:
+def _plane_step(pairs: _Pairs, held: FloatArray, *, with_scale: bool) -> tuple[Similarity, float]:
     """One Gauss-Newton step of sum w (n . (dT p - q))^2 (Chen & Medioni 1992), about the pairs' centre."""
     jacobian, center, radius = _jacobian(pairs, with_scale=with_scale)
     hessian = np.einsum("ni,n,nj->ij", jacobian, pairs.weights, jacobian, optimize=False)
     gradient = np.einsum("ni,n,n->i", jacobian, pairs.weights, pairs.residuals, optimize=False)
-    # The pseudo-inverse leaves directions alone that the pairs do not fix at all (a flat plane's sliding).
-    motion = -np.linalg.pinv(hessian, rcond=1e-10, hermitian=True) @ gradient
+    free = np.eye(len(hessian)) - held @ held.T
+    # The pseudo-inverse leaves alone what is held and what the pairs do not fix at all (an exact plane's sliding).
+    motion = -np.linalg.pinv(free @ hessian @ free, rcond=1e-10, hermitian=True) @ (free @ gradient)
     rotation = _rotation(motion[:3] / radius)
     scale = float(np.exp(np.clip(motion[6] / radius, -0.05, 0.05))) if with_scale else 1.0
     delta = Similarity(rotation, center + motion[3:6] - scale * rotation @ center, scale)
     return delta, float(np.linalg.norm(motion))
 
 
-def _point_step(pairs: _Pairs, *, with_scale: bool) -> tuple[Similarity, float]:
+def _point_step(pairs: _Pairs) -> tuple[Similarity, float]:
     """The best rigid motion of the weighted pairs (Besl & McKay 1992)."""
     kept = pairs.weights > 0
-    delta = fit_similarity(pairs.moved[kept], pairs.feet[kept], with_scale=with_scale, weights=pairs.weights[kept])
+    delta = fit_similarity(pairs.moved[kept], pairs.feet[kept], with_scale=False, weights=pairs.weights[kept])
     size = np.sqrt(np.mean(np.square(delta.apply(pairs.moved[kept]) - pairs.moved[kept]).sum(axis=1)))
     return delta, float(size)
 
@@ -263,30 +291,39 @@ class _Quality(NamedTuple):
     overlap: float
     eigenvalues: tuple[float, ...]
     weakest_sigma: float | None
+    unfixed: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
     warnings: list[str]
 
 
 def _assess(
-    target: Surface, sample: FloatArray, T: Similarity, *, plane: bool, with_scale: bool, reach: float
+    target: Surface, sample: FloatArray, T: Similarity, *, plane: bool, with_scale: bool, spacing: float
 ) -> _Quality:
     """Residual, overlap and what the geometry fixes, at a transform that is taken as it is."""
     moved = T.apply(sample)
     nearest = target.index.query(moved)
     distances = nearest.distances
-    # On the reference: nearer than the gate, or than three robust sigmas where the noise is larger than the gate.
-    within = max(reach, 3 * _mad(distances[distances <= np.median(distances)]))
+    # On the reference: nearer than three spacings, or than three robust sigmas where noise is larger. Never beyond ten
+    # spacings: else the worse the fit, the more of it would count as overlap.
+    within = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
     overlap = float(np.mean(distances <= within))
     pairs = _weigh(target, moved, nearest, within, robust=True) if len(target) >= 3 else None
-    if pairs is None or np.count_nonzero(pairs.weights) < 10:
+    if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST:
         rms = float(np.sqrt(np.mean(np.square(distances))))
-        return _Quality(rms, overlap, (), None, ["too few points to say what the geometry fixes"])
+        size = 7 if with_scale else 6
+        return _Quality(rms, overlap, (), None, np.zeros((size, 0)), ["too few points to say what the geometry fixes"])
     pairs = pairs.take(pairs.weights > 0)
     errors = pairs.residuals if plane else pairs.distances
     rmse = float(np.sqrt((pairs.weights * errors**2).sum() / pairs.weights.sum()))
-    eigenvalues, weakest, warnings = _information(target, pairs, with_scale=with_scale)
+    typical = float(np.percentile(distances, 25))  # the quarter that fits best: partial overlap is no failure
+    eigenvalues, weakest, unfixed, warnings = _information(target, pairs, with_scale=with_scale)
     if overlap < 0.3:
         warnings.append(f"only {overlap:.0%} of the candidate lies on the reference")
-    return _Quality(rmse, overlap, eigenvalues, weakest, warnings)
+    if typical > 10 * spacing > 0:
+        warnings.append(
+            f"the candidate lies far off the reference (its nearest quarter by {typical:.3g}, {typical / spacing:.0f}"
+            " times the reference's spacing): the registration may have failed"
+        )
+    return _Quality(rmse, overlap, eigenvalues, weakest, unfixed, warnings)
 
 
 def _registration(
@@ -308,8 +345,8 @@ def _registration(
 
 def _information(
     target: Surface, pairs: _Pairs, *, with_scale: bool
-) -> tuple[tuple[float, ...], float | None, list[str]]:
-    """Eigenvalues of the information per pair, the weakest direction's sigma, and a warning where it is not fixed.
+) -> tuple[tuple[float, ...], float | None, FloatArray, list[str]]:
+    """Eigenvalues of the information per pair, the weakest direction's sigma, what is not fixed, and warnings.
 
     Estimated normals are noisy, and noise looks like information about sliding. So each pair's normal is estimated
     twice, from two disjoint halves of the neighbours: the product of the two is free of that bias. Its scatter over
@@ -327,11 +364,12 @@ def _information(
     cross = np.einsum("ni,n,nj->ij", a, pairs.weights, b, optimize=False) / total
     values, vectors = np.linalg.eigh(0.5 * (cross + cross.T))
 
-    # Scatter of the weakest direction's information over tiles.
-    share = pairs.weights * np.einsum("ni,i->n", a, vectors[:, 0]) * np.einsum("ni,i->n", b, vectors[:, 0])
-    by_tile, weight = np.bincount(tile, share), np.bincount(tile, pairs.weights)
-    error = float(np.sqrt(np.square(by_tile - values[0] * weight).sum())) / total
-    fixed = values[0] > max(3 * error, 1e-9) and len(weight) > 1
+    # Scatter of each direction's information over tiles.
+    share = np.einsum("ni,ik->nk", a, vectors) * np.einsum("ni,ik->nk", b, vectors) * pairs.weights[:, None]
+    weight = np.bincount(tile, pairs.weights)
+    by_tile = np.stack([np.bincount(tile, column) for column in share.T], axis=1)
+    error = np.sqrt(np.square(by_tile - values * weight[:, None]).sum(axis=0)) / total
+    fixed = (values > np.maximum(3 * error, 1e-9)) & (len(weight) > 1)
 
     sigma2 = (pairs.weights * pairs.residuals**2).sum() / total
     mean = (pairs.weights * pairs.residuals).sum() / total
@@ -340,15 +378,16 @@ def _information(
     inflation = max(1.0, float(np.mean(np.square(means)) / expected)) if expected > 0 else 1.0
     effective = total * step / inflation
     eigenvalues = tuple(float(v) for v in values)
-    if not fixed:
-        motion = _describe_motion(vectors[:, 0])
-        return eigenvalues, None, [f"the geometry does not fix {motion}: scores along it mean nothing"]
+    unfixed = vectors[:, ~fixed]
+    if not fixed.all():
+        motions = " and ".join(_describe_motion(vector) for vector in unfixed.T)
+        return eigenvalues, None, unfixed, [f"the geometry does not fix {motions}: scores along it mean nothing"]
     weakest = float(np.sqrt(sigma2 / (effective * values[0])))
     warnings = []
     if weakest > 0.5 * np.sqrt(sigma2):
         motion = _describe_motion(vectors[:, 0])
         warnings.append(f"the geometry hardly fixes {motion} (predicted sigma {weakest:.3g})")
-    return eigenvalues, weakest, warnings
+    return eigenvalues, weakest, unfixed, warnings
 
 
 def _split_normals(index: Index, which: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -385,14 +424,14 @@ def _given(target: Surface, points: FloatArray, origin: FloatArray, method: str,
             f"the candidate does not overlap the reference after --register {method}: their bounding boxes lie apart"
             f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)})"
         )
-    quality = _assess(target, sample, local, plane=True, with_scale=local.scale != 1, reach=3 * spacing)
+    quality = _assess(target, sample, local, plane=True, with_scale=local.scale != 1, spacing=spacing)
     return _registration(method, T, local, quality, 0, None)
 
 
 def _fit_pairs(path: str) -> tuple[Similarity, tuple[CheckPoint, ...]]:
     """A similarity from a file of pairs: name, candidate x y z, reference x y z; names that end in * are checks."""
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not a text file"
         raise InputError(f"{path}: cannot read the pairs: {reason}") from error

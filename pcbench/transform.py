@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcbench.cloud import LARGEST
 from pcbench.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -177,6 +178,8 @@ def fit_similarity(
         raise InputError(f"expected two (N, 3) arrays of pairs, got {candidate.shape} and {reference.shape}")
     if len(candidate) < 3:
         raise InputError(f"expected at least 3 pairs of points to fit a transform, got {len(candidate)}")
+    if not (np.abs(candidate).max() <= LARGEST and np.abs(reference).max() <= LARGEST):
+        raise InputError(f"expected finite coordinates up to {LARGEST:g} in the pairs of points")
     w = np.full(len(candidate), 1 / len(candidate)) if weights is None else weights / weights.sum()
     mean_c, mean_r = np.einsum("n,ni->i", w, candidate), np.einsum("n,ni->i", w, reference)
     c, r = candidate - mean_c, reference - mean_r
@@ -220,7 +223,7 @@ def read_matrix(path: str | Path) -> Similarity:
         InputError: the file is not such a matrix.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
             f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or 'not a text file'}"

@@ -156,7 +156,7 @@ def test_a_folder_of_something_else_is_left_alone(files, run):
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "thesis")
     assert code == 2
     assert "not empty and holds no report" in err
-    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "a.ply")
+    code, _, err = run("compare", "ref.ply", "b.ply", "--out", "a.ply")
     assert code == 2
     assert "expected a folder" in err
 
@@ -283,7 +283,7 @@ def test_crop_register_and_info(files, run):
     moved = read_matrix("T.txt").apply(read_cloud("a.ply").points)
     np.testing.assert_allclose(read_cloud("aligned.ply").points, moved, atol=1e-12)
     code, out, _ = run("compare", "ref.ply", "a.ply", "--register", "matrix:T.txt", "--json", "-")
-    assert json.loads(out)["candidates"][0]["registration"]["method"] == "matrix:T.txt"
+    assert json.loads(out)["candidates"][0]["registration"]["method"] == f"matrix:{files / 'T.txt'}"
     code, out, _ = run("info", "ref.ply", "a.ply")
     assert code == 0
     assert "4,000 points" in out

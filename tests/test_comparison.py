@@ -103,7 +103,8 @@ def test_area_weighting_against_the_slow_version(pair):
     comparison = compare(reference, candidate, NONE)
     distances, _ = oracles.nearest(candidate, reference)
     side, origin = comparison.reference["voxel_side"], np.floor(0.5 * (reference.min(axis=0) + reference.max(axis=0)))
-    expected = oracles.voxel_mean(distances**2, candidate - origin, side, np.zeros(3))
+    lower = (reference - origin).min(axis=0)
+    expected = oracles.voxel_mean(distances**2, candidate - origin, side, lower)
     assert comparison.candidates[0].metrics["d1_mse"]["area_weighted"][FORTH] == pytest.approx(expected, rel=1e-12)
 
 

@@ -18,13 +18,13 @@ from pcbench.io.pcd import read_pcd, write_pcd
 from pcbench.io.ply import read_ply, write_ply
 from pcbench.io.text import read_text, write_text
 
-__all__ = ["read_cloud", "write_cloud"]
+__all__ = ["FILTERED", "read_cloud", "write_cloud"]
 
 
 class _Format(NamedTuple):
     """Readers name neither the path in their errors nor drop NaN points: `read_cloud` does both for all of them."""
 
-    read: Callable[..., Fields]  # (path, warn), and the filters of _FILTERED
+    read: Callable[..., Fields]  # (path, warn), and the filters of FILTERED
     write: Callable[[Path, Cloud], None] | None
 
 
@@ -41,7 +41,7 @@ _FORMATS = {
     ".txt": _Format(read_text, write_text),
     ".xyz": _Format(read_text, write_text),
 }
-_FILTERED = (".las", ".laz")  # their readers take classes and returns
+FILTERED = (".las", ".laz")  # their readers take classes and returns
 
 
 def read_cloud(
@@ -71,8 +71,8 @@ def read_cloud(
         check_readable(path)
         read = _format(path).read
         if classes is not None or returns is not None:
-            if path.suffix.lower() not in _FILTERED:
-                raise InputError(f"classes and returns are known in {', '.join(_FILTERED)} only")
+            if path.suffix.lower() not in FILTERED:
+                raise InputError(f"classes and returns are known in {', '.join(FILTERED)} only")
             read = partial(read, classes=classes, returns=returns)
         fields = read(path, notes.append)
         count = len(fields["points"])

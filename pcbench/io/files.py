@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import secrets
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, TypedDict
@@ -70,6 +70,18 @@ def digest(path: Path) -> str:
     return whole.hexdigest()
 
 
+def check_output(path: Path, inputs: Sequence[Path]) -> None:
+    """Say before anything is computed that a result cannot be written there.
+
+    Raises:
+        InputError: the folder does not exist, or an input would be replaced.
+    """
+    if any(path.resolve() == given.resolve() for given in inputs):
+        raise InputError(f"{path}: the result would replace an input: choose another name")
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: expected the name of a file in an existing folder")
+
+
 @contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """A binary file that takes the name `path` once it is complete; on any error `path` stays as it was.
@@ -85,6 +97,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         with temporary.open("xb") as file:
             yield file
         temporary.replace(target)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename == str(temporary):  # the name that the user gave
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise

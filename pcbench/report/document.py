@@ -34,7 +34,7 @@ def document(comparison: Comparison, files: dict[str, dict[str, Any]] | None = N
     """
     files = files or {}
     unread: dict[str, Any] = {"path": None, "sha256": None, "warnings": []}
-    return {
+    values = {
         "schema": SCHEMA,
         "reference": {**unread, **files.get("reference", {}), **comparison.reference},
         "settings": asdict(comparison.settings),
@@ -44,6 +44,8 @@ def document(comparison: Comparison, files: dict[str, dict[str, Any]] | None = N
         ],
         "differences": comparison.differences,
     }
+    plain: dict[str, Any] = _plain(values)
+    return plain
 
 
 def to_json(values: dict[str, Any]) -> str:

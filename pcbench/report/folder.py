@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -33,31 +33,40 @@ _SUFFIXES = ("_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
 
 @dataclass(frozen=True)
 class Inputs:
-    """Which files a comparison read: path, sha256 and warnings of "reference" and of each candidate by name."""
+    """Which files a comparison read: path, sha256 and warnings of "reference" and of each candidate by name, and path
+    and sha256 of the files that settings name (a matrix, pairs of points, a polygon).
+    """
 
     reference: dict[str, Any]
     candidates: dict[str, dict[str, Any]] = field(default_factory=dict)
+    files: list[dict[str, Any]] = field(default_factory=list)
+
+    def paths(self) -> list[Path]:
+        return [Path(row["path"]) for row in (self.reference, *self.candidates.values(), *self.files)]
 
     def by_name(self) -> dict[str, dict[str, Any]]:
         return {"reference": self.reference, **self.candidates}
 
 
 @contextmanager
-def report_folder(out: Path) -> Iterator[Path]:
+def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
     """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when it does not.
 
     In an existing report the old report's files are replaced; files of others are left alone.
 
     Raises:
-        InputError: `out` is a file, or a folder with something else in it.
+        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs).
     """
+    for path in keep:
+        if path.resolve().is_relative_to(out.resolve()):
+            raise InputError(f"{out}: the report would replace its own input {path}: choose another folder")
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the report to, got a file")
     if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
         raise InputError(f"{out}: the folder is not empty and holds no report: choose another one, or empty it")
     created = _make_parents(out.absolute().parent)
     try:
-        scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.absolute().parent))
+        scratch = _scratch_beside(out)
         try:
             yield scratch
             # What the system gives new folders, not mkdtemp's private mode.
@@ -77,8 +86,9 @@ def report_folder(out: Path) -> Iterator[Path]:
 def write_report(folder: Path, comparison: Comparison, doc: dict[str, Any], inputs: Inputs) -> None:
     """Write everything but the pictures of a comparison into an empty folder."""
     (folder / _MARK).write_text(to_json(doc), encoding="utf-8")
-    (folder / "metrics.csv").write_text(_csv(doc), encoding="utf-8")
-    (folder / "table.md").write_text(markdown(doc), encoding="utf-8")
+    # File names need not be Unicode.
+    (folder / "metrics.csv").write_text(_csv(doc), encoding="utf-8", errors="backslashreplace")
+    (folder / "table.md").write_text(markdown(doc), encoding="utf-8", errors="backslashreplace")
     (folder / "settings.json").write_text(to_json(_settings(comparison.settings, inputs)), encoding="utf-8")
     _write_maps(folder, comparison, inputs)
     for candidate in comparison.candidates:
@@ -90,21 +100,42 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     """Settings and input files of a report's settings.json.
 
     Raises:
-        InputError: the file is not one.
+        InputError: the file is not one, or was damaged.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        values = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot read settings: {getattr(error, 'strerror', None) or error}") from error
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
         raise InputError(f"{path}: expected a settings.json that a report holds (schema {SETTINGS_SCHEMA})")
     try:
-        chosen = values["settings"]
-        settings = Settings(**{key: tuple(v) if isinstance(v, list) else v for key, v in chosen.items()})
-        candidates = {row["name"]: {"path": row["path"], "sha256": row["sha256"]} for row in values["candidates"]}
-        return settings, Inputs(values["reference"], candidates)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: settings are incomplete or damaged: {error!r}") from error
+        chosen = {key: tuple(v) if isinstance(v, list) else v for key, v in values["settings"].items()}
+        candidates = {row["name"]: _recorded(row) for row in values["candidates"]}
+        if not candidates or len(candidates) < len(values["candidates"]):
+            raise ValueError("candidates need names of their own")
+        for name in candidates:
+            check_name(name)
+        files = [_recorded(row) for row in values.get("files", [])]
+        return Settings(**chosen), Inputs(_recorded(values["reference"]), candidates, files)
+    except (AttributeError, KeyError, TypeError, ValueError, InputError) as error:
+        raise InputError(f"{path}: settings are incomplete or damaged: {error}") from error
+
+
+def check_name(name: Any) -> str:
+    """A candidate's name becomes part of file names.
+
+    Raises:
+        InputError: it is empty, reserved, or would lead out of the report's folder.
+    """
+    if not isinstance(name, str) or not name or name == "reference" or any(c in name for c in "/\\\0"):
+        raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
+    return name
+
+
+def _recorded(row: dict[str, Any]) -> dict[str, Any]:
+    if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
+        raise ValueError("path and sha256 have to be text")
+    return {"path": row["path"], "sha256": row["sha256"]}
 
 
 def _settings(settings: Settings, inputs: Inputs) -> dict[str, Any]:
@@ -115,6 +146,7 @@ def _settings(settings: Settings, inputs: Inputs) -> dict[str, Any]:
         "schema": SETTINGS_SCHEMA,
         "reference": file(inputs.reference),
         "candidates": [{"name": name, **file(values)} for name, values in inputs.candidates.items()],
+        "files": [file(values) for values in inputs.files],
         "settings": asdict(settings),
     }
 
@@ -160,6 +192,13 @@ def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
     return Cloud(found.cores, normals=found.normals, attributes=attributes, crs=crs, unit=unit)
 
 
+def _scratch_beside(out: Path) -> Path:
+    try:
+        return Path(tempfile.mkdtemp(prefix=".pcbench-", dir=out.absolute().parent))
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(out)) from error
+
+
 def _make_parents(folder: Path) -> list[Path]:
     """Create a folder and its parents; those that did not exist, outermost first."""
     missing = [p for p in (folder, *folder.parents) if not p.exists()]
@@ -185,8 +224,8 @@ def _report_files(out: Path) -> list[Path]:
     names = {_MARK, "metrics.csv", "table.md", "settings.json"}
     try:
         doc = json.loads((out / _MARK).read_text(encoding="utf-8"))
-        candidates = [str(candidate["name"]) for candidate in doc["candidates"]]
-    except (OSError, ValueError, KeyError, TypeError):
+        candidates = [check_name(candidate["name"]) for candidate in doc["candidates"]]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, InputError):
         candidates = []
     names |= {f"{name}{suffix}" for name in candidates for suffix in _SUFFIXES}
     return [out / name for name in sorted(names) if (out / name).is_file()] + sorted(out.glob("figures/*.png"))

@@ -158,15 +158,16 @@ def print_table(doc: dict[str, Any]) -> None:
     """The table on the terminal, followed by warnings and by which candidate is better."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=max(80, 34 + 26 * len(doc["candidates"])))
-    console.print(_title(doc), style="bold", highlight=False, soft_wrap=True)
+    # Wider than a narrow terminal rather than cut; names are data, not markup.
+    console = Console(markup=False, emoji=False, highlight=False)
+    console.width = max(console.width, 34 + 24 * len(doc["candidates"]))
+    console.print(_title(doc), style="bold", soft_wrap=True)
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column("", no_wrap=True)
     for candidate in doc["candidates"]:
-        table.add_column(f"{candidate['name']}\nc→r", justify="right", overflow="fold")
+        table.add_column(Text(f"{candidate['name']}\nc→r"), justify="right", overflow="fold")
         table.add_column("\nr→c", justify="right", overflow="fold")
     for line in _lines(doc, full=False):
         if line is None:
@@ -178,9 +179,9 @@ def print_table(doc: dict[str, Any]) -> None:
     console.print(table)
     console.print()
     for warning in _warnings(doc):
-        console.print(f"[yellow]warning:[/yellow] {warning}", highlight=False, soft_wrap=True)
+        console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     for sentence in verdicts(doc):
-        console.print(sentence, highlight=False, soft_wrap=True)
+        console.print(sentence, soft_wrap=True)
 
 
 def markdown(doc: dict[str, Any]) -> str:
