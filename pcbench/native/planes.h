@@ -100,23 +100,27 @@ private:
 
     Lanes count_up_to(Lanes limit) const {
         const Lanes zero = splat(0.0), one = splat(1.0);
-        Lanes count = zero;
-        for (size_t c = 0; c < count_ * kFan; ++c) count = count + select(load(squared_ + c * kLanes) <= limit, one, zero);
-        return count;
+        Lanes count[4] = {zero, zero, zero, zero};  // four sums at a time: an addition need not wait for the last
+        for (size_t c = 0; c < count_ * kFan; c += 4)
+            for (size_t i = 0; i < 4; ++i)
+                count[i] = count[i] + select(load(squared_ + (c + i) * kLanes) <= limit, one, zero);
+        return (count[0] + count[1]) + (count[2] + count[3]);
     }
 
     // Lowers each query's limit until between k and k + surplus candidates are within it. Their number grows about
     // linearly with the squared distance on a surface, so interpolation needs few rounds; ties need a look one by one.
     void tighten(size_t surplus) {
         const Lanes k = splat(static_cast<double>(k_)), enough = splat(static_cast<double>(k_ + surplus));
-        Lanes low = splat(0.0), below = count_up_to(low);  // too few within `low`, unless it is the answer already
-        Lanes high = splat(0.0);
+        // Too few are within `low`, unless it is the answer already; enough are within `high`.
+        const Lanes zero = splat(0.0), one = splat(1.0), limit = load(limit_);
+        Lanes low = zero, below = zero, high = zero, within = zero;
         for (size_t c = 0; c < count_ * kFan; ++c) {
             const Lanes squared = load(squared_ + c * kLanes);
-            high = max(high, select(squared <= splat(kFarAway), squared, splat(0.0)));
+            const Mask inside = squared <= limit;
+            below = below + select(squared <= zero, one, zero);
+            within = within + select(inside, one, zero);
+            high = max(high, select(inside, squared, zero));
         }
-        high = min(high, load(limit_));
-        Lanes within = count_up_to(high);
         const Mask at_zero = k <= below;
         high = select(at_zero, low, high), within = select(at_zero, below, within);
         for (int round = 0; round < 9 && bits(within <= enough) != 0xff; ++round) {
