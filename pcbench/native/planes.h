@@ -12,9 +12,9 @@ namespace pcbench::PCB_ISA {
 
 // Room for the candidates of one group; one for each thread, reused.
 struct PlaneScratch {
-    // After tightening at most k points of each query remain, in as many leaves.
-    static size_t leaves(size_t k) { return kLanes * k + 64; }
-    static size_t bytes(size_t k) { return leaves(k) * (kFan * sizeof(double[kLanes]) + sizeof(uint64_t)); }
+    // After tightening at most k points of each query remain.
+    static size_t points(size_t k) { return kLanes * k + 8 * kFan * kFan; }
+    static size_t bytes(size_t k) { return points(k) * (sizeof(double[kLanes]) + sizeof(uint64_t)); }
 };
 
 class PlanesOfGroup {
@@ -23,10 +23,10 @@ public:
         : tree_(tree),
           group_(group),
           k_(k),
-          room_(PlaneScratch::leaves(k)),
-          first_tightening_(2 * k / kFan + 4),
+          room_(PlaneScratch::points(k)),
+          first_tightening_(2 * k + 4 * kFan),
           squared_(scratch),
-          leaves_(reinterpret_cast<uint64_t*>(scratch + room_ * kFan * kLanes)) {
+          slots_(reinterpret_cast<uint64_t*>(scratch + room_ * kLanes)) {
         store(limit_, splat(kFarAway));
         store(last_row_, splat(kNoRow));
     }
@@ -37,18 +37,17 @@ public:
 
     void leaf(uint32_t id, const Node& parent, int child) {
         if (!bits(group_.gaps_to(parent, child) <= load(limit_))) return;
-        if (count_ == room_) {
-            tighten(0);
-            drop_unselected();
-        }
+        if (count_ + kFan > room_) tighten(0);
         const Leaf& leaf = tree_.leaves[id];
-        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z);
-        double* squared = squared_ + count_ * kFan * kLanes;
-        for (size_t i = 0; i < kFan; ++i)
-            store(squared + i * kLanes,
-                  squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i])));
-        leaves_[count_++] = id;
-        if (count_ == first_tightening_) tighten(k_ / 4);
+        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), limit = load(limit_);
+        for (size_t i = 0; i < kFan; ++i) {
+            const Lanes squared =
+                squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
+            store(squared_ + count_ * kLanes, squared);
+            slots_[count_] = kFan * id + i;
+            count_ += bits(squared <= limit) != 0;
+        }
+        if (first_tightening_ <= count_ && bound_ == kFarAway) tighten(k_ / 4);
     }
 
     // Writes the rows of the group.
@@ -59,21 +58,18 @@ public:
         alignas(64) double own[kLanes];
         for (int l = 0; l < kLanes; ++l) own[l] = static_cast<double>(group_.point[l]);
         Lanes nearest = splat(HUGE_VAL);
-        for (size_t n = 0; n < count_; ++n) {
-            const Leaf& leaf = tree_.leaves[leaves_[n]];
-            for (size_t i = 0; i < kFan; ++i) {
-                const Mask selected = is_selected(n, i, leaf);
-                if (!bits(selected)) continue;
-                // Differences to the query, which is one of the points: large coordinates cost no digits.
-                const Lanes dx = select(selected, splat(leaf.x[i]) - x, zero);
-                const Lanes dy = select(selected, splat(leaf.y[i]) - y, zero);
-                const Lanes dz = select(selected, splat(leaf.z[i]) - z, zero);
-                sx = sx + dx, sy = sy + dy, sz = sz + dz;
-                xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
-                yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
-                const Mask itself = splat(leaf.row[i]) == load(own);
-                nearest = min(nearest, select(itself, splat(HUGE_VAL), at(n, i)));
-            }
+        for (size_t c = 0; c < count_; ++c) {
+            const Mask selected = is_selected(c);
+            const Leaf& leaf = tree_.leaves[slots_[c] / kFan];
+            const size_t i = slots_[c] % kFan;
+            // Differences to the query, which is one of the points: large coordinates cost no digits.
+            const Lanes dx = select(selected, splat(leaf.x[i]) - x, zero);
+            const Lanes dy = select(selected, splat(leaf.y[i]) - y, zero);
+            const Lanes dz = select(selected, splat(leaf.z[i]) - z, zero);
+            sx = sx + dx, sy = sy + dy, sz = sz + dz;
+            xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
+            yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
+            nearest = min(nearest, select(splat(leaf.row[i]) == load(own), splat(HUGE_VAL), squared(c)));
         }
         const Lanes share = splat(1.0 / static_cast<double>(k_));
         Symmetric covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
@@ -91,32 +87,37 @@ public:
     }
 
 private:
-    Lanes at(size_t n, size_t i) const { return load(squared_ + (n * kFan + i) * kLanes); }
+    Lanes squared(size_t c) const { return load(squared_ + c * kLanes); }
+    double row(size_t c) const { return tree_.leaves[slots_[c] / kFan].row[slots_[c] % kFan]; }
 
-    Mask is_selected(size_t n, size_t i, const Leaf& leaf) const {
-        const Lanes squared = at(n, i), limit = load(limit_);
-        return (squared < limit) | ((squared == limit) & (splat(leaf.row[i]) <= load(last_row_)));
+    Mask is_selected(size_t c) const {
+        const Lanes limit = load(limit_);
+        return (squared(c) < limit) | ((squared(c) == limit) & (splat(row(c)) <= load(last_row_)));
     }
 
     Lanes count_up_to(Lanes limit) const {
         const Lanes zero = splat(0.0), one = splat(1.0);
-        Lanes count = zero;
-        for (size_t c = 0; c < count_ * kFan; ++c) count = count + select(load(squared_ + c * kLanes) <= limit, one, zero);
-        return count;
+        Lanes count[4] = {zero, zero, zero, zero};  // four sums at a time: an addition need not wait for the last
+        size_t c = 0;
+        for (; c + 4 <= count_; c += 4)
+            for (size_t i = 0; i < 4; ++i) count[i] = count[i] + select(squared(c + i) <= limit, one, zero);
+        for (; c < count_; ++c) count[0] = count[0] + select(squared(c) <= limit, one, zero);
+        return (count[0] + count[1]) + (count[2] + count[3]);
     }
 
     // Lowers each query's limit until between k and k + surplus candidates are within it. Their number grows about
     // linearly with the squared distance on a surface, so interpolation needs few rounds; ties need a look one by one.
     void tighten(size_t surplus) {
         const Lanes k = splat(static_cast<double>(k_)), enough = splat(static_cast<double>(k_ + surplus));
-        Lanes low = splat(0.0), below = count_up_to(low);  // too few within `low`, unless it is the answer already
-        Lanes high = splat(0.0);
-        for (size_t c = 0; c < count_ * kFan; ++c) {
-            const Lanes squared = load(squared_ + c * kLanes);
-            high = max(high, select(squared <= splat(kFarAway), squared, splat(0.0)));
+        // Too few are within `low`, unless it is the answer already; enough are within `high`.
+        const Lanes zero = splat(0.0), one = splat(1.0), limit = load(limit_);
+        Lanes low = zero, below = zero, high = zero, within = zero;
+        for (size_t c = 0; c < count_; ++c) {
+            const Mask inside = squared(c) <= limit;
+            below = below + select(squared(c) <= zero, one, zero);
+            within = within + select(inside, one, zero);
+            high = max(high, select(inside, squared(c), zero));
         }
-        high = min(high, load(limit_));
-        Lanes within = count_up_to(high);
         const Mask at_zero = k <= below;
         high = select(at_zero, low, high), within = select(at_zero, below, within);
         for (int round = 0; round < 9 && bits(within <= enough) != 0xff; ++round) {
@@ -134,33 +135,30 @@ private:
         unsigned tied = surplus == 0 ? ~bits(within <= enough) & 0xff : 0;
         for (; tied; tied &= tied - 1) settle_ties(__builtin_ctz(tied));
         bound_ = largest(load(limit_));
+        drop_unselected();
     }
 
     // The k-th of one query's candidates by (distance, row), one after the other.
     void settle_ties(int lane) {
-        double squared = -1.0, row = -1.0;
+        double last = -1.0, last_row = -1.0;
         for (size_t found = 0; found < k_; ++found) {
             double next = HUGE_VAL, next_row = kNoRow;
-            for (size_t n = 0; n < count_; ++n)
-                for (size_t i = 0; i < kFan; ++i) {
-                    const double s = squared_[(n * kFan + i) * kLanes + lane], r = tree_.leaves[leaves_[n]].row[i];
-                    if (comes_before(squared, row, s, r) && comes_before(s, r, next, next_row)) next = s, next_row = r;
-                }
-            squared = next, row = next_row;
+            for (size_t c = 0; c < count_; ++c) {
+                const double s = squared_[c * kLanes + lane], r = row(c);
+                if (comes_before(last, last_row, s, r) && comes_before(s, r, next, next_row)) next = s, next_row = r;
+            }
+            last = next, last_row = next_row;
         }
-        limit_[lane] = squared, last_row_[lane] = row;
+        limit_[lane] = last, last_row_[lane] = last_row;
     }
 
     void drop_unselected() {
         size_t kept = 0;
-        for (size_t n = 0; n < count_; ++n) {
-            const Leaf& leaf = tree_.leaves[leaves_[n]];
-            unsigned any = 0;
-            for (size_t i = 0; i < kFan; ++i) any |= bits(is_selected(n, i, leaf));
-            if (!any) continue;
-            leaves_[kept] = leaves_[n];
-            for (size_t i = 0; i < kFan; ++i) store(squared_ + (kept * kFan + i) * kLanes, at(n, i));
-            ++kept;
+        for (size_t c = 0; c < count_; ++c) {
+            const bool keep = bits(is_selected(c)) != 0;
+            store(squared_ + kept * kLanes, squared(c));
+            slots_[kept] = slots_[c];
+            kept += keep;
         }
         count_ = kept;
     }
@@ -168,8 +166,8 @@ private:
     const Tree& tree_;
     const Group& group_;
     const size_t k_, room_, first_tightening_;
-    double* squared_;     // [leaf][point][query]
-    uint64_t* leaves_;
+    double* squared_;  // [candidate][query]
+    uint64_t* slots_;  // of the candidates: kFan * leaf + place in it
     size_t count_ = 0;
     alignas(64) double limit_[kLanes];     // squared distance within which the k nearest lie
     alignas(64) double last_row_[kLanes];  // of those at that very distance, the last one that is taken

@@ -156,13 +156,16 @@ inline bool arrange(const double* points, size_t count, double limit, Leaf* leav
 #pragma omp parallel if (count > 2 * kTask)
     {
 #pragma omp for schedule(static) reduction(&& : valid)
-        for (size_t i = 0; i < count; ++i) {
-            const double* p = points + 3 * i;
-            items[i] = {{p[0], p[1], p[2], static_cast<double>(i)}};
-            valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
+        for (size_t start = 0; start < count; start += kTask) {
+            if (interrupt.requested()) continue;
+            for (size_t i = start; i < std::min(start + kTask, count); ++i) {
+                const double* p = points + 3 * i;
+                items[i] = {{p[0], p[1], p[2], static_cast<double>(i)}};
+                valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
+            }
         }
 #pragma omp master
-        if (valid) arrange_part(items, count, nodes, interrupt);
+        if (valid && !interrupt.stopped()) arrange_part(items, count, nodes, interrupt);
     }
     return valid;
 }
