@@ -22,6 +22,11 @@ def crs_name(text: str) -> str:
     return ":".join(authority) if authority else str(crs.name)
 
 
+def is_known(text: str | None) -> bool:
+    """Whether pyproj is installed and knows this system."""
+    return text is not None and _parsed(text) is not None
+
+
 def _parsed(text: str) -> Any | None:
     try:
         from pyproj import CRS

@@ -309,3 +309,148 @@ def test_interrupt_leaves_nothing(files, run, monkeypatch):
     assert code == 130
     assert err.strip() == "interrupted"
     assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
+
+
+def test_outputs_never_replace_inputs(files, run):
+    before = {p.name: p.read_bytes() for p in files.iterdir()}
+    for arguments in (
+        ("compare", "ref.ply", "a.ply", "--json", "ref.ply"),
+        ("compare", "ref.ply", "a.ply", "--out", "."),
+        ("register", "ref.ply", "a.ply", "--out", "a.ply"),
+    ):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert one_line(err)
+    assert {p.name: p.read_bytes() for p in files.iterdir()} == before
+    run("compare", "ref.ply", "a.ply", "--out", "report", "-q")
+    code, _, err = run("compare", "ref.ply", "report/a_deviation.ply", "--out", "report")
+    assert code == 2
+    assert "would replace its own input" in err
+
+
+def test_an_output_that_cannot_be_written_is_noticed_first(files, run):
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report", "--json", "no/x.json")
+    assert code == 2
+    assert one_line(err)
+    assert not (files / "report").exists()
+    assert run("register", "ref.ply", "a.ply", "--out", "b2.ply", "--matrix", "no/m.txt")[0] == 2
+    assert not (files / "b2.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("reference", 5),
+        ("reference", {"sha256": "x"}),
+        ("reference", {"path": 5, "sha256": "x"}),
+        ("candidates", []),
+        ("candidates", [{"name": "../x", "path": "a.ply", "sha256": ""}]),
+        ("candidates", [{"name": "", "path": "a.ply", "sha256": ""}]),
+        ("candidates", [{"name": None, "path": "a.ply", "sha256": ""}]),
+        ("candidates", 2 * [{"name": "a", "path": "a.ply", "sha256": ""}]),
+        ("settings", {"seed": -1}),
+        ("settings", {"seed": "x"}),
+        ("settings", {"register": None}),
+        ("settings", {"crop": 5}),
+        ("settings", {"thresholds": "123"}),
+        ("settings", {"thresholds": [1e400]}),
+        ("settings", {"normal_neighbors": 2500000000}),
+        ("settings", {"nonsense": 1}),
+        ("settings", None),
+    ],
+)
+def test_damaged_settings_are_one_line(files, run, key, value):
+    run("compare", "ref.ply", "a.ply", "--out", "one", "-q")
+    values = json.loads((files / "one/settings.json").read_text())
+    values[key] = {**values[key], **value} if key == "settings" and value else value
+    (files / "bad.json").write_text(json.dumps(values))
+    code, _, err = run("compare", "--settings", "bad.json", "--out", "two")
+    assert code == 2
+    assert one_line(err), err
+    assert not (files / "two").exists()
+
+
+def test_a_report_with_evil_names_deletes_nothing_elsewhere(files, run):
+    (files / "evil/figures").mkdir(parents=True)
+    (files / "p_T.txt").write_text("mine")
+    name = "figures/../../p"
+    (files / "evil/comparison.json").write_text(json.dumps({"candidates": [{"name": name}]}))
+    run("compare", "ref.ply", "a.ply", "--out", "evil")
+    assert (files / "p_T.txt").read_text() == "mine"
+
+
+def test_names_are_data_not_markup(files, run):
+    for name in ("[bold]x", ":smile:", "[/x]"):
+        (files / f"{name.replace('/', '')}.ply").write_bytes((files / "a.ply").read_bytes())
+    code, out, _ = run("compare", "ref.ply", "[bold]x.ply", ":smile:.ply", "[x].ply")
+    assert code == 0
+    for name in ("[bold]x", ":smile:", "[x]"):
+        assert name in out
+
+
+def test_files_that_settings_name_are_absolute_and_hashed(files, run, monkeypatch):
+    run("register", "ref.ply", "a.ply", "--matrix", "T.txt", "-q")
+    assert run("compare", "ref.ply", "a.ply", "--register", "matrix:T.txt", "--out", "one")[0] == 0
+    (files / "elsewhere").mkdir()
+    monkeypatch.chdir(files / "elsewhere")
+    assert run("compare", "--settings", "../one/settings.json", "--out", "two")[0] == 0
+    assert doc("two")["candidates"][0]["metrics"] == doc("../one")["candidates"][0]["metrics"]
+    (files / "T.txt").write_text((files / "T.txt").read_text() + "# touched\n")
+    assert "T.txt: the file has changed" in run("compare", "--settings", "../one/settings.json")[1]
+
+
+def test_a_poor_terminal_and_a_terminated_run(files):
+    command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply", "--no-figures"]
+    poor = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "20", "TERM": "dumb"}
+    done = subprocess.run(command, env=poor, capture_output=True, check=True)
+    assert b"D1 MSE" in done.stdout
+    stop = (
+        "import os, signal, sys, pcbench.comparison\n"
+        "pcbench.comparison.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "sys.argv = 'pcbench compare ref.ply a.ply --out report'.split()\n"
+        "from pcbench.cli import main; main()"
+    )
+    assert subprocess.run([sys.executable, "-c", stop], capture_output=True, check=False).returncode == 143
+    assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
+
+
+def test_usage_errors_are_one_line_too(files, run):
+    for arguments in (("compare", "ref.ply"), ("compare", "--seed", "x"), ("demo", "--points", "5"), ("nonsense",)):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert one_line(err), err
+    assert run("compare", "ref.ply", "a.ply", "--seed", "-1")[0] == 2
+
+
+def test_convert(files, run):
+    write_cloud("c.ply", Cloud(read_cloud("a.ply").points, attributes={"quality": np.arange(1500.0)}))
+    for name in ("c.xyz", "c.npz", "c.las", "c.laz", "c.pcd"):
+        if name.endswith("laz"):
+            pytest.importorskip("lazrs")
+        code, out, err = run("convert", "c.ply", name)
+        assert code == 0, err
+        assert "1,500 points" in out
+        np.testing.assert_allclose(read_cloud(name).points, read_cloud("c.ply").points, atol=1e-4)
+    code, _, err = run("convert", "c.ply", "c.xyz", "--classes", "2")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_las_in_las_out(files, run):
+    pytest.importorskip("lazrs")
+    run("convert", "a.ply", "a.laz", "-q")
+    assert run("compare", "ref.ply", "a.laz", "--out", "report")[0] == 0
+    cloud = read_cloud("report/a_deviation.laz")
+    assert cloud.colors is not None
+    found = doc("report")["candidates"][0]["metrics"]["hausdorff"]["candidate_to_reference"]
+    assert cloud.attributes["distance"].max() == pytest.approx(found, rel=1e-6)
+
+
+def test_figures_come_with_the_report(files, run):
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report", figures=True)
+    assert code == 0
+    if "no pictures" not in err:
+        assert (files / "report/figures/a_distance.png").is_file()
+        code, out, _ = run("plot", "report", "distribution")
+        assert code == 0
+        assert out == "report/figures/distribution.png\n"

@@ -250,7 +250,9 @@ def write_text(path: Path, cloud: Cloud) -> None:
     taken = set(columns)
     for name, values in cloud.attributes.items():
         known = _ALIASES.get(name.lower(), name)
-        if known in taken or not name.isprintable() or len(name.split()) != 1 or re.search(r"[,;#\"']|//", name):
+        if known in taken:
+            raise InputError(f"{path}: attribute {name!r} would be read back as {known}: rename it")
+        if not name.isprintable() or len(name.split()) != 1 or re.search(r"[,;#\"']|//", name):
             raise InputError(f"{path}: expected attribute names without blanks and delimiters, got {name!r}: rename it")
         if values.dtype.kind not in "biuf":
             raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from pcbench.cloud import Cloud
 from pcbench.comparison import Comparison, Settings
+from pcbench.crs import is_known
 from pcbench.deviation import M3C2
 from pcbench.errors import InputError
 from pcbench.io import write_cloud
@@ -175,7 +176,8 @@ def _write_maps(folder: Path, comparison: Comparison, inputs: Inputs) -> None:
         stem = folder / candidate.name
         write_cloud(f"{stem}_deviation.ply", cloud)
         if Path(inputs.candidates[candidate.name]["path"]).suffix.lower() in (".las", ".laz"):
-            write_cloud(f"{stem}_deviation.laz", cloud)
+            # A system that only this reference's file knows by name cannot be written to LAS.
+            write_cloud(f"{stem}_deviation.laz", cloud if is_known(cloud.crs) else replace(cloud, crs=None))
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
 
