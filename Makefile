@@ -8,7 +8,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*.h)
 
-.PHONY: demo test lint types slow bench clean
+.PHONY: demo test lint types slow bench gallery clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -41,6 +41,9 @@ types: $(VENV)/.all
 
 bench: $(VENV)/.all
 	$(BIN)/python tests/bench/compare.py
+
+gallery: $(VENV)/.demo
+	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/python docs/gallery.py
 
 clean:
 	rm -rf $(VENV) build dist demo

@@ -31,6 +31,7 @@ MAPS = ("poisson", "m3c2")
 
 _VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
+_POISSON_POINTS = 100_000  # that a Poisson mesh is made from: about a quarter of a minute
 _CORES = 50_000  # M3C2 core points: the reference, thinned evenly
 _CYLINDER_RADIUS = 6  # median spacings of the sparser cloud: about 30 of its points a cylinder
 _CYLINDER_REACH = 5  # radii to either side
@@ -209,11 +210,18 @@ class _Reference:
         )
 
     def with_poisson_mesh(self) -> _Reference:
-        """The same with a Poisson mesh of the whole reference to measure distances to."""
-        from pcbench.poisson import poisson_mesh
+        """The same with a Poisson mesh of the (thinned) reference to measure distances to.
 
-        normals = self.cloud.normals
-        mesh = poisson_mesh(Cloud(self.points, normals=normals))
+        Raises:
+            InputError: the reference is too small for normals.
+        """
+        from pcbench.poisson import oriented, poisson_mesh
+
+        if not self.has_normals:
+            raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")
+        rows = thin_to(self.points, _POISSON_POINTS, start=self.spacing)
+        cloud = Cloud(self.points[rows], normals=self.surface.normals(rows))
+        mesh = poisson_mesh(cloud if self.cloud.normals is not None else oriented(cloud))
         return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})
 
     @property
