@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include "mesh_module.h"
 #include "normals.h"
 
 namespace nb = nanobind;
@@ -31,4 +32,5 @@ NB_MODULE(_core, m) {
         },
         nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(), nb::arg("variation").noconvert(),
         "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
+    bind_mesh(m);
 }
