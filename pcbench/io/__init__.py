@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.io import colmap
 from pcbench.io.files import Fields, Warn, check_readable
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from pcbench.io.ply import read_ply, write_ply
@@ -31,11 +32,18 @@ _FORMATS = {
 }
 
 
+def _no_colmap(path: Path, cloud: Cloud) -> None:
+    raise InputError(f"{path}: COLMAP models are read, not written: write a .ply file instead")
+
+
+_COLMAP = _Format(colmap.read_colmap, _no_colmap)
+
+
 def read_cloud(path: str | os.PathLike[str], *, on_warning: Callable[[str], None] | None = None) -> Cloud:
     """The point cloud in a file, without the points whose coordinates are NaN or Inf.
 
     Args:
-        path: a file with a known extension, in upper or lower case.
+        path: a file with a known extension, in upper or lower case, or a folder with a COLMAP model.
         on_warning: called with one line for each thing left out ("a.ply: dropped 12 of 1000 points with NaN or Inf
             coordinates"); `warnings.warn` if not given.
 
@@ -45,6 +53,7 @@ def read_cloud(path: str | os.PathLike[str], *, on_warning: Callable[[str], None
     path = Path(path)
     notes: list[str] = []
     try:
+        path = colmap.model_file(path)
         check_readable(path)
         fields = _format(path).read(path, notes.append)
         count = len(fields["points"])
@@ -81,6 +90,8 @@ def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:
 
 
 def _format(path: Path) -> _Format:
+    if path.name in colmap.NAMES:
+        return _COLMAP
     extension = path.suffix.lower()
     if extension not in _FORMATS:
         raise InputError(f"expected a file that ends in {', '.join(_FORMATS)}; got {extension or 'no extension'!r}")
