@@ -115,3 +115,47 @@ def test_identical_clouds_have_no_psnr():
 def test_unknown_preset():
     with pytest.raises(InputError, match="unknown preset 'nonsense': expected one of gao2025, mpeg"):
         Settings(presets=("nonsense",))
+
+
+def test_pdal_prints_its_own_constants():
+    folder = data_folder("autzen")
+    clouds = [read_cloud(folder / name) for name in ("autzen-thin.las", "autzen_trim.las")]
+    found = preset("pdal", *clouds)
+    assert found["chamfer"] == pytest.approx(5.907628766e10, rel=1e-9)
+    assert found["hausdorff"] == pytest.approx(4416.968175, rel=1e-9)
+
+
+def test_pdal_against_brute_force():
+    a, b = shapes.terrain(300, seed=3)[0], shapes.terrain(200, seed=4)[0]
+    assert preset("pdal", a, b)["chamfer"] == pytest.approx(oracles.chamfer_sum_of_squares(a, b), rel=1e-12)
+
+
+def test_tnt_against_open3ds_downsampling():
+    o3d = pytest.importorskip("open3d", exc_type=ImportError)
+    a, b = shapes.terrain(3000, seed=3)[0], shapes.terrain(2000, seed=4)[0] + [0, 0, 0.05]
+    low, high = np.array([5.0, 5, -10]), np.array([35.0, 30, 10])
+    found = preset("tnt", a, b, thresholds=(0.5, 1.5), crop="box:5,5,-10,35,30,10")["fscore"]
+
+    def thinned(points, side):
+        inside = points[((points >= low) & (points <= high)).all(axis=1)]
+        return np.asarray(o3d.geometry.PointCloud(o3d.utility.Vector3dVector(inside)).voxel_down_sample(side).points)
+
+    for row in found:
+        expected = oracles.fscore(thinned(b, row["threshold"] / 2), thinned(a, row["threshold"] / 2), row["threshold"])
+        assert (row["precision"], row["recall"], row["fscore"]) == pytest.approx(expected)
+
+
+def test_hausdorff_against_pymeshlab():
+    pymeshlab = pytest.importorskip("pymeshlab", exc_type=ImportError)
+    a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
+    meshes = pymeshlab.MeshSet()
+    for points in (a, b):
+        meshes.add_mesh(pymeshlab.Mesh(points))
+    one_way = meshes.get_hausdorff_distance(
+        sampledmesh=1, targetmesh=0, samplevert=True, sampleface=False, maxdist=pymeshlab.PercentageValue(100)
+    )
+    m = compare(a, b, Settings(register="none")).candidates[0].metrics
+    # MeshLab works in float32.
+    assert m["hausdorff"]["candidate_to_reference"] == pytest.approx(one_way["max"], rel=1e-5)
+    assert m["mean_distance"]["candidate_to_reference"] == pytest.approx(one_way["mean"], rel=1e-5)
+    assert m["d1_rms"]["candidate_to_reference"] == pytest.approx(one_way["RMS"], rel=1e-5)

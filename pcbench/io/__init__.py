@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.io import colmap
 from pcbench.io.files import Fields, check_readable
 from pcbench.io.las import read_las, write_las
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
@@ -41,6 +42,7 @@ _FORMATS = {
     ".txt": _Format(read_text, write_text),
     ".xyz": _Format(read_text, write_text),
 }
+_COLMAP = _Format(colmap.read_colmap, None)  # by its file's name: points3D.bin, points3D.txt
 FILTERED = (".las", ".laz")  # their readers take classes and returns
 
 
@@ -54,7 +56,7 @@ def read_cloud(
     """The point cloud in a file, without the points whose coordinates are NaN or Inf.
 
     Args:
-        path: a file with a known extension, in upper or lower case.
+        path: a file with a known extension, in upper or lower case, or a folder with a COLMAP model.
         on_warning: called with one line for each thing left out ("a.ply: dropped 12 of 1000 points with NaN or Inf
             coordinates"); `warnings.warn` if not given.
         classes: only points of these classes, such as (2, 6); LAS, LAZ and COPC.
@@ -68,6 +70,7 @@ def read_cloud(
     path = Path(path)
     notes: list[str] = []
     try:
+        path = colmap.model_file(path)
         check_readable(path)
         read = _format(path).read
         if classes is not None or returns is not None:
@@ -112,6 +115,8 @@ def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:
 
 
 def _format(path: Path) -> _Format:
+    if path.name in colmap.NAMES:
+        return _COLMAP
     extension = path.suffix.lower()
     if extension not in _FORMATS:
         raise InputError(f"expected a file that ends in {', '.join(_FORMATS)}; got {extension or 'no extension'!r}")

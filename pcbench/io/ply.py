@@ -49,6 +49,8 @@ _XYZ = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 
+_FACES = ("vertex_indices", "vertex_index")  # what the list of a face is called
+
 Columns = dict[str, NDArray[Any]]
 
 
@@ -124,6 +126,38 @@ def read_ply(path: Path, warn: Warn) -> Fields:
         crs=header.tagged("crs"),
         unit=header.tagged("unit"),
     )
+
+
+def holds_faces(path: Path) -> bool:
+    """Whether the header, all that is read, tells of faces.
+
+    Raises:
+        InputError: it is not the header of a PLY file.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        return any(element.name == "face" and element.count for element in _read_header(file).elements)
+
+
+def read_ply_faces(path: Path) -> tuple[Fields, NDArray[np.int64], NDArray[np.int64]]:
+    """A PLY file's points, crs and unit, and its faces: corners of each (F,), then all their vertex numbers in a row.
+
+    Raises:
+        InputError: the file is not a complete PLY file with at least one vertex and lists of vertices a face.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        header = _read_header(file)
+        _check_vertex(header)
+        _check_face(header)
+        body = read_rest(file)
+    with np.errstate(invalid="ignore", over="ignore"):
+        if header.byte_order is None:
+            columns, (lengths, corners) = _ascii_columns(body.tobytes(), header), _ascii_lists(body.tobytes(), header)
+        else:
+            columns, (lengths, corners) = _binary_columns(body, header), _binary_lists(body, header)
+        points = _stacked(columns, _XYZ, np.float64)
+    return Fields(points=points, crs=header.tagged("crs"), unit=header.tagged("unit")), lengths, corners
 
 
 def _stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:
@@ -256,6 +290,13 @@ def _check_vertex(header: _Header) -> None:
         raise InputError("expected at least one point, got 0 vertices")
 
 
+def _check_face(header: _Header) -> None:
+    for element in header.elements:
+        if element.name == "face" and any(prop.name in _FACES and prop.length for prop in element.properties):
+            return
+    raise InputError(f"expected an element 'face' with a list {' or '.join(_FACES)}: there are no faces in this file")
+
+
 def _truncated(element: _Element, complete: int) -> InputError:
     return InputError(f"truncated: {element.counted(complete)}: copy or export the file again")
 
@@ -378,6 +419,47 @@ def _uneven_rows(
     return columns, int(ends[-1])
 
 
+def _binary_lists(body: NDArray[np.uint8], header: _Header) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Lengths (F,) of the faces' lists and all their items; the body is known to be complete."""
+    start = 0
+    for element in header.elements:
+        if element.name == "face":
+            break
+        start = _binary_element(body, start, element)[1]
+    first = _list_lengths(body, start, element, rows=min(1, element.count))
+    if element.count and _even_rows(body, start, element, first[0].tolist()) is not None:
+        lengths = np.repeat(first, element.count, axis=0)
+    else:
+        lengths = _list_lengths(body, start, element, rows=element.count)
+    sizes = np.empty((element.count, len(element.properties)), dtype=np.int64)  # bytes of each property
+    taken, column = -1, 0
+    for place, prop in enumerate(element.properties):
+        if prop.length is None:
+            sizes[:, place] = prop.dtype.itemsize
+        else:
+            if prop.name in _FACES and taken < 0:
+                taken, wanted, counts = place, prop, lengths[:, column]
+                header_bytes = prop.length.itemsize
+            sizes[:, place] = prop.length.itemsize + lengths[:, column] * prop.dtype.itemsize
+            column += 1
+    rows = start + np.cumsum(sizes.sum(axis=1)) - sizes.sum(axis=1)
+    begin = rows + sizes[:, :taken].sum(axis=1) + header_bytes
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    places = np.repeat(begin, counts) + within * wanted.dtype.itemsize
+    if not len(places):
+        return counts, np.empty(0, dtype=np.int64)
+    items = np.lib.stride_tricks.sliding_window_view(body, wanted.dtype.itemsize)[places].view(wanted.dtype)[:, 0]
+    return counts, _whole(items)
+
+
+def _whole(items: NDArray[Any]) -> NDArray[np.int64]:
+    """Vertex numbers, which a file may declare as floats."""
+    whole = items.astype(np.int64)
+    if items.dtype.kind == "f" and not (whole == items).all():
+        raise InputError("expected whole numbers of vertices in the faces, got fractions: the file is damaged")
+    return whole
+
+
 # ---- ascii body ---------------------------------------------------------------------------------------------------
 
 
@@ -403,6 +485,32 @@ def _ascii_columns(text: bytes, header: _Header) -> Columns:
             f"{len(lines) - start} lines after the last element: header and body disagree, export it again"
         )
     return vertices
+
+
+def _ascii_lists(text: bytes, header: _Header) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Lengths (F,) of the faces' lists and all their items; the rows are known to be complete."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    start = 0
+    for element in header.elements:
+        if element.name == "face":
+            break
+        start += element.count if element.properties else 0
+    lengths = array("q")
+    words: list[bytes] = []
+    wanted = next(place for place, prop in enumerate(element.properties) if prop.name in _FACES and prop.length)
+    for line in lines[start : start + element.count]:
+        row = line.split()
+        place = 0
+        for prop in element.properties[:wanted]:
+            place += 1 if prop.length is None else 1 + int(row[place])
+        length = int(row[place])
+        lengths.append(length)
+        words += row[place + 1 : place + 1 + length]
+    try:
+        items = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise InputError(f"expected vertex numbers in the faces, got something else: {str(error)[:60]}") from error
+    return np.frombuffer(lengths, dtype=np.int64), _whole(items)
 
 
 def _ascii_table(rows: list[bytes], element: _Element) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@
 #include <omp.h>
 
 #include "index.h"
+#include "mesh_module.h"
 #include "normals.h"
 
 namespace nb = nanobind;
@@ -249,4 +250,5 @@ NB_MODULE(_core, m) {
         },
         nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(), nb::arg("variation").noconvert(),
         "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
+    bind_mesh(m);
 }

@@ -38,4 +38,5 @@ def ramp(values: FloatArray, low: float, high: float) -> NDArray[np.uint8]:
     place = np.clip((values - low) / (high - low), 0, 1) * (len(_TURBO) - 1)
     anchors = np.arange(len(_TURBO))
     channels = [np.interp(place, anchors, channel) for channel in _TURBO.T]
-    return np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+    colors: NDArray[np.uint8] = np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+    return colors

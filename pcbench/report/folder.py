@@ -110,7 +110,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
         raise InputError(f"{path}: expected a settings.json that a report holds (schema {SETTINGS_SCHEMA})")
     try:
-        chosen = {key: tuple(v) if isinstance(v, list) else v for key, v in values["settings"].items()}
+        chosen: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values["settings"].items()}
         candidates = {row["name"]: _recorded(row) for row in values["candidates"]}
         if not candidates or len(candidates) < len(values["candidates"]):
             raise ValueError("candidates need names of their own")

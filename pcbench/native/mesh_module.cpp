@@ -1,0 +1,49 @@
+// Python's view of the triangle tree.
+#include "mesh_module.h"
+
+#include <nanobind/ndarray.h>
+
+#include "mesh_index.h"
+
+using pcbench::mesh::MeshIndex;
+
+namespace {
+
+template <typename T, typename... Shape>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
+template <typename T, typename... Shape>
+using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
+using Rows = nb::shape<-1, 3>;
+using Column = nb::shape<-1>;
+
+void init(MeshIndex* self, In<double, Rows> vertices, In<int64_t, Rows> faces) {
+    const size_t count = faces.shape(0);
+    if (count == 0 || count >> 31) throw nb::value_error("MeshIndex: expected 1 to 2^31 - 1 faces");
+    for (size_t i = 0; i < 3 * count; ++i)
+        if (faces.data()[i] < 0 || static_cast<size_t>(faces.data()[i]) >= vertices.shape(0))
+            throw nb::index_error("MeshIndex: a face names a vertex that is not there");
+    nb::gil_scoped_release release;
+    new (self) MeshIndex(vertices.data(), vertices.shape(0), faces.data(), count);
+}
+
+void query(const MeshIndex& self, In<double, Rows> points, Out<double, Column> distances, Out<double, Rows> feet,
+           Out<int64_t, Column> faces, Out<uint8_t, Column> features) {
+    const size_t count = points.shape(0);
+    if (distances.shape(0) != count || feet.shape(0) != count || faces.shape(0) != count || features.shape(0) != count)
+        throw nb::value_error("MeshIndex: every output needs one row for each point");
+    if (count >> 32) throw nb::value_error("MeshIndex: expected fewer than 2^32 points at once");
+    nb::gil_scoped_release release;
+    self.query(points.data(), count, distances.data(), feet.data(), faces.data(), features.data());
+}
+
+}  // namespace
+
+void bind_mesh(nb::module_& m) {
+    nb::class_<MeshIndex>(m, "MeshIndex", "A box tree over triangles; the caller has checked that vertices are finite.")
+        .def("__init__", &init, nb::arg("vertices"), nb::arg("faces"))
+        .def("__len__", &MeshIndex::size)
+        .def("query", &query, nb::arg("points"), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
+             nb::arg("faces").noconvert(), nb::arg("features").noconvert(),
+             "Nearest points of the mesh, written in place: distances (N,), feet (N, 3), faces (N,), and features (N,):\n"
+             "0-2 the face's corners, 3-5 its edges 01, 12, 20, 6 its inside.");
+}

@@ -1,0 +1,108 @@
+"""A surface through an oriented cloud."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pcbench.cloud import Cloud, FloatArray
+from pcbench.errors import InputError, MissingExtra
+from pcbench.mesh import IntArray, Mesh
+from pcbench.neighbors import Index
+from pcbench.normals import unit
+
+_REACH = 4.0  # spacings between points beyond which the surface is invented, not measured
+_FEWEST = 50  # points
+
+
+def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
+    """The surface of screened Poisson reconstruction (Kazhdan and Hoppe 2013) through a cloud with normals.
+
+    The method closes every surface, over holes and beyond borders. Vertices farther from every point than 4 times the
+    cloud's median spacing are taken away with their faces, so the mesh ends where the data end. Open3D does the work,
+    or pymeshlab where Open3D is not installed; Open3D runs on one thread, because more give other bits every time.
+
+    Args:
+        cloud: points with outward normals of any length.
+        depth: of the octree; its cells are the (inflated) bounding cube's side / 2^depth. By default such that a cell
+            is about the median spacing, within 5 to 11.
+
+    Raises:
+        InputError: there are no normals, fewer than 50 points with a normal, the depth is not 1 to 14, or no surface
+            stays near the points.
+        MissingExtra: neither library is installed.
+    """
+    if cloud.normals is None:
+        raise InputError("expected a cloud with normals to reconstruct a surface: estimate and orient them first")
+    if depth is not None and not 1 <= depth <= 14:
+        raise InputError(f"expected a depth of 1 to 14, got {depth}")
+    normals, valid = unit(cloud.normals)
+    if (count := int(np.count_nonzero(valid))) < _FEWEST:
+        raise InputError(f"expected at least {_FEWEST} points with normals to reconstruct a surface, got {count}")
+    low, high = cloud.bounds
+    origin = low / 2 + high / 2
+    points, normals = cloud.points[valid] - origin, normals[valid]
+    index = Index(points)
+    spacing = float(np.median(index.nearest_other().distances))
+    if depth is None:
+        cells = float((high - low).max()) / spacing if spacing > 0 else np.inf
+        depth = int(np.clip(np.ceil(np.log2(max(cells, 1.0))), 5, 11))
+    vertices, faces = _reconstruct(points, normals, depth)
+    near = np.zeros(len(vertices), dtype=bool)
+    if len(vertices):
+        near = index.query(vertices).distances <= _REACH * spacing
+    faces = faces[near[faces].all(axis=1)]
+    if not len(faces):
+        raise InputError(f"no surface passes within {_REACH:g} spacings of the {count} points: are the normals right?")
+    used, faces = np.unique(faces, return_inverse=True)
+    return Mesh(vertices[used] + origin, faces.reshape(-1, 3), crs=cloud.crs, unit=cloud.unit)
+
+
+def oriented(cloud: Cloud) -> Cloud:
+    """The cloud with signs of its normals that agree over the surface, most of them upwards.
+
+    Signs spread along a minimum spanning tree of neighbours (Hoppe et al. 1992, section 3.3), through Open3D; about 4 s
+    for 100,000 points.
+
+    Raises:
+        MissingExtra: Open3D is not installed. (pymeshlab's surface then needs a cloud that came with normals.)
+    """
+    try:
+        import open3d
+    except ImportError as error:
+        raise MissingExtra("open3d", "open3d", "to orient normals") from error
+    assert cloud.normals is not None
+    data = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points))
+    data.normals = open3d.utility.Vector3dVector(cloud.normals)
+    data.orient_normals_consistent_tangent_plane(10)
+    normals = np.asarray(data.normals)
+    return replace(cloud, normals=-normals if normals[:, 2].sum() < 0 else normals.copy())
+
+
+def _reconstruct(points: FloatArray, normals: FloatArray, depth: int) -> tuple[FloatArray, IntArray]:
+    """Vertices (V, 3) and faces (F, 3) of the untrimmed surface."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        reason = "" if isinstance(error, ModuleNotFoundError) else str(error).splitlines()[0]
+        try:
+            return _with_pymeshlab(points, normals, depth)
+        except ImportError:
+            raise MissingExtra("open3d", "open3d", reason) from error
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.normals = open3d.utility.Vector3dVector(normals)
+    poisson = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        mesh, _ = poisson(cloud, depth=depth, n_threads=1)
+    return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.triangles, dtype=np.int64)
+
+
+def _with_pymeshlab(points: FloatArray, normals: FloatArray, depth: int) -> tuple[FloatArray, IntArray]:
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(vertex_matrix=points, v_normals_matrix=normals))
+    meshes.generate_surface_reconstruction_screened_poisson(depth=depth, threads=1)
+    mesh = meshes.current_mesh()
+    return np.array(mesh.vertex_matrix(), dtype=np.float64), np.array(mesh.face_matrix(), dtype=np.int64)

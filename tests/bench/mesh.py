@@ -1,0 +1,104 @@
+"""Point-to-mesh distances beside Open3D's RaycastingScene and trimesh, in one process, the same queries.
+
+    python tests/bench/mesh.py [--faces 1000000] [--queries 1000000] [--runs 3]
+
+A rough height field; queries close to it, in its box, and far off. CPU seconds are those of all threads together, which
+a busy machine does not falsify. Open3D and trimesh are left out where they do not import; trimesh, which takes
+milliseconds a query, gets a hundredth of the queries and its time is scaled up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from mesh_shapes import height_field
+
+from pcbench.mesh import Mesh, MeshIndex
+
+
+def ours(vertices, faces):
+    index = MeshIndex(Mesh(vertices, faces))
+    return lambda points: index.query(points).distances
+
+
+def open3d(vertices, faces):
+    import open3d as o3d
+
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
+    scene.compute_closest_points(vertices[:1].astype(np.float32))  # builds
+    return lambda points: np.linalg.norm(
+        points - scene.compute_closest_points(points.astype(np.float32))["points"].numpy(), axis=1
+    )
+
+
+def trimesh(vertices, faces):
+    import trimesh as tm
+
+    mesh = tm.Trimesh(vertices, faces, process=False)
+    tm.proximity.closest_point(mesh, vertices[:1])  # builds
+    return lambda points: tm.proximity.closest_point(mesh, points)[1]
+
+
+def timed(call):
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = call()
+    return result, (time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--faces", type=int, default=1_000_000)
+    parser.add_argument("--queries", type=int, default=1_000_000)
+    parser.add_argument("--runs", type=int, default=3)
+    arguments = parser.parse_args()
+
+    vertices, faces = height_field(round((arguments.faces / 2) ** 0.5) + 1)
+    rng = np.random.default_rng(0)
+    on = Mesh(vertices, faces).sample(arguments.queries).points
+    queries = {
+        "within 0.2 % of the size": on + rng.normal(0, 0.002, on.shape),
+        "in its box, twice as high": rng.uniform(vertices.min(axis=0) * 2, vertices.max(axis=0) * 2, on.shape),
+        "off by a third": on + rng.normal(0, 0.3, on.shape),
+    }
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
+    print(f"{len(faces):,} faces, {arguments.queries:,} queries, {arguments.runs} runs, medians")
+    print(f"commit {commit}, {platform.machine()}, {len(os.sched_getaffinity(0))} cores\n")
+    print(f"{'':28}{'':10}{'wall s':>10}{'CPU s':>10}{'ratio':>8}{'largest difference':>22}")
+
+    makers = {"pcbench": ours, "Open3D": open3d, "trimesh": trimesh}
+    engines, builds = {}, {}
+    for name, make in makers.items():
+        try:
+            engines[name], builds[name] = timed(lambda make=make: make(vertices, faces))
+        except ImportError as error:
+            print(f"{name} left out: {error}")
+    for name, (wall, cpu) in builds.items():
+        print(f"{'build':28}{name:10}{wall:10.2f}{cpu:10.2f}{cpu / builds['pcbench'][1]:8.1f}")
+    for what, points in queries.items():
+        results = {}
+        for name, query in engines.items():
+            some = points[::100] if name == "trimesh" else points
+            times = []
+            for _ in range(1 if name == "trimesh" else arguments.runs):
+                distances, spent = timed(lambda query=query, some=some: query(some))
+                times.append(np.array(spent) * len(points) / len(some))
+            wall, cpu = (statistics.median(t[k] for t in times) for k in range(2))
+            results[name] = distances, cpu
+            own, own_cpu = results["pcbench"]
+            off = np.abs(distances - own[:: len(points) // len(some)]).max()
+            print(f"{what:28}{name:10}{wall:10.2f}{cpu:10.2f}{cpu / own_cpu:8.1f}{off:22.1e}")
+
+
+if __name__ == "__main__":
+    main()

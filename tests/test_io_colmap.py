@@ -1,0 +1,152 @@
+"""COLMAP's points3D files: what pycolmap writes, bytes made by hand, folders, and damage."""
+
+import random
+import struct
+
+import numpy as np
+import pytest
+from ply_bytes import damaged
+
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError, PcbenchError
+from pcbench.io import read_cloud, write_cloud
+from pcbench.io.colmap import read_points3d
+
+
+def point(number, track):
+    return struct.pack(
+        "<Q3d3BdQ", number, number * 0.5, -number, 1e6 + number, 10, 20, number % 256, 0.25 * number, track
+    ) + (struct.pack("<2i", 7, number) * track)
+
+
+def model(count, tracks=(2, 0, 5)):
+    return struct.pack("<Q", count) + b"".join(point(i + 1, tracks[i % len(tracks)]) for i in range(count))
+
+
+TEXT = b"""# 3D point list with one line of data per point:
+#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)
+# Number of points: 3, mean track length: 1.6666
+63 1.67241 0.292931 0.609726 115 121 122 1.33927 16 6542 15 7345 6 6714
+60 2.01848 0.108877 -0.0260841 102 209 250 1.73449
+
+18446744073709551615 1 2 3 0 255 1 -1 1 2 3 4
+"""
+
+
+def test_binary(tmp_path):
+    path = tmp_path / "points3D.bin"
+    path.write_bytes(model(7))
+    cloud = read_cloud(path)
+    number = np.arange(1, 8)
+    np.testing.assert_array_equal(cloud.points, np.column_stack([number * 0.5, -number, 1e6 + number]))
+    np.testing.assert_array_equal(cloud.colors, np.column_stack([[10] * 7, [20] * 7, number]))
+    np.testing.assert_array_equal(cloud.attributes["point3D_id"], number)
+    np.testing.assert_array_equal(cloud.attributes["reprojection_error"], 0.25 * number)
+    np.testing.assert_array_equal(cloud.attributes["track_length"], [2, 0, 5, 2, 0, 5, 2])
+    assert {name: a.dtype.str[1:] for name, a in cloud.attributes.items()} == {
+        "point3D_id": "u8",
+        "reprojection_error": "f8",
+        "track_length": "i8",
+    }
+
+
+def test_text(tmp_path):
+    path = tmp_path / "points3D.txt"
+    path.write_bytes(TEXT)
+    cloud = read_cloud(path)
+    np.testing.assert_array_equal(cloud.points[1:], [(2.01848, 0.108877, -0.0260841), (1, 2, 3)])
+    np.testing.assert_array_equal(cloud.colors[0], (115, 121, 122))
+    np.testing.assert_array_equal(cloud.attributes["track_length"], [3, 0, 2])
+    np.testing.assert_array_equal(cloud.attributes["point3D_id"], np.array([63, 60, 2**64 - 1], np.uint64))
+    np.testing.assert_array_equal(cloud.attributes["reprojection_error"], [1.33927, 1.73449, -1])
+
+
+def test_as_pycolmap_writes_it(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed", exc_type=ImportError)
+    rng = np.random.default_rng(1)
+    reconstruction = pycolmap.Reconstruction()
+    points, colors = rng.normal(size=(50, 3)), rng.integers(0, 256, (50, 3), dtype=np.uint8)
+    ids = [reconstruction.add_point3D(p, pycolmap.Track(), c) for p, c in zip(points, colors, strict=True)]
+    for name in ("bin", "txt"):
+        (tmp_path / name).mkdir()
+    reconstruction.write_binary(str(tmp_path / "bin"))
+    reconstruction.write_text(str(tmp_path / "txt"))
+    for name, tolerance in (("bin", 0), ("txt", 1e-12)):
+        cloud = read_cloud(tmp_path / name)
+        order = np.argsort(cloud.attributes["point3D_id"])
+        np.testing.assert_array_equal(cloud.attributes["point3D_id"][order], sorted(ids))
+        np.testing.assert_allclose(cloud.points[order], points, rtol=0, atol=tolerance)
+        np.testing.assert_array_equal(cloud.colors[order], colors)
+        np.testing.assert_array_equal(cloud.attributes["track_length"], 0)
+
+
+@pytest.mark.parametrize("place", [".", "0", "sparse", "sparse/0"])
+def test_folders(tmp_path, place):
+    folder = tmp_path / place
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "points3D.txt").write_bytes(TEXT)
+    assert len(read_cloud(tmp_path)) == 3
+    (folder / "points3D.bin").write_bytes(model(5))
+    assert len(read_cloud(tmp_path)) == 5  # binary first
+    for source in (tmp_path, str(folder), folder / "points3D.bin"):
+        assert len(read_points3d(source)) == 5
+
+
+def test_what_is_no_model(tmp_path):
+    with pytest.raises(InputError, match=r"expected a COLMAP model: a folder with points3D\.bin or points3D\.txt"):
+        read_points3d(tmp_path)
+    with pytest.raises(InputError, match="got a folder: name the file inside it"):
+        read_cloud(tmp_path)
+    with pytest.raises(InputError, match=r"\.bin is read but not written: choose one of"):
+        write_cloud(tmp_path / "points3D.bin", Cloud(np.zeros((1, 3))))
+    assert not list(tmp_path.iterdir())
+
+
+HUGE = model(2)[:51] + struct.pack("<Q", 2**63) + model(2)[59:]
+DAMAGED = {
+    "points3D.bin": {
+        b"abc": "expected a count of 8 bytes, got 3 bytes",
+        model(0): "expected at least one point, got a model without points",
+        model(1000, (0,))[: 8 + 500 * 51 + 20]: "truncated: 500 of 1000 points: copy or export the model again",
+        model(9)[:-1]: "truncated: 8 of 9 points",
+        struct.pack("<Q", 2**64 - 1) + point(1, 0): f"truncated: 1 of {2**64 - 1} points",
+        HUGE: "truncated: 0 of 2 points",
+        model(3) + b"abc": "3 bytes after the last of 3 points: the file is damaged",
+    },
+    "points3D.txt": {
+        b"# nothing\n": "expected at least one point, got a model without points",
+        TEXT[: TEXT.index(b"60 2.0")]: "truncated: 1 of 3 points",
+        TEXT + b"1 2 3\n": "line 8: expected id, x y z, r g b, error, then pairs of image and keypoint; got '1 2 3'",
+        TEXT.replace(b"115", b"256"): "line 4: expected id",
+        TEXT.replace(b"115", b"nan"): "line 4: expected id",
+        TEXT.replace(b"16 6542", b"16"): "line 4: expected id",
+        b"9" * 5000 + b" 1 2 3 4 5 6 7\n": "line 1: expected id",
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"), [(name, data, text) for name, rows in DAMAGED.items() for data, text in rows.items()],
+    ids=lambda value: value[:30] if isinstance(value, str) else "",
+)  # fmt: skip
+def test_damaged(tmp_path, name, data, message):
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        read_cloud(tmp_path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+    assert str(caught.value).isprintable()
+
+
+def test_damage_by_the_hundred(tmp_path):
+    rng = random.Random(1)
+    refused = 0
+    for name, data in (("points3D.bin", model(9)), ("points3D.txt", TEXT)):
+        for _ in range(300):
+            (tmp_path / name).write_bytes(damaged(data, rng))
+            try:
+                read_cloud(tmp_path / name, on_warning=lambda note: None)
+            except PcbenchError as error:
+                assert str(error).startswith(f"{tmp_path / name}: ") and str(error).isprintable()
+                refused += 1
+    assert 100 < refused < 600
