@@ -148,6 +148,14 @@ class MeshIndex:
     def __len__(self) -> int:
         return len(self.mesh)
 
+    @cached_property
+    def has_inside(self) -> bool:
+        """Whether `signed` distances can be had: the mesh is closed, and its faces of three vertices have an area."""
+        try:
+            return bool(self._pseudo_normals)
+        except InputError:
+            return False
+
     def query(self, points: ArrayLike, *, signed: bool = False) -> MeshMatches:
         """The nearest point of the mesh to each of `points` (N, 3); among equals that of the lowest face.
 
@@ -160,7 +168,7 @@ class MeshIndex:
 
         Raises:
             InputError: `points` are not finite (N, 3) coordinates; `signed` and the mesh is not closed, or has faces
-                whose three different vertices lie on one line.
+                whose three different vertices lie on one line (`has_inside` tells beforehand).
         """
         queries = _rows("points", points)
         if not np.isfinite(queries).all():

@@ -274,6 +274,7 @@ def test_no_file(tmp_path):
     {
         "count.glb": glb().replace(b'"count": 36', b'"count": 99'),
         "memory.glb": glb().replace(b'"name": "cube"', b'"a": "b"     ').replace(b'"count": 8,', b'"count":9e9'),
+        "index.glb": glb()[:-4] + b"\xff" * 4,
         "nothing.gltf": b"{}",
         "list.gltf": b"[1, 2]",
         "no file.gltf": b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "none.bin", "byteLength": 9}]}',

@@ -289,6 +289,8 @@ def test_signed_refusals():
     with pytest.raises(InputError, match="got 1 of 14 whose three vertices lie on one line: repair the mesh first"):
         MeshIndex(mesh).query([(0, 0, 0)], signed=True)
     assert MeshIndex(mesh).query([(0, 0, 0)]).distances == 1
+    assert not MeshIndex(mesh).has_inside and not MeshIndex(Mesh(vertices, faces[1:])).has_inside
+    assert MeshIndex(Mesh(vertices, faces)).has_inside
 
 
 # ---- the type ----

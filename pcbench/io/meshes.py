@@ -13,6 +13,7 @@ import tempfile
 import warnings
 from array import array
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,15 +84,15 @@ def _reader(path: Path) -> Callable[[Path, Warn], Mesh]:
     return _READERS[extension]
 
 
-def _merged(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Vertices (V, 3) of which no two are equal, and the same faces of them."""
-    order = np.lexsort(vertices.T)
-    ordered = vertices[order]
+def _merged(mesh: Mesh) -> Mesh:
+    """The same faces, of vertices of which no two are equal."""
+    order = np.lexsort(mesh.vertices.T)
+    ordered = mesh.vertices[order]
     first = np.ones(len(order), dtype=bool)
     first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.cumsum(first) - 1
-    return ordered[first], number[faces]
+    return replace(mesh, vertices=ordered[first], faces=number[mesh.faces])
 
 
 def _fans(lengths: IntArray, corners: IntArray, warn: Warn) -> IntArray:
@@ -138,7 +139,7 @@ def _read_stl(path: Path, warn: Warn) -> Mesh:
             f"expected {84 + 50 * count} bytes for {count} triangles, got {len(data)}: header and body disagree"
         )
     vertices = corners.reshape(-1, 3)
-    return Mesh(*_merged(vertices, np.arange(len(vertices)).reshape(-1, 3)))
+    return _merged(Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3)))
 
 
 def _ascii_stl(data: bytes) -> FloatArray:
@@ -306,7 +307,7 @@ def _read_with_trimesh(path: Path) -> Mesh:
             reason = "".join(c if c.isprintable() else " " for c in said[0])[:200]
             raise InputError(f"trimesh cannot read it: {reason}")
         vertices, faces = (np.load(output, allow_pickle=False) for output in outputs)
-    return Mesh(*_merged(vertices, faces), unit="m")
+    return _merged(Mesh(vertices, faces, unit="m"))
 
 
 _READERS: dict[str, Callable[[Path, Warn], Mesh]] = {
