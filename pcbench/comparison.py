@@ -31,10 +31,10 @@ MAPS = ("poisson", "m3c2")
 
 _VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-_POISSON_POINTS = 100_000  # that a Poisson mesh is made from: about a quarter of a minute
+_POISSON_POINTS = 400_000  # that a Poisson mesh is made from: well under a minute
 _CORES = 50_000  # M3C2 core points: the reference, thinned evenly
 _CYLINDER_RADIUS = 6  # median spacings of the sparser cloud: about 30 of its points a cylinder
-_CYLINDER_REACH = 5  # radii to either side
+_CYLINDER_REACH = 1  # radii to either side: farther ones meet the other side of a house
 
 
 @dataclass(frozen=True)
@@ -318,13 +318,12 @@ def _deviation_map(
     if forth.plane is not None:
         scalars["plane_distance"] = forth.plane
     for name, mesh in truth.meshes.items():
-        scalars[name] = mesh.query(forth.points, signed=mesh.mesh.is_closed).distances
+        scalars[name] = mesh.query(forth.points, signed=mesh.has_inside).distances
     along_normals = None
     if "m3c2" in settings.maps and truth.has_normals:
-        spacing = max(truth.spacing, _median_spacing(candidate))
-        radius = _CYLINDER_RADIUS * spacing
+        radius = _CYLINDER_RADIUS * max(truth.spacing, _median_spacing(candidate))
         rows = np.flatnonzero(truth.inside)
-        rows = rows[thin_to(truth.points[rows], _CORES, start=spacing)]
+        rows = rows[thin_to(truth.points[rows], _CORES, start=radius / 2)]
         error = registration.weakest_sigma
         along_normals = m3c2(
             truth.index,
