@@ -72,7 +72,8 @@ def deviation(clouds: Mapping[str, Cloud], name: str, scalar: str, scale: Limits
     # Large deviations are drawn last, on top: they are what one looks for.
     order = np.argsort(np.abs(values), kind="stable")
     images = _render(points[order], values[order], frame(clouds.values()), scale=scale)
-    _compose(images, f"{name} ({len(cloud):,} points)", path, scale=scale, label=label)
+    noun = "core points" if scalar.startswith("m3c2") else "points"
+    _compose(images, f"{name} ({len(cloud):,} {noun})", path, scale=scale, label=label)
     return True
 
 
