@@ -156,13 +156,16 @@ def compare(
     step = on_step or (lambda _: None)
 
     step("indexing the reference")
-    truth = _Reference.prepare(reference if isinstance(reference, Mesh) else as_cloud(reference), settings)
+    shared: dict[str, float] = {}
+    with _timed(shared, "reference"):
+        truth = _Reference.prepare(reference if isinstance(reference, Mesh) else as_cloud(reference), settings)
     if "poisson" in settings.maps:
         step("reconstructing the reference's surface")
         truth = truth.with_poisson_mesh()
     results, replicates = [], []
     for name, cloud in named.items():
         result, means = _compare_one(truth, name, as_cloud(cloud), settings, step)
+        result.timings_s.update(shared)
         results.append(result)
         replicates.append(means)
     return Comparison(settings, truth.describe(), tuple(results), _differences(results, replicates))
@@ -194,12 +197,15 @@ class _Reference:
         if not inside.any():
             raise InputError(f"the crop {settings.crop!r} leaves none of the reference's {len(points)} points")
         index = Index(points)
+        surface = Surface(index, settings.normal_neighbors, cloud.normals)
+        if len(index) >= 3:
+            surface.normals(np.flatnonzero(inside))  # all that D2 needs: registration takes what it wants from them
         nearest_other = index.nearest_other() if len(index) > 1 else None
         spacing = 0.0 if nearest_other is None else float(np.median(nearest_other.distances))
         return cls(
             cloud=cloud,
             origin=origin,
-            surface=Surface(index, settings.normal_neighbors, cloud.normals),
+            surface=surface,
             region=region,
             inside=inside,
             nearest_other=nearest_other,
@@ -272,9 +278,6 @@ def _compare_one(
             forth, back = truth.index.query(aligned[inside]), index.query(truth.points[truth.inside])
 
     step(f"{name}: measuring")
-    with _timed(timings, "normals"):
-        if truth.has_normals:
-            truth.surface.normals(np.concatenate([np.flatnonzero(truth.inside), forth.indices]))
     with _timed(timings, "floors"):
         candidate_to_reference = _from_candidate(truth, aligned[inside], forth)
         reference_to_candidate = _from_reference(truth, index, forth, back)
