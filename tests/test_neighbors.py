@@ -258,15 +258,15 @@ def test_normals_of_nearly_flat_neighborhoods_keep_their_digits(noise):
     assert sine[values[:, 1] > 1e-3 * values[:, 2]].max() < 1e-9
 
 
-def test_local_planes_of_some_rows_are_those_of_all(shape):
+@pytest.mark.parametrize("k, count", [(3, 1), (9, 250), (9, 900), (40, 60), (300, 17)])
+def test_local_planes_of_some_rows_are_those_of_all_to_the_last_bit(shape, k, count):
     rng = np.random.default_rng(14)
     index = Index(shape(rng, 900))
-    rows = rng.integers(0, 900, 250)
-    some, every = index.local_planes(9, rows), index.local_planes(9)
-    np.testing.assert_array_equal(some.spacings, every.spacings[rows])
-    # The same neighbours, summed in another order: rounding only.
-    np.testing.assert_allclose(some.variation, every.variation[rows], rtol=0, atol=1e-14)
-    assert index.local_planes(9, np.empty(0, np.int64)).normals.shape == (0, 3)
+    every = index.local_planes(k)
+    for rows in (rng.integers(0, 900, count), rng.permutation(900)[:count], np.arange(900)[::-1][:count]):
+        for some, all_rows in zip(index.local_planes(k, rows), every, strict=True):
+            np.testing.assert_array_equal(some, all_rows[rows])
+    assert index.local_planes(k, np.empty(0, np.int64)).normals.shape == (0, 3)
 
 
 def test_no_queries_give_empty_answers():

@@ -14,8 +14,21 @@ namespace pcbench::PCB_ISA {
 struct PlaneScratch {
     // After tightening at most k points of each query remain.
     static size_t points(size_t k) { return kLanes * k + 8 * kFan * kFan; }
-    static size_t bytes(size_t k) { return points(k) * (sizeof(double[kLanes]) + sizeof(uint64_t)); }
+    static size_t bytes(size_t k) { return points(k) * (sizeof(double[kLanes]) + 2 * sizeof(uint64_t)); }
 };
+
+// Shell's method. Not std::sort, of which the linker would keep one copy for all instruction sets.
+inline void sort_ascending(uint64_t* keys, size_t count) {
+    size_t gap = 1;
+    while (gap < count / 9) gap = 3 * gap + 1;
+    for (; gap > 0; gap /= 3)
+        for (size_t i = gap; i < count; ++i) {
+            const uint64_t key = keys[i];
+            size_t at = i;
+            for (; at >= gap && key < keys[at - gap]; at -= gap) keys[at] = keys[at - gap];
+            keys[at] = key;
+        }
+}
 
 class PlanesOfGroup {
 public:
@@ -26,7 +39,8 @@ public:
           room_(PlaneScratch::points(k)),
           first_tightening_(2 * k + 4 * kFan),
           squared_(scratch),
-          slots_(reinterpret_cast<uint64_t*>(scratch + room_ * kLanes)) {
+          slots_(reinterpret_cast<uint64_t*>(scratch + room_ * kLanes)),
+          runs_(slots_ + room_) {
         store(limit_, splat(kFarAway));
         store(last_row_, splat(kNoRow));
     }
@@ -50,7 +64,8 @@ public:
         if (first_tightening_ <= count_ && bound_ == kFarAway) tighten(k_ / 4);
     }
 
-    // Writes the rows of the group.
+    // Writes the rows of the group. The neighbours of a query are summed in the order of the tree, whichever queries
+    // share its group and the way they came; a candidate that is not its neighbour adds zero, which changes no bit.
     void fit(double* normals, double* variation, double* spacing) {
         tighten(0);
         const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), zero = splat(0.0);
@@ -58,18 +73,22 @@ public:
         alignas(64) double own[kLanes];
         for (int l = 0; l < kLanes; ++l) own[l] = static_cast<double>(group_.point[l]);
         Lanes nearest = splat(HUGE_VAL);
-        for (size_t c = 0; c < count_; ++c) {
-            const Mask selected = is_selected(c);
-            const Leaf& leaf = tree_.leaves[slots_[c] / kFan];
-            const size_t i = slots_[c] % kFan;
-            // Differences to the query, which is one of the points: large coordinates cost no digits.
-            const Lanes dx = select(selected, splat(leaf.x[i]) - x, zero);
-            const Lanes dy = select(selected, splat(leaf.y[i]) - y, zero);
-            const Lanes dz = select(selected, splat(leaf.z[i]) - z, zero);
-            sx = sx + dx, sy = sy + dy, sz = sz + dz;
-            xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
-            yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
-            nearest = min(nearest, select(splat(leaf.row[i]) == load(own), splat(HUGE_VAL), squared(c)));
+        const size_t run_count = sort_runs();
+        for (size_t run = 0; run < run_count; ++run) {
+            const uint64_t id = runs_[run] >> 32;
+            const Leaf& leaf = tree_.leaves[id];
+            for (size_t c = runs_[run] & UINT32_MAX; c < count_ && slots_[c] / kFan == id; ++c) {
+                const Mask selected = is_selected(c);
+                const size_t i = slots_[c] % kFan;
+                // Differences to the query, which is one of the points: large coordinates cost no digits.
+                const Lanes dx = select(selected, splat(leaf.x[i]) - x, zero);
+                const Lanes dy = select(selected, splat(leaf.y[i]) - y, zero);
+                const Lanes dz = select(selected, splat(leaf.z[i]) - z, zero);
+                sx = sx + dx, sy = sy + dy, sz = sz + dz;
+                xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
+                yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
+                nearest = min(nearest, select(splat(leaf.row[i]) == load(own), splat(HUGE_VAL), squared(c)));
+            }
         }
         const Lanes share = splat(1.0 / static_cast<double>(k_));
         Symmetric covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
@@ -163,11 +182,23 @@ private:
         count_ = kept;
     }
 
+    // Candidates lie in runs, one for each leaf that was visited and ascending in itself. Sorts the leaves.
+    size_t sort_runs() {
+        size_t count = 0;
+        for (size_t c = 0; c < count_; ++c) {
+            runs_[count] = slots_[c] / kFan << 32 | c;
+            count += c == 0 || slots_[c] / kFan != slots_[c - 1] / kFan;
+        }
+        sort_ascending(runs_, count);
+        return count;
+    }
+
     const Tree& tree_;
     const Group& group_;
     const size_t k_, room_, first_tightening_;
     double* squared_;  // [candidate][query]
     uint64_t* slots_;  // of the candidates: kFan * leaf + place in it
+    uint64_t* runs_;   // leaf << 32 | its first candidate
     size_t count_ = 0;
     alignas(64) double limit_[kLanes];     // squared distance within which the k nearest lie
     alignas(64) double last_row_[kLanes];  // of those at that very distance, the last one that is taken
