@@ -110,7 +110,8 @@ def mpeg(pair: Pair) -> dict[str, Any]:
     d2: list[FloatArray] = []
     normals = pair.normals if pair.raw_normals is None else np.nan_to_num(pair.raw_normals, posinf=0, neginf=0)
     if normals is not None:
-        ties_ab, ties_ba = _ties(a, pair.candidate, pair.to_candidate), _ties(b, pair.reference, pair.to_reference)
+        ties_ab = _ties(pair.reference, pair.candidate, pair.to_candidate)
+        ties_ba = _ties(pair.candidate, pair.reference, pair.to_reference)
         normals_b = _averaged_normals(normals, ties_ab, ties_ba, len(b))
         d2 = [_tied_plane_squares(a, b, normals_b, ties_ab), _tied_plane_squares(b, a, normals, ties_ba)]
     peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
@@ -147,13 +148,12 @@ class _Ties(NamedTuple):
     indices: IntArray
 
 
-def _ties(queries: FloatArray, others: Index, nearest: Matches) -> _Ties:
-    squared = np.square(others.query(queries, k=min(2, len(others))).distances.reshape(len(queries), -1))
-    several = squared[:, -1] - squared[:, 0] < _TIE if len(others) > 1 else np.zeros(len(queries), dtype=bool)
+def _ties(queries: Index, others: Index, nearest: Matches) -> _Ties:
+    several = others.tied(queries, nearest.indices, _TIE)
     single, tied = np.flatnonzero(~several), np.flatnonzero(several)
     rows, indices = single, nearest.indices[single]
     if len(tied):
-        found = others.query(queries[tied], k=min(_MOST_TIES, len(others)))
+        found = others.query(queries.points[tied], k=min(_MOST_TIES, len(others)))
         near = np.square(found.distances)
         which, column = np.nonzero(near - near[:, :1] < _TIE)
         rows = np.concatenate([rows, tied[which]])

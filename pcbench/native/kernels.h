@@ -11,6 +11,9 @@ struct Kernels {
     void (*bound)(Tree&);
     void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
                     double* distances, int64_t* indices, Interrupt&);
+    // nearest: the row that each query was matched with.
+    void (*tied)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* nearest, double slack, bool* tied,
+                 Interrupt&);
     void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances,
                      int64_t* indices, Interrupt&);
     // Both write the number of points found for query row i to offsets[i + 1] when rows is null; else the rows

@@ -24,6 +24,7 @@ template <typename T, typename... Shape>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
 using Points = In<double, nb::shape<-1, 3>>;
 using Indices = In<int64_t, nb::shape<-1>>;
+using Flags = Out<bool, nb::shape<-1>>;
 
 constexpr const char* kBadCoordinate = "a coordinate is not finite or beyond 1e100";
 
@@ -78,9 +79,7 @@ public:
         check(distances.shape(0) == count && indices.shape(0) == count, "nearest: one row for each query");
         if (hints) {
             check(hints->shape(0) == count, "nearest: one hint for each query");
-            for (size_t i = 0; i < count; ++i)
-                check(hints->data()[i] >= 0 && static_cast<size_t>(hints->data()[i]) < tree().count,
-                      "nearest: a hint lies outside the points");
+            check_rows(*hints, "nearest: a hint lies outside the points");
         }
         in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
             pcbench::kernels().nearest(tree(), part.leaves.get(), part.leaf_count,
@@ -96,6 +95,24 @@ public:
         interruptible([&](pcbench::Interrupt& interrupt) {
             pcbench::kernels().nearest(tree(), from.leaves, from.leaf_count, nullptr, &queries == this,
                                        distances.data(), indices.data(), interrupt);
+        });
+    }
+
+    void tied(Points queries, Indices nearest, double slack, Flags tied) const {
+        check(nearest.shape(0) == queries.shape(0) && tied.shape(0) == queries.shape(0), "tied: one row for each query");
+        check_rows(nearest, "tied: a match lies outside the points");
+        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
+            pcbench::kernels().tied(tree(), part.leaves.get(), part.leaf_count, nearest.data() + offset, slack,
+                                    tied.data() + offset, interrupt);
+        });
+    }
+
+    void tied_of(const PointIndex& queries, Indices nearest, double slack, Flags tied) const {
+        const pcbench::Tree& from = queries.tree();
+        check(nearest.shape(0) == from.count && tied.shape(0) == from.count, "tied_of: one row for each query");
+        check_rows(nearest, "tied_of: a match lies outside the points");
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            pcbench::kernels().tied(tree(), from.leaves, from.leaf_count, nearest.data(), slack, tied.data(), interrupt);
         });
     }
 
@@ -135,12 +152,10 @@ public:
         check(k > 1 && k <= tree().count, "planes: k must lie between 2 and the number of points");
         pcbench::Block<double> picked;
         if (rows) {
+            check_rows(*rows, "planes: a row lies outside the points");
             picked = pcbench::allocate<double>(3 * count);
-            for (size_t i = 0; i < count; ++i) {
-                const int64_t row = rows->data()[i];
-                check(row >= 0 && static_cast<size_t>(row) < tree().count, "planes: a row lies outside the points");
-                std::copy_n(tree().points + 3 * row, 3, picked.get() + 3 * i);
-            }
+            for (size_t i = 0; i < count; ++i)
+                std::copy_n(tree().points + 3 * rows->data()[i], 3, picked.get() + 3 * i);
         }
         const pcbench::Kernels& kernels = pcbench::kernels();
         const size_t stride = (kernels.plane_scratch_bytes(k) + 4095) / 4096 * 4096 / sizeof(double);
@@ -161,6 +176,11 @@ public:
     }
 
 private:
+    void check_rows(Indices rows, const char* message) const {
+        for (size_t i = 0; i < rows.shape(0); ++i)
+            check(rows.data()[i] >= 0 && static_cast<size_t>(rows.data()[i]) < tree().count, message);
+    }
+
     // Counts first, then fills: no list grows, and the result is as large as it needs to be.
     template <typename Search>
     nb::tuple in_regions(Points queries, Search search) const {
@@ -220,6 +240,11 @@ NB_MODULE(_core, m) {
              nb::arg("distances").noconvert(), nb::arg("indices").noconvert())
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), "Queries are another index's points, or its own: then no point is its own neighbour.")
+        .def("tied", &PointIndex::tied, nb::arg("queries").noconvert(), nb::arg("nearest").noconvert(),
+             nb::arg("slack"), nb::arg("tied").noconvert(),
+             "Whether another point than the match has a squared distance below the match's plus slack.")
+        .def("tied_of", &PointIndex::tied_of, nb::arg("queries"), nb::arg("nearest").noconvert(), nb::arg("slack"),
+             nb::arg("tied").noconvert(), "The same, where queries are an index's points.")
         .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert())
         .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),
