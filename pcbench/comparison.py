@@ -359,7 +359,7 @@ def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Match
     rows = np.flatnonzero(truth.inside)
     queries, feet = truth.points[rows], index.points[back.indices]
     pseudo = Index(truth.points[np.unique(forth.indices)])
-    floor, nearest = pseudo.query(queries)
+    floor, nearest = pseudo.nearest_of(truth.index) if truth.region is None else pseudo.query(queries)
     plane = floor_plane = None
     if truth.has_normals:
         normals = truth.surface.normals(rows)
