@@ -19,7 +19,7 @@ from pcbench.cloud import Cloud, as_cloud
 from pcbench.crop import Region, parse_region
 from pcbench.crs import crs_name, same_crs
 from pcbench.deviation import DeviationMap, m3c2
-from pcbench.errors import InputError
+from pcbench.errors import InputError, RegistrationError
 from pcbench.measure import Direction, measure, value_of
 from pcbench.mesh import Mesh, MeshIndex
 from pcbench.neighbors import FloatArray, Index, Matches, match_both_ways
@@ -263,7 +263,10 @@ def _compare_one(
 
     step(f"{name}: registering")
     with _timed(timings, "registration"):
-        registration = register(truth.cloud, cloud, settings.register, surface=truth.surface)
+        try:
+            registration = register(truth.cloud, cloud, settings.register, surface=truth.surface)
+        except RegistrationError as error:
+            raise RegistrationError(f"{name}: {error}") from error
         aligned = registration.T_local.apply(cloud.points - truth.origin)
         inside = np.ones(len(aligned), bool) if truth.region is None else truth.region.contains(aligned)
         if not inside.any():
