@@ -94,8 +94,8 @@ def compare(
             register=register,
             crop=crop,
             thresholds=_numbers("--thresholds", thresholds, float),
-            presets=presets,
-            maps=maps,
+            presets=_words(presets),
+            maps=_words(maps),
             seed=seed,
             classes=_numbers("--classes", classes, int),
             returns=_returns(returns),
@@ -156,10 +156,12 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, quiet: bool) -> No
 @click.option("--crop", required=True, metavar="REGION", help=_CROP_HELP)
 @quiet_option
 def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
-    """Write the points of CLOUD inside a region to OUT, with all their attributes."""
+    """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.crop import parse_region
     from pcbench.io import write_cloud
+    from pcbench.io.files import check_output
 
+    check_output(out, (cloud,))
     data = _read(cloud, quiet)
     region = parse_region(crop, data)
     inside = data if region is None else None
@@ -246,7 +248,9 @@ def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
 def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, quiet: bool) -> None:
     """Write CLOUD to OUT in the format that OUT's ending names, with normals, colours and attributes."""
     from pcbench.io import read_cloud, write_cloud
+    from pcbench.io.files import check_output
 
+    check_output(out, (cloud,))
     warn = (lambda _: None) if quiet else _warn
     data = read_cloud(cloud, on_warning=warn, classes=_numbers("--classes", classes, int), returns=_returns(returns))
     write_cloud(out, data)
@@ -312,6 +316,11 @@ def _numbers(option: str, text: str | None, kind: type[_Number]) -> tuple[_Numbe
         return tuple(kind(word) for word in text.split(","))
     except ValueError:
         raise InputError(f"expected {option} as numbers with commas, got {text!r}") from None
+
+
+def _words(values: tuple[str, ...]) -> tuple[str, ...]:
+    """Options that may be repeated, or hold several names with commas."""
+    return tuple(word for value in values for word in value.split(","))
 
 
 def _returns(text: str | None) -> str | tuple[int, ...] | None:

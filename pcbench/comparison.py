@@ -19,7 +19,7 @@ from pcbench.cloud import Cloud, as_cloud
 from pcbench.crop import Region, parse_region
 from pcbench.crs import crs_name, same_crs
 from pcbench.deviation import DeviationMap, m3c2
-from pcbench.errors import InputError
+from pcbench.errors import InputError, RegistrationError
 from pcbench.measure import Direction, measure, value_of
 from pcbench.mesh import Mesh, MeshIndex
 from pcbench.neighbors import FloatArray, Index, Matches, match_both_ways
@@ -31,10 +31,10 @@ MAPS = ("poisson", "m3c2")
 
 _VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-_POISSON_POINTS = 100_000  # that a Poisson mesh is made from: about a quarter of a minute
+_POISSON_POINTS = 400_000  # that a Poisson mesh is made from: well under a minute
 _CORES = 50_000  # M3C2 core points: the reference, thinned evenly
 _CYLINDER_RADIUS = 6  # median spacings of the sparser cloud: about 30 of its points a cylinder
-_CYLINDER_REACH = 5  # radii to either side
+_CYLINDER_REACH = 1  # radii to either side: farther ones meet the other side of a house
 
 
 @dataclass(frozen=True)
@@ -156,13 +156,16 @@ def compare(
     step = on_step or (lambda _: None)
 
     step("indexing the reference")
-    truth = _Reference.prepare(reference if isinstance(reference, Mesh) else as_cloud(reference), settings)
+    shared: dict[str, float] = {}
+    with _timed(shared, "reference"):
+        truth = _Reference.prepare(reference if isinstance(reference, Mesh) else as_cloud(reference), settings)
     if "poisson" in settings.maps:
         step("reconstructing the reference's surface")
         truth = truth.with_poisson_mesh()
     results, replicates = [], []
     for name, cloud in named.items():
         result, means = _compare_one(truth, name, as_cloud(cloud), settings, step)
+        result.timings_s.update(shared)
         results.append(result)
         replicates.append(means)
     return Comparison(settings, truth.describe(), tuple(results), _differences(results, replicates))
@@ -194,12 +197,15 @@ class _Reference:
         if not inside.any():
             raise InputError(f"the crop {settings.crop!r} leaves none of the reference's {len(points)} points")
         index = Index(points)
+        surface = Surface(index, settings.normal_neighbors, cloud.normals)
+        if len(index) >= 3:
+            surface.normals(np.flatnonzero(inside))  # all that D2 needs: registration takes what it wants from them
         nearest_other = index.nearest_other() if len(index) > 1 else None
         spacing = 0.0 if nearest_other is None else float(np.median(nearest_other.distances))
         return cls(
             cloud=cloud,
             origin=origin,
-            surface=Surface(index, settings.normal_neighbors, cloud.normals),
+            surface=surface,
             region=region,
             inside=inside,
             nearest_other=nearest_other,
@@ -257,7 +263,10 @@ def _compare_one(
 
     step(f"{name}: registering")
     with _timed(timings, "registration"):
-        registration = register(truth.cloud, cloud, settings.register, surface=truth.surface)
+        try:
+            registration = register(truth.cloud, cloud, settings.register, surface=truth.surface)
+        except RegistrationError as error:
+            raise RegistrationError(f"{name}: {error}") from error
         aligned = registration.T_local.apply(cloud.points - truth.origin)
         inside = np.ones(len(aligned), bool) if truth.region is None else truth.region.contains(aligned)
         if not inside.any():
@@ -272,9 +281,6 @@ def _compare_one(
             forth, back = truth.index.query(aligned[inside]), index.query(truth.points[truth.inside])
 
     step(f"{name}: measuring")
-    with _timed(timings, "normals"):
-        if truth.has_normals:
-            truth.surface.normals(np.concatenate([np.flatnonzero(truth.inside), forth.indices]))
     with _timed(timings, "floors"):
         candidate_to_reference = _from_candidate(truth, aligned[inside], forth)
         reference_to_candidate = _from_reference(truth, index, forth, back)
@@ -318,13 +324,12 @@ def _deviation_map(
     if forth.plane is not None:
         scalars["plane_distance"] = forth.plane
     for name, mesh in truth.meshes.items():
-        scalars[name] = mesh.query(forth.points, signed=mesh.mesh.is_closed).distances
+        scalars[name] = mesh.query(forth.points, signed=mesh.has_inside).distances
     along_normals = None
     if "m3c2" in settings.maps and truth.has_normals:
-        spacing = max(truth.spacing, _median_spacing(candidate))
-        radius = _CYLINDER_RADIUS * spacing
+        radius = _CYLINDER_RADIUS * max(truth.spacing, _median_spacing(candidate))
         rows = np.flatnonzero(truth.inside)
-        rows = rows[thin_to(truth.points[rows], _CORES, start=spacing)]
+        rows = rows[thin_to(truth.points[rows], _CORES, start=radius / 2)]
         error = registration.weakest_sigma
         along_normals = m3c2(
             truth.index,
@@ -357,7 +362,7 @@ def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Match
     rows = np.flatnonzero(truth.inside)
     queries, feet = truth.points[rows], index.points[back.indices]
     pseudo = Index(truth.points[np.unique(forth.indices)])
-    floor, nearest = pseudo.query(queries)
+    floor, nearest = pseudo.nearest_of(truth.index) if truth.region is None else pseudo.query(queries)
     plane = floor_plane = None
     if truth.has_normals:
         normals = truth.surface.normals(rows)

@@ -12,6 +12,7 @@ from pcbench.errors import InputError
 from pcbench.neighbors import FloatArray, Index, IntArray
 
 CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
+_CORES_AT_ONCE = 512
 _FEWEST = 5  # points that a standard deviation is estimated from, as in CloudCompare
 
 
@@ -116,6 +117,19 @@ def _along(
     index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Mean, standard deviation and number of the positions along each normal; NaN where there is none."""
+    # A few cores at a time: wide cylinders hold thousands of points each.
+    starts = range(0, max(len(cores), 1), _CORES_AT_ONCE)
+    parts = [
+        _along_some(index, cores[s : s + _CORES_AT_ONCE], normals[s : s + _CORES_AT_ONCE], radius, half_length)
+        for s in starts
+    ]
+    mean, std, count = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return mean, std, count
+
+
+def _along_some(
+    index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
+) -> tuple[FloatArray, FloatArray, IntArray]:
     found = index.query_cylinder(cores, normals, radius, half_length)
     core = np.repeat(np.arange(len(cores)), found.counts)
     position = np.einsum("ni,ni->n", index.points[found.indices] - cores[core], normals[core])

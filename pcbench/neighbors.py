@@ -162,7 +162,7 @@ class Index:
         """Distance from each indexed point to its nearest other point (another index; a duplicate is at distance 0)."""
         if len(self) < 2:
             raise InputError("nearest_other: expected an index of at least two points, got one")
-        return self._matches_of(self)
+        return self.nearest_of(self)
 
     def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
         """The plane through the k nearest points of each point, itself included, or of those in `rows` (M,)."""
@@ -174,7 +174,8 @@ class Index:
         self._tree.planes(k, chosen, *fits)
         return fits
 
-    def _matches_of(self, queries: "Index") -> Matches:
+    def nearest_of(self, queries: "Index") -> Matches:
+        """The nearest point of each point of another index: `query`, but about a third faster, as they are sorted."""
         found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         self._tree.nearest_of(queries._tree, *found)
         return found
@@ -196,7 +197,7 @@ def match_both_ways(reference: Index, candidate: Index) -> tuple[Matches, Matche
     if reference is candidate:
         itself = reference.query(reference.points)
         return itself, itself
-    return reference._matches_of(candidate), candidate._matches_of(reference)
+    return reference.nearest_of(candidate), candidate.nearest_of(reference)
 
 
 def _as_points(values: ArrayLike, name: str) -> NDArray[np.float64]:

@@ -57,7 +57,8 @@ class Surface:
         self._normals = np.empty((len(index), 3))
         self._known = np.zeros(len(index), dtype=bool)
         if given is not None:
-            self._normals[:], self._known[:] = unit(given)
+            self._normals, self._known = unit(given)
+        self._complete = bool(self._known.all())
 
     def __len__(self) -> int:
         return len(self.index)
@@ -72,13 +73,17 @@ class Surface:
         Raises:
             InputError: fewer than three points.
         """
-        missing = np.zeros(len(self), dtype=bool)
-        missing[which] = True
-        missing &= ~self._known
-        if missing.any():
+        if not self._complete:
+            missing = np.zeros(len(self), dtype=bool)
+            missing[which] = True
+            missing &= ~self._known
             rows = np.flatnonzero(missing)
-            self._normals[rows] = estimate_normals(self.index, self.k, rows).directions
+            if len(rows) == len(self):
+                self._normals = estimate_normals(self.index, self.k).directions
+            elif len(rows):
+                self._normals[rows] = estimate_normals(self.index, self.k, rows).directions
             self._known[rows] = True
+            self._complete = bool(self._known.all())
         return self._normals[which]
 
 

@@ -27,6 +27,7 @@ _ITERATIONS = 60  # a stage
 _FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
+_ON_REFERENCE = 5  # spacings of the reference: a candidate point nearer than that lies on it
 
 
 class CheckPoint(NamedTuple):
@@ -45,9 +46,9 @@ class Registration:
         T_reference_candidate: maps candidate to reference coordinates.
         T_local: the same motion between coordinates from which the recentring origin was subtracted; free of the
             rounding that large translations bring.
-        rmse: root mean square of the inliers' final residuals (point to plane for `icp` and `similarity`, else point
-            to point), in the clouds' unit.
-        overlap: share of the (evenly thinned) candidate that lies on the reference.
+        rmse: root mean square of the residuals (to the tangent plane; for `icp-point` to the point) of an even sample
+            of the candidate's points that lie on the reference, Tukey-weighted, in the clouds' unit.
+        overlap: share of the evenly thinned candidate that lies on the reference: within 5 of its median spacings.
         iterations: of both stages; 0 where nothing was iterated.
         converged: whether the last update was below the noise; None where nothing was iterated.
         information_eigenvalues: of the information matrix of the inliers' point-to-plane pairs per pair, ascending;
@@ -167,17 +168,21 @@ def _icp(target: Surface, points: FloatArray, origin: FloatArray, kind: str) -> 
     with_scale = kind == "similarity"
     wide, narrow = (0.1 * extent, 2 * coarse_side), (3 * coarse_side, max(3 * spacing, 1e-9 * extent))
 
-    held = np.zeros((7 if with_scale else 6, 0))
-    for attempt in range(2):
+    def attempt(held: FloatArray) -> tuple[Similarity, int, bool, _Quality]:
         T, first, _ = _iterate(coarse, coarse_sample, Similarity.identity(), kind, held, gate=wide, extent=extent)
         T, second, converged = _iterate(target, sample, T, kind, held, gate=narrow, extent=extent)
         quality = _assess(target, sample, T, plane=kind != "icp-point", with_scale=with_scale, spacing=spacing)
-        if attempt or not quality.unfixed.shape[1] or kind == "icp-point":
-            break
-        held = quality.unfixed
+        return T, first + second, converged, quality
+
+    T, iterations, converged, quality = attempt(np.zeros((7 if with_scale else 6, 0)))
+    if quality.unfixed.shape[1] and kind != "icp-point":
+        held = attempt(quality.unfixed)
+        # Held only where nothing speaks against it: a motion that the pairs do want is not noise.
+        if held[3].rmse <= 1.05 * quality.rmse and held[3].overlap >= 0.98 * quality.overlap:
+            T, iterations, converged, quality = held
     if not converged:
-        quality.warnings.append(f"ICP did not converge within {first + second} iterations: check the aligned clouds")
-    return _registration(kind, T.about(origin), T, quality, first + second, converged)
+        quality.warnings.append(f"ICP did not converge within {iterations} iterations: check the aligned clouds")
+    return _registration(kind, T.about(origin), T, quality, iterations, converged)
 
 
 def _iterate(
@@ -302,9 +307,8 @@ def _assess(
     moved = T.apply(sample)
     nearest = target.index.query(moved)
     distances = nearest.distances
-    # On the reference: nearer than three spacings, or than three robust sigmas where noise is larger. Never beyond ten
-    # spacings: else the worse the fit, the more of it would count as overlap.
-    within = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
+    # One distance for every method: were it to follow the fit, the worse the fit, the more would count as overlap.
+    within = _ON_REFERENCE * spacing
     overlap = float(np.mean(distances <= within))
     pairs = _weigh(target, moved, nearest, within, robust=True) if len(target) >= 3 else None
     if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST:
@@ -314,6 +318,10 @@ def _assess(
     pairs = pairs.take(pairs.weights > 0)
     errors = pairs.residuals if plane else pairs.distances
     rmse = float(np.sqrt((pairs.weights * errors**2).sum() / pairs.weights.sum()))
+    # What the geometry fixes is asked of all pairs that the fit may have used, where density varies of far more.
+    reach = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
+    pairs = _weigh(target, moved, nearest, reach, robust=True)
+    pairs = pairs.take(pairs.weights > 0)
     typical = float(np.percentile(distances, 25))  # the quarter that fits best: partial overlap is no failure
     eigenvalues, weakest, unfixed, warnings = _information(target, pairs, with_scale=with_scale)
     if overlap < 0.3:
@@ -414,7 +422,8 @@ def _given(target: Surface, points: FloatArray, origin: FloatArray, method: str,
     """A transform from elsewhere, assessed like one of ours."""
     local = T.about(-origin)
     spacing = _spacing(target.index)
-    sample = points[thin_to(points, _SAMPLE, start=spacing)] if spacing > 0 else points[:_SAMPLE]
+    start = max(robust_extent(target.points) / 500, spacing)
+    sample = points[thin_to(points, _SAMPLE, start=start)] if spacing > 0 else points[:_SAMPLE]
     moved = local.apply(sample)
     lower, upper = target.points.min(axis=0), target.points.max(axis=0)
     margin = 0.1 * float(np.linalg.norm(upper - lower))

@@ -454,3 +454,30 @@ def test_figures_come_with_the_report(files, run):
         code, out, _ = run("plot", "report", "distribution")
         assert code == 0
         assert out == "report/figures/distribution.png\n"
+
+
+def test_classes_filter_las_inputs_only(files, run):
+    points = read_cloud("ref.ply").points
+    classes = np.where(points[:, 2] > 1, 6, 2).astype(np.uint8)
+    write_cloud("ref.las", Cloud(points, attributes={"classification": classes}))
+    code, _, err = run("compare", "ref.las", "a.ply", "--classes", "2", "--out", "report")
+    assert code == 0, err
+    assert doc("report")["reference"]["points"] == int((classes == 2).sum())
+    code, _, err = run("compare", "ref.ply", "a.ply", "--classes", "2")
+    assert code == 2
+    assert "none of the clouds is one" in err
+    code, _, err = run("compare", "ref.las", "a.ply", "--classes", "9")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_a_mesh_file_as_the_reference(files, run):
+    (files / "square.obj").write_text("v 0 0 0\nv 20 0 0\nv 20 20 0\nv 0 20 0\nf 1 2 3 4\n")
+    rng = np.random.default_rng(0)
+    write_cloud("low.ply", Cloud(np.column_stack([rng.uniform(1, 19, (500, 2)), np.full(500, 0.1)])))
+    code, _, err = run("compare", "square.obj", "low.ply", "--register", "none", "--out", "report")
+    assert code == 0, err
+    values = doc("report")
+    assert values["reference"]["faces"] == 2
+    assert values["candidates"][0]["deviation"]["maps"]["mesh_distance"]["rms"] == pytest.approx(0.1)
+    assert "mesh_distance" in read_cloud("report/low_deviation.ply").attributes

@@ -265,3 +265,34 @@ def test_refusals(pair):
         Settings(thresholds=(0.0,))
     with pytest.raises(InputError, match="x: the crop"):
         compare(reference, {"x": candidate[candidate[:, 0] > 20]}, Settings("none", crop="box:0,0,-9,10,40,9"))
+
+
+def test_different_coordinate_systems_are_warned_about(pair):
+    reference, candidate = pair
+    for other, warned in (("EPSG:32618", True), ("EPSG:32617", False), (None, False)):
+        clouds = Cloud(reference, crs="EPSG:32617"), Cloud(candidate, crs=other)
+        warnings = compare(*clouds, NONE).candidates[0].warnings
+        assert any("coordinate system" in w for w in warnings) == warned
+
+
+def test_one_system_under_two_names():
+    pyproj = pytest.importorskip("pyproj")
+    from pcbench.crs import crs_name, same_crs
+
+    wkt = pyproj.CRS.from_epsg(32617).to_wkt()
+    assert same_crs("EPSG:32617", wkt)
+    assert crs_name(wkt) == "EPSG:32617"
+    assert not same_crs("EPSG:32617", "nonsense")
+
+
+def test_a_mesh_as_the_reference():
+    from pcbench.mesh import Mesh
+
+    square = Mesh(np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    candidate = np.random.default_rng(1).uniform([1, 1, 0.1], [9, 9, 0.1], (500, 3))
+    comparison = compare(square, candidate, NONE)
+    assert comparison.reference["faces"] == 2
+    scalars = comparison.candidates[0].deviation.scalars
+    np.testing.assert_allclose(scalars["mesh_distance"], 0.1, rtol=1e-12)
+    np.testing.assert_allclose(scalars["plane_distance"], 0.1, rtol=1e-12)
+    assert comparison.candidates[0].metrics["d2_mse"][FORTH] == pytest.approx(0.01)

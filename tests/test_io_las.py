@@ -241,7 +241,7 @@ def test_heights_in_another_unit_are_a_warning():
     pytest.importorskip("pyproj")
     notes = []
     cloud = read_cloud(data_folder("autzen") / "autzen-bmx-2010.las", on_warning=notes.append)
-    assert cloud.unit == "m"
+    assert cloud.unit is None  # no unit is true of a distance
     assert len(notes) == 1
     assert notes[0].endswith("x and y are in m, z is in US-ft: the coordinates were left as they are")
 

@@ -76,7 +76,9 @@ def test_the_reference_may_have_gone(figures, report, tmp_path):
     settings = json.loads((copy / "settings.json").read_text())
     settings["reference"]["path"] = "/nowhere/ref.ply"
     (copy / "settings.json").write_text(json.dumps(settings))
-    assert "reference" not in {path.stem for path in draw(copy, ("reference", "distribution"))}
+    with pytest.raises(InputError, match="reference's file has gone"):
+        draw(copy, ("reference",))
+    assert "reference" not in {path.stem for path in draw(copy)}
 
 
 def test_limits_are_shared_and_symmetric_where_signed():

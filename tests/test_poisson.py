@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from shapes import fibonacci_sphere
 
+from pcbench import poisson
 from pcbench.cloud import Cloud
 from pcbench.errors import InputError, MissingExtra
 from pcbench.mesh import MeshIndex
@@ -68,3 +69,12 @@ def test_refusals(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pymeshlab", None)
     with pytest.raises(MissingExtra, match=r"pcbench\[open3d\]"):
         poisson_mesh(oriented(*fibonacci_sphere(60)))
+
+
+def test_signs_agree_over_a_sphere():
+    pytest.importorskip("open3d", exc_type=ImportError)
+    points, normals = fibonacci_sphere(5000)
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], len(points))
+    found = poisson.oriented(Cloud(points, normals=signs[:, None] * normals)).normals
+    outward = (found * normals).sum(axis=1) > 0
+    assert outward.all() or not outward.any()

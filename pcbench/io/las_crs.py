@@ -49,6 +49,7 @@ def _unit(crs: Any, warn: Warn) -> str | None:
     ]
     if len(units) == 3 and units[2] != units[0]:
         warn(f"x and y are in {units[0]}, z is in {units[2]}: the coordinates were left as they are")
+        return None  # no unit is true of a distance
     return units[0] if units else None
 
 

@@ -55,10 +55,10 @@ def distribution(document: dict[str, Any], clouds: Mapping[str, Cloud], path: Pa
             axis.axvline(spacing, color="#555555", linewidth=1.2, linestyle=":", label="spacing of the reference")
     density.set_ylabel("points per bin [%]")
     density.set_title("candidate to reference", fontsize=11)
-    density.legend(frameon=False, loc="upper right")
+    density.legend(framealpha=0.9, edgecolor="none", loc="upper right")
     cumulative.set_ylabel("points within that distance [%]")
     cumulative.set_ylim(0, 100)
     cumulative.set_title("accuracy (c→r) and completeness (r→c, percentiles)", fontsize=11)
-    cumulative.legend(frameon=False, loc="upper left")
+    cumulative.legend(framealpha=0.9, edgecolor="none", loc="upper left")
     figure.savefig(path)
     return True

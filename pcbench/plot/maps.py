@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,8 @@ def deviation(clouds: Mapping[str, Cloud], name: str, scalar: str, scale: Limits
     # Large deviations are drawn last, on top: they are what one looks for.
     order = np.argsort(np.abs(values), kind="stable")
     images = _render(points[order], values[order], frame(clouds.values()), scale=scale)
-    _compose(images, f"{name} ({len(cloud):,} points)", path, scale=scale, label=label)
+    noun = "core points" if scalar.startswith("m3c2") else "points"
+    _compose(images, f"{name} ({len(cloud):,} {noun})", path, scale=scale, label=label)
     return True
 
 
@@ -81,13 +83,13 @@ def reference(cloud: Cloud | None, clouds: Mapping[str, Cloud], path: Path) -> b
     if cloud is None:
         return False
     box = frame(clouds.values())
-    margin = 0.15 * float(np.linalg.norm(box[1] - box[0]))
-    shown = ((cloud.points >= box[0] - margin) & (cloud.points <= box[1] + margin)).all(axis=1)
-    cloud = cloud.select(np.flatnonzero(shown)) if shown.any() else cloud
+    flat = 0.05 * (box[1] - box[0])[:2]  # a little beyond the candidates, but not out of the picture
+    shown = ((cloud.points[:, :2] >= box[0][:2] - flat) & (cloud.points[:, :2] <= box[1][:2] + flat)).all(axis=1)
+    total, cloud = len(cloud), cloud.select(np.flatnonzero(shown)) if shown.any() else cloud
     colors = cloud.colors
     images = _render(cloud.points, cloud.points[:, 2] if colors is None else colors, box, scale=None)
     note = "" if colors is not None else ", coloured by height"
-    _compose(images, f"reference ({len(cloud):,} points{note})", path)
+    _compose(images, f"reference ({total:,} points{note})", path)
     return True
 
 
@@ -114,7 +116,8 @@ def _render(
         options |= {"cmap": _DIVERGING if scale.signed else _SEQUENTIAL, "clim": (scale.low, scale.high)}
     plotter.add_mesh(data, scalars="colors", style="points", point_size=size, lighting=False, **options)
     plotter.enable_parallel_projection()
-    if scale is None:  # shading by depth shows shapes, but it darkens colours: no map may have it
+    # Shading by depth shows shapes, but it darkens colours, and single points altogether: no map may have it.
+    if scale is None and len(points) > 200_000:
         plotter.enable_eye_dome_lighting()
     half = (box[1] - box[0]) / 2
     images = []
@@ -128,7 +131,7 @@ def _render(
         plotter.camera.position = tuple(toward * 4 * float(np.linalg.norm(half)))
         plotter.camera.focal_point = (0, 0, 0)
         plotter.camera.up = view.up
-        plotter.camera.parallel_scale = 1.04 * max(high, wide * _PANEL[1] / _PANEL[0], 1e-12)
+        plotter.camera.parallel_scale = 1.1 * max(high, wide * _PANEL[1] / _PANEL[0], 1e-12)
         plotter.renderer.ResetCameraClippingRange()
         plotter.render()
         images.append(np.asarray(plotter.screenshot(return_img=True)))
@@ -158,7 +161,7 @@ def _compose(
         colors = ScalarMappable(Normalize(scale.low, scale.high), _DIVERGING if scale.signed else _SEQUENTIAL)
         extend = "both" if scale.signed else "max"
         bar = figure.colorbar(colors, ax=axes, extend=extend, shrink=0.85, aspect=25, pad=0.01)
-        bar.set_label(label, color=_INK, fontsize=11)
+        bar.set_label("\n".join(wrap(label, 44)), color=_INK, fontsize=11)
         bar.ax.tick_params(colors=_INK)
         bar.outline.set_edgecolor(_INK)
     figure.savefig(path, facecolor=_GROUND)

@@ -14,7 +14,10 @@ import numpy as np
 from pcbench.cloud import Cloud
 from pcbench.errors import PcbenchError
 from pcbench.io import read_cloud
+from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.plot import charts, maps
+
+_MESH_SAMPLES = 500_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,8 @@ class Report:
         settings = json.loads((self.folder / "settings.json").read_text(encoding="utf-8"))
         path = Path(settings["reference"]["path"])
         try:
+            if holds_mesh(path):
+                return read_mesh(path, on_warning=lambda _: None).sample(_MESH_SAMPLES)
             return read_cloud(path, on_warning=lambda _: None)
         except PcbenchError:
             return None
@@ -67,6 +72,8 @@ def draw(folder: Path, wanted: list[str]) -> list[Path]:
         path = folder / "figures" / f"{name}.png"
         if pictures[name](path):
             written.append(path.relative_to(folder))
+        elif name in wanted:
+            raise PcbenchError(f"no picture {name!r}: the reference's file has gone")
     return written
 
 

@@ -43,10 +43,10 @@ def rows(doc: dict[str, Any]) -> Iterator[Row]:
     """Every number of a `comparison.json` document, tidy."""
     unit = doc["reference"].get("unit") or "unit"
     for candidate in doc["candidates"]:
-        yield from _candidate_rows(candidate["name"], candidate["metrics"], unit)
+        yield from _candidate_rows(candidate["name"], candidate["metrics"], candidate["deviation"], unit)
 
 
-def _candidate_rows(name: str, m: dict[str, Any], unit: str) -> Iterator[Row]:
+def _candidate_rows(name: str, m: dict[str, Any], deviation: dict[str, Any], unit: str) -> Iterator[Row]:
     units = {0: "1", 1: unit, 2: f"{unit}^2"}
     none = [None, None]
     for metric, definition, power in _DIRECTED:
@@ -78,6 +78,12 @@ def _candidate_rows(name: str, m: dict[str, Any], unit: str) -> Iterator[Row]:
         at = f"threshold {score['threshold']:.6g} {unit}"
         for key, way in (("precision", FORTH), ("recall", BACK), ("fscore", "both")):
             yield Row(name, key, way, at, score[key], "1", *score["ci"][key])
+    for map_name, values in deviation["maps"].items():
+        for key in ("bias", "rms"):
+            yield Row(name, map_name, FORTH, f"{key} of the deviation map", values[key], unit)
+    if found := deviation["m3c2"]:
+        for key, power in (("bias", 1), ("rms", 1), ("lod95_median", 1), ("significant_share", 0)):
+            yield Row(name, f"m3c2_{key}", FORTH, "M3C2 at the core points", found[key], units[power])
     for preset, values in m["presets"].items():
         yield from _preset_rows(name, f"preset {preset}", values)
 
@@ -89,7 +95,9 @@ def _preset_rows(name: str, definition: str, values: dict[str, Any]) -> Iterator
                 yield Row(name, metric, direction, definition, number, "")
         elif isinstance(value, list):
             for score in value:
-                yield Row(name, metric, "both", f"{definition}, threshold {score['threshold']:.6g}", score[metric], "")
+                at = f"{definition}, threshold {score['threshold']:.6g}"
+                for key in ("precision", "recall", "fscore"):
+                    yield Row(name, key, "both", at, score[key], "")
         else:
             yield Row(name, metric, "", definition, value, "")
 
@@ -150,8 +158,23 @@ def _lines(doc: dict[str, Any], *, full: bool) -> Iterator[_Line | None]:
                 keys = [k for k in first if k != "symmetric"]
                 cells = [(_number(v[key][keys[1]]), _number(v[key][keys[0]])) for v in values]
                 yield _Line(f"{preset}: {key}", cells)  # mpeg's b_to_a is our candidate -> reference
-            elif not isinstance(first, list):
+            elif isinstance(first, list):
+                for number, score in enumerate(first):
+                    label = f"{preset}: F-score at {_number(score['threshold'])}"
+                    yield _Line(label, [(_number(v[key][number]["fscore"]), "") for v in values])
+            else:
                 yield _Line(f"{preset}: {key}", [(_number(v[key]), "") for v in values])
+    deviations = [c["deviation"] for c in candidates]
+    yield None
+    for name in deviations[0]["maps"]:
+        maps = [d["maps"][name] for d in deviations]
+        label = name.replace("_distance", "")
+        yield _Line(f"map {label}: bias, rms", [(_number(m["bias"]), _number(m["rms"])) for m in maps])
+    if all(d["m3c2"] for d in deviations):
+        found = [d["m3c2"] for d in deviations]
+        yield _Line("map m3c2: bias, rms", [(_number(m["bias"]), _number(m["rms"])) for m in found])
+        cells = [(_number(m["lod95_median"]), _number(m["significant_share"])) for m in found]
+        yield _Line("  median LoD95, significant", cells)
 
 
 def print_table(doc: dict[str, Any]) -> None:
