@@ -8,7 +8,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*.h)
 
-.PHONY: demo test lint types slow bench gallery clean
+.PHONY: demo test lint types slow sanitize compilers bench gallery clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -31,6 +31,26 @@ test: $(VENV)/.all
 
 slow: $(VENV)/.all
 	$(BIN)/python -m pytest -m slow
+
+# The compiled core once more, by another compiler or with other settings: $(1) is the compiler, $(2) the folder in
+# build/, $(3) what CMake defines. Nothing is stripped, so that reports name lines.
+other_core = CXX=$(1) $(PIP) --no-deps --upgrade --target build/$(2)/site . $(patsubst %,--config-settings %, \
+  build-dir=build/$(2)/cmake install.strip=false cmake.build-type=RelWithDebInfo $(patsubst %,cmake.define.%,$(3)))
+
+# The tests of the compiled core with every access and every operation checked. They run on the interpreter under the
+# virtual environment: inside it the editable install would be found first. Captured at Python's level, reports show.
+CORE_TESTS := tests/test_neighbors.py tests/test_normals.py tests/test_mesh.py
+sanitize: $(VENV)/.all
+	$(call other_core,g++,sanitize,'PCB_SANITIZE=address;undefined')
+	LD_PRELOAD="$$(g++ -print-file-name=libasan.so) $$(g++ -print-file-name=libstdc++.so)" \
+	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 OMP_NUM_THREADS=2 PYTHONSAFEPATH=1 \
+	  PYTHONPATH=$(CURDIR)/build/sanitize/site:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))') \
+	  $(realpath $(BIN)/python) -m pytest -p no:faulthandler --capture=sys $(CORE_TESTS)
+
+# Neither compiler has a warning.
+compilers: $(VENV)/.all
+	$(call other_core,g++,g++,CMAKE_COMPILE_WARNING_AS_ERROR=ON)
+	$(call other_core,clang++,clang++,CMAKE_COMPILE_WARNING_AS_ERROR=ON)
 
 lint: $(VENV)/.all
 	$(BIN)/ruff check .
