@@ -1,10 +1,10 @@
 """pcbench: how far is this point cloud from that one, where, why, and which numbers can be trusted?"""
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from pcbench import metrics as metrics
     from pcbench.cloud import Cloud as Cloud
     from pcbench.comparison import Comparison as Comparison
@@ -16,11 +16,6 @@ if TYPE_CHECKING:
     from pcbench.registration import register as register
     from pcbench.transform import Affine as Affine
     from pcbench.transform import Similarity as Similarity
-
-try:
-    __version__ = version("pcbench")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0+unknown"
 
 # Looked up on first use: a name costs the import of its own room only.
 _ROOMS = {
@@ -41,9 +36,22 @@ __all__ = ["__version__", *_ROOMS]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _ROOMS:
+    value: Any
+    if name == "__version__":
+        value = _version()
+    elif name in _ROOMS:
+        module = import_module(f"pcbench.{_ROOMS[name]}")
+        value = module if name == _ROOMS[name] and name == "metrics" else getattr(module, name)
+    else:
         raise AttributeError(f"module 'pcbench' has no attribute {name!r}")
-    module = import_module(f"pcbench.{_ROOMS[name]}")
-    value = module if name == _ROOMS[name] and name == "metrics" else getattr(module, name)
     globals()[name] = value
     return value
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version  # a quarter of the package's import time
+
+    try:
+        return version("pcbench")
+    except PackageNotFoundError:  # a source tree that was never installed
+        return "0+unknown"

@@ -52,8 +52,8 @@ class Cloud:
         # The sum is non-finite whenever a term is: one pass without a temporary mask decides the usual case.
         with np.errstate(over="ignore", invalid="ignore"):
             finite = bool(np.isfinite(points.sum()))
-        if finite and np.abs(points).max() > LARGEST:
-            raise InputError(f"expected coordinates up to {LARGEST:g}, got {np.abs(points).max():g}: squares overflow")
+        if finite and (largest := np.abs(bounds(points)).max()) > LARGEST:
+            raise InputError(f"expected coordinates up to {LARGEST:g}, got {largest:g}: squares overflow")
         if not finite and (bad := int(np.count_nonzero(~np.isfinite(points).all(axis=1)))):
             raise InputError(
                 f"expected finite coordinates, got NaN or Inf in {bad} of {len(points)} points:"
@@ -109,7 +109,7 @@ class Cloud:
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest corner of the bounding box, each (3,)."""
-        return self.points.min(axis=0), self.points.max(axis=0)
+        return bounds(self.points)
 
     def select(self, which: NDArray[Any]) -> Cloud:
         """The points picked by a boolean mask (N,) or by indices (M,)."""
@@ -131,6 +131,13 @@ class Cloud:
 def as_cloud(data: Cloud | ArrayLike) -> Cloud:
     """A `Cloud` as it is, or one around an (N, 3) array."""
     return data if isinstance(data, Cloud) else Cloud(_triples("points", data))
+
+
+def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner (3,) of points (N, 3), N >= 1."""
+    # One axis at a time: several times faster than numpy's reduction of rows of three.
+    columns = [points[:, axis] for axis in range(3)]
+    return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
 
 
 def _triples(what: str, data: ArrayLike) -> FloatArray:

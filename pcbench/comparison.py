@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench import intervals, metrics, presets
-from pcbench.cloud import Cloud, as_cloud
+from pcbench.cloud import Cloud, as_cloud, bounds
 from pcbench.crop import Region, parse_region
 from pcbench.crs import crs_name, same_crs
 from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError, RegistrationError
 from pcbench.measure import Direction, measure, value_of
 from pcbench.mesh import Mesh, MeshIndex
-from pcbench.neighbors import FloatArray, Index, Matches, match_both_ways
+from pcbench.neighbors import FloatArray, Index, IntArray, Matches, match_both_ways
 from pcbench.normals import Surface
-from pcbench.registration import Registration, recentring, register
+from pcbench.registration import Registration, Target, recentring, register
 from pcbench.voxels import robust_extent, thin_to
 
 MAPS = ("poisson", "m3c2")
@@ -177,9 +177,10 @@ class _Reference:
 
     cloud: Cloud
     origin: FloatArray
-    surface: Surface
+    target: Target  # of registrations
     region: Region | None  # in recentred coordinates
     inside: NDArray[np.bool_]
+    rows: IntArray | None  # of the points inside; None for all
     nearest_other: Matches | None
     spacing: float
     blocks: intervals.Blocks
@@ -196,22 +197,23 @@ class _Reference:
         inside = np.ones(len(points), bool) if region is None else region.contains(points)
         if not inside.any():
             raise InputError(f"the crop {settings.crop!r} leaves none of the reference's {len(points)} points")
-        index = Index(points)
-        surface = Surface(index, settings.normal_neighbors, cloud.normals)
-        if len(index) >= 3:
-            surface.normals(np.flatnonzero(inside))  # all that D2 needs: registration takes what it wants from them
-        nearest_other = index.nearest_other() if len(index) > 1 else None
+        surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
+        rows = None if region is None else np.flatnonzero(inside)
+        if len(surface) >= 3:
+            surface.with_normals_at(rows)  # all that D2 needs: registration takes what it wants from them
+        nearest_other = surface.nearest_other() if len(surface) > 1 else None
         spacing = 0.0 if nearest_other is None else float(np.median(nearest_other.distances))
         return cls(
             cloud=cloud,
             origin=origin,
-            surface=surface,
+            target=Target(surface),
             region=region,
             inside=inside,
+            rows=rows,
             nearest_other=nearest_other,
             spacing=spacing,
             blocks=intervals.partition(points, settings.seed),
-            voxel=robust_extent(points[inside]) / _VOXELS_ALONG or 1.0,
+            voxel=robust_extent(points if rows is None else points[rows]) / _VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
         )
 
@@ -231,12 +233,21 @@ class _Reference:
         return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})
 
     @property
+    def surface(self) -> Surface:
+        return self.target.surface
+
+    @property
     def index(self) -> Index:
         return self.surface.index
 
     @property
     def points(self) -> FloatArray:
         return self.surface.points
+
+    @property
+    def measured_points(self) -> FloatArray:
+        """Those inside the region."""
+        return self.points if self.rows is None else self.points[self.rows]
 
     @property
     def has_normals(self) -> bool:
@@ -264,13 +275,14 @@ def _compare_one(
     step(f"{name}: registering")
     with _timed(timings, "registration"):
         try:
-            registration = register(truth.cloud, cloud, settings.register, surface=truth.surface)
+            registration = register(truth.cloud, cloud, settings.register, target=truth.target)
         except RegistrationError as error:
             raise RegistrationError(f"{name}: {error}") from error
         aligned = registration.T_local.apply(cloud.points - truth.origin)
         inside = np.ones(len(aligned), bool) if truth.region is None else truth.region.contains(aligned)
         if not inside.any():
             raise InputError(f"{name}: the crop {settings.crop!r} leaves none of its {len(aligned)} points")
+        queries = aligned if truth.region is None else aligned[inside]
 
     step(f"{name}: matching both ways")
     with _timed(timings, "matching"):
@@ -278,11 +290,11 @@ def _compare_one(
         if truth.region is None:
             forth, back = match_both_ways(truth.index, index)
         else:
-            forth, back = truth.index.query(aligned[inside]), index.query(truth.points[truth.inside])
+            forth, back = truth.index.query(queries), index.query(truth.measured_points)
 
     step(f"{name}: measuring")
     with _timed(timings, "floors"):
-        candidate_to_reference = _from_candidate(truth, aligned[inside], forth)
+        candidate_to_reference = _from_candidate(truth, queries, forth)
         reference_to_candidate = _from_reference(truth, index, forth, back)
     with _timed(timings, "metrics"):
         thresholds = settings.thresholds or tuple(f * truth.spacing for f in (1.0, 2.0, 5.0) if truth.spacing > 0)
@@ -292,7 +304,7 @@ def _compare_one(
             thresholds,
             block_weights=truth.blocks.weights,
             voxel=truth.voxel,
-            corner=truth.points[truth.inside].min(axis=0),
+            corner=bounds(truth.measured_points)[0],
             origin=truth.origin,
         )
     with _timed(timings, "maps"):
@@ -346,40 +358,43 @@ def _deviation_map(
 def _from_candidate(truth: _Reference, queries: FloatArray, matches: Matches) -> Direction:
     """Candidate -> reference. Floor: leave-one-out distances inside the reference at the matched places."""
     distances, feet = matches
-    floor = other = None
+    floor = other = plane = floor_plane = None
     if truth.nearest_other is not None:
         floor, other = truth.nearest_other.distances[feet], truth.nearest_other.indices[feet]
-    plane = floor_plane = None
     if truth.has_normals:
-        plane = metrics.plane_distances(queries, truth.points[feet], truth.surface.normals(feet))
+        a, n = truth.points, truth.surface.with_normals_at(feet)
+        plane = metrics.plane_distances(queries, a, n, feet_rows=feet, normal_rows=feet)
         if other is not None:
-            floor_plane = metrics.plane_distances(truth.points[feet], truth.points[other], truth.surface.normals(other))
+            n = truth.surface.with_normals_at(other)
+            floor_plane = metrics.plane_distances(a, a, n, query_rows=feet, feet_rows=other, normal_rows=other)
     return Direction(queries, distances, plane, floor, floor_plane, truth.blocks.of_point[feet])
 
 
 def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Matches) -> Direction:
     """Reference -> candidate. Floor: distances to the pseudo-candidate of the matched reference points."""
-    rows = np.flatnonzero(truth.inside)
-    queries, feet = truth.points[rows], index.points[back.indices]
-    pseudo = Index(truth.points[np.unique(forth.indices)])
-    floor, nearest = pseudo.nearest_of(truth.index) if truth.region is None else pseudo.query(queries)
+    rows, queries = truth.rows, truth.measured_points
+    chosen = np.zeros(len(truth.points), bool)
+    chosen[forth.indices] = True
+    pseudo = Index(truth.points[chosen])
+    floor, nearest = pseudo.nearest_of(truth.index) if rows is None else pseudo.query(queries)
     plane = floor_plane = None
     if truth.has_normals:
-        normals = truth.surface.normals(rows)
-        plane = metrics.plane_distances(queries, feet, normals)
-        floor_plane = metrics.plane_distances(queries, pseudo.points[nearest], normals)
-    return Direction(queries, back.distances, plane, floor, floor_plane, truth.blocks.of_point[rows])
+        n = truth.surface.with_normals_at(rows)
+        plane = metrics.plane_distances(queries, index.points, n, feet_rows=back.indices, normal_rows=rows)
+        floor_plane = metrics.plane_distances(queries, pseudo.points, n, feet_rows=nearest, normal_rows=rows)
+    blocks = truth.blocks.of_point if rows is None else truth.blocks.of_point[rows]
+    return Direction(queries, back.distances, plane, floor, floor_plane, blocks)
 
 
 def _hard_pair(
     truth: _Reference, candidate: Index, inside: NDArray[np.bool_], forth: Matches, back: Matches
 ) -> presets.Pair:
     """Both clouds cut to the region; where there is none, with the matches that are known already."""
-    normals = truth.surface.normals(np.flatnonzero(truth.inside)) if truth.has_normals else None
-    given = None if truth.cloud.normals is None else truth.cloud.normals[truth.inside]
-    if truth.region is None:
+    normals, given = truth.surface.with_normals_at(truth.rows) if truth.has_normals else None, truth.cloud.normals
+    if truth.rows is None:
         return presets.Pair(truth.index, candidate, forth, back, truth.nearest_other, normals, given)
-    return presets.match(Index(truth.points[truth.inside]), Index(candidate.points[inside]), normals, given)
+    normals, given = (None if n is None else n[truth.rows] for n in (normals, given))
+    return presets.match(Index(truth.measured_points), Index(candidate.points[inside]), normals, given)
 
 
 def _presets(

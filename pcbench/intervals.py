@@ -7,13 +7,13 @@ registration is taken as it is, and maxima get no interval.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.cloud import bounds
 from pcbench.neighbors import FloatArray, IntArray
-from pcbench.voxels import cell_keys, robust_extent
+from pcbench.voxels import cells, robust_extent
 
 REPLICATES = 1000
 LEVEL = 0.95
@@ -37,21 +37,20 @@ def partition(points: FloatArray, seed: int) -> Blocks:
     side = robust_extent(points) / _BLOCKS_ALONG
     if not side > 0:  # all points at one place
         return Blocks(np.zeros(len(points), dtype=np.int64), np.ones((REPLICATES, 1)), 0.0)
-    keys, of_point = np.unique(cell_keys(points, side, points.min(axis=0)), return_inverse=True)
-    return Blocks(of_point, np.random.default_rng(seed).exponential(size=(REPLICATES, len(keys))), side)
+    blocks = cells(points, side)
+    # Numbered by their place, not by the order of the points, which must not decide which block gets which weight.
+    place = np.floor((points[blocks.first] - bounds(points)[0]) / side)
+    number = np.empty(len(place), np.int64)
+    number[np.lexsort(place.T[::-1])] = np.arange(len(place))
+    weights = np.random.default_rng(seed).exponential(size=(REPLICATES, len(place)))
+    return Blocks(number[blocks.of_point], weights, side)
 
 
-def replicate_means(blocks: IntArray, values: Mapping[str, FloatArray], weights: FloatArray) -> dict[str, FloatArray]:
-    """The mean of each of `values` (N,), whose points lie in `blocks` (N,), under each replicate's block weights."""
-
-    def weighted(per_block: FloatArray) -> FloatArray:
-        total: FloatArray = np.einsum("rb,b->r", weights, per_block)  # einsum: same bits at any number of threads
-        return total
-
-    size = weights.shape[1]
-    count = weighted(np.bincount(blocks, minlength=size).astype(np.float64))
-    sums = {name: np.bincount(blocks, value, minlength=size).astype(np.float64) for name, value in values.items()}
-    return {name: weighted(per_block) / count for name, per_block in sums.items()}
+def replicate_sums(blocks: IntArray, values: FloatArray | None, weights: FloatArray) -> FloatArray:
+    """Sums (R,) of `values` (N,), or of ones, whose points lie in `blocks` (N,), under each replicate's weights."""
+    per_block = np.bincount(blocks, values, weights.shape[1]).astype(np.float64)
+    sums: FloatArray = np.einsum("rb,b->r", weights, per_block)  # einsum: same bits at any number of threads
+    return sums
 
 
 def interval(replicates: FloatArray) -> list[float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pcbench import intervals, metrics
 from pcbench.neighbors import FloatArray, IntArray
-from pcbench.voxels import cell_keys
+from pcbench.voxels import Cells, cells
 
 FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
 
@@ -51,39 +51,38 @@ def measure(
         origin: (3,) added to the coordinates of the worst points.
     """
     ways = {FORTH: forth, BACK: back}
-    means = {way: _replicate_means(direction, thresholds, block_weights) for way, direction in ways.items()}
-    voxels = {way: cell_keys(direction.points, voxel, corner) for way, direction in ways.items()}
+    means = {
+        way: _means(direction, thresholds, block_weights, cells(direction.points, voxel, corner))
+        for way, direction in ways.items()
+    }
     replicates: dict[str, FloatArray] = {}
 
     def interval(name: str, samples: FloatArray) -> list[float]:
         replicates[name] = samples
         return intervals.interval(samples)
 
-    def mean_squares(name: str, distances: list[FloatArray | None], floors: list[FloatArray | None]) -> Any:
+    def mean_squares(name: str, floors: list[FloatArray | None]) -> Any:
         none = dict.fromkeys(ways)
-        present = {way: values for way, values in zip(ways, distances, strict=True) if values is not None}
-        if len(present) < len(ways):  # no normals, no distances to planes
+        if not all(name in means[way] for way in ways):  # no normals, no distances to planes
             ci = {**none, "symmetric_max": None}
             return {**none, "symmetric_max": None, "floor": none, "ci": ci, "area_weighted": none}
-        squares = {way: np.square(values) for way, values in present.items()}
-        mse = {way: float(np.mean(values)) for way, values in squares.items()}
-        larger = np.maximum(means[FORTH][name], means[BACK][name])
+        larger = np.maximum(means[FORTH][name].replicates, means[BACK][name].replicates)
         return {
-            **mse,
-            "symmetric_max": max(mse.values()),
+            **{way: means[way][name].value for way in ways},
+            "symmetric_max": max(means[way][name].value for way in ways),
             "floor": {
                 way: None if floor is None else metrics.mean_square(floor)
                 for way, floor in zip(ways, floors, strict=True)
             },
             "ci": {
-                **{way: interval(f"{name}/{way}", means[way][name]) for way in ways},
+                **{way: interval(f"{name}/{way}", means[way][name].replicates) for way in ways},
                 "symmetric_max": interval(f"{name}/symmetric_max", larger),
             },
-            "area_weighted": {way: metrics.area_weighted_mean(squares[way], voxels[way]) for way in ways},
+            "area_weighted": {way: means[way][name].area_weighted for way in ways},
         }
 
-    d1 = mean_squares("d1_mse", [d.distances for d in ways.values()], [d.floor for d in ways.values()])
-    d2 = mean_squares("d2_mse", [d.plane for d in ways.values()], [d.floor_plane for d in ways.values()])
+    d1 = mean_squares("d1_mse", [d.floor for d in ways.values()])
+    d2 = mean_squares("d2_mse", [d.floor_plane for d in ways.values()])
     ranks = {way: metrics.percentiles(d.distances) for way, d in ways.items()}
     largest = {way: metrics.one_way_hausdorff(d.distances) for way, d in ways.items()}
     worst = {way: d.points[int(np.argmax(d.distances))] + origin for way, d in ways.items()}
@@ -93,10 +92,10 @@ def measure(
         "d2_mse": d2,
         "d2_rms": {way: _root(d2[way]) for way in ways},
         "mean_distance": {
-            **{way: float(np.mean(d.distances)) for way, d in ways.items()},
+            **{way: means[way]["mean_distance"].value for way in ways},
             "floor": {way: _mean(d.floor) for way, d in ways.items()},
-            "ci": {way: interval(f"mean_distance/{way}", means[way]["mean_distance"]) for way in ways},
-            "area_weighted": {way: metrics.area_weighted_mean(d.distances, voxels[way]) for way, d in ways.items()},
+            "ci": {way: interval(f"mean_distance/{way}", means[way]["mean_distance"].replicates) for way in ways},
+            "area_weighted": {way: means[way]["mean_distance"].area_weighted for way in ways},
         },
         "hausdorff": {
             **largest,
@@ -109,7 +108,7 @@ def measure(
             "sum_unsquared": metrics.chamfer_unsquared(forth.distances, back.distances),
             "sum_squared": metrics.chamfer_squared(forth.distances, back.distances),
             "ci": {
-                chamfer: interval(f"chamfer/{chamfer}", means[FORTH][mean] + means[BACK][mean])
+                chamfer: interval(f"chamfer/{chamfer}", means[FORTH][mean].replicates + means[BACK][mean].replicates)
                 for chamfer, mean in (("sum_unsquared", "mean_distance"), ("sum_squared", "d1_mse"))
             },
             "floor": {
@@ -133,26 +132,42 @@ def value_of(values: Mapping[str, Any], name: str) -> float:
 
 def _fscore(
     ways: Mapping[str, Direction],
-    means: Mapping[str, Mapping[str, FloatArray]],
+    means: Mapping[str, Mapping[str, _Mean]],
     threshold: float,
     replicates: dict[str, FloatArray],
 ) -> dict[str, Any]:
     score = metrics.fscore(ways[FORTH].distances, ways[BACK].distances, threshold)
-    precision, recall = (means[way][f"within/{threshold!r}"] for way in (FORTH, BACK))
+    precision, recall = (means[way][f"within/{threshold!r}"].replicates for way in (FORTH, BACK))
     both = np.array([metrics.harmonic_mean(p, r) for p, r in zip(precision, recall, strict=True)])
     replicates[f"fscore/{threshold!r}"] = both
     named = {"precision": precision, "recall": recall, "fscore": both}
     return {**score._asdict(), "ci": {name: intervals.interval(samples) for name, samples in named.items()}}
 
 
-def _replicate_means(direction: Direction, thresholds: tuple[float, ...], weights: FloatArray) -> dict[str, FloatArray]:
-    """Every mean of one direction in every replicate, (R,) each."""
-    per_point = {"mean_distance": direction.distances, "d1_mse": np.square(direction.distances)}
+class _Mean(NamedTuple):
+    """Of one quantity of one direction."""
+
+    value: float
+    replicates: FloatArray  # (R,)
+    area_weighted: float | None = None
+
+
+def _means(direction: Direction, thresholds: tuple[float, ...], weights: FloatArray, voxels: Cells) -> dict[str, _Mean]:
+    """Every mean of one direction; one quantity after the other, so that only one takes room."""
+    count = intervals.replicate_sums(direction.blocks, None, weights)
+
+    def mean(values: FloatArray) -> _Mean:
+        return _Mean(float(np.mean(values)), intervals.replicate_sums(direction.blocks, values, weights) / count)
+
+    def spread(values: FloatArray) -> _Mean:
+        return mean(values)._replace(area_weighted=metrics.area_weighted_mean(values, voxels))
+
+    means = {"mean_distance": spread(direction.distances), "d1_mse": spread(np.square(direction.distances))}
     if direction.plane is not None:
-        per_point["d2_mse"] = np.square(direction.plane)
+        means["d2_mse"] = spread(np.square(direction.plane))
     for threshold in thresholds:
-        per_point[f"within/{threshold!r}"] = (direction.distances <= threshold).astype(np.float64)
-    return intervals.replicate_means(direction.blocks, per_point, weights)
+        means[f"within/{threshold!r}"] = mean((direction.distances <= threshold).astype(np.float64))
+    return means
 
 
 def _mean(values: FloatArray | None) -> float | None:

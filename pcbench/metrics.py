@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.native import _core
 from pcbench.neighbors import FloatArray, IntArray
+from pcbench.voxels import Cells
 
 
 class FScore(NamedTuple):
@@ -23,9 +25,22 @@ class FScore(NamedTuple):
     fscore: float
 
 
-def plane_distances(queries: FloatArray, feet: FloatArray, normals: FloatArray) -> FloatArray:
-    """Signed distances (N,) of queries (N, 3) along unit normals (N, 3) through feet (N, 3): point to tangent plane."""
-    distances: FloatArray = np.einsum("ni,ni->n", queries - feet, normals)
+def plane_distances(
+    queries: FloatArray,
+    feet: FloatArray,
+    normals: FloatArray,
+    *,
+    query_rows: IntArray | None = None,
+    feet_rows: IntArray | None = None,
+    normal_rows: IntArray | None = None,
+) -> FloatArray:
+    """Signed distances (M,) of queries (M, 3) along unit normals (M, 3) through feet (M, 3): point to tangent plane.
+
+    Each array is taken in order, or by rows (M,) into it: then none of it is copied.
+    """
+    distances = np.empty(len(queries) if query_rows is None else len(query_rows))
+    arrays = [np.ascontiguousarray(array, np.float64) for array in (queries, feet, normals)]
+    _core.plane_distances(arrays[0], query_rows, arrays[1], feet_rows, arrays[2], normal_rows, distances)
     return distances
 
 
@@ -85,16 +100,10 @@ def percentiles(distances: FloatArray, ranks: tuple[float, ...] = (5, 25, 50, 75
     return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(distances, ranks), strict=True)}
 
 
-def area_weighted_mean(values: FloatArray, voxels: IntArray) -> float:
-    """Mean over occupied voxels of the voxel's mean value, so that a dense centre does not decide alone.
-
-    Args:
-        values: (N,) any per-point quantity.
-        voxels: (N,) identifiers of the voxels the points lie in.
-    """
+def area_weighted_mean(values: FloatArray, voxels: Cells) -> float:
+    """Mean over occupied voxels of the voxel's mean of `values` (N,), so that a dense centre does not decide alone."""
     _not_empty(values)
-    _, inverse, counts = np.unique(voxels, return_inverse=True, return_counts=True)
-    return float(np.mean(np.bincount(inverse, values) / counts))
+    return float(np.mean(voxels.means(values)))
 
 
 def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:

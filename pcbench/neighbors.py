@@ -47,13 +47,14 @@ class Neighborhoods(NamedTuple):
 class LocalPlanes(NamedTuple):
     """Planes through the nearest points around some of the indexed points: one row for each.
 
-    normals (M, 3): unit, of either sign. variation (M,): smallest eigenvalue of the covariance over the sum of all
-    three, 0 to 1/3. spacings (M,): distance to the nearest other point.
+    normals (M, 3): unit, their sign chosen upwards: z > 0, then y, then x where the others are zero. variation (M,):
+    smallest eigenvalue of the covariance over the sum of all three, 0 to 1/3. nearest_other: see
+    `Index.nearest_other`; comes for free here.
     """
 
     normals: NDArray[np.float64]
     variation: NDArray[np.float64]
-    spacings: NDArray[np.float64]
+    nearest_other: Matches
 
 
 class Index:
@@ -170,8 +171,10 @@ class Index:
             raise InputError(f"k: expected 3 to {len(self)} (the number of points), got {k}")
         chosen = None if rows is None else self._as_rows(rows, "rows")
         count = len(self) if chosen is None else len(chosen)
-        fits = LocalPlanes(np.empty((count, 3)), np.empty(count), np.empty(count))
-        self._tree.planes(k, chosen, *fits)
+        fits = LocalPlanes(
+            np.empty((count, 3)), np.empty(count), Matches(np.empty(count), np.empty(count, dtype=np.int64))
+        )
+        self._tree.planes(k, chosen, fits.normals, fits.variation, *fits.nearest_other)
         return fits
 
     def nearest_of(self, queries: "Index") -> Matches:
@@ -179,6 +182,21 @@ class Index:
         found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         self._tree.nearest_of(queries._tree, *found)
         return found
+
+    def nearest_of_moved(
+        self, queries: "Index", motion: NDArray[np.float64], hint: NDArray[np.int64] | None = None
+    ) -> tuple[NDArray[np.float64], Matches]:
+        """The points of another index after a motion (3, 4) or (4, 4), and the nearest point of each: one ICP step.
+
+        Points that were near each other still are, so nothing is sorted again. `hint`: see `query`.
+        """
+        moved, found = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
+        rows = np.ascontiguousarray(motion[:3], np.float64)
+        try:
+            self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *found)
+        except ValueError as error:
+            _explain(error, moved, "queries")
+        return moved, found
 
     def _as_rows(self, values: ArrayLike, name: str) -> NDArray[np.int64]:
         rows: NDArray[Any] = np.asarray(values)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.native import _core
-from pcbench.neighbors import FloatArray, Index, IntArray
+from pcbench.neighbors import FloatArray, Index, IntArray, LocalPlanes, Matches
 
 
 class Normals(NamedTuple):
@@ -31,8 +31,7 @@ def estimate_normals(index: Index, k: int = 20, which: IntArray | None = None) -
     k = min(k, len(index))
     if k < 3:
         raise InputError(f"expected at least 3 points to estimate normals, got {k}")
-    planes = index.local_planes(k, which)
-    return Normals(orient_up(planes.normals), planes.variation)
+    return Normals(*index.local_planes(k, which)[:2])
 
 
 def plane_normals(points: FloatArray, neighbors: IntArray) -> Normals:
@@ -43,7 +42,7 @@ def plane_normals(points: FloatArray, neighbors: IntArray) -> Normals:
 
 
 class Surface:
-    """A cloud as a surface: its index, and normals that are estimated where they are first asked for, then kept.
+    """A cloud as a surface: its index, and what is known of its points, computed where it is first asked for and kept.
 
     Args:
         index: of the points.
@@ -54,11 +53,12 @@ class Surface:
     def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None) -> None:
         self.index = index
         self.k = k
-        self._normals = np.empty((len(index), 3))
+        self._normals: FloatArray = np.empty((len(index), 3))
         self._known = np.zeros(len(index), dtype=bool)
         if given is not None:
             self._normals, self._known = unit(given)
         self._complete = bool(self._known.all())
+        self._nearest_other: Matches | None = None
 
     def __len__(self) -> int:
         return len(self.index)
@@ -73,25 +73,33 @@ class Surface:
         Raises:
             InputError: fewer than three points.
         """
+        return self.with_normals_at(which)[which]
+
+    def with_normals_at(self, which: IntArray | None) -> FloatArray:
+        """All normals (N, 3), not a copy; those at the indices `which` (M,) are there (None: at every index)."""
         if not self._complete:
-            missing = np.zeros(len(self), dtype=bool)
-            missing[which] = True
-            missing &= ~self._known
-            rows = np.flatnonzero(missing)
-            if len(rows) == len(self):
-                self._normals = estimate_normals(self.index, self.k).directions
-            elif len(rows):
-                self._normals[rows] = estimate_normals(self.index, self.k, rows).directions
-            self._known[rows] = True
+            if which is None or len(which) == len(self):
+                missing = np.flatnonzero(~self._known)
+            else:
+                missing = np.unique(which[~self._known[which]])
+            if len(missing) == len(self):
+                self._normals, _, self._nearest_other = self._planes(None)
+            elif len(missing):
+                self._normals[missing] = self._planes(missing).normals
+            self._known[missing] = True
             self._complete = bool(self._known.all())
-        return self._normals[which]
+        return self._normals
 
+    def nearest_other(self) -> Matches:
+        """See `Index.nearest_other`."""
+        if self._nearest_other is None:
+            self._nearest_other = self.index.nearest_other()
+        return self._nearest_other
 
-def orient_up(directions: FloatArray) -> FloatArray:
-    """The same normals (M, 3) with signs that agree: z up, then y, then x where the others are zero."""
-    x, y, z = directions.T
-    down = (z < 0) | ((z == 0) & ((y < 0) | ((y == 0) & (x < 0))))
-    return np.where(down[:, None], -directions, directions)
+    def _planes(self, which: IntArray | None) -> LocalPlanes:
+        if len(self) < 3:
+            raise InputError(f"expected at least 3 points to estimate normals, got {len(self)}")
+        return self.index.local_planes(min(self.k, len(self)), which)
 
 
 def orient_towards(directions: FloatArray, points: FloatArray, sensors: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench import metrics
+from pcbench.native import _core
 from pcbench.neighbors import FloatArray, Index, IntArray, Matches, match_both_ways
 from pcbench.voxels import cell_means
 
@@ -49,8 +50,11 @@ def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> dict[str, Any]:
     b = pair.to_candidate.distances
     d2 = None
     if pair.normals is not None:
-        points = pair.candidate.points
-        d2 = metrics.mean_square(metrics.plane_distances(points, pair.reference.points[feet], pair.normals[feet]))
+        d2 = metrics.mean_square(
+            metrics.plane_distances(
+                pair.candidate.points, pair.reference.points, pair.normals, feet_rows=feet, normal_rows=feet
+            )
+        )
     return {
         "d1_mse": metrics.mean_square(a),
         "d2_mse": d2,
@@ -106,14 +110,14 @@ def mpeg(pair: Pair) -> dict[str, Any]:
     """
     pair = _merge_duplicates(pair)
     a, b = pair.reference.points, pair.candidate.points
-    d1 = [_float32_squares(a, b[pair.to_candidate.indices]), _float32_squares(b, a[pair.to_reference.indices])]
+    d1 = [_float32_squares(a, b, pair.to_candidate.indices), _float32_squares(b, a, pair.to_reference.indices)]
     d2: list[FloatArray] = []
     normals = pair.normals if pair.raw_normals is None else np.nan_to_num(pair.raw_normals, posinf=0, neginf=0)
     if normals is not None:
-        ties_ab = _ties(pair.reference, pair.candidate, pair.to_candidate)
-        ties_ba = _ties(pair.candidate, pair.reference, pair.to_reference)
-        normals_b = _averaged_normals(normals, ties_ab, ties_ba, len(b))
-        d2 = [_tied_plane_squares(a, b, normals_b, ties_ab), _tied_plane_squares(b, a, normals, ties_ba)]
+        ab = _choices(pair.reference, pair.candidate, pair.to_candidate)
+        ba = _choices(pair.candidate, pair.reference, pair.to_reference)
+        normals_b = _averaged_normals(normals, ab, ba, len(b))
+        d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
     peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
 
     def both_ways(squares: list[FloatArray]) -> dict[str, float | None]:
@@ -134,44 +138,48 @@ def mpeg(pair: Pair) -> dict[str, Any]:
     }
 
 
-def _float32_squares(queries: FloatArray, feet: FloatArray) -> FloatArray:
+def _float32_squares(queries: FloatArray, others: FloatArray, nearest: IntArray) -> FloatArray:
     """Squared distances (N,) from differences that were rounded to float32."""
-    difference = (queries - feet).astype(np.float32).astype(np.float64)
-    squares: FloatArray = np.einsum("ni,ni->n", difference, difference)
+    squares = np.empty(len(queries))
+    _core.rounded_squares(queries, others, nearest, squares)
     return squares
 
 
-class _Ties(NamedTuple):
-    """All nearest points of every query: parallel lists of query rows and point indices."""
+class _Choices(NamedTuple):
+    """All nearest points of every query: parallel lists of query rows (None: each query once) and point indices."""
 
-    rows: IntArray
+    rows: IntArray | None
     indices: IntArray
 
 
-def _ties(queries: Index, others: Index, nearest: Matches) -> _Ties:
+def _choices(queries: Index, others: Index, nearest: Matches) -> _Choices:
     several = others.tied(queries, nearest.indices, _TIE)
+    if not several.any():
+        return _Choices(None, nearest.indices)
     single, tied = np.flatnonzero(~several), np.flatnonzero(several)
-    rows, indices = single, nearest.indices[single]
-    if len(tied):
-        found = others.query(queries.points[tied], k=min(_MOST_TIES, len(others)))
-        near = np.square(found.distances)
-        which, column = np.nonzero(near - near[:, :1] < _TIE)
-        rows = np.concatenate([rows, tied[which]])
-        indices = np.concatenate([indices, found.indices[which, column]])
-    return _Ties(rows, indices)
+    found = others.query(queries.points[tied], k=min(_MOST_TIES, len(others)))
+    near = np.square(found.distances.reshape(len(tied), -1))
+    which, column = np.nonzero(near - near[:, :1] < _TIE)
+    indices = found.indices.reshape(len(tied), -1)[which, column]
+    return _Choices(np.concatenate([single, tied[which]]), np.concatenate([nearest.indices[single], indices]))
 
 
-def _averaged_normals(normals_a: FloatArray, ab: _Ties, ba: _Ties, count: int) -> FloatArray:
+def _averaged_normals(normals_a: FloatArray, ab: _Choices, ba: _Choices, count: int) -> FloatArray:
     """Each b point's mean of the normals of the a points that chose it; if none did, of the a points nearest to it."""
-    result = _row_means(normals_a[ab.rows], ab.indices, count)
-    nearest = _row_means(normals_a[ba.indices], ba.rows, count)
-    chosen = np.bincount(ab.indices, minlength=count) > 0
-    return np.where(chosen[:, None], result, nearest)
+    result = _row_means(normals_a if ab.rows is None else normals_a[ab.rows], ab.indices, count)
+    lonely = np.bincount(ab.indices, minlength=count) == 0
+    of_nearest = normals_a[ba.indices] if ba.rows is None else _row_means(normals_a[ba.indices], ba.rows, count)
+    result[lonely] = of_nearest[lonely]
+    return result
 
 
-def _tied_plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, ties: _Ties) -> FloatArray:
-    distances = metrics.plane_distances(queries[ties.rows], others[ties.indices], normals[ties.indices])
-    return _row_means(np.square(distances)[:, None], ties.rows, len(queries))[:, 0]
+def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, choices: _Choices) -> FloatArray:
+    rows, indices = choices
+    distances = metrics.plane_distances(
+        queries, others, normals, query_rows=rows, feet_rows=indices, normal_rows=indices
+    )
+    squares: FloatArray = np.square(distances)
+    return squares if rows is None else _row_means(squares[:, None], rows, len(queries))[:, 0]
 
 
 def _row_means(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
@@ -181,7 +189,9 @@ def _row_means(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
 
 
 def _merge_duplicates(pair: Pair) -> Pair:
-    if not (_has_duplicates(pair.reference.points) or _has_duplicates(pair.candidate.points)):
+    other = pair.nearest_other
+    doubled = other is not None and not other.distances.all()  # at a distance of 0
+    if not doubled and not _has_duplicates(pair.candidate.points):
         return pair
     reference, first = np.unique(pair.reference.points, axis=0, return_index=True)
     candidate = np.unique(pair.candidate.points, axis=0)

@@ -7,18 +7,20 @@ matrix: residual, overlap, convergence and the direction that the geometry fixes
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.cloud import Cloud, as_cloud
+from pcbench.cloud import Cloud, as_cloud, bounds
 from pcbench.errors import InputError, RegistrationError
+from pcbench.native import _core
 from pcbench.neighbors import FloatArray, Index, IntArray, Matches
 from pcbench.normals import Surface, plane_normals
 from pcbench.transform import Similarity, fit_similarity, read_matrix
-from pcbench.voxels import cell_keys, cell_means, robust_extent, thin, thin_to
+from pcbench.voxels import cell_means, cells, robust_extent, thin, thin_to
 
 METHODS = ("icp", "icp-point", "similarity", "points:FILE", "matrix:FILE", "none")
 
@@ -73,7 +75,7 @@ class Registration:
 
 
 def register(
-    reference: Cloud | ArrayLike, candidate: Cloud | ArrayLike, method: str = "icp", *, surface: Surface | None = None
+    reference: Cloud | ArrayLike, candidate: Cloud | ArrayLike, method: str = "icp", *, target: Target | None = None
 ) -> Registration:
     """Register a candidate to a reference.
 
@@ -81,7 +83,7 @@ def register(
         reference, candidate: clouds, or (N, 3) arrays.
         method: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement),
             `points:FILE`, `matrix:FILE` or `none`.
-        surface: of the reference's points minus `recentring(reference)`, if the caller has one already.
+        target: of the reference's points minus `recentring(reference)`, if the caller has one already.
 
     Raises:
         InputError: unknown method, unreadable file.
@@ -89,25 +91,56 @@ def register(
     """
     reference, candidate = as_cloud(reference), as_cloud(candidate)
     origin = recentring(reference)
-    surface = surface or Surface(Index(reference.points - origin), given=reference.normals)
+    target = target or Target(Surface(Index(reference.points - origin), given=reference.normals))
     points = candidate.points - origin
     if not isinstance(method, str):
         raise InputError(f"expected the registration as text, got {type(method).__name__}")
     kind, colon, path = method.partition(":")
     if kind in ("icp", "icp-point", "similarity") and not colon:
-        result = _icp(surface, points, origin, kind)
+        result = _icp(target, points, origin, kind)
     elif kind == "matrix" and path:
-        result = _given(surface, points, origin, method, read_matrix(path))
+        result = _given(target, points, origin, method, read_matrix(path))
     elif kind == "points" and path:
         T, checks = _fit_pairs(path)
-        result = replace(_given(surface, points, origin, method, T), check_points=checks)
+        result = replace(_given(target, points, origin, method, T), check_points=checks)
     elif method == "none":
-        result = _given(surface, points, origin, method, Similarity.identity())
+        result = _given(target, points, origin, method, Similarity.identity())
     else:
         raise InputError(f"unknown registration {method!r}: expected one of {', '.join(METHODS)}")
-    if warning := _unit_warning(surface.points, points, result.T_local.scale):
+    if warning := _unit_warning(target.extent, points, result.T_local.scale):
         result = replace(result, warnings=(*result.warnings, warning))
     return result
+
+
+class Target:
+    """A reference to register candidates to: what does not depend on the candidate is computed once."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+
+    @cached_property
+    def extent(self) -> float:
+        return robust_extent(self.surface.points)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Median distance to the nearest other point, from an even sample."""
+        index = self.surface.index
+        if len(index) < 2:
+            return 0.0
+        which = np.arange(0, len(index), max(1, len(index) // 20_000))
+        distances = index.query(index.points[which], k=2).distances[:, 1]
+        positive = distances[distances > 0]  # duplicates say nothing about spacing
+        return float(np.median(positive)) if len(positive) else 0.0
+
+    @cached_property
+    def coarse_side(self) -> float:
+        return max(self.extent / 150, self.spacing)
+
+    @cached_property
+    def coarse(self) -> Surface:
+        """The surface, one mean point a cell of `coarse_side`."""
+        return Surface(Index(cell_means(self.surface.points, self.coarse_side)))
 
 
 def recentring(cloud: Cloud) -> FloatArray:
@@ -127,51 +160,51 @@ class _Pairs(NamedTuple):
     """Weighted correspondences of one iteration; `residuals` are what is minimised."""
 
     moved: FloatArray  # (M, 3) candidate points in the reference frame
-    feet: FloatArray  # (M, 3) matched reference points
-    normals: FloatArray  # (M, 3) of the reference at the feet
-    indices: IntArray  # (M,) of the feet
+    indices: IntArray  # (M,) of the reference points they are matched with
     distances: FloatArray  # (M,) point to point
-    residuals: FloatArray  # (M,) signed, along the normals
+    residuals: FloatArray  # (M,) signed, along the reference's normals
     weights: FloatArray  # (M,) in [0, 1]
+    near: int  # of them lie within the gate; the others weigh nothing
+    sigma: float  # robust standard deviation of the residuals of those
 
     def take(self, which: NDArray[np.bool_] | slice) -> _Pairs:
         return _Pairs(
             self.moved[which],
-            self.feet[which],
-            self.normals[which],
             self.indices[which],
             self.distances[which],
             self.residuals[which],
             self.weights[which],
+            self.near,
+            self.sigma,
         )
 
 
-def _icp(target: Surface, points: FloatArray, origin: FloatArray, kind: str) -> Registration:
+def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> Registration:
     """Coarse to fine; the gate narrows, then a Tukey kernel whose width follows the residuals decides.
 
     Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. Where the
     geometry turns out not to fix some motion, all starts again with that motion held: noise must not move the pose.
     """
-    if len(points) < _FEWEST or len(target) < _FEWEST:
+    surface = target.surface
+    if len(points) < _FEWEST or len(surface) < _FEWEST:
         raise RegistrationError(
-            f"expected at least {_FEWEST} points in each cloud for ICP, got {len(points)} and {len(target)}: use"
+            f"expected at least {_FEWEST} points in each cloud for ICP, got {len(points)} and {len(surface)}: use"
             " --register points:FILE, matrix:FILE or none"
         )
-    extent = robust_extent(target.points)
+    extent, spacing, coarse_side = target.extent, target.spacing, target.coarse_side
     if extent == 0:
         raise RegistrationError("expected a reference with an extent to register to, got points at one place")
-    spacing = _spacing(target.index)
-    coarse_side = max(extent / 150, spacing)
-    coarse = Surface(Index(cell_means(target.points, coarse_side)))
-    coarse_sample = points[thin(points, coarse_side)]
-    sample = points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))]
+    coarse_sample = Index(points[thin(points, coarse_side)])
+    sample = Index(points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))])
     with_scale = kind == "similarity"
     wide, narrow = (0.1 * extent, 2 * coarse_side), (3 * coarse_side, max(3 * spacing, 1e-9 * extent))
 
     def attempt(held: FloatArray) -> tuple[Similarity, int, bool, _Quality]:
-        T, first, _ = _iterate(coarse, coarse_sample, Similarity.identity(), kind, held, gate=wide, extent=extent)
-        T, second, converged = _iterate(target, sample, T, kind, held, gate=narrow, extent=extent)
-        quality = _assess(target, sample, T, plane=kind != "icp-point", with_scale=with_scale, spacing=spacing)
+        T, first, _ = _iterate(
+            target.coarse, coarse_sample, Similarity.identity(), kind, held, gate=wide, extent=extent
+        )
+        T, second, converged = _iterate(surface, sample, T, kind, held, gate=narrow, extent=extent)
+        quality = _assess(surface, sample, T, plane=kind != "icp-point", with_scale=with_scale, spacing=spacing)
         return T, first + second, converged, quality
 
     T, iterations, converged, quality = attempt(np.zeros((7 if with_scale else 6, 0)))
@@ -187,7 +220,7 @@ def _icp(target: Surface, points: FloatArray, origin: FloatArray, kind: str) -> 
 
 def _iterate(
     target: Surface,
-    sample: FloatArray,
+    sample: Index,
     T: Similarity,
     kind: str,
     held: FloatArray,
@@ -206,28 +239,27 @@ def _iterate(
     hint: IntArray | None = None  # where the last search ended: the next one starts there
     for iteration in range(1, _ITERATIONS + 1):
         annealing = radius > final
-        moved = T.apply(sample)
-        nearest = target.index.query(moved, hint=hint)
+        moved, nearest = target.index.nearest_of_moved(sample, T.matrix, hint)
         hint = nearest.indices
         pairs = _weigh(target, moved, nearest, radius, robust=not annealing)
-        if len(pairs.weights) < max(_FEWEST, 0.01 * len(sample)) or pairs.weights.sum() < 6:
+        total = float(pairs.weights.sum())
+        if pairs.near < max(_FEWEST, 0.01 * len(sample)) or total < 6:
             raise RegistrationError(
-                f"the candidate does not overlap the reference: {len(pairs.weights)} of {len(sample)} sampled points"
+                f"the candidate does not overlap the reference: {pairs.near} of {len(sample)} sampled points"
                 f" lie within {radius:.3g} of it. Align it coarsely first (--register points:FILE or matrix:FILE),"
                 " and check that both clouds use the same unit and coordinate system"
             )
         if kind == "icp-point":
-            delta, size = _point_step(pairs)
+            delta, size = _point_step(target, pairs)
         else:
-            delta, size = _plane_step(pairs, held, with_scale=kind == "similarity")
+            delta, size = _plane_step(target, pairs, held, with_scale=kind == "similarity")
         T = delta @ T
         if kind == "similarity" and not _SCALE_RANGE[0] < T.scale < _SCALE_RANGE[1]:
             raise RegistrationError(
                 f"the scale left {_SCALE_RANGE} (got {T.scale:.3g}): `similarity` refines a scale that is nearly right;"
                 " give a first one with --register points:FILE or matrix:FILE"
             )
-        sigma = _mad(pairs.residuals)
-        tolerance = max(0.05 * sigma / np.sqrt(pairs.weights.sum()), 1e-12 * extent)
+        tolerance = max(0.05 * pairs.sigma / np.sqrt(total), 1e-12 * extent)
         # Matches flip for ever at the level of the noise: no further progress also ends it.
         if not annealing and (size < tolerance or (size > 0.5 * previous and size < 20 * tolerance)):
             return T, iteration, True
@@ -237,50 +269,44 @@ def _iterate(
     return T, _ITERATIONS, False
 
 
-def _weigh(target: Surface, moved: FloatArray, nearest: Matches, radius: float, *, robust: bool) -> _Pairs:
+def _weigh(target: Surface, moved: FloatArray, nearest: Matches, gate: float, *, robust: bool) -> _Pairs:
+    """Tukey's biweight where robust, its width following the residuals; else all but the farthest tenth."""
     distances, indices = nearest
-    near = distances <= radius
-    moved, distances, indices = moved[near], distances[near], indices[near]
-    feet, normals = target.points[indices], target.normals(indices)
-    residuals = np.einsum("ni,ni->n", moved - feet, normals)
-    if robust and len(residuals):
-        # Tukey's biweight at 95 % efficiency; exact copies have residuals of nothing but rounding.
-        width = 4.685 * max(_mad(residuals), 1e-12 * radius, np.finfo(float).tiny)
-        weights = np.square(np.clip(1 - np.square(residuals / width), 0, None))
-    else:
-        # Trimmed: the worst tenth is dropped while the gate is still wide.
-        limit = np.quantile(distances, 0.9) if len(distances) else 0.0
-        weights = (distances <= limit).astype(np.float64)
-    return _Pairs(moved, feet, normals, indices, distances, residuals, weights)
+    normals = target.with_normals_at(indices)
+    residuals, weights = np.empty(len(moved)), np.empty(len(moved))
+    near, sigma = _core.weigh(moved, distances, target.points, indices, normals, gate, robust, residuals, weights)
+    return _Pairs(moved, indices, distances, residuals, weights, near, sigma)
 
 
-def _plane_step(pairs: _Pairs, held: FloatArray, *, with_scale: bool) -> tuple[Similarity, float]:
+def _plane_step(target: Surface, pairs: _Pairs, held: FloatArray, *, with_scale: bool) -> tuple[Similarity, float]:
     """One Gauss-Newton step of sum w (n . (dT p - q))^2 (Chen & Medioni 1992), about the pairs' centre."""
-    jacobian, center, radius = _jacobian(pairs, with_scale=with_scale)
-    hessian = np.einsum("ni,n,nj->ij", jacobian, pairs.weights, jacobian, optimize=False)
-    gradient = np.einsum("ni,n,n->i", jacobian, pairs.weights, pairs.residuals, optimize=False)
-    free = np.eye(len(hessian)) - held @ held.T
+    hessian, gradient, center = np.empty((7, 7)), np.empty(7), np.empty(3)
+    normals = target.with_normals_at(pairs.indices)
+    radius, _ = _core.plane_system(
+        pairs.moved, normals, pairs.indices, pairs.residuals, pairs.weights, hessian, gradient, center
+    )
+    size = 7 if with_scale else 6
+    free = np.eye(size) - held @ held.T
     # The pseudo-inverse leaves alone what is held and what the pairs do not fix at all (an exact plane's sliding).
-    motion = -np.linalg.pinv(free @ hessian @ free, rcond=1e-10, hermitian=True) @ (free @ gradient)
+    inverse = np.linalg.pinv(free @ hessian[:size, :size] @ free, rcond=1e-10, hermitian=True)
+    motion = -inverse @ (free @ gradient[:size])
     rotation = _rotation(motion[:3] / radius)
     scale = float(np.exp(np.clip(motion[6] / radius, -0.05, 0.05))) if with_scale else 1.0
     delta = Similarity(rotation, center + motion[3:6] - scale * rotation @ center, scale)
     return delta, float(np.linalg.norm(motion))
 
 
-def _point_step(pairs: _Pairs) -> tuple[Similarity, float]:
+def _point_step(target: Surface, pairs: _Pairs) -> tuple[Similarity, float]:
     """The best rigid motion of the weighted pairs (Besl & McKay 1992)."""
-    kept = pairs.weights > 0
-    delta = fit_similarity(pairs.moved[kept], pairs.feet[kept], with_scale=False, weights=pairs.weights[kept])
-    size = np.sqrt(np.mean(np.square(delta.apply(pairs.moved[kept]) - pairs.moved[kept]).sum(axis=1)))
+    pairs = pairs.take(pairs.weights > 0)
+    feet = target.points[pairs.indices]
+    delta = fit_similarity(pairs.moved, feet, with_scale=False, weights=pairs.weights)
+    size = np.sqrt(np.mean(np.square(delta.apply(pairs.moved) - pairs.moved).sum(axis=1)))
     return delta, float(size)
 
 
-def _jacobian(
-    pairs: _Pairs, normals: FloatArray | None = None, *, with_scale: bool
-) -> tuple[FloatArray, FloatArray, float]:
+def _jacobian(pairs: _Pairs, normals: FloatArray, *, with_scale: bool) -> FloatArray:
     """Rows (M, 6 or 7): residual change by rotation, translation and log-scale, all as lengths at the RMS radius."""
-    normals = pairs.normals if normals is None else normals
     total = pairs.weights.sum()
     center = (pairs.moved * pairs.weights[:, None]).sum(axis=0) / total
     arms = pairs.moved - center
@@ -288,7 +314,7 @@ def _jacobian(
     columns = [np.cross(arms, normals) / radius, normals]
     if with_scale:
         columns.append(np.einsum("ni,ni->n", arms, normals)[:, None] / radius)
-    return np.hstack(columns), center, radius
+    return np.hstack(columns)
 
 
 class _Quality(NamedTuple):
@@ -301,11 +327,10 @@ class _Quality(NamedTuple):
 
 
 def _assess(
-    target: Surface, sample: FloatArray, T: Similarity, *, plane: bool, with_scale: bool, spacing: float
+    target: Surface, sample: Index, T: Similarity, *, plane: bool, with_scale: bool, spacing: float
 ) -> _Quality:
     """Residual, overlap and what the geometry fixes, at a transform that is taken as it is."""
-    moved = T.apply(sample)
-    nearest = target.index.query(moved)
+    moved, nearest = target.index.nearest_of_moved(sample, T.matrix)
     distances = nearest.distances
     # One distance for every method: were it to follow the fit, the worse the fit, the more would count as overlap.
     within = _ON_REFERENCE * spacing
@@ -364,10 +389,9 @@ def _information(
     step = max(1, len(pairs.weights) // 10_000)
     pairs = pairs.take(slice(None, None, step))
     first, second = _split_normals(target.index, pairs.indices)
-    a, _, _ = _jacobian(pairs, first, with_scale=with_scale)
-    b, _, _ = _jacobian(pairs, second, with_scale=with_scale)
+    a, b = (_jacobian(pairs, normals, with_scale=with_scale) for normals in (first, second))
     size = float(np.ptp(pairs.moved, axis=0).max()) / 8
-    _, tile = np.unique(cell_keys(pairs.moved, size or 1.0, pairs.moved.min(axis=0)), return_inverse=True)
+    tile = cells(pairs.moved, size or 1.0).of_point
     total = pairs.weights.sum()
     cross = np.einsum("ni,n,nj->ij", a, pairs.weights, b, optimize=False) / total
     values, vectors = np.linalg.eigh(0.5 * (cross + cross.T))
@@ -418,22 +442,21 @@ def _describe_motion(vector: FloatArray) -> str:
     return f"{name} {where} ({', '.join(f'{v:+.2f}' for v in axis * np.sign(axis[np.abs(axis).argmax()]))})"
 
 
-def _given(target: Surface, points: FloatArray, origin: FloatArray, method: str, T: Similarity) -> Registration:
+def _given(target: Target, points: FloatArray, origin: FloatArray, method: str, T: Similarity) -> Registration:
     """A transform from elsewhere, assessed like one of ours."""
-    local = T.about(-origin)
-    spacing = _spacing(target.index)
-    start = max(robust_extent(target.points) / 500, spacing)
-    sample = points[thin_to(points, _SAMPLE, start=start)] if spacing > 0 else points[:_SAMPLE]
-    moved = local.apply(sample)
-    lower, upper = target.points.min(axis=0), target.points.max(axis=0)
+    surface, local = target.surface, T.about(-origin)
+    start = max(target.extent / 500, target.spacing)
+    sample = Index(points[thin_to(points, _SAMPLE, start=start)] if target.spacing > 0 else points[:_SAMPLE])
+    moved = local.apply(sample.points)
+    lower, upper = bounds(surface.points)
     margin = 0.1 * float(np.linalg.norm(upper - lower))
     # Fewer than three points have no extent to overlap with.
-    if len(target) >= 3 and ((moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any()):
+    if len(surface) >= 3 and ((moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any()):
         raise RegistrationError(
             f"the candidate does not overlap the reference after --register {method}: their bounding boxes lie apart"
             f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)})"
         )
-    quality = _assess(target, sample, local, plane=True, with_scale=local.scale != 1, spacing=spacing)
+    quality = _assess(surface, sample, local, plane=True, with_scale=local.scale != 1, spacing=target.spacing)
     return _registration(method, T, local, quality, 0, None)
 
 
@@ -468,9 +491,9 @@ def _fit_pairs(path: str) -> tuple[Similarity, tuple[CheckPoint, ...]]:
     return T, tuple(CheckPoint(n.rstrip("*"), float(e)) for n, e, c in zip(names, errors, check, strict=True) if c)
 
 
-def _unit_warning(reference: FloatArray, candidate: FloatArray, scale: float) -> str | None:
+def _unit_warning(extent: float, candidate: FloatArray, scale: float) -> str | None:
     """A warning where the extents differ by a factor that looks like a unit."""
-    ratio = scale * robust_extent(candidate) / (robust_extent(reference) or np.inf)
+    ratio = scale * robust_extent(candidate) / (extent or np.inf)
     for factor, what in (
         (1000, "millimetres against metres"),
         (100, "centimetres against metres"),
@@ -482,16 +505,6 @@ def _unit_warning(reference: FloatArray, candidate: FloatArray, scale: float) ->
             if abs(np.log(ratio / expected) if ratio > 0 else np.inf) < 0.05:
                 return f"the candidate's extent is {ratio:.4g} times the reference's: {text}?"
     return None
-
-
-def _spacing(index: Index) -> float:
-    """Median distance to the nearest other point, from an even sample."""
-    if len(index) < 2:
-        return 0.0
-    which = np.arange(0, len(index), max(1, len(index) // 20_000))
-    distances = index.query(index.points[which], k=2).distances[:, 1]
-    positive = distances[distances > 0]  # duplicates say nothing about spacing
-    return float(np.median(positive)) if len(positive) else 0.0
 
 
 def _mad(values: FloatArray) -> float:

@@ -2,34 +2,45 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from pcbench.cloud import bounds
 from pcbench.errors import InputError
+from pcbench.native import _core
 from pcbench.neighbors import FloatArray, IntArray
 
-_BITS = 21  # a coordinate's share of a 63-bit key
+
+class Cells(NamedTuple):
+    """The occupied cells of a grid, numbered in the order in which points first fall into them."""
+
+    of_point: IntArray  # (N,) the cell of each point
+    first: IntArray  # (M,) the first point in each cell, ascending
+    counts: IntArray  # (M,) of points in each cell
+
+    def means(self, values: FloatArray) -> FloatArray:
+        """The mean in each cell (M,) of one value a point (N,)."""
+        means: FloatArray = np.bincount(self.of_point, values, len(self.first)) / self.counts
+        return means
 
 
-def cell_keys(points: FloatArray, side: float, lower: FloatArray) -> IntArray:
-    """Identifiers (N,) of the cubic cells of edge `side` that points (N, 3) lie in, counted from corner `lower`.
+def cells(points: FloatArray, side: float, lower: FloatArray | None = None) -> Cells:
+    """The cubic cells of edge `side` that points (N, 3) lie in, counted from `lower` (default: their lowest corner).
 
     Cells far outside (beyond 2^20 cells from the corner) share the outermost one.
     """
     if not side > 0:
         raise InputError(f"expected a positive cell side, got {side}")
-    half = 1 << (_BITS - 1)
-    key = np.zeros(len(points), dtype=np.int64)
-    for axis in range(3):  # one axis at a time: no (N, 3) temporaries
-        cell = np.floor((points[:, axis] - lower[axis]) / side)
-        key <<= _BITS
-        key |= np.clip(cell, -half, half - 1).astype(np.int64) + half
-    return key
+    points = np.ascontiguousarray(points)
+    corner = bounds(points)[0] if lower is None else np.ascontiguousarray(lower, np.float64)
+    of_point = np.empty(len(points), np.int64)
+    return Cells(of_point, *_core.group_by_cell(points, side, corner, of_point))
 
 
 def thin(points: FloatArray, side: float) -> IntArray:
     """Indices of the first point in each occupied cell of edge `side`, in ascending order."""
-    _, first = np.unique(cell_keys(points, side, points.min(axis=0)), return_index=True)
-    return np.sort(first)
+    return cells(points, side).first
 
 
 def thin_to(points: FloatArray, count: int, start: float) -> IntArray:
@@ -44,13 +55,12 @@ def thin_to(points: FloatArray, count: int, start: float) -> IntArray:
 
 def cell_means(points: FloatArray, side: float, lower: FloatArray | None = None) -> FloatArray:
     """Mean point (M, 3) of each occupied cell of edge `side`, counted from `lower` (default: the lowest corner)."""
-    keys = cell_keys(points, side, points.min(axis=0) if lower is None else lower)
-    _, cell, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    return np.stack([np.bincount(cell, points[:, axis]) / counts for axis in range(3)], axis=1)
+    grid = cells(points, side, lower)
+    return np.stack([grid.means(points[:, axis]) for axis in range(3)], axis=1)
 
 
 def robust_extent(points: FloatArray) -> float:
     """Diagonal of the box that holds the inner 98 % of points (N, 3) along each axis: stragglers do not count."""
-    some = points[:: max(1, len(points) // 100_000)]
-    lower, upper = np.percentile(some, [1, 99], axis=0)
+    some = np.ascontiguousarray(points[:: max(1, len(points) // 100_000)].T)
+    lower, upper = np.percentile(some, [1, 99], axis=1)
     return float(np.linalg.norm(upper - lower))

@@ -10,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 from pcbench import metrics
 from pcbench.errors import InputError
 from pcbench.neighbors import Index
+from pcbench.voxels import cells
 
 # Coordinates on a 2^-10 grid: shifts and powers of two are exact, so that equality can be exact.
 GRID = st.integers(-(2**14), 2**14).map(lambda v: v / 1024)
@@ -101,10 +102,22 @@ def test_percentiles_of_a_ramp():
     assert metrics.percentiles(np.arange(101.0), (5, 50, 99)) == {"p5": 5, "p50": 50, "p99": 99}
 
 
+def test_plane_distances_by_rows_are_those_of_copies():
+    rng = np.random.default_rng(5)
+    queries, feet, normals = rng.normal(size=(3, 50, 3))
+    rows = dict(zip(("query_rows", "feet_rows", "normal_rows"), rng.integers(0, 50, (3, 700)), strict=True))
+    copies = [array[which] for array, which in zip((queries, feet, normals), rows.values(), strict=True)]
+    found = metrics.plane_distances(queries, feet, normals, **rows)
+    np.testing.assert_array_equal(found, metrics.plane_distances(*copies))
+    np.testing.assert_allclose(found, ((copies[0] - copies[1]) * copies[2]).sum(axis=1), rtol=0, atol=1e-14)
+    with pytest.raises(IndexError, match="outside"):
+        metrics.plane_distances(queries, feet, normals, feet_rows=np.full(50, 50))
+
+
 def test_area_weighting_counts_voxels_not_points():
     values = np.array([1.0] * 90 + [3.0] * 10)
-    voxels = np.array([7] * 90 + [9] * 10)
-    assert metrics.area_weighted_mean(values, voxels) == 2.0
+    points = np.repeat([[0.5, 0.5, 0.5], [7.5, 0.5, 0.5]], [90, 10], axis=0)
+    assert metrics.area_weighted_mean(values, cells(points, 1.0)) == 2.0
 
 
 def test_psnr_of_mpeg():

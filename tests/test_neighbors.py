@@ -282,7 +282,8 @@ def test_local_planes_equal_lapack(shape, k):
     separated = values[:, 1] - values[:, 0] > 1e-3 * values[:, 2]
     sine = np.linalg.norm(np.cross(fits.normals, vectors[:, :, 0]), axis=1)
     assert sine[separated].max(initial=0) < 1e-9
-    np.testing.assert_array_equal(fits.spacings, Index(points).nearest_other().distances)
+    for found, expected in zip(fits.nearest_other, Index(points).nearest_other(), strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-9, 1e-6])
@@ -300,8 +301,9 @@ def test_local_planes_of_some_rows_are_those_of_all_to_the_last_bit(shape, k, co
     index = Index(shape(rng, 900))
     every = index.local_planes(k)
     for rows in (rng.integers(0, 900, count), rng.permutation(900)[:count], np.arange(900)[::-1][:count]):
-        for some, all_rows in zip(index.local_planes(k, rows), every, strict=True):
-            np.testing.assert_array_equal(some, all_rows[rows])
+        some = index.local_planes(k, rows)
+        for found, expected in zip((*some[:2], *some[2]), (*every[:2], *every[2]), strict=True):
+            np.testing.assert_array_equal(found, expected[rows])
     assert index.local_planes(k, np.empty(0, np.int64)).normals.shape == (0, 3)
 
 
@@ -363,6 +365,22 @@ def test_refusals(make, message):
         make()
 
 
+def test_nearest_of_moved_is_a_query_with_moved_points(shape):
+    rng = np.random.default_rng(31)
+    index, queries = Index(shape(rng, 700)), shape(rng, 333)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    motion = np.hstack([1.3 * turn, rng.normal(size=(3, 1)) * np.ptp(queries)])
+    source = Index(queries)
+    for hint in (None, rng.integers(0, 700, 333)):
+        moved, found = index.nearest_of_moved(source, motion, hint)
+        scale = np.abs(queries).max() + np.abs(motion).max()
+        np.testing.assert_allclose(moved, queries @ motion[:, :3].T + motion[:, 3], rtol=0, atol=1e-14 * scale)
+        for column, expected in zip(found, index.query(moved), strict=True):
+            np.testing.assert_array_equal(column, expected)
+    with pytest.raises(InputError, match="finite coordinates"):
+        index.nearest_of_moved(source, np.hstack([turn, np.full((3, 1), 1e200)]))
+
+
 ANSWERS = """
 import hashlib, json, sys
 import numpy as np
@@ -379,7 +397,8 @@ for shape in SHAPES:
     index, axes = Index(a), np.tile([0.6, 0.0, 0.8], (20, 1))
     extent = np.ptp(a, axis=0).max()
     answers = [*match_both_ways(index, Index(b)), index.query(b), index.query(b[:500], 7), index.nearest_other()]
-    answers.append(index.local_planes(8, np.arange(0, len(a), 11)))
+    planes, turn = index.local_planes(8, np.arange(0, len(a), 11)), np.eye(4)[[1, 0, 2, 3]]
+    answers += [planes[:2], planes.nearest_other, index.nearest_of_moved(Index(b), turn)[1]]
     answers += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]
     near = index.query(b).indices
     answers.append([index.tied(b, near, (0.01 * extent) ** 2), index.tied(Index(b), near, 1e-8)])

@@ -7,7 +7,7 @@ import shapes
 
 from pcbench.errors import InputError
 from pcbench.neighbors import Index
-from pcbench.normals import Surface, estimate_normals, orient_towards, orient_up
+from pcbench.normals import Surface, estimate_normals, orient_towards
 
 
 def angles_deg(a, b):
@@ -48,8 +48,11 @@ def test_against_numpy_eigenvectors():
 
 
 def test_signs():
-    directions = np.array([[0, 0, -1.0], [0, -1, 0], [-1, 0, 0], [0.6, 0, 0.8]])
-    np.testing.assert_array_equal(orient_up(directions), [[0, 0, 1], [0, 1, 0], [1, 0, 0], [0.6, 0, 0.8]])
+    grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+    for axis in range(3):  # z, y or x up, whichever is the first that a plane's normal has
+        flat = np.insert(grid, axis, 0.0, axis=1)
+        np.testing.assert_array_equal(estimate_normals(Index(flat), 5).directions, np.tile(np.eye(3)[axis], (16, 1)))
+    assert (estimate_normals(Index(shapes.sphere(50)[0]), 5).directions[:, 2] >= 0).all()
     points, normals = shapes.sphere(50)
     np.testing.assert_allclose(orient_towards(normals, points, 10 * points), normals)
     np.testing.assert_allclose(orient_towards(normals, points, np.zeros(3)), -normals)

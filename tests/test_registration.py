@@ -7,6 +7,7 @@ from data_folder import data_folder
 
 from pcbench import Cloud, read_cloud
 from pcbench.errors import InputError, RegistrationError
+from pcbench.native import _core
 from pcbench.registration import register
 from pcbench.synthetic import city
 from pcbench.transform import Similarity, format_matrix, read_matrix
@@ -43,6 +44,40 @@ def test_recovers_a_known_motion(scene, method, bound):
     assert result.overlap > 0.95
     assert result.weakest_sigma < 0.01
     assert not result.warnings
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_the_normal_equations_are_those_of_the_definition(robust):
+    rng = np.random.default_rng(6)
+    count, gate = 3001, 1.2
+    feet, moved = rng.normal(size=(2, count, 3)) + [3, -2, 40]
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    rows = rng.integers(0, count, count)
+    distances = np.linalg.norm(moved - feet[rows], axis=1)
+    residuals, weights = np.empty(count), np.empty(count)
+    near, sigma = _core.weigh(moved, distances, feet, rows, normals, gate, robust, residuals, weights)
+
+    expected = ((moved - feet[rows]) * normals[rows]).sum(axis=1)
+    inside = distances <= gate
+    np.testing.assert_allclose(residuals, expected, rtol=0, atol=1e-14)
+    assert near == inside.sum()
+    assert sigma == pytest.approx(1.4826 * np.median(np.abs(expected[inside])), rel=1e-12)
+    if robust:
+        kernel = np.clip(1 - (expected / (4.685 * sigma)) ** 2, 0, None) ** 2
+    else:
+        kernel = distances <= np.quantile(distances[inside], 0.9, method="lower")
+    np.testing.assert_allclose(weights, np.where(inside, kernel, 0), rtol=0, atol=1e-12)
+
+    hessian, gradient, center = np.empty((7, 7)), np.empty(7), np.empty(3)
+    radius, total = _core.plane_system(moved, normals, rows, residuals, weights, hessian, gradient, center)
+    assert total == pytest.approx(weights.sum(), rel=1e-13)
+    np.testing.assert_allclose(center, np.average(moved, axis=0, weights=weights), rtol=1e-13)
+    arms, n = moved - center, normals[rows]
+    assert radius == pytest.approx(np.sqrt(np.average((arms**2).sum(axis=1), weights=weights)), rel=1e-13)
+    jacobian = np.hstack([np.cross(arms, n) / radius, n, (arms * n).sum(axis=1)[:, None] / radius])
+    np.testing.assert_allclose(hessian, (jacobian * weights[:, None]).T @ jacobian, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(gradient, jacobian.T @ (weights * residuals), rtol=0, atol=1e-9)
 
 
 def test_recovers_scale_only_when_asked(scene):

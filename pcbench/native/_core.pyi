@@ -27,6 +27,9 @@ class PointIndex:
         Queries are another index's points, or its own: then no point is its own neighbour.
         """
 
+    def nearest_of_moved(self, queries: PointIndex, motion: Annotated[NDArray[numpy.float64], dict(shape=(3, 4), order='C', device='cpu', writable=False)], hints: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, moved: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+        """Queries are another index's points after a motion (3, 4)."""
+
     def tied(self, queries: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], nearest: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], slack: float, tied: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C', device='cpu')]) -> None:
         """
         Whether another point than the match has a squared distance below the match's plus slack.
@@ -37,9 +40,9 @@ class PointIndex:
 
     def knearest(self, queries: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], distances: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu')]) -> None: ...
 
-    def planes(self, k: int, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], spacing: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')] | None) -> None:
+    def planes(self, k: int, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')]) -> None:
         """
-        Planes through the k nearest points of each point, or of those in rows, itself included; spacing is the distance to its nearest other point.
+        Planes through the k nearest points of each point, or of those in rows, itself included, with normals that look up, and its nearest other point.
         """
 
     def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
@@ -48,9 +51,35 @@ class PointIndex:
     def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
         """Offsets (N + 1,) and the rows found, ascending for each cylinder."""
 
+def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
+    """
+    Number the occupied cubic cells in the order of their first points: cells (N,) are written in place; the
+    rows of their first points (M,) and their numbers of points (M,) are returned.
+    """
+
 def plane_fits(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], neighbors: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
     """
     Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.
+    """
+
+def plane_distances(queries: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], query_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, feet: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], feet_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normal_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    """
+    Signed distances (M,) along normals, written in place; each array is taken in order or by its rows.
+    """
+
+def rounded_squares(queries: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], feet: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], feet_rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], squares: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    """
+    Squared distances (M,), written in place, from differences that were rounded to float32.
+    """
+
+def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet: NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], gate: float, robust: bool, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]:
+    """
+    Residuals and weights (M,) of pairs, written in place; the number of pairs within the gate and their sigma.
+    """
+
+def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64], rows: NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> tuple[float, float]:
+    """
+    Normal equations of one point-to-plane step, written in place; the pairs' RMS radius and total weight.
     """
 
 class MeshIndex:

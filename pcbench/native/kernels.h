@@ -23,9 +23,9 @@ struct Kernels {
     void (*in_cylinders)(const Tree&, const Leaf* origins, size_t leaf_count, const double* axes, double radius,
                          double half_length, int64_t* offsets, int64_t* rows, Interrupt&);
     // Queries are points of the tree, rows their numbers, null for all in order; scratch: for each thread, of the size
-    // plane_scratch_bytes(k). spacing may be null.
+    // plane_scratch_bytes(k). distances, indices: to the nearest other point.
     void (*planes)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* rows, size_t k, double* normals,
-                   double* variation, double* spacing, double* const* scratch, Interrupt&);
+                   double* variation, double* distances, int64_t* indices, double* const* scratch, Interrupt&);
     size_t (*plane_scratch_bytes)(size_t k);
 };
 

@@ -4,6 +4,7 @@
 #include <nanobind/stl/optional.h>
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -11,8 +12,8 @@
 #include <omp.h>
 
 #include "index.h"
+#include "loops_module.h"
 #include "mesh_module.h"
-#include "normals.h"
 
 namespace nb = nanobind;
 
@@ -98,6 +99,28 @@ public:
         });
     }
 
+    // `motion`: the first three rows of a homogeneous matrix.
+    void nearest_of_moved(const PointIndex& queries, In<double, nb::shape<3, 4>> motion, std::optional<Indices> hints,
+                          Out<double, nb::shape<-1, 3>> moved, Out<double, nb::shape<-1>> distances,
+                          Out<int64_t, nb::shape<-1>> indices) const {
+        const pcbench::Tree& from = queries.tree();
+        check(moved.shape(0) == from.count && distances.shape(0) == from.count && indices.shape(0) == from.count,
+              "nearest_of_moved: one row for each query");
+        if (hints) {
+            check(hints->shape(0) == from.count, "nearest_of_moved: one hint for each query");
+            check_rows(*hints, "nearest_of_moved: a hint lies outside the points");
+        }
+        bool valid = true;
+        interruptible([&](pcbench::Interrupt& interrupt) {
+            const pcbench::Block<pcbench::Leaf> leaves = pcbench::allocate<pcbench::Leaf>(from.leaf_count);
+            valid = move_leaves(from, motion.data(), leaves.get(), moved.data());
+            if (!valid) return;
+            pcbench::kernels().nearest(tree(), leaves.get(), from.leaf_count, hints ? hints->data() : nullptr, false,
+                                       distances.data(), indices.data(), interrupt);
+        });
+        check(valid, kBadCoordinate);
+    }
+
     void tied(Points queries, Indices nearest, double slack, Flags tied) const {
         check(nearest.shape(0) == queries.shape(0) && tied.shape(0) == queries.shape(0), "tied: one row for each query");
         check_rows(nearest, "tied: a match lies outside the points");
@@ -145,9 +168,11 @@ public:
     }
 
     void planes(size_t k, std::optional<Indices> rows, Out<double, nb::shape<-1, 3>> normals,
-                Out<double, nb::shape<-1>> variation, std::optional<Out<double, nb::shape<-1>>> spacing) const {
+                Out<double, nb::shape<-1>> variation, Out<double, nb::shape<-1>> distances,
+                Out<int64_t, nb::shape<-1>> indices) const {
         const size_t count = rows ? rows->shape(0) : tree().count;
-        check(normals.shape(0) == count && variation.shape(0) == count && (!spacing || spacing->shape(0) == count),
+        check(normals.shape(0) == count && variation.shape(0) == count && distances.shape(0) == count &&
+                  indices.shape(0) == count,
               "planes: one row for each point asked for");
         check(k > 1 && k <= tree().count, "planes: k must lie between 2 and the number of points");
         pcbench::Block<double> picked;
@@ -166,7 +191,7 @@ public:
         interruptible([&](pcbench::Interrupt& interrupt) {
             const auto fit = [&](const pcbench::Leaf* queries, size_t leaf_count) {
                 kernels.planes(tree(), queries, leaf_count, rows ? rows->data() : nullptr, k, normals.data(),
-                               variation.data(), spacing ? spacing->data() : nullptr, scratch.data(), interrupt);
+                               variation.data(), distances.data(), indices.data(), scratch.data(), interrupt);
             };
             if (!rows) return fit(tree().leaves, tree().leaf_count);
             if (count == 0) return;
@@ -176,6 +201,25 @@ public:
     }
 
 private:
+    // What is near stays near under a motion: the sorted leaves serve again.
+    static bool move_leaves(const pcbench::Tree& from, const double* m, pcbench::Leaf* leaves, double* moved) {
+        bool valid = true;
+#pragma omp parallel for schedule(static) reduction(&& : valid) if (from.leaf_count > 1024)
+        for (size_t l = 0; l < from.leaf_count; ++l) {
+            const pcbench::Leaf& leaf = from.leaves[l];
+            leaves[l] = leaf;
+            double* axes[3] = {leaves[l].x, leaves[l].y, leaves[l].z};
+            for (size_t i = 0; i < pcbench::kFan && leaf.row[i] != pcbench::kNoRow; ++i)
+                for (int a = 0; a < 3; ++a) {
+                    const double v =
+                        ((m[4 * a] * leaf.x[i] + m[4 * a + 1] * leaf.y[i]) + m[4 * a + 2] * leaf.z[i]) + m[4 * a + 3];
+                    axes[a][i] = moved[3 * static_cast<size_t>(leaf.row[i]) + a] = v;
+                    valid = valid && std::fabs(v) <= pcbench::kCoordinateLimit;
+                }
+        }
+        return valid;
+    }
+
     void check_rows(Indices rows, const char* message) const {
         for (size_t i = 0; i < rows.shape(0); ++i)
             check(rows.data()[i] >= 0 && static_cast<size_t>(rows.data()[i]) < tree().count, message);
@@ -240,6 +284,9 @@ NB_MODULE(_core, m) {
              nb::arg("distances").noconvert(), nb::arg("indices").noconvert())
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), "Queries are another index's points, or its own: then no point is its own neighbour.")
+        .def("nearest_of_moved", &PointIndex::nearest_of_moved, nb::arg("queries"), nb::arg("motion").noconvert(),
+             nb::arg("hints").noconvert().none(), nb::arg("moved").noconvert(), nb::arg("distances").noconvert(),
+             nb::arg("indices").noconvert(), "Queries are another index's points after a motion (3, 4).")
         .def("tied", &PointIndex::tied, nb::arg("queries").noconvert(), nb::arg("nearest").noconvert(),
              nb::arg("slack"), nb::arg("tied").noconvert(),
              "Whether another point than the match has a squared distance below the match's plus slack.")
@@ -248,9 +295,10 @@ NB_MODULE(_core, m) {
         .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert())
         .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),
-             nb::arg("normals").noconvert(), nb::arg("variation").noconvert(), nb::arg("spacing").noconvert().none(),
-             "Planes through the k nearest points of each point, or of those in rows, itself included; spacing is the"
-             " distance to its nearest other point.")
+             nb::arg("normals").noconvert(), nb::arg("variation").noconvert(), nb::arg("distances").noconvert(),
+             nb::arg("indices").noconvert(),
+             "Planes through the k nearest points of each point, or of those in rows, itself included, with normals"
+             " that look up, and its nearest other point.")
         .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
              "Offsets (N + 1,) and the rows found, ascending for each ball.",
              nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
@@ -258,22 +306,6 @@ NB_MODULE(_core, m) {
              nb::arg("radius"), nb::arg("half_length"), "Offsets (N + 1,) and the rows found, ascending for each cylinder.",
              nb::sig("def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
 
-    m.def(
-        "plane_fits",
-        [](Points points, In<int64_t, nb::ndim<2>> neighbors,
-           Out<double, nb::shape<-1, 3>> normals, Out<double, nb::shape<-1>> variation) {
-            const size_t rows = neighbors.shape(0), k = neighbors.shape(1);
-            if (normals.shape(0) != rows || variation.shape(0) != rows)
-                throw nb::value_error("plane_fits: normals and variation need one row for each row of neighbors");
-            bool in_range;
-            {
-                nb::gil_scoped_release release;
-                in_range = pcbench::plane_fits(points.data(), points.shape(0), neighbors.data(), rows, k,
-                                               normals.data(), variation.data());
-            }
-            if (!in_range) throw nb::index_error("plane_fits: a neighbour index lies outside points");
-        },
-        nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(), nb::arg("variation").noconvert(),
-        "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
+    bind_loops(m);
     bind_mesh(m);
 }

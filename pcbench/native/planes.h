@@ -66,13 +66,13 @@ public:
 
     // Writes the rows of the group. The neighbours of a query are summed in the order of the tree, whichever queries
     // share its group and the way they came; a candidate that is not its neighbour adds zero, which changes no bit.
-    void fit(double* normals, double* variation, double* spacing) {
+    void fit(double* normals, double* variation, double* distances, int64_t* indices) {
         tighten(0);
         const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), zero = splat(0.0);
         Lanes sx = zero, sy = zero, sz = zero, xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
         alignas(64) double own[kLanes];
         for (int l = 0; l < kLanes; ++l) own[l] = static_cast<double>(group_.point[l]);
-        Lanes nearest = splat(HUGE_VAL);
+        Lanes nearest = splat(HUGE_VAL), nearest_row = splat(kNoRow);
         const size_t run_count = sort_runs();
         for (size_t run = 0; run < run_count; ++run) {
             const uint64_t id = runs_[run] >> 32;
@@ -87,21 +87,31 @@ public:
                 sx = sx + dx, sy = sy + dy, sz = sz + dz;
                 xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
                 yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
-                nearest = min(nearest, select(splat(leaf.row[i]) == load(own), splat(HUGE_VAL), squared(c)));
+                const Lanes candidate = splat(leaf.row[i]);
+                const Lanes other = select(candidate == load(own), splat(HUGE_VAL), squared(c));
+                const Mask better = (other < nearest) | ((other == nearest) & (candidate < nearest_row));
+                nearest = min(nearest, other);
+                nearest_row = select(better, candidate, nearest_row);
             }
         }
         const Lanes share = splat(1.0 / static_cast<double>(k_));
         Symmetric covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
                              yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
         const SmallestEigen smallest = smallest_eigen(covariance);
-        alignas(64) double out[5][kLanes];
-        store(out[0], smallest.x), store(out[1], smallest.y), store(out[2], smallest.z);
-        store(out[3], smallest.share), store(out[4], sqrt(nearest));
+        // Signs agree: z up, then y, then x where the others are zero.
+        const Mask down = (smallest.z < zero) | ((smallest.z == zero) & ((smallest.y < zero) |
+                          ((smallest.y == zero) & (smallest.x < zero))));
+        alignas(64) double out[6][kLanes];
+        store(out[0], select(down, zero - smallest.x, smallest.x));
+        store(out[1], select(down, zero - smallest.y, smallest.y));
+        store(out[2], select(down, zero - smallest.z, smallest.z));
+        store(out[3], smallest.share), store(out[4], sqrt(nearest)), store(out[5], nearest_row);
         for (int l = 0; l < group_.count; ++l) {
             const size_t row = group_.row[l];
             for (int a = 0; a < 3; ++a) normals[3 * row + a] = out[a][l];
             variation[row] = out[3][l];
-            if (spacing) spacing[row] = out[4][l];
+            distances[row] = out[4][l];
+            indices[row] = static_cast<int64_t>(out[5][l]);
         }
     }
 
@@ -207,7 +217,8 @@ private:
 
 // Queries are points of the tree, sorted into leaves; `rows` says which point each is, null that they are its own.
 inline void planes(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* rows, size_t k,
-                   double* normals, double* variation, double* spacing, double* const* scratch, Interrupt& interrupt) {
+                   double* normals, double* variation, double* distances, int64_t* indices, double* const* scratch,
+                   Interrupt& interrupt) {
 #pragma omp parallel for schedule(dynamic, 64)
     for (size_t q = 0; q < leaf_count; ++q) {
         if (q % 16 == 0 && interrupt.requested()) continue;
@@ -216,7 +227,7 @@ inline void planes(const Tree& tree, const Leaf* queries, size_t leaf_count, con
             for (size_t& point : group.point) point = static_cast<size_t>(rows[point]);
         PlanesOfGroup found(tree, group, k, scratch[omp_get_thread_num()]);
         walk(tree, found);
-        found.fit(normals, variation, spacing);
+        found.fit(normals, variation, distances, indices);
     }
 }
 

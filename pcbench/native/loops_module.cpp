@@ -1,0 +1,156 @@
+// Python's view of the loops over points that need no tree.
+#include "loops_module.h"
+
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+
+#include <optional>
+
+#include "cells.h"
+#include "normals.h"
+#include "pairs.h"
+
+namespace nb = nanobind;
+
+namespace {
+
+template <typename T, typename... Shape>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
+template <typename T, typename... Shape>
+using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
+using Points = In<double, nb::shape<-1, 3>>;
+using Column = In<double, nb::shape<-1>>;
+using Indices = In<int64_t, nb::shape<-1>>;
+using OptionalIndices = std::optional<Indices>;
+
+void check(bool holds, const char* message) {
+    if (!holds) throw nb::value_error(message);
+}
+
+// `count` rows of an array, those that the list names if there is one.
+pcbench::Rows rows_of(Points array, const OptionalIndices& list, size_t count) {
+    check((list ? list->shape(0) : array.shape(0)) == count, "every argument needs one row for each pair");
+    bool in_range = true;
+    if (list)
+        for (size_t i = 0; i < count; ++i)
+            in_range &= list->data()[i] >= 0 && static_cast<size_t>(list->data()[i]) < array.shape(0);
+    if (!in_range) throw nb::index_error("an index lies outside its array");
+    return {array.data(), list ? list->data() : nullptr};
+}
+
+nb::object to_numpy(const std::vector<int64_t>& values) {
+    auto* data = new int64_t[values.size()];
+    std::copy(values.begin(), values.end(), data);
+    nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<int64_t*>(p); });
+    return nb::cast(nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(data, {values.size()}, owner));
+}
+
+nb::tuple group_by_cell(Points points, double side, In<double, nb::shape<3>> lower, Out<int64_t, nb::shape<-1>> cells) {
+    check(cells.shape(0) == points.shape(0), "group_by_cell: one cell for each point");
+    check(side > 0, "group_by_cell: expected a positive side");
+    pcbench::Occupied occupied;
+    {
+        nb::gil_scoped_release release;
+        occupied = pcbench::group_by_cell(points.data(), points.shape(0), pcbench::Grid(side, lower.data()), cells.data());
+    }
+    return nb::make_tuple(to_numpy(occupied.first), to_numpy(occupied.counts));
+}
+
+void plane_fits(Points points, In<int64_t, nb::ndim<2>> neighbors, Out<double, nb::shape<-1, 3>> normals,
+                Out<double, nb::shape<-1>> variation) {
+    const size_t rows = neighbors.shape(0), k = neighbors.shape(1);
+    check(normals.shape(0) == rows && variation.shape(0) == rows,
+          "plane_fits: normals and variation need one row for each row of neighbors");
+    bool in_range;
+    {
+        nb::gil_scoped_release release;
+        in_range = pcbench::plane_fits(points.data(), points.shape(0), neighbors.data(), rows, k, normals.data(),
+                                       variation.data());
+    }
+    if (!in_range) throw nb::index_error("plane_fits: a neighbour index lies outside points");
+}
+
+void plane_distances(Points queries, OptionalIndices query_rows, Points feet, OptionalIndices feet_rows, Points normals,
+                     OptionalIndices normal_rows, Out<double, nb::shape<-1>> distances) {
+    const size_t count = distances.shape(0);
+    const pcbench::Rows q = rows_of(queries, query_rows, count), f = rows_of(feet, feet_rows, count),
+                        n = rows_of(normals, normal_rows, count);
+    nb::gil_scoped_release release;
+    pcbench::plane_distances(count, q, f, n, distances.data());
+}
+
+void rounded_squares(Points queries, Points feet, Indices rows, Out<double, nb::shape<-1>> squares) {
+    const size_t count = squares.shape(0);
+    const pcbench::Rows q = rows_of(queries, std::nullopt, count), f = rows_of(feet, rows, count);
+    nb::gil_scoped_release release;
+    pcbench::rounded_squares(count, q, f, squares.data());
+}
+
+nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Points normals, double gate, bool robust,
+                Out<double, nb::shape<-1>> residuals, Out<double, nb::shape<-1>> weights) {
+    const size_t count = moved.shape(0);
+    check(distances.shape(0) == count && residuals.shape(0) == count && weights.shape(0) == count,
+          "weigh: every argument needs one row for each pair");
+    const pcbench::Rows f = rows_of(feet, rows, count), n = rows_of(normals, rows, count);
+    pcbench::Weighing found;
+    {
+        nb::gil_scoped_release release;
+        found = pcbench::weigh(count, moved.data(), distances.data(), f, n, gate, robust, residuals.data(),
+                               weights.data());
+    }
+    return nb::make_tuple(found.near, found.sigma);
+}
+
+nb::tuple plane_system(Points moved, Points normals, Indices rows, Column residuals, Column weights,
+                       Out<double, nb::shape<7, 7>> hessian, Out<double, nb::shape<7>> gradient,
+                       Out<double, nb::shape<3>> center) {
+    const size_t count = moved.shape(0);
+    check(residuals.shape(0) == count && weights.shape(0) == count,
+          "plane_system: every argument needs one row for each pair");
+    const pcbench::Rows n = rows_of(normals, rows, count);
+    pcbench::PlaneSystem system;
+    {
+        nb::gil_scoped_release release;
+        system = pcbench::plane_system(count, moved.data(), n, residuals.data(), weights.data());
+    }
+    std::copy_n(&system.hessian[0][0], 49, hessian.data());
+    std::copy_n(system.gradient, 7, gradient.data());
+    std::copy_n(system.center, 3, center.data());
+    return nb::make_tuple(system.radius, system.weight);
+}
+
+}  // namespace
+
+void bind_loops(nb::module_& m) {
+    m.def("group_by_cell", &group_by_cell, nb::arg("points").noconvert(), nb::arg("side"), nb::arg("lower"),
+          nb::arg("cells").noconvert(),
+          "Number the occupied cubic cells in the order of their first points: cells (N,) are written in place; the\n"
+          "rows of their first points (M,) and their numbers of points (M,) are returned.",
+          nb::sig("def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: "
+                  "NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
+    m.def("plane_fits", &plane_fits, nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(),
+          nb::arg("variation").noconvert(),
+          "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
+    m.def("plane_distances", &plane_distances, nb::arg("queries").noconvert(), nb::arg("query_rows").noconvert().none(),
+          nb::arg("feet").noconvert(), nb::arg("feet_rows").noconvert().none(), nb::arg("normals").noconvert(),
+          nb::arg("normal_rows").noconvert().none(), nb::arg("distances").noconvert(),
+          "Signed distances (M,) along normals, written in place; each array is taken in order or by its rows.");
+    m.def("rounded_squares", &rounded_squares, nb::arg("queries").noconvert(), nb::arg("feet").noconvert(),
+          nb::arg("feet_rows").noconvert(), nb::arg("squares").noconvert(),
+          "Squared distances (M,), written in place, from differences that were rounded to float32.");
+    m.def("weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
+          nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("gate"), nb::arg("robust"),
+          nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
+          "Residuals and weights (M,) of pairs, written in place; the number of pairs within the gate and their sigma.",
+          nb::sig("def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet: "
+                  "NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], gate: float, "
+                  "robust: bool, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]"));
+    m.def("plane_system", &plane_system, nb::arg("moved").noconvert(), nb::arg("normals").noconvert(),
+          nb::arg("rows").noconvert(), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
+          nb::arg("hessian").noconvert(), nb::arg("gradient").noconvert(), nb::arg("center").noconvert(),
+          "Normal equations of one point-to-plane step, written in place; the pairs' RMS radius and total weight.",
+          nb::sig("def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64], rows: "
+                  "NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: "
+                  "NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> "
+                  "tuple[float, float]"));
+}

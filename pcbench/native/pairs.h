@@ -1,0 +1,146 @@
+// Sums over pairs of points and the tangent planes they are matched with: what point-to-plane distances and ICP need.
+// Sums are taken over blocks of fixed size, then over the blocks in order: the same bits at any number of threads.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace pcbench {
+
+// Fewer pairs take less time than waking a thread does where the processor is shared.
+constexpr size_t kWorthThreads = size_t{1} << 17;
+
+template <size_t N, typename Add>
+std::array<double, N> sum_in_blocks(size_t count, Add add) {
+    constexpr size_t kBlockSize = 512;
+    const size_t blocks = (count + kBlockSize - 1) / kBlockSize;
+    std::vector<std::array<double, N>> parts(blocks);
+#pragma omp parallel for schedule(static) if (count > kWorthThreads)
+    for (size_t b = 0; b < blocks; ++b) {
+        std::array<double, N> part{};
+        for (size_t i = b * kBlockSize; i < std::min((b + 1) * kBlockSize, count); ++i) add(i, part);
+        parts[b] = part;
+    }
+    std::array<double, N> total{};
+    for (const std::array<double, N>& part : parts)
+        for (size_t n = 0; n < N; ++n) total[n] += part[n];
+    return total;
+}
+
+inline double along(const double* from, const double* to, const double* normal) {
+    return ((to[0] - from[0]) * normal[0] + (to[1] - from[1]) * normal[1]) + (to[2] - from[2]) * normal[2];
+}
+
+// Rows of an array, in order or as a list names them.
+struct Rows {
+    const double* data;
+    const int64_t* list;  // null: in order
+    const double* operator[](size_t i) const { return data + 3 * (list ? static_cast<size_t>(list[i]) : i); }
+};
+
+inline void plane_distances(size_t count, Rows queries, Rows feet, Rows normals, double* distances) {
+#pragma omp parallel for schedule(static) if (count > kWorthThreads)
+    for (size_t i = 0; i < count; ++i) distances[i] = along(feet[i], queries[i], normals[i]);
+}
+
+// Squared distances from differences that were rounded to float32.
+inline void rounded_squares(size_t count, Rows queries, Rows feet, double* squares) {
+#pragma omp parallel for schedule(static) if (count > kWorthThreads)
+    for (size_t i = 0; i < count; ++i) {
+        const double *q = queries[i], *f = feet[i];
+        const double d[3] = {static_cast<float>(q[0] - f[0]), static_cast<float>(q[1] - f[1]),
+                             static_cast<float>(q[2] - f[2])};
+        squares[i] = (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2];
+    }
+}
+
+// The value of a rank, from 0; reorders the values.
+inline double of_rank(std::vector<double>& values, size_t rank) {
+    std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(rank), values.end());
+    return values[rank];
+}
+
+struct Weighing {
+    size_t near;   // pairs within the gate
+    double sigma;  // 1.4826 times the median of their absolute residuals
+};
+
+// Residuals of all pairs along their planes' normals, and weights: 0 beyond the gate; within it Tukey's biweight at
+// 95 % efficiency where `robust`, else 1 but for the farthest tenth.
+inline Weighing weigh(size_t count, const double* moved, const double* distances, Rows feet, Rows normals, double gate,
+                      bool robust, double* residuals, double* weights) {
+    plane_distances(count, {moved, nullptr}, feet, normals, residuals);
+    std::vector<double> sizes;
+    sizes.reserve(count);
+    for (size_t i = 0; i < count; ++i)
+        if (distances[i] <= gate) sizes.push_back(std::fabs(residuals[i]));
+    const size_t near = sizes.size();
+    if (near == 0) {
+        std::fill_n(weights, count, 0.0);
+        return {0, 0.0};
+    }
+    const double upper = of_rank(sizes, near / 2);
+    const double lower = near % 2 ? upper : *std::max_element(sizes.begin(), sizes.begin() + near / 2);
+    const double sigma = 1.4826 * (0.5 * (lower + upper));
+    if (robust) {
+        // Exact copies have residuals of nothing but rounding.
+        const double width = 4.685 * std::max({sigma, 1e-12 * gate, 2.2250738585072014e-308});
+#pragma omp parallel for schedule(static) if (count > kWorthThreads)
+        for (size_t i = 0; i < count; ++i) {
+            const double r = residuals[i] / width, rest = std::max(1 - r * r, 0.0);
+            weights[i] = distances[i] <= gate ? rest * rest : 0.0;
+        }
+    } else {
+        sizes.clear();
+        for (size_t i = 0; i < count; ++i)
+            if (distances[i] <= gate) sizes.push_back(distances[i]);
+        const double limit = of_rank(sizes, (near - 1) * 9 / 10);
+        for (size_t i = 0; i < count; ++i) weights[i] = distances[i] <= limit ? 1.0 : 0.0;
+    }
+    return {near, sigma};
+}
+
+// The normal equations of sum w (residual + J motion)^2. The motion is a rotation about the pairs' weighted centre, a
+// translation and the logarithm of a scale, all as displacements at the pairs' RMS radius.
+struct PlaneSystem {
+    double hessian[7][7], gradient[7];
+    double center[3], radius, weight;
+};
+
+inline PlaneSystem plane_system(size_t count, const double* moved, Rows normals, const double* residuals,
+                                const double* weights) {
+    PlaneSystem out{};
+    const auto first = sum_in_blocks<4>(count, [&](size_t i, std::array<double, 4>& sum) {
+        for (int a = 0; a < 3; ++a) sum[a] += weights[i] * moved[3 * i + a];
+        sum[3] += weights[i];
+    });
+    out.weight = first[3];
+    for (int a = 0; a < 3; ++a) out.center[a] = first[3] > 0 ? first[a] / first[3] : 0.0;
+    const auto second = sum_in_blocks<36>(count, [&](size_t i, std::array<double, 36>& sum) {
+        const double w = weights[i];
+        if (w == 0) return;
+        const double *p = moved + 3 * i, *n = normals[i];
+        const double a[3] = {p[0] - out.center[0], p[1] - out.center[1], p[2] - out.center[2]};
+        const double row[7] = {a[1] * n[2] - a[2] * n[1], a[2] * n[0] - a[0] * n[2], a[0] * n[1] - a[1] * n[0],
+                               n[0], n[1], n[2], (a[0] * n[0] + a[1] * n[1]) + a[2] * n[2]};
+        size_t at = 0;
+        for (int r = 0; r < 7; ++r)
+            for (int c = r; c < 7; ++c) sum[at++] += w * row[r] * row[c];
+        for (int r = 0; r < 7; ++r) sum[28 + r] += w * row[r] * residuals[i];
+        sum[35] += w * ((a[0] * a[0] + a[1] * a[1]) + a[2] * a[2]);
+    });
+    out.radius = first[3] > 0 ? std::sqrt(second[35] / first[3]) : 0.0;
+    if (!(out.radius > 0)) out.radius = 1.0;
+    const auto unit = [&](int r) { return r < 3 || r == 6 ? 1 / out.radius : 1.0; };
+    size_t at = 0;
+    for (int r = 0; r < 7; ++r) {
+        for (int c = r; c < 7; ++c) out.hessian[r][c] = out.hessian[c][r] = second[at++] * unit(r) * unit(c);
+        out.gradient[r] = second[28 + r] * unit(r);
+    }
+    return out;
+}
+
+}  // namespace pcbench
