@@ -20,7 +20,7 @@ from pcbench.crop import Region, parse_region
 from pcbench.crs import crs_name, same_crs
 from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError, RegistrationError
-from pcbench.measure import Direction, measure, value_of
+from pcbench.measure import Direction, Floor, measure, value_of
 from pcbench.mesh import Mesh, MeshIndex
 from pcbench.neighbors import FloatArray, Index, IntArray, Matches, match_both_ways
 from pcbench.normals import Surface
@@ -358,16 +358,17 @@ def _deviation_map(
 def _from_candidate(truth: _Reference, queries: FloatArray, matches: Matches) -> Direction:
     """Candidate -> reference. Floor: leave-one-out distances inside the reference at the matched places."""
     distances, feet = matches
-    floor = other = plane = floor_plane = None
+    n = truth.surface.with_normals_at(feet) if truth.has_normals else None
+    plane = None if n is None else metrics.plane_distances(queries, truth.points, n, feet_rows=feet, normal_rows=feet)
+    floor = Floor()
     if truth.nearest_other is not None:
-        floor, other = truth.nearest_other.distances[feet], truth.nearest_other.indices[feet]
-    if truth.has_normals:
-        a, n = truth.points, truth.surface.with_normals_at(feet)
-        plane = metrics.plane_distances(queries, a, n, feet_rows=feet, normal_rows=feet)
-        if other is not None:
-            n = truth.surface.with_normals_at(other)
+        other = truth.nearest_other.indices[feet]
+        floor_plane = None
+        if n is not None:
+            n, a = truth.surface.with_normals_at(other), truth.points
             floor_plane = metrics.plane_distances(a, a, n, query_rows=feet, feet_rows=other, normal_rows=other)
-    return Direction(queries, distances, plane, floor, floor_plane, truth.blocks.of_point[feet])
+        floor = Floor.of(truth.nearest_other.distances[feet], floor_plane)
+    return Direction(queries, distances, plane, floor, truth.blocks.of_point[feet])
 
 
 def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Matches) -> Direction:
@@ -383,7 +384,7 @@ def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Match
         plane = metrics.plane_distances(queries, index.points, n, feet_rows=back.indices, normal_rows=rows)
         floor_plane = metrics.plane_distances(queries, pseudo.points, n, feet_rows=nearest, normal_rows=rows)
     blocks = truth.blocks.of_point if rows is None else truth.blocks.of_point[rows]
-    return Direction(queries, back.distances, plane, floor, floor_plane, blocks)
+    return Direction(queries, back.distances, plane, Floor.of(floor, floor_plane), blocks)
 
 
 def _hard_pair(

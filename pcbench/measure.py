@@ -14,14 +14,27 @@ from pcbench.voxels import Cells, cells
 FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
 
 
+class Floor(NamedTuple):
+    """What a direction's means would be without any error; None where there is no such thing."""
+
+    mean_distance: float | None = None
+    d1_mse: float | None = None
+    d2_mse: float | None = None
+
+    @classmethod
+    def of(cls, distances: FloatArray, plane: FloatArray | None) -> Floor:
+        """From distances (M,) to points and to planes."""
+        d2 = None if plane is None else metrics.mean_square(plane)
+        return cls(float(np.mean(distances)), metrics.mean_square(distances), d2)
+
+
 class Direction(NamedTuple):
-    """One-way distances of the queries inside the region, and what they would be without any error (floor)."""
+    """One-way distances of the queries inside the region."""
 
     points: FloatArray  # (M, 3) the queries
     distances: FloatArray  # (M,)
     plane: FloatArray | None  # (M,) signed, to tangent planes of the reference
-    floor: FloatArray | None  # (M,)
-    floor_plane: FloatArray | None  # (M,)
+    floor: Floor
     blocks: IntArray  # (M,) of the bootstrap
 
 
@@ -61,7 +74,7 @@ def measure(
         replicates[name] = samples
         return intervals.interval(samples)
 
-    def mean_squares(name: str, floors: list[FloatArray | None]) -> Any:
+    def mean_squares(name: str) -> Any:
         none = dict.fromkeys(ways)
         if not all(name in means[way] for way in ways):  # no normals, no distances to planes
             ci = {**none, "symmetric_max": None}
@@ -70,10 +83,7 @@ def measure(
         return {
             **{way: means[way][name].value for way in ways},
             "symmetric_max": max(means[way][name].value for way in ways),
-            "floor": {
-                way: None if floor is None else metrics.mean_square(floor)
-                for way, floor in zip(ways, floors, strict=True)
-            },
+            "floor": {way: getattr(d.floor, name) for way, d in ways.items()},
             "ci": {
                 **{way: interval(f"{name}/{way}", means[way][name].replicates) for way in ways},
                 "symmetric_max": interval(f"{name}/symmetric_max", larger),
@@ -81,8 +91,7 @@ def measure(
             "area_weighted": {way: means[way][name].area_weighted for way in ways},
         }
 
-    d1 = mean_squares("d1_mse", [d.floor for d in ways.values()])
-    d2 = mean_squares("d2_mse", [d.floor_plane for d in ways.values()])
+    d1, d2 = mean_squares("d1_mse"), mean_squares("d2_mse")
     ranks = {way: metrics.percentiles(d.distances) for way, d in ways.items()}
     largest = {way: metrics.one_way_hausdorff(d.distances) for way, d in ways.items()}
     worst = {way: d.points[int(np.argmax(d.distances))] + origin for way, d in ways.items()}
@@ -93,7 +102,7 @@ def measure(
         "d2_rms": {way: _root(d2[way]) for way in ways},
         "mean_distance": {
             **{way: means[way]["mean_distance"].value for way in ways},
-            "floor": {way: _mean(d.floor) for way, d in ways.items()},
+            "floor": {way: d.floor.mean_distance for way, d in ways.items()},
             "ci": {way: interval(f"mean_distance/{way}", means[way]["mean_distance"].replicates) for way in ways},
             "area_weighted": {way: means[way]["mean_distance"].area_weighted for way in ways},
         },
@@ -112,7 +121,7 @@ def measure(
                 for chamfer, mean in (("sum_unsquared", "mean_distance"), ("sum_squared", "d1_mse"))
             },
             "floor": {
-                "sum_unsquared": _total(_mean(d.floor) for d in ways.values()),
+                "sum_unsquared": _total(d.floor.mean_distance for d in ways.values()),
                 "sum_squared": _total(d1["floor"].values()),
             },
         },
@@ -168,10 +177,6 @@ def _means(direction: Direction, thresholds: tuple[float, ...], weights: FloatAr
     for threshold in thresholds:
         means[f"within/{threshold!r}"] = mean((direction.distances <= threshold).astype(np.float64))
     return means
-
-
-def _mean(values: FloatArray | None) -> float | None:
-    return None if values is None else float(np.mean(values))
 
 
 def _root(value: float | None) -> float | None:
