@@ -29,6 +29,9 @@ _ITERATIONS = 60  # a stage
 _FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
+_INFORMANTS = 10_000  # pairs that are asked what the geometry fixes
+_TILES_ALONG = 8  # the scene: of the bootstrap
+_REPLICATES = 400
 _ON_REFERENCE = 5  # spacings of the reference: a candidate point nearer than that lies on it
 
 
@@ -56,7 +59,8 @@ class Registration:
         information_eigenvalues: of the information matrix of the inliers' point-to-plane pairs per pair, ascending;
             points are centred and divided by their RMS radius, so that rotation and translation share a unit.
         weakest_sigma: predicted standard deviation of the worst-fixed motion, as a displacement at the RMS radius in
-            the clouds' unit; None where the geometry does not fix it.
+            the clouds' unit, by a bootstrap over tiles of an eighth of the scene; too small by up to two thirds where
+            errors are alike over more than half a tile. None where the geometry does not fix it.
         check_points: pairs that were not used for the fit.
         warnings: what the user should know before reading any score.
     """
@@ -305,16 +309,26 @@ def _point_step(target: Surface, pairs: _Pairs) -> tuple[Similarity, float]:
     return delta, float(size)
 
 
-def _jacobian(pairs: _Pairs, normals: FloatArray, *, with_scale: bool) -> FloatArray:
-    """Rows (M, 6 or 7): residual change by rotation, translation and log-scale, all as lengths at the RMS radius."""
-    total = pairs.weights.sum()
-    center = (pairs.moved * pairs.weights[:, None]).sum(axis=0) / total
-    arms = pairs.moved - center
-    radius = float(np.sqrt((np.square(arms).sum(axis=1) * pairs.weights).sum() / total)) or 1.0
-    columns = [np.cross(arms, normals) / radius, normals]
-    if with_scale:
-        columns.append(np.einsum("ni,ni->n", arms, normals)[:, None] / radius)
-    return np.hstack(columns)
+class _Arms(NamedTuple):
+    """What motions are measured about and by: the pairs' weighted centre (3,) and their RMS radius."""
+
+    center: FloatArray
+    radius: float
+
+    @classmethod
+    def of(cls, pairs: _Pairs) -> _Arms:
+        total = pairs.weights.sum()
+        center = (pairs.moved * pairs.weights[:, None]).sum(axis=0) / total
+        squares = np.square(pairs.moved - center).sum(axis=1)
+        return cls(center, float(np.sqrt((squares * pairs.weights).sum() / total)) or 1.0)
+
+    def jacobian(self, points: FloatArray, normals: FloatArray, *, with_scale: bool) -> FloatArray:
+        """Rows (M, 6 or 7): residual change by rotation, translation and log-scale, as lengths at the radius."""
+        arms = points - self.center
+        columns = [np.cross(arms, normals) / self.radius, normals]
+        if with_scale:
+            columns.append(np.einsum("ni,ni->n", arms, normals)[:, None] / self.radius)
+        return np.hstack(columns)
 
 
 class _Quality(NamedTuple):
@@ -383,43 +397,72 @@ def _information(
 
     Estimated normals are noisy, and noise looks like information about sliding. So each pair's normal is estimated
     twice, from two disjoint halves of the neighbours: the product of the two is free of that bias. Its scatter over
-    spatial tiles says whether what remains differs from zero. Neighbouring residuals are not independent either:
-    the number of pairs is reduced by the scatter of their tile means (effective sample size).
+    spatial tiles says whether what remains differs from zero.
     """
-    step = max(1, len(pairs.weights) // 10_000)
-    pairs = pairs.take(slice(None, None, step))
-    first, second = _split_normals(target.index, pairs.indices)
-    a, b = (_jacobian(pairs, normals, with_scale=with_scale) for normals in (first, second))
-    size = float(np.ptp(pairs.moved, axis=0).max()) / 8
-    tile = cells(pairs.moved, size or 1.0).of_point
-    total = pairs.weights.sum()
-    cross = np.einsum("ni,n,nj->ij", a, pairs.weights, b, optimize=False) / total
-    values, vectors = np.linalg.eigh(0.5 * (cross + cross.T))
+    step = max(1, len(pairs.weights) // _INFORMANTS)
+    side = float(np.ptp(pairs.moved, axis=0).max()) / _TILES_ALONG
+    tile = cells(pairs.moved, side or 1.0).of_point
+    tiles = int(tile.max()) + 1
+    some, of_some = pairs.take(slice(None, None, step)), tile[::step]
+    arms = _Arms.of(pairs)
+    a, b = (arms.jacobian(some.moved, n, with_scale=with_scale) for n in _split_normals(target.index, some.indices))
+    weight = np.bincount(of_some, some.weights, tiles)
+    total = weight.sum()
+    by_tile = _sums_by_tile(of_some, a, b * some.weights[:, None], tiles)
+    values, vectors = np.linalg.eigh(by_tile.sum(axis=0) / total)
 
     # Scatter of each direction's information over tiles.
-    share = np.einsum("ni,ik->nk", a, vectors) * np.einsum("ni,ik->nk", b, vectors) * pairs.weights[:, None]
-    weight = np.bincount(tile, pairs.weights)
-    by_tile = np.stack([np.bincount(tile, column) for column in share.T], axis=1)
-    error = np.sqrt(np.square(by_tile - values * weight[:, None]).sum(axis=0)) / total
-    fixed = (values > np.maximum(3 * error, 1e-9)) & (len(weight) > 1)
-
-    sigma2 = (pairs.weights * pairs.residuals**2).sum() / total
-    mean = (pairs.weights * pairs.residuals).sum() / total
-    means = np.bincount(tile, pairs.weights * (pairs.residuals - mean)) / np.maximum(weight, 1e-300)
-    expected = (sigma2 / np.maximum(weight, 1)).mean()
-    inflation = max(1.0, float(np.mean(np.square(means)) / expected)) if expected > 0 else 1.0
-    effective = total * step / inflation
-    eigenvalues = tuple(float(v) for v in values)
-    unfixed = vectors[:, ~fixed]
+    shares = np.einsum("ik,tij,jk->tk", vectors, by_tile, vectors, optimize=False)
+    error = np.sqrt(np.square(shares - values * weight[:, None]).sum(axis=0)) / total
+    fixed = (values > np.maximum(3 * error, 1e-9)) & (np.count_nonzero(weight) > 1)
+    eigenvalues, unfixed = tuple(float(v) for v in values), vectors[:, ~fixed]
     if not fixed.all():
         motions = " and ".join(_describe_motion(vector) for vector in unfixed.T)
         return eigenvalues, None, unfixed, [f"the geometry does not fix {motions}: scores along it mean nothing"]
-    weakest = float(np.sqrt(sigma2 / (effective * values[0])))
+
+    curvature = _sums_by_tile(of_some, a, b * _tukey_slope(some)[:, None], tiles) * step
+    normals = target.normals(pairs.indices)
+    pull = arms.jacobian(pairs.moved, normals, with_scale=with_scale) * (pairs.weights * pairs.residuals)[:, None]
+    gradient = np.stack([np.bincount(tile, column, tiles).astype(np.float64) for column in pull.T], axis=1)
+    weakest, direction = _bootstrap(curvature, gradient)
     warnings = []
-    if weakest > 0.5 * np.sqrt(sigma2):
-        motion = _describe_motion(vectors[:, 0])
+    if weakest > 0.5 * np.sqrt((pairs.weights * pairs.residuals**2).sum() / pairs.weights.sum()):
+        motion = _describe_motion(direction)
         warnings.append(f"the geometry hardly fixes {motion} (predicted sigma {weakest:.3g})")
     return eigenvalues, weakest, unfixed, warnings
+
+
+def _bootstrap(curvature: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
+    """Standard deviation of the worst-fixed motion, and which one it is (K,).
+
+    The tiles of space are resampled (Bayesian bootstrap, Rubin 1981), not the pairs: neighbouring residuals are not
+    independent, and a closed form that takes them so is over-confident several times. Each replicate is one Newton step
+    from per-tile curvatures (T, K, K) and gradients (T, K) of the robust cost.
+    """
+    weights = np.random.default_rng(0).exponential(size=(_REPLICATES, len(gradient)))
+    hessians = np.einsum("rt,tij->rij", weights, curvature, optimize=False)
+    steps = -np.linalg.solve(hessians, np.einsum("rt,ti->ri", weights, gradient, optimize=False)[:, :, None])[:, :, 0]
+    steps -= np.median(steps, axis=0)
+    variances, directions = np.linalg.eigh(np.einsum("ri,rj->ij", steps, steps, optimize=False) / len(steps))
+    return float(np.sqrt(variances[-1])), directions[:, -1]
+
+
+def _sums_by_tile(tile: IntArray, a: FloatArray, b: FloatArray, tiles: int) -> FloatArray:
+    """Symmetrised sums (T, K, K) of the outer products of the rows of a and b (M, K)."""
+    size = a.shape[1]
+    sums = np.empty((tiles, size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            product = 0.5 * (a[:, i] * b[:, j] + a[:, j] * b[:, i])
+            sums[:, i, j] = sums[:, j, i] = np.bincount(tile, product, tiles)
+    return sums
+
+
+def _tukey_slope(pairs: _Pairs) -> FloatArray:
+    """Derivative (M,) of the residuals' pull: of w(r) r with Tukey's w = (1 - u)^2, u = (r / width)^2."""
+    root = np.sqrt(pairs.weights)
+    slope: FloatArray = root * (5 * root - 4)  # (1 - u)(1 - 5 u)
+    return slope
 
 
 def _split_normals(index: Index, which: IntArray) -> tuple[FloatArray, FloatArray]:
