@@ -25,7 +25,7 @@ from pcbench.voxels import cell_means, cells, robust_extent, thin, thin_to
 METHODS = ("icp", "icp-point", "similarity", "points:FILE", "matrix:FILE", "none")
 
 _SAMPLE = 30_000  # candidate points a fine iteration looks at: enough for millimetres, few enough for seconds
-_ITERATIONS = 60  # a stage
+_ITERATIONS = 100  # a stage
 _FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
@@ -33,6 +33,8 @@ _INFORMANTS = 10_000  # pairs that are asked what the geometry fixes
 _TILES_ALONG = 8  # the scene: of the bootstrap
 _REPLICATES = 400
 _ON_REFERENCE = 5  # spacings of the reference: a candidate point nearer than that lies on it
+_NEAR = 0.05  # of the extent: where a point has its counterpart, if there is one
+_MOST_BESIDE = 0.25  # of the candidate, near the reference but not on it, before that is said
 
 
 class CheckPoint(NamedTuple):
@@ -139,7 +141,7 @@ class Target:
 
     @cached_property
     def coarse_side(self) -> float:
-        return max(self.extent / 150, self.spacing)
+        return max(self.extent / 75, self.spacing)
 
     @cached_property
     def coarse(self) -> Surface:
@@ -186,8 +188,10 @@ class _Pairs(NamedTuple):
 def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> Registration:
     """Coarse to fine; the gate narrows, then a Tukey kernel whose width follows the residuals decides.
 
-    Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. Where the
-    geometry turns out not to fix some motion, all starts again with that motion held: noise must not move the pose.
+    Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. A wide
+    gate finds large rotations, but slides clouds that overlap in part onto each other: it has its turn where the
+    narrow one leaves points beside the reference. Where the geometry turns out not to fix some motion, all starts again
+    with that motion held: noise must not move the pose.
     """
     surface = target.surface
     if len(points) < _FEWEST or len(surface) < _FEWEST:
@@ -201,25 +205,55 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> R
     coarse_sample = Index(points[thin(points, coarse_side)])
     sample = Index(points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))])
     with_scale = kind == "similarity"
-    wide, narrow = (0.1 * extent, 2 * coarse_side), (3 * coarse_side, max(3 * spacing, 1e-9 * extent))
+    fine = _Gate(1.5 * coarse_side, max(3 * spacing, 1e-9 * extent), narrowing=0.7)
 
-    def attempt(held: FloatArray) -> tuple[Similarity, int, bool, _Quality]:
+    def attempt(start: _Gate, held: FloatArray) -> _Fit:
         T, first, _ = _iterate(
-            target.coarse, coarse_sample, Similarity.identity(), kind, held, gate=wide, extent=extent
+            target.coarse, coarse_sample, Similarity.identity(), kind, held, gate=start, extent=extent
         )
-        T, second, converged = _iterate(surface, sample, T, kind, held, gate=narrow, extent=extent)
-        quality = _assess(surface, sample, T, plane=kind != "icp-point", with_scale=with_scale, spacing=spacing)
-        return T, first + second, converged, quality
+        T, second, converged = _iterate(surface, sample, T, kind, held, gate=fine, extent=extent)
+        quality = _assess(target, sample, T, plane=kind != "icp-point", with_scale=with_scale)
+        return _Fit(start, T, first + second, converged, quality)
 
-    T, iterations, converged, quality = attempt(np.zeros((7 if with_scale else 6, 0)))
-    if quality.unfixed.shape[1] and kind != "icp-point":
-        held = attempt(quality.unfixed)
+    fits: list[_Fit] = []
+    failures: list[RegistrationError] = []
+    for width, narrowing in ((0.1, 0.7), (0.2, 0.95)):
+        try:
+            gate = _Gate(width * extent, 2 * coarse_side, narrowing)
+            fits.append(attempt(gate, np.zeros((7 if with_scale else 6, 0))))
+        except RegistrationError as failure:
+            failures.append(failure)
+        else:
+            if fits[-1].quality.beside <= _MOST_BESIDE:
+                break
+    if not fits:
+        raise failures[0]
+    fit = max(fits, key=lambda fit: fit.quality.overlap - fit.quality.beside)
+    if fit.quality.unfixed.shape[1] and kind != "icp-point":
+        held = attempt(fit.start, fit.quality.unfixed)
         # Held only where nothing speaks against it: a motion that the pairs do want is not noise.
-        if held[3].rmse <= 1.05 * quality.rmse and held[3].overlap >= 0.98 * quality.overlap:
-            T, iterations, converged, quality = held
+        if held.quality.rmse <= 1.05 * fit.quality.rmse and held.quality.overlap >= 0.98 * fit.quality.overlap:
+            fit = held
+    _, T, iterations, converged, quality = fit
     if not converged:
         quality.warnings.append(f"ICP did not converge within {iterations} iterations: check the aligned clouds")
     return _registration(kind, T.about(origin), T, quality, iterations, converged)
+
+
+class _Gate(NamedTuple):
+    """Largest distance of a pair: at first, in the end, and by what it is multiplied from iteration to iteration."""
+
+    first: float
+    final: float
+    narrowing: float
+
+
+class _Fit(NamedTuple):
+    start: _Gate
+    T: Similarity
+    iterations: int
+    converged: bool
+    quality: _Quality
 
 
 def _iterate(
@@ -229,16 +263,15 @@ def _iterate(
     kind: str,
     held: FloatArray,
     *,
-    gate: tuple[float, float],
+    gate: _Gate,
     extent: float,
 ) -> tuple[Similarity, int, bool]:
     """Gauss-Newton on re-matched pairs until the update is below the noise of the estimate.
 
     Args:
         held: (6 or 7, H) orthonormal motions that are not to be made.
-        gate: largest distance of a pair at first and in the end.
     """
-    radius, final = gate
+    radius, final, narrowing = gate
     previous = np.inf
     hint: IntArray | None = None  # where the last search ended: the next one starts there
     for iteration in range(1, _ITERATIONS + 1):
@@ -268,8 +301,7 @@ def _iterate(
         if not annealing and (size < tolerance or (size > 0.5 * previous and size < 20 * tolerance)):
             return T, iteration, True
         previous = size if not annealing else np.inf
-        # Never below what the pairs themselves spread: cutting into the noise would bias them.
-        radius = max(final, min(0.7 * radius, radius)) if annealing else radius
+        radius = max(final, narrowing * radius)
     return T, _ITERATIONS, False
 
 
@@ -334,43 +366,53 @@ class _Arms(NamedTuple):
 class _Quality(NamedTuple):
     rmse: float
     overlap: float
+    beside: float  # share of the points near the reference that do not lie on it
     eigenvalues: tuple[float, ...]
     weakest_sigma: float | None
     unfixed: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
     warnings: list[str]
 
 
-def _assess(
-    target: Surface, sample: Index, T: Similarity, *, plane: bool, with_scale: bool, spacing: float
-) -> _Quality:
+def _assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_scale: bool) -> _Quality:
     """Residual, overlap and what the geometry fixes, at a transform that is taken as it is."""
-    moved, nearest = target.index.nearest_of_moved(sample, T.matrix)
+    surface, spacing = target.surface, target.spacing
+    moved, nearest = surface.index.nearest_of_moved(sample, T.matrix)
     distances = nearest.distances
     # One distance for every method: were it to follow the fit, the worse the fit, the more would count as overlap.
     within = _ON_REFERENCE * spacing
     overlap = float(np.mean(distances <= within))
-    pairs = _weigh(target, moved, nearest, within, robust=True) if len(target) >= 3 else None
+    # A part that the reference does not have lies far from it; a wrong pose leaves points beside what they belong to.
+    near = float(np.mean(distances <= max(_NEAR * target.extent, within)))
+    beside = 1 - overlap / near if near > 0 else 1.0
+    pairs = _weigh(surface, moved, nearest, within, robust=True) if len(surface) >= 3 else None
     if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST:
         rms = float(np.sqrt(np.mean(np.square(distances))))
         size = 7 if with_scale else 6
-        return _Quality(rms, overlap, (), None, np.zeros((size, 0)), ["too few points to say what the geometry fixes"])
+        return _Quality(
+            rms, overlap, beside, (), None, np.zeros((size, 0)), ["too few points to say what the geometry fixes"]
+        )
     pairs = pairs.take(pairs.weights > 0)
     errors = pairs.residuals if plane else pairs.distances
     rmse = float(np.sqrt((pairs.weights * errors**2).sum() / pairs.weights.sum()))
     # What the geometry fixes is asked of all pairs that the fit may have used, where density varies of far more.
     reach = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
-    pairs = _weigh(target, moved, nearest, reach, robust=True)
+    pairs = _weigh(surface, moved, nearest, reach, robust=True)
     pairs = pairs.take(pairs.weights > 0)
     typical = float(np.percentile(distances, 25))  # the quarter that fits best: partial overlap is no failure
-    eigenvalues, weakest, unfixed, warnings = _information(target, pairs, with_scale=with_scale)
+    eigenvalues, weakest, unfixed, warnings = _information(surface, pairs, with_scale=with_scale)
     if overlap < 0.3:
         warnings.append(f"only {overlap:.0%} of the candidate lies on the reference")
+    if beside > _MOST_BESIDE:
+        warnings.append(
+            f"{beside:.0%} of the candidate near the reference does not lie on it: a wrong alignment, outliers or"
+            " changes"
+        )
     if typical > 10 * spacing > 0:
         warnings.append(
             f"the candidate lies far off the reference (its nearest quarter by {typical:.3g}, {typical / spacing:.0f}"
             " times the reference's spacing): the registration may have failed"
         )
-    return _Quality(rmse, overlap, eigenvalues, weakest, unfixed, warnings)
+    return _Quality(rmse, overlap, beside, eigenvalues, weakest, unfixed, warnings)
 
 
 def _registration(
@@ -499,7 +541,7 @@ def _given(target: Target, points: FloatArray, origin: FloatArray, method: str, 
             f"the candidate does not overlap the reference after --register {method}: their bounding boxes lie apart"
             f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)})"
         )
-    quality = _assess(surface, sample, local, plane=True, with_scale=local.scale != 1, spacing=target.spacing)
+    quality = _assess(target, sample, local, plane=True, with_scale=local.scale != 1)
     return _registration(method, T, local, quality, 0, None)
 
 

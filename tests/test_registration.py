@@ -136,6 +136,20 @@ def test_survives_outliers_and_partial_overlap(scene):
     assert 0.2 < result.overlap < 0.6
 
 
+def test_large_rotations_are_found_or_said_to_be_missed(scene):
+    reference, candidate = scene
+    for angle in (20, 30, -30):
+        true = Similarity(shapes.rotation([0, 0, 1], angle), np.array([1.2, -1.6, 0]), 1.0)
+        result = register(reference, true.inverse().apply(candidate))
+        assert error(result.T_reference_candidate, true, candidate) < 0.003
+        assert not result.warnings
+    for angle in (60, 90, 180):
+        true = Similarity(shapes.rotation([0, 0, 1], angle), np.zeros(3), 1.0)
+        result = register(reference, true.inverse().apply(candidate))
+        assert error(result.T_reference_candidate, true, candidate) > 1
+        assert "near the reference does not lie on it: a wrong alignment" in " ".join(result.warnings)
+
+
 def test_far_coordinates_change_nothing(scene):
     reference, candidate = (np.round(c * 2**20) / 2**20 for c in scene)
     candidate = candidate + [0.5, -0.25, 0.125]

@@ -120,7 +120,7 @@ private:
 inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
                     double* distances, int64_t* indices, Interrupt& interrupt) {
     constexpr size_t kChunk = 256;
-#pragma omp parallel for schedule(dynamic) if (leaf_count > kChunk)
+#pragma omp parallel for schedule(dynamic) if (leaf_count > 4 * kChunk)
     for (size_t chunk = 0; chunk < (leaf_count + kChunk - 1) / kChunk; ++chunk) {
         uint32_t near = 0;
         const size_t end = chunk * kChunk + kChunk < leaf_count ? chunk * kChunk + kChunk : leaf_count;
