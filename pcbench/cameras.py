@@ -1,0 +1,125 @@
+"""Cameras: intrinsics and poses, in the conventions of COLMAP and OpenCV.
+
+The camera looks along +z, x to the right, y down. Pixel (0, 0) is the top-left one and its centre is at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pcbench.cloud import FloatArray
+from pcbench.errors import InputError
+from pcbench.transform import Similarity
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole with Brown's distortion (OpenCV's and COLMAP's OPENCV model).
+
+    Args:
+        width, height: pixels.
+        fx, fy, cx, cy: focal lengths and principal point in pixels.
+        distortion: k1, k2, p1, p2.
+
+    Raises:
+        InputError: a size or a focal length is not positive, or a number is not finite.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"expected an image of at least one pixel, got {self.width} x {self.height}")
+        if not (np.isfinite([self.fx, self.fy]).all() and self.fx > 0 and self.fy > 0):
+            raise InputError(f"expected positive focal lengths, got {self.fx:g} and {self.fy:g}")
+        if len(self.distortion) != 4 or not np.isfinite([self.cx, self.cy, *self.distortion]).all():
+            raise InputError("expected a finite principal point and four finite distortion coefficients k1 k2 p1 p2")
+
+    @classmethod
+    def from_fov(cls, width: int, height: int, vertical_fov_deg: float) -> Intrinsics:
+        """A centred pinhole with square pixels."""
+        focal = 0.5 * height / np.tan(0.5 * np.radians(vertical_fov_deg))
+        return cls(width, height, focal, focal, 0.5 * width, 0.5 * height)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """K (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    @property
+    def is_pinhole(self) -> bool:
+        return not any(self.distortion)
+
+    def scaled(self, factor: float) -> Intrinsics:
+        """For images resized by `factor`; sizes are rounded, and the rest follows the rounded sizes."""
+        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        x, y = width / self.width, height / self.height
+        return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One photograph's camera: file name, intrinsics, and the rigid motion from world to camera coordinates."""
+
+    name: str
+    intrinsics: Intrinsics
+    cam_from_world: Similarity
+
+    @property
+    def position(self) -> FloatArray:
+        """The centre of projection in the world (3,)."""
+        position: FloatArray = -self.cam_from_world.rotation.T @ self.cam_from_world.translation
+        return position
+
+    @property
+    def direction(self) -> FloatArray:
+        """The viewing direction in the world (3,), unit length."""
+        direction: FloatArray = self.cam_from_world.rotation[2]
+        return direction
+
+    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixel coordinates (N, 2) and z-depths (N,) of world points (N, 3); those behind the camera have depth <= 0.
+
+        Brown 1966 as OpenCV writes it: x' = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2), and y' alike.
+        """
+        at = self.cam_from_world.apply(points)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x, y = at[:, 0] / at[:, 2], at[:, 1] / at[:, 2]
+        k1, k2, p1, p2 = self.intrinsics.distortion
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * k2)
+        u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        k = self.intrinsics
+        return np.stack([k.fx * u + k.cx, k.fy * v + k.cy], axis=1), at[:, 2]
+
+
+def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Similarity:
+    """The cam_from_world of a camera at `position` (3,) that looks at `target` (3,) with `up` upwards in the image.
+
+    Looking straight along `up`, the image's upper side is north (+y).
+
+    Raises:
+        InputError: position and target are one point.
+    """
+    eye = np.asarray(position, dtype=np.float64)
+    forward = np.asarray(target, dtype=np.float64) - eye
+    length = float(np.linalg.norm(forward))
+    if not length > 0:
+        raise InputError("expected a camera and a target at different points")
+    forward /= length
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    if np.linalg.norm(right) < 1e-9:
+        right = np.cross(forward, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Similarity(rotation, -rotation @ eye)

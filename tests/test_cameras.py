@@ -1,0 +1,55 @@
+"""Cameras: conventions pinned by hand-made cases."""
+
+import numpy as np
+import pytest
+
+from pcbench.cameras import Camera, Intrinsics, look_at
+from pcbench.errors import InputError
+
+
+def test_conventions():
+    camera = Camera("a.png", Intrinsics.from_fov(640, 480, 90.0), look_at([0, -10, 0], [0, 0, 0]))
+    np.testing.assert_allclose(camera.position, [0, -10, 0], atol=1e-14)
+    np.testing.assert_allclose(camera.direction, [0, 1, 0], atol=1e-14)
+    pixels, depth = camera.project(np.array([[0, 0, 0], [10, 0, 0], [0, 0, 10.0], [0, -20, 0]]))
+    np.testing.assert_allclose(pixels[0], [320, 240], atol=1e-11)
+    np.testing.assert_allclose(pixels[1], [560, 240], atol=1e-11)  # east is right
+    np.testing.assert_allclose(pixels[2], [320, 0], atol=1e-11)  # up is up
+    np.testing.assert_allclose(depth, [10, 10, 10, -10], atol=1e-13)
+    down = Camera("b.png", camera.intrinsics, look_at([0, 0, 50], [0, 0, 0]))
+    pixels, _ = down.project(np.array([[0, 5.0, 0], [5.0, 0, 0]]))
+    assert pixels[0, 1] < 240  # north is up
+    assert pixels[1, 0] > 320
+
+
+def test_distortion_is_opencvs():
+    # Written out for one point, from OpenCV's documentation.
+    k = Intrinsics(100, 80, 100, 110, 50, 40, (0.1, -0.05, 0.01, 0.02))
+    camera = Camera("a.png", k, look_at([0, 0, 0], [0, 0, 1], up=[0, -1, 0]))
+    pixels, _ = camera.project(np.array([[0.3, -0.2, 1.0]]))
+    r2 = 0.13
+    radial = 1 + 0.1 * r2 - 0.05 * r2**2
+    u = 0.3 * radial + 2 * 0.01 * 0.3 * -0.2 + 0.02 * (r2 + 2 * 0.09)
+    v = -0.2 * radial + 0.01 * (r2 + 2 * 0.04) + 2 * 0.02 * 0.3 * -0.2
+    np.testing.assert_allclose(pixels, [[100 * u + 50, 110 * v + 40]], atol=1e-12)
+
+
+def test_scaling_keeps_rays():
+    k = Intrinsics(1001, 667, 900, 905, 498, 331)
+    half = k.scaled(0.5)
+    assert (half.width, half.height) == (500, 334)
+    assert (half.cx / half.width, half.fy / half.height) == pytest.approx((498 / 1001, 905 / 667))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Intrinsics(0, 5, 1, 1, 0, 0), "at least one pixel, got 0 x 5"),
+        (lambda: Intrinsics(5, 5, -1, 1, 0, 0), "positive focal lengths, got -1"),
+        (lambda: Intrinsics(5, 5, 1, 1, float("nan"), 0), "finite principal point"),
+        (lambda: look_at([1, 2, 3], [1, 2, 3]), "different points"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
