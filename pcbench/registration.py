@@ -20,7 +20,7 @@ from pcbench.normals import Surface, plane_normals
 from pcbench.transform import Similarity, fit_similarity, read_matrix
 from pcbench.voxels import cell_keys, cell_means, robust_extent, thin, thin_to
 
-METHODS = ("icp", "icp-point", "similarity", "points:FILE", "matrix:FILE", "none")
+METHODS = ("icp", "icp-point", "similarity", "global", "global-similarity", "points:FILE", "matrix:FILE", "none")
 
 _SAMPLE = 30_000  # candidate points a fine iteration looks at: enough for millimetres, few enough for seconds
 _ITERATIONS = 60  # a stage
@@ -80,12 +80,14 @@ def register(
     Args:
         reference, candidate: clouds, or (N, 3) arrays.
         method: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement),
-            `points:FILE`, `matrix:FILE` or `none`.
+            `global` or `global-similarity` (from nothing, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or
+            `none`.
         surface: of the reference's points minus `recentring(reference)`, if the caller has one already.
 
     Raises:
         InputError: unknown method, unreadable file.
         RegistrationError: the clouds do not overlap, or the scale collapsed.
+        MissingExtra: KISS-Matcher is not installed (`global`).
     """
     reference, candidate = as_cloud(reference), as_cloud(candidate)
     origin = recentring(reference)
@@ -96,6 +98,10 @@ def register(
     kind, colon, path = method.partition(":")
     if kind in ("icp", "icp-point", "similarity") and not colon:
         result = _icp(surface, points, origin, kind)
+    elif method in ("global", "global-similarity"):
+        from pcbench.global_registration import register_from_nothing  # it builds on this module
+
+        result = register_from_nothing(surface, points, origin, method)
     elif kind == "matrix" and path:
         result = _given(surface, points, origin, method, read_matrix(path))
     elif kind == "points" and path:
