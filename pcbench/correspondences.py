@@ -74,6 +74,8 @@ def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similari
     scales = sides_q.sum(axis=1) / sides_p.sum(axis=1) if with_scale else np.ones(len(triples))
     alike = (np.abs(sides_q - scales[:, None] * sides_p) < _TOLERANCE).all(axis=1)
     alike &= np.abs(np.log(scales)) < np.log(RUNG)
+    # Nearly straight triangles leave the turn about them open.
+    alike &= (sides_p.sum(axis=1) - 2 * sides_p.max(axis=1)) > 0.02 * sides_p.sum(axis=1)
     kept = np.flatnonzero(alike)[: _EVALUATIONS // len(p)]
     triples, scales = triples[kept], scales[kept]
     rotations = np.einsum("nij,nkj->nik", _frames(q[triples]), _frames(p[triples]))
@@ -108,13 +110,13 @@ def _sides(points: FloatArray, triples: IntArray) -> FloatArray:
 def _frames(corners: FloatArray) -> FloatArray:
     """Rotations (T, 3, 3) whose columns are a triangle's first side, the normal to it in the plane, the plane's normal.
 
-    `corners` (T, 3, 3) has a row a corner. Triangles that are lines get a frame that is none: nothing agrees with it.
+    `corners` (T, 3, 3) has a row a corner.
     """
     a, b, c = corners.transpose(1, 0, 2)
     along = b - a
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, c - a)
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
     return np.stack([along, np.cross(across, along), across], axis=2)
 
 

@@ -34,7 +34,7 @@ _FEWEST = 100  # points of either cloud
 _MET = 0.05  # share of either cloud that has to meet the other, and
 _MET_POINTS = 20  # of its sample
 _LEVEL = 0.85  # cosine between normals that agree
-_REFUSED, _TRUSTED = 0.45, 0.55  # agreement; two cities on one street grid reach 0.4
+_REFUSED, _TRUSTED = 0.45, 0.5  # agreement; different cities on one street grid reach 0.4
 _RIVAL = 0.8  # of the best pose's agreement
 
 
@@ -102,6 +102,7 @@ class _View:
         side: of the cells that features are compared with, such that there are about 15,000.
         surface: the means over cells of a third of that.
         sample, normals, weights: (S, 3), (S, 3), (S,) of the surface; every direction of normals weighs about the same.
+        reach: distance up to which another cloud meets it: a cell, or 24 times how rough the surface is.
     """
 
     def __init__(self, points: FloatArray) -> None:
@@ -112,6 +113,9 @@ class _View:
         self.surface = Surface(Index(cell_means(points, self.side / 3)))
         which = thin_to(self.surface.points, _SAMPLE, start=self.side)
         self.sample, self.normals = self.surface.points[which], self.surface.normals(which)
+        nearest = self.surface.index.query(self.sample, k=min(10, len(self.surface))).indices[:, -1]
+        steps = np.einsum("ni,ni->n", self.surface.points[nearest] - self.sample, self.normals)
+        self.reach = max(self.side, 24 * 1.4826 * float(np.median(np.abs(steps))))
         # Flat ground is most of many scenes, and fits itself anywhere: it must not outvote the walls.
         keys = cell_keys(orient_up(self.normals), 0.5, np.full(3, -1.25))
         _, direction, counts = np.unique(keys, return_inverse=True, return_counts=True)
@@ -149,16 +153,19 @@ class _Judge:
         """Of cells that are as coarse as either cloud needs."""
         return max(self.reference.side, scale * self.candidate.side)
 
-    def meets(self, pose: Similarity, points: FloatArray, cells: float = 2.0) -> NDArray[np.bool_]:
-        """Which of the candidate's points (N, 3) have the reference within some cells."""
-        return self.reference.surface.index.query(pose.apply(points)).distances < cells * self.side(pose.scale)
+    def reach(self, scale: float) -> float:
+        return max(self.reference.reach, scale * self.candidate.reach)
 
-    def agreement(self, pose: Similarity, cells: float = 1.0) -> float:
-        """Share of what lies within `cells` of the other cloud that also lies in its surface, the mean of both ways.
+    def meets(self, pose: Similarity, points: FloatArray, reaches: float = 2.0) -> NDArray[np.bool_]:
+        """Which of the candidate's points (N, 3) have the reference within some reaches."""
+        return self.reference.surface.index.query(pose.apply(points)).distances < reaches * self.reach(pose.scale)
+
+    def agreement(self, pose: Similarity, reaches: float = 1.0) -> float:
+        """Share of what lies within `reaches` of the other cloud that also lies in its surface, the mean of both ways.
 
         In it: within an eighth of that of the tangent plane, and of its direction. 0 where the clouds hardly meet.
         """
-        reach = cells * self.side(pose.scale)
+        reach = reaches * self.reach(pose.scale)
         back = pose.inverse()
         moved = pose.apply(self.candidate.sample), pose.apply_normals(self.candidate.normals)
         forth = _agreement(*moved, self.candidate.weights, self.reference.surface, reach)
@@ -167,7 +174,7 @@ class _Judge:
 
     def promising(self, poses: list[Similarity], count: int) -> list[Similarity]:
         """The `count` different poses that agree best while they are still rough."""
-        ordered = sorted(poses, key=lambda pose: -self.agreement(pose, cells=4.0))
+        ordered = sorted(poses, key=lambda pose: -self.agreement(pose, reaches=4.0))
         return self._different(ordered)[:count]
 
     def best_first(self, poses: list[Similarity]) -> list[Similarity]:
@@ -178,8 +185,8 @@ class _Judge:
         results = []
         for pose in poses:
             try:
-                for cells in (4.0, 2.0):
-                    near = pose.apply(self.candidate.sample[self.meets(pose, self.candidate.sample, cells)])
+                for reaches in (4.0, 2.0):
+                    near = pose.apply(self.candidate.sample[self.meets(pose, self.candidate.sample, reaches)])
                     pose = _icp(self.reference.surface, near, np.zeros(3), kind).T_local @ pose
             except RegistrationError:
                 continue
@@ -187,8 +194,8 @@ class _Judge:
         return self.best_first(results)
 
     def differ(self, a: Similarity, b: Similarity) -> bool:
-        """Whether two poses put the candidate clearly elsewhere: by 3 cells."""
-        return apart(a, b, self.candidate.sample) > 3 * self.side(max(a.scale, b.scale))
+        """Whether two poses put the candidate clearly elsewhere: by 3 reaches."""
+        return apart(a, b, self.candidate.sample) > 3 * self.reach(max(a.scale, b.scale))
 
     def _different(self, poses: Iterable[Similarity]) -> list[Similarity]:
         kept: list[Similarity] = []
@@ -220,7 +227,8 @@ def _cell_side(points: FloatArray, count: int) -> float:
 def _turns(points: FloatArray) -> list[Similarity]:
     """Quarter and half turns about the principal axes of points (N, 3): the axes of whatever symmetry they have."""
     center = points.mean(axis=0)
-    _, axes = np.linalg.eigh(np.cov((points - center).T))
+    arms = points - center
+    _, axes = np.linalg.eigh(np.einsum("ni,nj->ij", arms, arms))  # no BLAS: the same bits from any number of threads
     turns = []
     for axis in axes.T:
         x, y, z = axis
