@@ -413,8 +413,8 @@ def draw(rows: list[dict], file: str) -> None:
     far = [name for name in names if SWEEPS[name].everyone]
     blocks = [(group, _methods(rows, group)) for group in (near[:3], near[3:], far) if group]
     # Inches, so that a bar is as large in every block.
-    bar, head, top, left, width = 0.27, 0.75, 0.85, 1.85, 11.0
-    height = top + sum(head + bar * len(methods) for _, methods in blocks)
+    bar, head, top, bottom, left, width = 0.27, 0.75, 0.8, 0.3, 1.85, 11.0
+    height = top + bottom + sum(head + bar * len(methods) for _, methods in blocks)
     figure = plt.figure(figsize=(width, height), facecolor="white")
     y0 = height - top
     for group, methods in blocks:
@@ -458,12 +458,11 @@ def draw(rows: list[dict], file: str) -> None:
         Patch(facecolor=COLORS[k], edgecolor="white", lw=0, hatch="xxxx" if k == "wrong" else "", label=LABELS[k])
         for k in COLORS
     ]
-    figure.legend(
-        handles=handles, loc="upper right", ncols=3, frameon=False, fontsize=11, bbox_to_anchor=(0.905, 0.975)
-    )
-    figure.text(0.15 / width, 1 - 0.38 / height, "Which registration can be relied on?", fontsize=15, fontweight="bold")
+    figure.text(0.15 / width, 1 - 0.36 / height, "Which registration can be relied on?", fontsize=15, fontweight="bold")
+    place = (0.1 / width, 1 - 0.46 / height)
+    figure.legend(handles=handles, loc="upper left", ncols=3, frameon=False, fontsize=10, bbox_to_anchor=place)
     note = "Share of scenes: two samples of a 200 m city with 2 cm noise. Bold: pcbench. Dots: not run."
-    figure.text(0.15 / width, 1 - 0.68 / height, note, fontsize=9.5)
+    figure.text(0.15 / width, 0.1 / height, note, fontsize=9, color="#50555C")
     figure.savefig(file, dpi=150)
 
 
