@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 _Number = TypeVar("_Number", int, float)
 
 _FILE = click.Path(path_type=Path)
-_REGISTER_HELP = "icp, icp-point, similarity (ICP with scale), points:FILE, matrix:FILE or none."
+_REGISTER_HELP = (
+    "icp, icp-point, similarity (ICP with scale), global or global-similarity (the same from any pose), points:FILE,"
+    " matrix:FILE or none."
+)
 _CROP_HELP = "none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference or quantile:0.99."
 
 register_option = click.option("--register", default="icp", show_default=True, metavar="HOW", help=_REGISTER_HELP)

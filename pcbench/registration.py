@@ -22,10 +22,11 @@ from pcbench.normals import Surface, plane_normals
 from pcbench.transform import Similarity, fit_similarity, read_matrix
 from pcbench.voxels import cell_means, cells, robust_extent, thin, thin_to
 
-METHODS = ("icp", "icp-point", "similarity", "points:FILE", "matrix:FILE", "none")
+METHODS = ("icp", "icp-point", "similarity", "global", "global-similarity", "points:FILE", "matrix:FILE", "none")
 
 _SAMPLE = 30_000  # candidate points a fine iteration looks at: enough for millimetres, few enough for seconds
 _ITERATIONS = 100  # a stage
+_STARTS = (0.1, 0.7), (0.2, 0.95)  # the first gate as a share of the extent, and by what it is narrowed each time
 _FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
@@ -88,12 +89,14 @@ def register(
     Args:
         reference, candidate: clouds, or (N, 3) arrays.
         method: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement),
-            `points:FILE`, `matrix:FILE` or `none`.
+            `global` or `global-similarity` (from nothing, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or
+            `none`.
         target: of the reference's points minus `recentring(reference)`, if the caller has one already.
 
     Raises:
         InputError: unknown method, unreadable file.
         RegistrationError: the clouds do not overlap, or the scale collapsed.
+        MissingExtra: KISS-Matcher is not installed (`global`).
     """
     reference, candidate = as_cloud(reference), as_cloud(candidate)
     origin = recentring(reference)
@@ -104,6 +107,10 @@ def register(
     kind, colon, path = method.partition(":")
     if kind in ("icp", "icp-point", "similarity") and not colon:
         result = _icp(target, points, origin, kind)
+    elif method in ("global", "global-similarity"):
+        from pcbench.global_registration import register_from_nothing  # it builds on this module
+
+        result = register_from_nothing(target, points, origin, method)
     elif kind == "matrix" and path:
         result = _given(target, points, origin, method, read_matrix(path))
     elif kind == "points" and path:
@@ -185,13 +192,13 @@ class _Pairs(NamedTuple):
         )
 
 
-def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> Registration:
+def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str, *, may_be_far: bool = True) -> Registration:
     """Coarse to fine; the gate narrows, then a Tukey kernel whose width follows the residuals decides.
 
     Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. A wide
     gate finds large rotations, but slides clouds that overlap in part onto each other: it has its turn where the
-    narrow one leaves points beside the reference. Where the geometry turns out not to fix some motion, all starts again
-    with that motion held: noise must not move the pose.
+    narrow one leaves points beside the reference, if they `may_be_far` at all. Where the geometry turns out not to fix
+    some motion, all starts again with that motion held: noise must not move the pose.
     """
     surface = target.surface
     if len(points) < _FEWEST or len(surface) < _FEWEST:
@@ -217,7 +224,7 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> R
 
     fits: list[_Fit] = []
     failures: list[RegistrationError] = []
-    for width, narrowing in ((0.1, 0.7), (0.2, 0.95)):
+    for width, narrowing in _STARTS if may_be_far else _STARTS[:1]:
         try:
             gate = _Gate(width * extent, 2 * coarse_side, narrowing)
             fits.append(attempt(gate, np.zeros((7 if with_scale else 6, 0))))
