@@ -64,7 +64,7 @@ def rounded_squares(queries: Annotated[NDArray[numpy.float64], dict(shape=(None,
     Squared distances (M,), written in place, from differences that were rounded to float32.
     """
 
-def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet: NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], gate: float, robust: bool, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]:
+def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet: NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], gate: float, robust: bool, kept: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]:
     """
     Residuals and weights (M,) of pairs, written in place; the number of pairs within the gate and their sigma.
     """
