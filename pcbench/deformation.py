@@ -36,6 +36,7 @@ from pcbench.polynomials import (
     EXPONENTS,
     MODELS,
     PARAMETERS,
+    derivative_squares,
     field_scores,
     gram,
     mean_and_spread,
@@ -51,16 +52,18 @@ CELLS_ALONG = 16  # of the scene's extent: the finest tiles
 _FACTORS = (1, 2, 3)  # sizes of tiles, in cells
 _TILE = 1  # the one of them that is reported
 FEWEST_TILES = 40
-_REPLICATES = 1999
+_REPLICATES = 999
 _FOLDS = 10
 _SEEN = 0.02  # information of a field against a field seen along its direction everywhere: below is noise of normals
-_RIDGE = 1e-12  # keeps a plane's third coordinate at nothing
+_RIDGE = 1e-12
+_PLACE_NOISE = 100 / _SEEN  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
 _DYADIC = 5  # finer levels of moments: halves of cells, quarters, ...
 # The covariance is estimated: where it is a third too small, 1e-5 is 1e-3 in truth.
 _SURE_NOISE, _SURE_TILES = 1e-5, 5e-3
 _DOUBT = 1e-3  # of either test alone
+_SMALL = 0.1  # of the noise: a bend that is surely less is not worth a doubt
 _FDR = 0.05
 
 
@@ -93,6 +96,11 @@ class TileSums:
     dyadic: FloatArray
     local: FloatArray
     spread: FloatArray
+
+    def without(self, cells: NDArray[np.bool_]) -> TileSums:
+        """The sums but those of some cells (C,)."""
+        per_cell = ("cells", "moments", "scores", "energy", "counts", "local", "spread")
+        return replace(self, **{name: getattr(self, name)[~cells] for name in per_cell})
 
     @classmethod
     def of(
@@ -161,39 +169,37 @@ def dyadic_moments(
 
 
 class Displacement(NamedTuple):
-    """A cubic displacement field (N, 3) at places (N, 3), held constant outside of where it was fitted."""
+    """A cubic displacement field (N, 3) at places (N, 3), held constant beyond `radius` from the centre."""
 
     coefficients: FloatArray  # (20, 3)
     center: FloatArray
     radius: float
 
+    @classmethod
+    def nothing(cls, center: FloatArray, radius: float) -> Displacement:
+        return cls(np.zeros((len(EXPONENTS), 3)), center, radius)
+
     def __call__(self, places: FloatArray) -> FloatArray:
-        values = monomials(np.clip((places - self.center) / self.radius, -1, 1))
-        field: FloatArray = np.einsum("an,ak->nk", values, self.coefficients)
+        field: FloatArray = np.einsum("an,ak->nk", monomials(self._inside(places)), self.coefficients)
         return field
 
-    @classmethod
-    def nothing(cls) -> Displacement:
-        return cls(np.zeros((len(EXPONENTS), 3)), np.zeros(3), 1.0)
+    def refined(self, places: FloatArray, normals: FloatArray, left: FloatArray, weights: FloatArray) -> Displacement:
+        """The field with what explains (N,) residuals along normals that it has left, by weighted least squares.
 
-    @classmethod
-    def fitted(
-        cls, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray
-    ) -> Displacement:
-        """Weighted least squares on residuals along normals, of what the geometry fixes."""
-        counted = places[weights > 0]
-        lower, upper = np.percentile(counted, [1, 99], axis=0)
-        center, radius = (lower + upper) / 2, float((upper - lower).max()) / 2 or 1.0
-        x = np.clip((places - center) / radius, -1, 1)
+        A ridge holds back what the geometry does not fix; what it takes from the rest comes with the next refinement.
+        """
+        x = self._inside(places)
         moments = normal_moments(x, normals, weights)
         squares = gram(moments)
         to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares / squares[0, 0] + _RIDGE * np.eye(len(squares))))
         basis = np.kron(to_orthonormal, np.eye(3))
-        values, vectors = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T)
-        fixed = values > _SEEN * squares[0, 0]
-        scores = basis @ field_scores(x, normals, weights * residuals).ravel()
-        found = vectors[:, fixed] @ ((vectors[:, fixed].T @ scores) / values[fixed])
-        return cls((basis.T @ found).reshape(-1, 3), center, radius)
+        matrix = basis @ normal_matrix(moments) @ basis.T + 0.5 * _SEEN * squares[0, 0] * np.eye(len(basis))
+        found = np.linalg.solve(matrix, basis @ field_scores(x, normals, weights * left).ravel())
+        return self._replace(coefficients=self.coefficients + (basis.T @ found).reshape(-1, 3))
+
+    def _inside(self, places: FloatArray) -> FloatArray:
+        inside: FloatArray = np.clip((places - self.center) / self.radius, -1, 1)
+        return inside
 
 
 def share_of(
@@ -263,8 +269,13 @@ class Geometry:
         total = sums.moments.sum(axis=0)
         squares = gram(total)
         self.total = float(squares[0, 0])  # weight of all pairs
-        # Polynomials that are orthonormal over the pairs.
-        factor = np.linalg.cholesky(squares / self.total + _RIDGE * np.eye(len(squares)))
+        # Polynomials that are orthonormal over the pairs, but for those that the noise of the places could make up:
+        # their size is held down, so that they count as unseen. A plane's third coordinate is its noise, and noise
+        # that is in places and residuals alike looks like a slope.
+        squares = squares / self.total
+        _, power, weight = sums.dyadic[0]
+        doubt = _PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
+        factor = np.linalg.cholesky(squares + np.diag(doubt + _RIDGE))
         self.to_orthonormal = np.linalg.inv(factor)  # (20, 20)
         self.basis = np.kron(self.to_orthonormal, np.eye(3))
         self.matrix = self.basis @ normal_matrix(total) @ self.basis.T
@@ -412,6 +423,7 @@ class Evidence(NamedTuple):
     modes: int
     p_noise: float  # under the estimated noise
     p_tiles: tuple[float, ...]  # wild bootstrap, a size of tiles each
+    long_noise: bool  # whether noise reaches across tiles, which the bootstrap does not know
 
     @property
     def sure(self) -> bool:
@@ -419,7 +431,7 @@ class Evidence(NamedTuple):
 
     @property
     def doubtful(self) -> bool:
-        return not self.sure and (self.p_noise <= _DOUBT or max(self.p_tiles) <= _DOUBT)
+        return not self.sure and (self.p_noise <= _DOUBT or (self.long_noise and max(self.p_tiles) <= _DOUBT))
 
 
 def weigh_evidence(
@@ -430,7 +442,7 @@ def weigh_evidence(
     modes = step.modes.T @ scores.total
     explained = float(modes @ modes)
     if not len(modes):
-        return Evidence(0.0, 0, 1.0, (1.0,) * len(signs))
+        return Evidence(0.0, 0, 1.0, (1.0,) * len(signs), False)
     weights: FloatArray = np.linalg.eigvalsh(step.covariance(noise)).astype(np.float64)
     coefficients = step.smaller @ (step.smaller.T @ scores.total)
     left = (scores.cells - geometry.cell_matrices @ coefficients) @ step.modes  # (C, K) of the smaller model
@@ -438,7 +450,8 @@ def weigh_evidence(
     for tile, flips in zip(geometry.tiles, signs, strict=True):
         replicates = np.square(flips @ _added(left, tile)).sum(axis=1)
         p_tiles.append((1 + int(np.count_nonzero(replicates >= explained))) / (1 + len(replicates)))
-    return Evidence(explained, len(modes), chi_squares_tail(explained, weights), tuple(p_tiles))
+    long_noise = noise.correlation_length > _FACTORS[_TILE] * geometry.side / 3
+    return Evidence(explained, len(modes), chi_squares_tail(explained, weights), tuple(p_tiles), long_noise)
 
 
 def bootstrap_signs(geometry: Geometry, seed: int) -> list[FloatArray]:
@@ -451,19 +464,28 @@ def chi_squares_tail(value: float, weights: FloatArray) -> float:
     """P(sum of weights chi^2_1 > value): a scaled chi square of the same two moments (Satterthwaite 1946), by Wilson &
     Hilferty's cube root (1931).
     """
-    mean, squares = float(weights.sum()), float(np.square(weights).sum())
-    if mean <= 0 or value <= 0:
-        return 1.0 if value <= 0 else 0.0
-    freedom = mean**2 / squares
+    if value <= 0:
+        return 1.0
+    mean, freedom = _scaled_chi_square(weights)
+    if mean <= 1e-12 * value:
+        return 0.0
     z = ((value / mean) ** (1 / 3) - (1 - 2 / (9 * freedom))) / math.sqrt(2 / (9 * freedom))
     return 0.5 * math.erfc(z / math.sqrt(2))
 
 
 def chi_squares_point(z: float, weights: FloatArray) -> float:
     """The value that `chi_squares_tail` gives the tail of a normal deviate z."""
-    mean, squares = float(weights.sum()), float(np.square(weights).sum())
-    freedom = mean**2 / squares
+    mean, freedom = _scaled_chi_square(weights)
     return mean * (1 - 2 / (9 * freedom) + z * math.sqrt(2 / (9 * freedom))) ** 3
+
+
+def _scaled_chi_square(weights: FloatArray) -> tuple[float, float]:
+    """Mean and degrees of freedom."""
+    largest = float(np.max(weights, initial=0.0))
+    if largest <= 0:
+        return 0.0, 1.0
+    relative = weights / largest  # squares of tiny weights would be zero
+    return float(weights.sum()), float(relative.sum() ** 2 / np.square(relative).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -516,6 +538,26 @@ class Deformation:
         return replace(self, values={**self.values, "warnings": [*self.values["warnings"], *notes]})
 
     @property
+    def changed(self) -> NDArray[np.bool_]:
+        """(C,) which cells changed by themselves."""
+        return np.zeros(0, dtype=bool) if self.field is None else self.field.changed
+
+    @property
+    def changed_share(self) -> float:
+        return float(np.mean(self.changed)) if len(self.changed) else 0.0
+
+    def with_changes(self, earlier: Deformation) -> Deformation:
+        """This answer, which left out cells that an earlier one found changed, with these in its field and counts."""
+        if self.field is None or earlier.field is None:
+            return self
+        left_out = earlier.field.changed
+        parts = {
+            name: np.concatenate([getattr(self.field, name), getattr(earlier.field, name)[left_out]])
+            for name in Field.__annotations__
+        }
+        return Deformation({**self.values, "local": earlier.values["local"]}, Field(**parts))
+
+    @property
     def verdict(self) -> str:
         return str(self.values["verdict"])
 
@@ -524,18 +566,19 @@ class Deformation:
         return str(self.values["model"])
 
 
-def judge(sums: TileSums, *, metric: bool = True, seed: int = 0) -> Deformation:
+def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
     """The verdict on a pair of clouds.
 
     Args:
         sums: over their pairs.
         metric: whether both clouds' scale is known; otherwise a scale is no deformation.
+        resolution: a bend that is surely smaller is none: tangent planes through points that lie apart do not show it.
         seed: of the bootstrap and of the folds.
     """
     geometry = Geometry(sums)
     scores = Scores(geometry, sums.scores, sums.energy, sums.dyadic)
     noise = estimate_noise(geometry, scores)
-    finding = decide(geometry, scores, noise, bootstrap_signs(geometry, seed), metric=metric)
+    finding = decide(geometry, scores, noise, bootstrap_signs(geometry, seed), metric=metric, resolution=resolution)
     rungs = climb(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     measured = _Measured(geometry, scores, noise, sums)
@@ -593,9 +636,15 @@ class Finding(NamedTuple):
 
 
 def decide(
-    geometry: Geometry, scores: Scores, noise: Noise, signs: Sequence[FloatArray], *, metric: bool = True
+    geometry: Geometry,
+    scores: Scores,
+    noise: Noise,
+    signs: Sequence[FloatArray],
+    *,
+    metric: bool = True,
+    resolution: float = 0.0,
 ) -> Finding:
-    """The smallest model that explains the pair, from the largest question down."""
+    """The smallest model that explains the pair, from the largest question down; see `judge`."""
 
     def weigh(smaller: str, larger: str) -> Evidence:
         return weigh_evidence(geometry, scores, noise, smaller, larger, signs)
@@ -611,7 +660,9 @@ def decide(
             f"only {tiles} tiles of {_FACTORS[_TILE] * geometry.side:.3g} hold points (expected {FEWEST_TILES}): a"
             " larger or better covered scene would settle it"
         )
-    if bent.sure and not warnings:
+    largest = amplitude(geometry, scores, noise, geometry.step("affine", "cubic")) if bent.modes else {"ci": [0.0, 0.0]}
+    shown = largest["ci"][1] > resolution
+    if bent.sure and shown and not warnings:
         # The cubic part needs less evidence: that there is a bend is settled.
         model = "cubic" if weigh("quadratic", "cubic").p_noise <= _DOUBT else "quadratic"
         return Finding("non-affine", model, bent, float(np.mean(same)), ())
@@ -623,7 +674,8 @@ def decide(
             warnings.append("the scales differ; that counts as deformation only where both clouds' unit is known")
     else:
         verdict, model = "none", "rigid"
-    if bent.doubtful:
+    matters = shown and largest["ci"][1] > _SMALL * math.sqrt(noise.white + noise.correlated)
+    if bent.doubtful and matters:
         side = geometry.side * _FACTORS[_TILE]
         warnings.append(
             "what remains looks bent, but noise may have done it: "
@@ -634,7 +686,7 @@ def decide(
                 else "more points, or a larger scene, would settle it"
             )
         )
-    if warnings and (bent.doubtful or bent.sure or bent.modes == 0 or tiles < FEWEST_TILES):
+    if (bent.doubtful and matters) or bent.modes == 0 or tiles < FEWEST_TILES:
         verdict = "undecided"
     return Finding(verdict, model, bent, float(np.mean(same)), tuple(warnings))
 

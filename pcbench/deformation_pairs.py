@@ -19,14 +19,17 @@ from pcbench.normals import Surface
 from pcbench.registration import Registration
 from pcbench.voxels import cell_keys, thin_to
 
-_PAIRS = 30_000
-_COARSE = 8_000  # pairs of all but the last rounds
-_ROUNDS = 7
+_PAIRS = 20_000
+_COARSE = 5_000  # pairs of all but the last rounds
+_ROUNDS = 6
 _FEWEST = 300  # pairs
+_FEW_CHANGES = 0.1  # of the tiles
+_RESOLUTION = 5e-3  # spacings of the points that planes go through
 _TILES = 60  # wanted of the middle size
-_CELLS = 600  # more only cost time
+_CELLS = 480  # more only cost time
 _NEIGHBORS = 8  # that a place is the mean of
-_ROUGH = 0.05  # surface variation at which a pair counts half: facades and roofs have less, foliage more
+_PLANE = 20  # neighbours that surface variation is taken from
+_ROUGH = 4.0  # times the lower quartile of the surface variation: a pair that is so rough counts a quarter
 _MAP_COORDINATES = 1e5  # beyond it, coordinates are a map's
 _EARTH_RADIUS = 6.37e6  # metres
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
@@ -72,6 +75,7 @@ class Pairs:
     residuals: FloatArray
     weights: FloatArray
     left: FloatArray
+    spacing: float  # of the points that the planes come from
 
 
 def residual_deformation(
@@ -91,7 +95,13 @@ def residual_deformation(
         return Deformation.unanswered(f"{count} pairs of points: too few to tell a bend from noise")
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and registration.method.partition(":")[0] != "similarity"
-    found = judge(_tile_sums(pairs), metric=metric, seed=seed)
+    sums = _tile_sums(pairs)
+    resolution = _RESOLUTION * pairs.spacing
+    found = judge(sums, metric=metric, resolution=resolution, seed=seed)
+    if found.changed_share and found.changed_share <= _FEW_CHANGES:
+        # A house that moved is no bend of the scene: where something changed locally is left out of the verdict.
+        kept = sums.without(found.changed)
+        found = judge(kept, metric=metric, resolution=resolution, seed=seed).with_changes(found)
     return found.shifted(origin).with_warnings(notes)
 
 
@@ -105,17 +115,21 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
     rows = np.flatnonzero(asking.inside)
     if len(rows) < _FEWEST or len(surface.surface) < _FEWEST:
         return None
-    rows = rows[thin_to(asking.surface.points[rows], _PAIRS, start=1e-3 * _extent(asking.surface.points[rows]))]
+    rows = rows[thin_to(asking.surface.points[rows], 3 * _PAIRS, start=1e-3 * _extent(asking.surface.points[rows]))]
     sign = -1.0 if swapped else 1.0  # a point that asks less the surface's, times it: candidate less reference
     index = surface.surface.index
     spacing = _spacing(index)
+    # The nearest tenth lies on the surface however little the clouds overlap, and bends are a few times as far. Even
+    # thinning leaves strays, which fill space, more than their share: what is far off is dropped before it is counted.
+    first = index.query(asking.surface.points[rows]).distances
+    gate = max(10 * float(np.percentile(first, 10)), 3 * float(np.percentile(first, 25)), 5 * spacing)
+    rows = rows[first <= gate]
+    rows = rows[:: -(-len(rows) // _PAIRS)]
     points = asking.surface.points[rows]
     step = max(1, len(rows) // _COARSE)
-    first = index.query(points[::step]).distances
-    # The nearest quarter lies on the surface even where the clouds overlap little; bends are a few times as far.
-    gate = max(6 * float(np.percentile(first, 25)), 5 * spacing)
+    lower, upper = np.percentile(points, [1, 99], axis=0)
+    field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     last = 4 * spacing
-    field = Displacement.nothing()
     for number in range(_ROUNDS):
         final = number >= _ROUNDS - 2
         asked = points if final else points[::step]
@@ -133,16 +147,18 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         weights *= asking.class_weights(rows[near] if final else rows[::step][near]) * surface.class_weights(feet[near])
         if not weights.any():
             return None
-        field = Displacement.fitted(asked[near], normals, residuals, weights)
+        field = field.refined(asked[near], normals, left, weights)
         noise = 4 * 1.4826 * float(np.median(np.abs(left)))
         gate = max(0.6 * gate if number < _ROUNDS - 3 else 0.0, last, min(noise, gate))
     feet, asked = feet[near], asked[near]
-    weights *= 1 / (1 + np.square(index.local_planes(min(20, len(index)), feet).variation / _ROUGH))
+    # Edges and foliage are no planes: what is rougher than the smooth quarter of the scene counts less.
+    variation = index.local_planes(min(_PLANE, len(index)), feet).variation
+    weights *= 1 / np.square(1 + np.square(variation / (_ROUGH * max(float(np.percentile(variation, 25)), 1e-6))))
     # A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
     around = index.query(index.points[feet], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
     places = index.points[around].mean(axis=1)
     left = residuals - np.einsum("ni,ni->n", field(asked), normals)
-    return Pairs(places, normals, residuals, weights, left)
+    return Pairs(places, normals, residuals, weights, left, spacing)
 
 
 def _tile_sums(pairs: Pairs) -> TileSums:

@@ -77,6 +77,18 @@ def gram(moments: FloatArray) -> FloatArray:
     return sums
 
 
+def derivative_squares(squares: FloatArray) -> FloatArray:
+    """(20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
+    row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
+    found = np.zeros(len(EXPONENTS))
+    for number, powers in enumerate(EXPONENTS.tolist()):
+        for axis in range(3):
+            if powers[axis]:
+                lower = row[tuple(p - (k == axis) for k, p in enumerate(powers))]
+                found[number] += powers[axis] ** 2 * squares[lower, lower]
+    return found
+
+
 def model_columns(model: str) -> FloatArray:
     """(60, P) coefficients of the fields that a model consists of.
 
