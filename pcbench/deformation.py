@@ -55,6 +55,8 @@ FEWEST_TILES = 40
 _REPLICATES = 999
 _FOLDS = 10
 _SEEN = 0.02  # information of a field against a field seen along its direction everywhere: below is noise of normals
+_HARDLY_SEEN = 1e-4
+_HELD = 1e-3  # information that holds back a field while pairs are found
 _RIDGE = 1e-12
 _PLACE_NOISE = 100 / _SEEN  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
@@ -193,7 +195,7 @@ class Displacement(NamedTuple):
         squares = gram(moments)
         to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares / squares[0, 0] + _RIDGE * np.eye(len(squares))))
         basis = np.kron(to_orthonormal, np.eye(3))
-        matrix = basis @ normal_matrix(moments) @ basis.T + 0.5 * _SEEN * squares[0, 0] * np.eye(len(basis))
+        matrix = basis @ normal_matrix(moments) @ basis.T + _HELD * squares[0, 0] * np.eye(len(basis))
         found = np.linalg.solve(matrix, basis @ field_scores(x, normals, weights * left).ravel())
         return self._replace(coefficients=self.coefficients + (basis.T @ found).reshape(-1, 3))
 
@@ -245,7 +247,7 @@ class _Step:
         large, matrix = geometry.columns[larger], geometry.matrix
         self.smaller = geometry.half(smaller)
         taken = matrix @ self.smaller @ self.smaller.T
-        values, vectors = geometry.seen(large.T @ (matrix - taken @ matrix) @ large)
+        values, vectors = geometry.seen(large.T @ (matrix - taken @ matrix) @ large, _SEEN)
         # Scores (60,) to modes (K,): variance sigma^2 each for white noise. Coefficients of a mode: the same columns.
         self.modes = (np.eye(len(matrix)) - taken).T @ large @ (vectors / np.sqrt(values))
         self._geometry = geometry
@@ -320,18 +322,24 @@ class Geometry:
             self._steps[smaller, larger] = _Step(self, smaller, larger)
         return self._steps[smaller, larger]
 
-    def seen(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Eigenvalues and vectors of a part of the normal matrix that the geometry fixes."""
+    def seen(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues and vectors of a part of the normal matrix, of those with at least a share of information."""
         values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-        fixed = values > _SEEN * self.total
+        fixed = values > least * self.total
         return values[fixed], vectors[:, fixed]
 
     def half(self, model: str) -> FloatArray:
-        """(60, K) fields of a model that the geometry fixes, with unit information each and none in common."""
+        """(60, K) fields of a model that the geometry fixes, with unit information each and none in common.
+
+        Of an affine field and less, all that is fixed in the least: what is there and not modelled would look bent.
+        """
         if model not in self._halves:
-            columns = self.columns[model]
-            values, vectors = self.seen(columns.T @ self.matrix @ columns)
-            self._halves[model] = columns @ (vectors / np.sqrt(values))
+            if PARAMETERS[model] > PARAMETERS["affine"]:
+                self._halves[model] = np.hstack([self.half("affine"), self.step("affine", model).modes])
+            else:
+                columns = self.columns[model]
+                values, vectors = self.seen(columns.T @ self.matrix @ columns, _HARDLY_SEEN)
+                self._halves[model] = columns @ (vectors / np.sqrt(values))
         return self._halves[model]
 
     def fit(self, model: str, scores: FloatArray) -> FloatArray:
@@ -582,7 +590,7 @@ def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed:
     rungs = climb(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     measured = _Measured(geometry, scores, noise, sums)
-    changed, tested, local = measured.changes(sums)
+    changed, tested, local = measured.changes(sums, resolution)
     remaining = sums.energy.sum() - _explained(geometry, scores, finding.model)
     tiles = geometry.tiles[_TILE]
     values = {
@@ -649,6 +657,13 @@ def decide(
     def weigh(smaller: str, larger: str) -> Evidence:
         return weigh_evidence(geometry, scores, noise, smaller, larger, signs)
 
+    def largest(smaller: str, larger: str) -> float:
+        step = geometry.step(smaller, larger)
+        return float(amplitude(geometry, scores, noise, step)["ci"][1]) if step.modes.shape[1] else 0.0
+
+    def is_needed(smaller: str, larger: str) -> bool:
+        return weigh(smaller, larger).sure and largest(smaller, larger) > resolution
+
     bent = weigh("affine", "cubic")
     same = [(p <= _SURE_TILES) == (bent.p_tiles[_TILE] <= _SURE_TILES) for p in bent.p_tiles]
     tiles = len(geometry.tile_matrices[_TILE])
@@ -660,21 +675,21 @@ def decide(
             f"only {tiles} tiles of {_FACTORS[_TILE] * geometry.side:.3g} hold points (expected {FEWEST_TILES}): a"
             " larger or better covered scene would settle it"
         )
-    largest = amplitude(geometry, scores, noise, geometry.step("affine", "cubic")) if bent.modes else {"ci": [0.0, 0.0]}
-    shown = largest["ci"][1] > resolution
+    bend = largest("affine", "cubic")
+    shown = bend > resolution
     if bent.sure and shown and not warnings:
         # The cubic part needs less evidence: that there is a bend is settled.
         model = "cubic" if weigh("quadratic", "cubic").p_noise <= _DOUBT else "quadratic"
         return Finding("non-affine", model, bent, float(np.mean(same)), ())
-    if weigh("similarity", "affine").sure:
+    if is_needed("similarity", "affine"):
         verdict, model = "affine", "affine"
-    elif weigh("rigid", "similarity").sure:
+    elif is_needed("rigid", "similarity"):
         verdict, model = ("similarity" if metric else "none"), "similarity"
         if not metric:
             warnings.append("the scales differ; that counts as deformation only where both clouds' unit is known")
     else:
         verdict, model = "none", "rigid"
-    matters = shown and largest["ci"][1] > _SMALL * math.sqrt(noise.white + noise.correlated)
+    matters = shown and bend > _SMALL * math.sqrt(noise.white + noise.correlated)
     if bent.doubtful and matters:
         side = geometry.side * _FACTORS[_TILE]
         warnings.append(
@@ -853,8 +868,8 @@ class _Measured:
         seen: FloatArray = np.einsum("cik,ck->ci", directions, along)
         return seen
 
-    def changes(self, sums: TileSums) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray]:
-        """Cells that changed, cells that were tested, and the length of what is left in them (C,) each.
+    def changes(self, sums: TileSums, resolution: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray]:
+        """Cells that changed by more than the resolution, those that were tested, and the length left in them, (C,) each.
 
         The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
         discoveries are limited as in Benjamini & Hochberg 1995.
@@ -882,7 +897,7 @@ class _Measured:
         if len(passed):
             changed[order[: passed[-1] + 1]] = True
         length = np.sqrt((np.where(fixed, along / safe, 0.0) ** 2).sum(axis=1))
-        return changed & tested, tested, length
+        return changed & tested & (length > resolution), tested, length
 
 
 def _dome() -> FloatArray:

