@@ -83,8 +83,8 @@ class TileSums:
         counts: (C,) pairs.
         dyadic: (levels, 3) over sub-cells of each edge: the edge, the sum over sub-cells of |sum w n r'|^2 with r' the
             residual of the largest model, and of tr (sum w n n')^2. The first row is that of single pairs.
-        local: (C, 3) sums of n r' without weights, r' clipped at three standard deviations: what changed is no outlier.
-        spread: (C, 3, 3) sums of n n' without weights.
+        local: (C, 3) sums of v n r', r' clipped at three standard deviations: what changed is no outlier.
+        spread: (C, 3, 3) sums of v n n'.
     """
 
     center: FloatArray
@@ -113,6 +113,7 @@ class TileSums:
         weights: FloatArray,
         *,
         left: FloatArray,
+        quality: FloatArray,
         lower: FloatArray,
         side: float,
         center: FloatArray,
@@ -126,6 +127,7 @@ class TileSums:
             residuals: (N,) n . (p - q).
             weights: (N,) from 0 to 1.
             left: (N,) residuals of the largest model, of the same pairs.
+            quality: (N,) weights v, from 0 to 1, that do not depend on the residuals.
             lower: (3,) the corner that cells are counted from.
             side: of the cells.
             center, radius: of the scene; (3,) and about half its extent.
@@ -133,8 +135,9 @@ class TileSums:
         cells = np.floor((places - lower) / side).astype(np.int64)
         order, starts = _groups(cells)
         x, n, r, w = (values[order] for values in ((places - center) / radius, normals, residuals, weights))
-        clipped = left[order]
-        sigma = 1.4826 * float(np.median(np.abs(clipped[w > 0]))) if (w > 0).any() else 0.0
+        clipped, v = left[order], quality[order, None]
+        sure = clipped[v[:, 0] >= np.median(v)]
+        sigma = 1.4826 * float(np.median(np.abs(sure)))
         clipped = np.clip(clipped, -3 * sigma, 3 * sigma)
         rows = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(order)], strict=True)]
         return cls(
@@ -147,8 +150,8 @@ class TileSums:
             energy=np.add.reduceat(w * r * r, starts),
             counts=np.diff([*starts, len(order)]),
             dyadic=dyadic_moments(places, normals, left, weights, lower, side),
-            local=np.add.reduceat(n * clipped[:, None], starts),
-            spread=np.add.reduceat(n[:, :, None] * n[:, None, :], starts),
+            local=np.add.reduceat(v * n * clipped[:, None], starts),
+            spread=np.add.reduceat(v[:, :, None] * n[:, :, None] * n[:, None, :], starts),
         )
 
 
@@ -869,7 +872,7 @@ class _Measured:
         return seen
 
     def changes(self, sums: TileSums, resolution: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray]:
-        """Cells that changed by more than the resolution, those that were tested, and the length left in them, (C,) each.
+        """Cells that changed by more than the resolution, those tested, and the length left in them, (C,) each.
 
         The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
         discoveries are limited as in Benjamini & Hochberg 1995.
@@ -877,7 +880,7 @@ class _Measured:
         tested = sums.counts >= 20
         correlated = np.diag(self._geometry.mixture(self._noise))
         values, vectors = np.linalg.eigh(sums.spread)
-        fixed = values >= 0.05 * sums.counts[:, None]
+        fixed = values >= np.maximum(0.05 * values.sum(axis=1, keepdims=True), 1.0)
         along = np.einsum("cik,ci->ck", vectors, sums.local)
         safe = np.where(fixed, values, 1.0)
         squares = np.where(fixed, along**2 / (self._noise.white * safe + correlated[:, None] * safe**2 + 1e-300), 0.0)

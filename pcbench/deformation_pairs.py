@@ -75,6 +75,7 @@ class Pairs:
     residuals: FloatArray
     weights: FloatArray
     left: FloatArray
+    quality: FloatArray  # (N,) the part of the weights that does not depend on the residuals
     spacing: float  # of the points that the planes come from
 
 
@@ -145,11 +146,9 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         # Graduated: at first nearly everything within the gate counts.
         width = max(4.685 * 1.4826 * float(np.median(np.abs(left))), 0.0 if final else 0.5 * gate, 1e-300)
         weights = np.square(np.clip(1 - np.square(left / width), 0, None))
-        weights *= (
-            smoothness(feet[near])
-            * asking.class_weights(rows[near] if final else rows[::step][near])
-            * surface.class_weights(feet[near])
-        )
+        asked_rows = rows[near] if final else rows[::step][near]
+        quality = smoothness(feet[near]) * asking.class_weights(asked_rows) * surface.class_weights(feet[near])
+        weights *= quality
         if not weights.any():
             return None
         field = field.refined(asked[near], normals, left, weights)
@@ -160,7 +159,7 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
     around = index.query(index.points[feet], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
     places = index.points[around].mean(axis=1)
     left = residuals - np.einsum("ni,ni->n", field(asked), normals)
-    return Pairs(places, normals, residuals, weights, left, spacing)
+    return Pairs(places, normals, residuals, weights, left, quality, spacing)
 
 
 def _tile_sums(pairs: Pairs) -> TileSums:
@@ -183,6 +182,7 @@ def _tile_sums(pairs: Pairs) -> TileSums:
         pairs.residuals[kept],
         pairs.weights[kept],
         left=pairs.left[kept],
+        quality=pairs.quality[kept],
         lower=lower - 0.1 * extent,
         center=(lower + upper) / 2,
         side=side,

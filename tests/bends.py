@@ -66,7 +66,16 @@ class Scene:
         self.lower, self.side = places.min(axis=0), SIZE / d.CELLS_ALONG
         zero, one = np.zeros(points), np.ones(points)
         self.sums = d.TileSums.of(
-            places, normals, zero, one, left=zero, lower=self.lower, side=self.side, center=np.zeros(3), radius=SIZE / 2
+            places,
+            normals,
+            zero,
+            one,
+            left=zero,
+            quality=one,
+            lower=self.lower,
+            side=self.side,
+            center=np.zeros(3),
+            radius=SIZE / 2,
         )
         self.geometry = d.Geometry(self.sums)
         self.signs = d.bootstrap_signs(self.geometry, 0)
