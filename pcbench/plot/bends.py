@@ -54,7 +54,9 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, path: Path) -> boo
     exaggeration = float(step * max(m for m in (1, 2, 5) if m * step <= wanted))
     center = (low + high) / 2
     places, vectors = field.points[inside] - center, vectors[inside] * exaggeration
-    glyphs = pyvista.PolyData(places.astype(np.float32))
+    # What sinks is drawn above the surface too, with its head on it: the ground would hide it.
+    tails = np.where(vectors[:, 2:] < 0, places - vectors, places)
+    glyphs = pyvista.PolyData(tails.astype(np.float32))
     glyphs["vectors"] = vectors.astype(np.float32)
     glyphs["length"] = np.linalg.norm(vectors, axis=1).astype(np.float32)
     glyphs["vertical"] = (vectors[:, 2] / exaggeration).astype(np.float32)
