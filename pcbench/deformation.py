@@ -37,13 +37,12 @@ from pcbench.polynomials import (
     MODELS,
     PARAMETERS,
     derivative_squares,
-    field_scores,
     gram,
     mean_and_spread,
     model_columns,
     monomials,
+    normal_equations,
     normal_matrix,
-    normal_moments,
     translation_columns,
 )
 from pcbench.voxels import cell_keys
@@ -77,7 +76,7 @@ class TileSums:
         center, radius: places are (x - center) / radius in all sums: about -1 to 1.
         side: of the cells, in the clouds' unit.
         cells: (C, 3) integer coordinates of the cells.
-        moments: (C, 84, 6), see `polynomials.normal_moments`.
+        moments: (C, 84, 6), see `polynomials.normal_equations`.
         scores: (C, 20, 3) sums of w phi n r.
         energy: (C,) sums of w r^2.
         counts: (C,) pairs.
@@ -139,14 +138,15 @@ class TileSums:
         sure = clipped[v[:, 0] >= np.median(v)]
         sigma = 1.4826 * float(np.median(np.abs(sure)))
         clipped = np.clip(clipped, -3 * sigma, 3 * sigma)
-        rows = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(order)], strict=True)]
+        cells_of = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(order)], strict=True)]
+        sums = [normal_equations(x[s], n[s], w[s], r[s]) for s in cells_of]
         return cls(
             center=center,
             radius=radius,
             side=side,
             cells=cells[order[starts]],
-            moments=np.stack([normal_moments(x[s], n[s], w[s]) for s in rows]),
-            scores=np.stack([field_scores(x[s], n[s], w[s] * r[s]) for s in rows]),
+            moments=np.stack([moments for moments, _ in sums]),
+            scores=np.stack([scores for _, scores in sums]),
             energy=np.add.reduceat(w * r * r, starts),
             counts=np.diff([*starts, len(order)]),
             dyadic=dyadic_moments(places, normals, left, weights, lower, side),
@@ -194,12 +194,12 @@ class Displacement(NamedTuple):
         A ridge holds back what the geometry does not fix; what it takes from the rest comes with the next refinement.
         """
         x = self._inside(places)
-        moments = normal_moments(x, normals, weights)
+        moments, scores = normal_equations(x, normals, weights, left)
         squares = gram(moments)
         to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares / squares[0, 0] + _RIDGE * np.eye(len(squares))))
         basis = np.kron(to_orthonormal, np.eye(3))
         matrix = basis @ normal_matrix(moments) @ basis.T + _HELD * squares[0, 0] * np.eye(len(basis))
-        found = np.linalg.solve(matrix, basis @ field_scores(x, normals, weights * left).ravel())
+        found = np.linalg.solve(matrix, basis @ scores.ravel())
         return self._replace(coefficients=self.coefficients + (basis.T @ found).reshape(-1, 3))
 
     def _inside(self, places: FloatArray) -> FloatArray:

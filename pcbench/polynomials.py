@@ -27,6 +27,12 @@ def _exponents(degree: int) -> IntArray:
 EXPONENTS = _exponents(DEGREE)  # (20, 3)
 _PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): all that products of two of them can be
 _PLACE = {tuple(powers): place for place, powers in enumerate(_PRODUCTS.tolist())}
+# Each monomial is an earlier one times a coordinate: (which, axis).
+_STEPS = [
+    (_PLACE[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
+    for powers in _PRODUCTS[1:].tolist()
+    for axis in [next(k for k in range(3) if powers[k])]
+]
 _PRODUCT = np.array([[_PLACE[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])  # (20, 20) -> 84
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # entries of a symmetric 3x3 matrix
 _ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6
@@ -34,26 +40,33 @@ _ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6
 
 def monomials(places: FloatArray, *, products: bool = False) -> FloatArray:
     """(20, N) values of the monomials at places (N, 3); with `products` (84, N), those of all products of two."""
-    exponents = _PRODUCTS if products else EXPONENTS
-    values = np.empty((len(exponents), len(places)))
+    count = len(_PRODUCTS) if products else len(EXPONENTS)
+    values = np.empty((count, len(places)))
     values[0] = 1.0
-    for row, powers in enumerate(exponents[1:].tolist(), 1):
-        axis = next(k for k in range(3) if powers[k])
-        powers[axis] -= 1  # one multiplication each, from a monomial that came before
-        np.multiply(values[_PLACE[tuple(powers)]], places[:, axis], out=values[row])
+    coordinates = np.ascontiguousarray(places.T)
+    for row, (earlier, axis) in enumerate(_STEPS[: count - 1], 1):
+        np.multiply(values[earlier], coordinates[axis], out=values[row])
     return values
 
 
-def normal_moments(places: FloatArray, normals: FloatArray, weights: FloatArray) -> FloatArray:
-    """(84, 6) sums of w phi_a phi_b n n': all that the normal equations of a cubic field hold.
+def normal_equations(
+    places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(84, 6) sums of w phi_a phi_b n n', all that the normal equations of a cubic field hold, and (20, 3) sums of
+    w phi n r, their right side.
 
     The residual's derivative by the coefficients is phi (x) n, so each entry of the (60, 60) normal matrix is the sum
     of a monomial of degree up to six times an entry of n n': 504 numbers instead of 1830.
     """
     pairs = np.stack([weights * normals[:, i] * normals[:, j] for i, j in _PAIRS], axis=1)
     # Row by row and without BLAS: the same bits at any number of threads.
-    sums: FloatArray = np.einsum("an,nk->ak", monomials(places, products=True), pairs, optimize=False)
-    return sums
+    values = monomials(places, products=True)
+    moments: FloatArray = np.einsum("an,nk->ak", values, pairs, optimize=False)
+    # Products are sorted by degree: the monomials themselves come first.
+    scores: FloatArray = np.einsum(
+        "an,nk->ak", values[: len(EXPONENTS)], normals * (weights * residuals)[:, None], optimize=False
+    )
+    return moments, scores
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:
@@ -109,12 +122,6 @@ def model_columns(model: str) -> FloatArray:
             grow[linear[axis] + axis] = 1.0
         columns.append(grow)
     return np.stack(columns, axis=1)
-
-
-def field_scores(places: FloatArray, normals: FloatArray, residuals: FloatArray) -> FloatArray:
-    """(20, 3) sums of phi n r: the right side of the normal equations; residuals (N,) carry their weights."""
-    sums: FloatArray = np.einsum("an,nk->ak", monomials(places), normals * residuals[:, None], optimize=False)
-    return sums
 
 
 def mean_and_spread(moments: FloatArray) -> tuple[FloatArray, FloatArray]:

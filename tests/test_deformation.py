@@ -17,7 +17,7 @@ from pcbench.deformation import (
     chi_squares_tail,
     minimum_detectable_rms,
 )
-from pcbench.polynomials import PARAMETERS, field_scores, model_columns, monomials, normal_matrix, normal_moments
+from pcbench.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
 from pcbench.synthetic import city
 
 NOISE = Cell("gauss", 40)  # white and correlated in equal parts, over 5 m of 200 m
@@ -44,11 +44,11 @@ def test_moments_hold_the_normal_equations_of_a_cubic_field():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     weights, residuals = rng.random(50), rng.normal(size=50)
     design = np.einsum("an,nk->nak", monomials(places), normals).reshape(50, 60)
-    matrix = normal_matrix(normal_moments(places, normals, weights))
+    moments, scores = normal_equations(places, normals, weights, residuals)
+    matrix = normal_matrix(moments)
     # Sums of fifty terms of size one.
     np.testing.assert_allclose(matrix, design.T @ (weights[:, None] * design), atol=1e-12)
-    scores = field_scores(places, normals, weights * residuals).ravel()
-    np.testing.assert_allclose(scores, design.T @ (weights * residuals), atol=1e-12)
+    np.testing.assert_allclose(scores.ravel(), design.T @ (weights * residuals), atol=1e-12)
 
 
 @pytest.mark.parametrize(
