@@ -18,6 +18,8 @@ from pcbench import intervals, metrics, presets
 from pcbench.cloud import Cloud, as_cloud, bounds
 from pcbench.crop import Region, parse_region
 from pcbench.crs import crs_name, same_crs
+from pcbench.deformation import Deformation
+from pcbench.deformation_pairs import Side, residual_deformation
 from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError, RegistrationError
 from pcbench.measure import Direction, Floor, measure, value_of
@@ -105,6 +107,7 @@ class Candidate:
     registration: Registration
     metrics: dict[str, Any]
     deviation: DeviationMap
+    deformation: Deformation
     timings_s: dict[str, float]
     peak_rss_bytes: int
     warnings: tuple[str, ...] = ()
@@ -310,6 +313,10 @@ def _compare_one(
         )
     with _timed(timings, "maps"):
         deviation = _deviation_map(truth, index, candidate_to_reference, registration, settings)
+    step(f"{name}: looking for a bend")
+    with _timed(timings, "deformation"):
+        sides = Side(truth.surface, truth.inside, truth.cloud), Side(Surface(index), inside, cloud)
+        deformation = residual_deformation(*sides, registration, truth.origin, seed=settings.seed)
     with _timed(timings, "presets"):
         to_poisson = deviation.scalars.get("poisson_distance")
         values["presets"] = _presets(truth, pair, to_poisson, settings.presets, thresholds)
@@ -321,6 +328,7 @@ def _compare_one(
         registration=registration,
         metrics=values,
         deviation=replace(deviation, rows=np.flatnonzero(inside)),
+        deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),
         warnings=tuple(_crs_warnings(truth.cloud, cloud)),
