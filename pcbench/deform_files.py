@@ -16,7 +16,7 @@ from pcbench.errors import InputError, PcbenchError
 from pcbench.io import read_cloud
 from pcbench.neighbors import Index
 from pcbench.normals import Surface
-from pcbench.registration import Registration, recentring, register
+from pcbench.registration import Registration, Target, recentring, register
 from pcbench.report import report_folder, write_deformation
 from pcbench.voxels import robust_extent, thin_to
 
@@ -49,7 +49,7 @@ def deform(
     """
     origin = recentring(reference)
     surface = Surface(Index(reference.points - origin), given=reference.normals)
-    found = register(reference, candidate, method, surface=surface)
+    found = register(reference, candidate, method, target=Target(surface))
     aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
     region = parse_region(crop, reference)
     region = None if region is None else region.shifted(origin)

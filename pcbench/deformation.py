@@ -45,7 +45,7 @@ from pcbench.polynomials import (
     normal_matrix,
     translation_columns,
 )
-from pcbench.voxels import cell_keys
+from pcbench.voxels import cells
 
 CELLS_ALONG = 16  # of the scene's extent: the finest tiles
 _FACTORS = (1, 2, 3)  # sizes of tiles, in cells
@@ -162,7 +162,7 @@ def dyadic_moments(
     rows = [[0.0, float(np.square(weights * left).sum()), float(np.square(weights).sum())]]
     for level in range(_DYADIC, 0, -1):
         edge = side / 2**level
-        _, cell = np.unique(cell_keys(places, edge, lower), return_inverse=True)
+        cell = cells(places, edge, lower).of_point
         power = sum(float(np.square(np.bincount(cell, weights * left * normals[:, i])).sum()) for i in range(3))
         information = sum(
             (1 if i == j else 2) * float(np.square(np.bincount(cell, weights * normals[:, i] * normals[:, j])).sum())

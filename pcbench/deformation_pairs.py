@@ -17,7 +17,7 @@ from pcbench.deformation import Deformation, Displacement, TileSums, judge, shar
 from pcbench.neighbors import FloatArray, Index, IntArray
 from pcbench.normals import Surface
 from pcbench.registration import Registration
-from pcbench.voxels import cell_keys, thin_to
+from pcbench.voxels import cells, thin_to
 
 _PAIRS = 20_000
 _COARSE = 5_000  # pairs of all but the last rounds
@@ -28,7 +28,6 @@ _RESOLUTION = 5e-3  # spacings of the points that planes go through
 _TILES = 60  # wanted of the middle size
 _CELLS = 480  # more only cost time
 _NEIGHBORS = 8  # that a place is the mean of
-_PLANE = 20  # neighbours that surface variation is taken from
 _ROUGH = 4.0  # times the lower quartile of the surface variation: a pair that is so rough counts a quarter
 _MAP_COORDINATES = 1e5  # beyond it, coordinates are a map's
 _EARTH_RADIUS = 6.37e6  # metres
@@ -131,7 +130,6 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
     lower, upper = np.percentile(points, [1, 99], axis=0)
     field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     last = 4 * spacing
-    smoothness = _Smoothness(index)
     for number in range(_ROUNDS):
         final = number >= _ROUNDS - 3
         asked = points if final else points[::step]
@@ -147,7 +145,11 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         width = max(4.685 * 1.4826 * float(np.median(np.abs(left))), 0.0 if final else 0.5 * gate, 1e-300)
         weights = np.square(np.clip(1 - np.square(left / width), 0, None))
         asked_rows = rows[near] if final else rows[::step][near]
-        quality = smoothness(feet[near]) * asking.class_weights(asked_rows) * surface.class_weights(feet[near])
+        quality = (
+            _smoothness(surface.surface, feet[near])
+            * asking.class_weights(asked_rows)
+            * surface.class_weights(feet[near])
+        )
         weights *= quality
         if not weights.any():
             return None
@@ -169,11 +171,11 @@ def _tile_sums(pairs: Pairs) -> TileSums:
     extent = float((upper - lower).max())
     side = extent / 16
     for _ in range(12):
-        tiles = len(np.unique(cell_keys(counted, 2 * side, lower)))
+        tiles = len(cells(counted, 2 * side, lower).first)
         if tiles >= _TILES or len(counted) < 40 * tiles:
             break
         side *= 0.87
-    while len(np.unique(cell_keys(counted, side, lower))) > _CELLS:
+    while len(cells(counted, side, lower).first) > _CELLS:
         side *= 1.1
     kept = ((pairs.places >= lower - 0.1 * extent) & (pairs.places <= upper + 0.1 * extent)).all(axis=1)
     return TileSums.of(
@@ -225,24 +227,14 @@ def _without_map_projection(
     ]
 
 
-class _Smoothness:
-    """Weights of the points of an index: edges and foliage are no planes, and what is rougher than the smooth quarter
-    of the scene counts less. Surface variation is estimated where it is first asked for, then kept.
+def _smoothness(surface: Surface, rows: IntArray) -> FloatArray:
+    """Weights (M,) of points of a surface: edges and foliage are no planes, and what is rougher than the smooth quarter
+    of the scene counts less.
     """
-
-    def __init__(self, index: Index) -> None:
-        self._index = index
-        self._variation = np.full(len(index), np.nan)
-
-    def __call__(self, rows: IntArray) -> FloatArray:
-        missing = np.unique(rows[np.isnan(self._variation[rows])])
-        if len(missing):
-            found = self._index.local_planes(min(_PLANE, len(self._index)), missing)
-            self._variation[missing] = found.variation
-        variation = self._variation[rows]
-        limit = _ROUGH * max(float(np.percentile(variation, 25)), 1e-6)
-        weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
-        return weights
+    variation = surface.variation(rows)
+    limit = _ROUGH * max(float(np.percentile(variation, 25)), 1e-6)
+    weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
+    return weights
 
 
 def _extent(points: FloatArray) -> float:

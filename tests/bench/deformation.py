@@ -95,7 +95,7 @@ def times(sizes: list[int]) -> None:
     from pcbench.deformation_pairs import Side, residual_deformation
     from pcbench.neighbors import Index
     from pcbench.normals import Surface
-    from pcbench.registration import recentring, register
+    from pcbench.registration import Target, recentring, register
     from pcbench.synthetic import demo
 
     print(f"\n{'reference':>10}{'candidate':>11}{'seconds':>9}  verdict")
@@ -106,7 +106,7 @@ def times(sizes: list[int]) -> None:
         surface.normals(np.arange(len(surface)))
         truth = Side(surface, np.ones(len(surface), bool), scene.reference)
         for cloud in scene.candidates.values():
-            found = register(scene.reference, cloud, surface=surface)
+            found = register(scene.reference, cloud, target=Target(surface))
             index = Index(found.T_local.apply(cloud.points - origin))
             seconds = []
             for _ in range(5):
