@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mesh_shapes import cube, height_field, icosphere, spiky, tetrahedron
+from oracles import first_hits
 from scipy.stats import chi2
 
 from pcbench.errors import InputError
@@ -408,20 +409,6 @@ def test_kernel_checks_what_it_is_given():
 # ---- rays ----
 
 
-def brute_rays(origins, directions, vertices, faces):
-    """t (N,) of the first face each ray meets, by Moeller and Trumbore's 3x3 systems; inf where there is none."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    first = np.full(len(origins), np.inf)
-    for i, (o, d) in enumerate(zip(origins, directions, strict=True)):
-        # o + t d = a + u (b - a) + v (c - a)
-        systems = np.stack([np.broadcast_to(-d, a.shape), b - a, c - a], axis=2)
-        regular = np.abs(np.linalg.det(systems)) > 1e-300
-        t, u, v = np.linalg.solve(systems[regular], (o - a[regular])[..., None])[..., 0].T
-        met = t[(u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)]
-        first[i] = met.min(initial=np.inf)
-    return first
-
-
 @pytest.mark.parametrize("offset", [np.zeros(3), UTM], ids=["origin", "utm"])
 def test_rays_against_every_triangle(offset):
     rng = np.random.default_rng(3)
@@ -432,7 +419,7 @@ def test_rays_against_every_triangle(offset):
     directions = rng.normal(size=(400, 3)) * rng.choice([1e-3, 1, 50], (400, 1))
     directions[:30, rng.integers(0, 3)] = 0  # along the boxes' faces
     hits = MeshIndex(Mesh(vertices, faces)).cast(origins, directions)
-    expected = brute_rays(origins, directions, vertices, faces)
+    expected = first_hits(origins, directions, vertices, faces)
     assert 50 < np.isfinite(expected).sum() < 400
     np.testing.assert_array_equal(np.isfinite(hits.distances), np.isfinite(expected))
     met = np.isfinite(expected)
