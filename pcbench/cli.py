@@ -258,9 +258,9 @@ def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, qu
         click.echo(f"{out}: {len(data):,} points")
 
 
-@app.group(short_help="Scenes whose truth is known.")
+@app.group(short_help="Scenes and deformations whose truth is known.")
 def synth() -> None:
-    """Make images of a city whose geometry is known exactly."""
+    """Make images of a city whose geometry is known exactly, or bend a cloud by a known amount."""
 
 
 @synth.command(short_help="Make a city, photographs of it, and their truth.")
@@ -328,6 +328,45 @@ def city(
         write_scene(out, settings, step)
     if not quiet:
         click.echo(f"{out}: {images} images of {pixels[0]} x {pixels[1]}, their cameras and their truth")
+
+
+@synth.command(short_help="Bend a cloud by a known amount.")
+@click.argument("cloud", type=_FILE)
+@click.argument("out", type=_FILE)
+@click.option("--kind", required=True, help="dome, bowl, shear, twist, subsidence or drift.")
+@click.option("--rms", required=True, type=float, help="What no affine map explains, in the cloud's unit.")
+@click.option("--rotate", default="0,0,0", show_default=True, metavar="X,Y,Z", help="Degrees about each axis, after.")
+@click.option("--shift", default="0,0,0", show_default=True, metavar="X,Y,Z", help="In the cloud's unit, after.")
+@click.option("--scale", default=1.0, show_default=True, help="About the origin, after.")
+@quiet_option
+def warp(cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str, scale: float, quiet: bool) -> None:
+    """Write CLOUD to OUT deformed in a known way, and what was done to it beside, as JSON (OUT with .json added).
+
+    dome and bowl bend it over its horizontal extent; shear leans over with the square of the height; twist turns with
+    height; subsidence is a local basin; drift bends the longest axis. A rotation, a scale and a shift follow.
+    """
+    import json
+
+    from pcbench.io import write_cloud
+    from pcbench.io.files import atomic_write, check_output
+    from pcbench.synthetic.warp import turn, warp_of
+
+    beside = out.with_name(f"{out.name}.json")
+    for path in (out, beside):
+        check_output(path, (cloud,))
+    angles, move = _numbers("--rotate", rotate, float), _numbers("--shift", shift, float)
+    for option, text, values in (("--rotate", rotate, angles), ("--shift", shift, move)):
+        if values is None or len(values) != 3:
+            raise InputError(f"expected {option} as three numbers x,y,z, got {text!r}")
+    assert angles is not None and move is not None
+    data = _read(cloud, quiet)
+    bend = warp_of(kind, data.points, rms, turn(angles, move, scale))  # type: ignore[arg-type]
+    record = bend.record(data.points)
+    write_cloud(out, bend.apply_cloud(data))
+    with atomic_write(beside) as file:
+        file.write((json.dumps(record, indent=1) + "\n").encode())
+    if not quiet:
+        click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")
 
 
 @app.command(short_help="Say what is in a cloud.")
