@@ -74,9 +74,34 @@ def test_a_plan_follows_its_settings():
     sparse = lay_out(CitySettings(density=0.2)).solids
     assert len([s for s in sparse if s.kind == "house"]) < 0.5 * len([s for s in buildings if s.kind == "house"])
     assert not [s for s in lay_out(CitySettings(density=0)).solids if s.kind != "car"]
-    lakes = lay_out(CitySettings().hard()).blocks
-    assert any(block.kind == "lake" for block in lakes)
     assert not any(block.kind == "lake" for block in lay_out(CitySettings()).blocks)
+
+
+def test_water_is_level():
+    plan = lay_out(CitySettings().hard())
+    lakes = [block for block in plan.blocks if block.kind == "lake"]
+    assert lakes
+    for lake in lakes:
+        x, y = np.random.default_rng(0).uniform(lake.low, lake.high, (200, 2)).T
+        assert np.ptp(plan.terrain.at(x, y)) < 1e-12
+    land = next(block for block in plan.blocks if block.kind == "houses")
+    assert np.ptp(plan.terrain.at(*np.random.default_rng(0).uniform(land.low, land.high, (200, 2)).T)) > 0.05
+
+
+@pytest.mark.parametrize("extent", [100, 130, 250])
+def test_every_city_can_be_built(extent):
+    """Narrow blocks, lone blocks, blocks about the origin: nothing has a negative size or leaves the city."""
+    for seed in range(12):
+        for symmetric in (False, True):
+            plan = lay_out(CitySettings(extent=extent, seed=seed, symmetric=symmetric))
+            assert all(min(s.width, s.depth, s.eaves - s.bottom) > 0.3 for s in plan.solids)
+            footing = [s for s in plan.solids if s.kind in ("house", "block", "hall")]
+            assert np.abs([s.footprint() for s in footing]).max() < extent / 2
+            for solid in footing:  # no corner or middle of one is inside another
+                marks = [np.concatenate([s.footprint(), [[s.x, s.y]]]) for s in footing if s is not solid]
+                inside = np.abs(solid.local(np.concatenate(marks))) < [0.49 * solid.width, 0.49 * solid.depth]
+                assert not inside.all(axis=1).any()
+            assert all(np.subtract(b.high, b.low).min() > 10 for b in plan.blocks)
 
 
 def test_relief_is_what_was_asked_for():

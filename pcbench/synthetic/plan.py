@@ -174,33 +174,56 @@ def lay_out(settings: CitySettings) -> Plan:
     rng = np.random.default_rng([settings.seed, 1])
     terrain = _terrain(settings, rng)
     lines = [_streets(settings, axis, rng) for axis in (0, 1)]
-    blocks: list[Block] = []
+    blocks = _blocks(settings, lines, rng)
+    _level(terrain, [block for block in blocks if block.kind == "lake"])
     solids: list[Solid] = []
     trees: list[Tree] = []
+    for block in blocks:
+        if settings.symmetric and _is_second(block):
+            continue
+        stands, grows = _fill(block, settings, terrain)
+        solids += stands
+        trees += grows
+        if settings.symmetric:
+            solids += [replace(s, x=-s.x, y=-s.y, yaw=s.yaw + np.pi) for s in stands]
+            trees += [t._replace(x=-t.x, y=-t.y) for t in grows]
+    if not settings.symmetric:
+        solids += _cars(lines, terrain, settings, rng)
+        trees += _countryside(settings, terrain, rng)
+    return Plan(settings, terrain, [*lines[0], *lines[1]], blocks, solids, trees)
+
+
+def _blocks(settings: CitySettings, lines: list[list[Street]], rng: np.random.Generator) -> list[Block]:
+    blocks: list[Block] = []
     for west, east in pairwise(lines[0]):
         for south, north in pairwise(lines[1]):
             low = (west.at + west.width / 2, south.at + south.width / 2)
             high = (east.at - east.width / 2, north.at - north.width / 2)
             centre = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
-            if settings.symmetric and (centre[1], centre[0]) < (-1e-6, -1e-6):
-                continue  # the other half of the turn makes it
             block = Block(_kind(centre, settings, rng), low, high, int(rng.integers(1 << 30)))
-            stands, grows = _fill(block, settings, terrain)
-            own = settings.symmetric and np.hypot(*centre) < 1e-6  # turned onto itself: it cannot be filled by chance
-            if own:
-                block, stands, grows = block._replace(kind="park"), [], []
-            blocks.append(block)
-            solids += stands
-            trees += grows
-            if settings.symmetric and not own:
-                turned_low, turned_high = (-high[0], -high[1]), (-low[0], -low[1])
-                blocks.append(Block(block.kind, turned_low, turned_high, block.seed))
-                solids += [replace(s, x=-s.x, y=-s.y, yaw=s.yaw + np.pi) for s in stands]
-                trees += [t._replace(x=-t.x, y=-t.y) for t in grows]
-    if not settings.symmetric:
-        solids += _cars(lines, terrain, settings, rng)
-        trees += _countryside(settings, terrain, rng)
-    return Plan(settings, terrain, [*lines[0], *lines[1]], blocks, solids, trees)
+            if settings.symmetric and np.hypot(*centre) < 1e-6:
+                continue  # a square: chance would not fill it the same after half a turn
+            if not (settings.symmetric and _is_second(block)):
+                blocks.append(block)
+    if settings.symmetric:
+        turned = [Block(b.kind, (-b.high[0], -b.high[1]), (-b.low[0], -b.low[1]), b.seed) for b in blocks]
+        blocks += turned
+    return blocks
+
+
+def _is_second(block: Block) -> bool:
+    """Whether half a turn about the origin brings the block to where another is made."""
+    x, y = block.low[0] + block.high[0], block.low[1] + block.high[1]
+    return y < -1e-6 or (abs(y) <= 1e-6 and x < -1e-6)
+
+
+def _level(terrain: Terrain, lakes: list[Block]) -> None:
+    """Water is level: the terrain's vertices in and next to a lake take its lowest height."""
+    n = len(terrain.heights)
+    at = (np.arange(n) - (n - 1) / 2) * terrain.step
+    for lake in lakes:
+        i, j = (np.flatnonzero((at > lake.low[a] - terrain.step) & (at < lake.high[a] + terrain.step)) for a in (1, 0))
+        terrain.heights[np.ix_(i, j)] = terrain.heights[np.ix_(i, j)].min()
 
 
 def _terrain(settings: CitySettings, rng: np.random.Generator) -> Terrain:
@@ -229,7 +252,7 @@ def _streets(settings: CitySettings, axis: int, rng: np.random.Generator) -> lis
         places = [0.0] if rng.random() < 0.5 else [float(rng.uniform(22, 32))]
         while places[-1] + 65 < half:
             places.append(places[-1] + float(rng.uniform(45, 60)))
-        places = [p for p in places if p < half - 30]
+        places = [p for p in places if p < half - 30] or [0.0]
         places = sorted({-p for p in places} | set(places))
     else:
         places = [-half + float(rng.uniform(45, 60))]
@@ -298,6 +321,8 @@ def _core(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random
                 continue
             gap = rng.uniform(0.4, 2.5)
             width, depth = xb - xa - 2 * gap, yb - ya - 2 * gap
+            if min(width, depth) < 5:
+                continue  # a yard
             x, y = (xa + xb) / 2, (ya + yb) / 2
             near = np.exp(-((np.hypot(x, y) / (0.22 * settings.extent)) ** 2))
             height = settings.height * (1.3 * np.exp(rng.normal(0, 0.25)) + 2.6 * near * rng.uniform(0.2, 1) ** 1.5)
@@ -325,19 +350,20 @@ def _clutter(body: Solid, stand: _Stand, rng: np.random.Generator) -> Iterator[S
 
 
 def _houses(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Solid]:
-    """Two rows of gabled houses along the longer side, with chimneys."""
+    """Gabled houses with chimneys along the longer side, in two rows where there is room."""
     stand = _Stand(settings, terrain, rng)
     low, high = np.array(block.low) + 3, np.array(block.high) - 3
     along = int(high[1] - low[1] > high[0] - low[0])
     lots = max(1, int((high - low)[along] // 15))
     lot = (high - low)[along] / lots
-    for row in (0.24, 0.76):
+    across = (high - low)[1 - along]
+    for row in (0.24, 0.76) if across > 26 else (0.5,) if across > 9 else ():
         for k in range(lots):
             if rng.random() > settings.density:
                 continue
             place = np.empty(2)
             place[along] = low[along] + (k + 0.5) * lot + rng.uniform(-1, 1)
-            place[1 - along] = low[1 - along] + row * (high - low)[1 - along] + rng.uniform(-1.5, 1.5)
+            place[1 - along] = low[1 - along] + row * across + rng.uniform(-1.5, 1.5)
             width, depth = rng.uniform(7.5, 10), rng.uniform(9, 11.5)
             quarter = int(rng.random() < 0.5)
             yaw = float(rng.normal(0, 0.04) + quarter * np.pi / 2)
