@@ -153,6 +153,8 @@ def test_the_papers_circles():
     assert len(rings) == 7
     assert rings[-1] / rings[0] == pytest.approx(7250 / 500)
     assert (positions[:, 2] > 40).all()
+    azimuths = np.sort(np.arctan2(*positions[:, 1::-1].T))
+    np.testing.assert_allclose(np.diff(azimuths), 2 * np.pi / 70, atol=1e-9)  # from all sides
     # All look at one point: every axis passes it.
     target = np.array([0, 0, 20.0])
     for camera in cameras:

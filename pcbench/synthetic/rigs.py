@@ -60,9 +60,10 @@ def circles(
     centre = np.asarray(target, dtype=np.float64)
     poses = []
     for k, part in enumerate(np.array_split(np.arange(count), len(radii))):
-        # Each circle starts elsewhere: azimuths that repeat would waste viewpoints.
-        start = k * np.pi * (3 - np.sqrt(5))
-        for angle in start + 2 * np.pi * np.arange(len(part)) / max(1, len(part)):
+        # Each circle starts a part of a step further than the one inside it: together they look from all sides, and
+        # each image has neighbours on the next circles from nearly the same side, which features can be matched to.
+        step = 2 * np.pi / max(1, len(part))
+        for angle in step * (np.arange(len(part)) + k / len(radii)):
             x, y = centre[:2] + radii[k] * np.array([np.cos(angle), np.sin(angle)])
             poses.append(look_at([x, y, altitudes[k]], centre))
     return poses
