@@ -27,7 +27,7 @@ class CitySettings:
         texture: 1 is rich, 0 leaves walls blank and the ground plain.
         water: some blocks are lakes.
         repeated: all buildings wear one facade and one roof.
-        symmetric: the city looks the same turned by half a turn (but for its shadows).
+        symmetric: half a turn brings the city onto itself, but for its shadows and the fields around it.
         seed: of everything.
 
     Raises:
