@@ -41,6 +41,7 @@ _GRASS = (0.38, 0.46, 0.27)
 _ASPHALT = (0.37, 0.37, 0.38)
 _PAVING = (0.60, 0.58, 0.55)
 _WATER = (0.20, 0.33, 0.38)
+_ROOTED = 1.2  # m of a wall that are taken to be in the ground
 
 
 class Noise:
@@ -85,7 +86,7 @@ class Painter:
     def face(self, kind: str, side: str, seed: int, grid: Grid) -> Image:
         """A wall, roof or gable of a solid."""
         rng = np.random.default_rng([self.settings.seed, seed, 3])  # one look for the whole building
-        own = np.random.default_rng([self.settings.seed, seed, len(side) + 7 * ord(side[-1])])
+        own = np.random.default_rng([self.settings.seed, seed, *side.encode()])  # this side's own
         if kind == "car":
             return self._car(side, grid, rng)
         if kind in ("clutter", "chimney"):
@@ -101,34 +102,37 @@ class Painter:
         return _tinted(color, 1 + contrast * self.settings.texture * noise)
 
     def _wall(self, kind: str, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
+        """Storeys of windows in frames, a pane's tone each; some blocks have shops."""
         base = _FACADES[rng.integers(len(_FACADES))]
         storey, bay = rng.uniform(2.9, 3.4), rng.uniform(2.2, 4.0)
         glass = kind == "tower" and rng.random() < 0.6
-        opening = (0.86, 0.80) if glass else (rng.uniform(0.38, 0.6), rng.uniform(0.45, 0.62))
+        width, height = (0.86, 0.80) if glass else (rng.uniform(0.38, 0.6), rng.uniform(0.45, 0.62))  # in bays, storeys
         image = self._plain(base, grid, own, 0.10)
-        if rng.random() >= self.settings.texture + 0.02 or (kind == "hall" and rng.random() < 0.5):
+        if rng.random() >= self.settings.texture or (kind == "hall" and rng.random() < 0.5):
             return image  # a blank wall
-        above = grid.v - 1.2  # the lowest part is in the ground
+        above = grid.v - _ROOTED
         bays = max(1, round(grid.width / bay))
         column, row = np.floor(grid.u / grid.width * bays).astype(int), np.floor(above / storey).astype(int)
         s, t = grid.u / grid.width * bays - column, above / storey - row
         # No window in what is left of a storey under the eaves.
-        whole = (row >= 0) & ((row + 1) * storey < grid.height - 1.2 + 0.3)
-        for size, color in ((1.18, 0.92 if not glass else 0.55), (1.0, None)):
-            across = np.abs(s - 0.5) < opening[0] * size / 2
-            up = (np.abs(t - 0.55) < opening[1] * size / 2) & whole
-            mask = up[:, None] & across[None, :]
-            if color is not None:
-                image[mask] = np.minimum(1, np.float32(color) * np.array([1, 0.98, 0.95], dtype=np.float32))
-                continue
-            panes = own.uniform(0.25, 1.0, (row.max() + 2, bays + 2)) ** 1.6 if not self.settings.repeated else None
-            shade = (
-                0.5 if panes is None else panes[np.clip(row, 0, None)[:, None], np.clip(column, 0, bays)[None, :] + 1]
+        whole = (row >= 0) & ((row + 1) * storey < grid.height - _ROOTED + 0.3)
+
+        def opening(scale: float) -> NDArray[np.bool_]:
+            across, up = np.abs(s - 0.5) < scale * width / 2, np.abs(t - 0.55) < scale * height / 2
+            mask: NDArray[np.bool_] = (up & whole)[:, None] & across[None, :]
+            return mask
+
+        image[opening(1.18)] = (0.55, 0.54, 0.52) if glass else (0.92, 0.90, 0.87)
+        panes = own.uniform(0.25, 1.0, (max(0, row.max()) + 1, bays + 2)) ** 1.6
+        if self.settings.repeated:
+            panes[:] = 0.5
+        tones = 0.16 + 0.42 * panes[np.ix_(np.maximum(row, 0), np.clip(column, -1, bays) + 1)]
+        mask = opening(1.0)
+        image[mask] = tones[mask][:, None] * np.array([0.80, 0.95, 1.1])
+        if kind == "block" and rng.random() < 0.7:
+            image[(above > 0) & (above < 2.6)] *= np.array(
+                own.uniform(0.6, 1.0) * own.uniform(0.85, 1.1, 3), dtype=np.float32
             )
-            tone = np.broadcast_to(np.float32(0.16) + 0.42 * shade, mask.shape)[mask]
-            image[mask] = tone[:, None] * np.array([0.80, 0.95, 1.1], dtype=np.float32)
-        if kind == "block" and rng.random() < 0.7:  # shops
-            image[(above > 0) & (above < 2.6)] *= np.array(own.uniform(0.5, 1.1, 3), dtype=np.float32)
         return image
 
     def _tiles(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
@@ -153,7 +157,7 @@ class Painter:
         return image
 
     def _flat_roof(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
-        rng.random(8)
+        rng.random(8)  # the walls' draws are not the roof's
         r = self.settings.texture
         image = self._plain(_FLAT[rng.integers(len(_FLAT))], grid, own, 0.17)
         sheet = rng.uniform(2.5, 5)

@@ -85,7 +85,7 @@ class _Faces:
 
 
 def build_city(settings: CitySettings, texel: float | None = None) -> CitySurface:
-    """Lay out, mesh, paint and light a city; about 12 seconds for the default one.
+    """Lay out, mesh, paint and light a city; about 8 CPU seconds for the default one.
 
     Args:
         settings: what kind of city.
