@@ -59,6 +59,46 @@ class Intrinsics:
     def is_pinhole(self) -> bool:
         return not any(self.distortion)
 
+    @property
+    def widest(self) -> FloatArray:
+        """The largest |x| and |y| (2,) at depth 1 of the rays through the image's border."""
+        u, v = np.linspace(0, self.width, 65), np.linspace(0, self.height, 65)
+        upper, lower = (np.column_stack([u, np.full(65, y)]) for y in (0, self.height))
+        left, right = (np.column_stack([np.full(65, x), v]) for x in (0, self.width))
+        widest: FloatArray = np.abs(self.directions(np.concatenate([upper, lower, left, right]))[:, :2]).max(axis=0)
+        return widest
+
+    def directions(self, pixels: FloatArray) -> FloatArray:
+        """Directions (N, 3) in the camera's frame, of depth z = 1, of the rays through pixel coordinates (N, 2).
+
+        The distortion is undone by Newton's method on Brown's two equations.
+
+        Raises:
+            InputError: the distortion folds the image over within its border: no ray belongs to some pixel.
+        """
+        goal = (np.asarray(pixels, dtype=np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
+        if self.is_pinhole:
+            return np.column_stack([goal, np.ones(len(goal))])
+        k1, k2, p1, p2 = self.distortion
+        x, y = goal.T.copy()
+        for _ in range(20):
+            r2 = x * x + y * y
+            radial, slope = 1 + r2 * (k1 + r2 * k2), 2 * (k1 + 2 * k2 * r2)
+            miss_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - goal[:, 0]
+            miss_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - goal[:, 1]
+            xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+            xy = slope * x * y + 2 * p1 * x + 2 * p2 * y
+            yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+            determinant = xx * yy - xy * xy
+            if not (determinant > 1e-3).all():
+                break
+            x, y = x - (yy * miss_x - xy * miss_y) / determinant, y - (xx * miss_y - xy * miss_x) / determinant
+            if max(np.abs(miss_x).max(initial=0), np.abs(miss_y).max(initial=0)) < 1e-14:
+                return np.column_stack([x, y, np.ones(len(goal))])
+        if max(np.abs(miss_x).max(), np.abs(miss_y).max()) < 1e-10 and (determinant > 1e-3).all():
+            return np.column_stack([x, y, np.ones(len(goal))])
+        raise InputError(f"the distortion {self.distortion} folds the image over: some pixels have no ray")
+
     def scaled(self, factor: float) -> Intrinsics:
         """For images resized by `factor`; sizes are rounded, and the rest follows the rounded sizes."""
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))

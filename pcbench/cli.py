@@ -315,6 +315,117 @@ def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, qu
         click.echo(f"{out}: {len(data):,} points")
 
 
+@app.group(short_help="Scenes and deformations whose truth is known.")
+def synth() -> None:
+    """Make images of a city whose geometry is known exactly, or bend a cloud by a known amount."""
+
+
+@synth.command(short_help="Make a city, photographs of it, and their truth.")
+@click.option("--out", type=_FILE, required=True, help="Folder for the scene: a new or an empty one.")
+@click.option("--images", default=40, show_default=True, type=click.IntRange(1, 9999), help="How many.")
+@click.option("--size", default="960x540", show_default=True, metavar="WxH", help="Of an image, in pixels.")
+@click.option("--fov", default=40.0, show_default=True, type=click.FloatRange(1, 120), help="Vertical, in degrees.")
+@click.option("--rig", default="circles", show_default=True, help="circles, grid, oblique or orbit.")
+@click.option("--distortion", default="0,0,0,0", show_default=True, metavar="K1,K2,P1,P2", help="Of the lens.")
+@click.option("--gps", type=click.FloatRange(min=0), help="Write gps.txt with errors of so many metres.")
+@click.option("--extent", default=400.0, show_default=True, help="Side of the city in metres.")
+@click.option("--density", default=0.85, show_default=True, help="Share of the lots that are built on.")
+@click.option("--height", default=9.0, show_default=True, help="Median height of its houses in metres.")
+@click.option("--relief", default=2.0, show_default=True, help="RMS of the terrain's waves in metres.")
+@click.option("--texture", default=1.0, show_default=True, help="1 is rich, 0 leaves blank walls and plain ground.")
+@click.option("--water", is_flag=True, help="Make some blocks lakes.")
+@click.option("--repeated", is_flag=True, help="Give all buildings one facade.")
+@click.option("--symmetric", is_flag=True, help="Make the city look the same after half a turn.")
+@click.option("--hard", is_flag=True, help="Short for --texture 0.1 --water --repeated.")
+@click.option("--points", default=1_000_000, show_default=True, type=click.IntRange(1000), help="Of the true cloud.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of everything.")
+@quiet_option
+def city(
+    out: Path,
+    images: int,
+    size: str,
+    fov: float,
+    rig: str,
+    distortion: str,
+    gps: float | None,
+    extent: float,
+    density: float,
+    height: float,
+    relief: float,
+    texture: float,
+    water: bool,
+    repeated: bool,
+    symmetric: bool,
+    hard: bool,
+    points: int,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Make a city and photograph it: images, cameras (COLMAP, transforms.json), and in truth/ its mesh, a cloud of its
+    surface and a depth map for each image. The same settings give the same bytes.
+    """
+    from dataclasses import replace
+
+    from pcbench.cameras import Intrinsics
+    from pcbench.synthetic.files import SceneSettings, write_scene
+    from pcbench.synthetic.plan import CitySettings
+
+    pixels, lens = _numbers("--size", size.lower().replace("x", ","), int), _numbers("--distortion", distortion, float)
+    if pixels is None or len(pixels) != 2:
+        raise InputError(f"expected --size as WIDTHxHEIGHT, such as 960x540, got {size!r}")
+    if lens is None or len(lens) != 4:
+        raise InputError(f"expected --distortion as four numbers k1,k2,p1,p2, got {distortion!r}")
+    if min(pixels) < 1:
+        raise InputError(f"expected an image of at least one pixel, got {size!r}")
+    intrinsics = replace(Intrinsics.from_fov(*pixels, fov), distortion=lens)
+    town = CitySettings(extent, density, height, relief, texture, water, repeated, symmetric, seed)
+    town = town.hard() if hard else town
+    settings = SceneSettings(town, images, intrinsics, rig, points=points, gps=gps)
+    with _steps(quiet) as step:
+        write_scene(out, settings, step)
+    if not quiet:
+        click.echo(f"{out}: {images} images of {pixels[0]} x {pixels[1]}, their cameras and their truth")
+
+
+@synth.command(short_help="Bend a cloud by a known amount.")
+@click.argument("cloud", type=_FILE)
+@click.argument("out", type=_FILE)
+@click.option("--kind", required=True, help="dome, bowl, shear, twist, subsidence or drift.")
+@click.option("--rms", required=True, type=float, help="What no affine map explains, in the cloud's unit.")
+@click.option("--rotate", default="0,0,0", show_default=True, metavar="X,Y,Z", help="Degrees about each axis, after.")
+@click.option("--shift", default="0,0,0", show_default=True, metavar="X,Y,Z", help="In the cloud's unit, after.")
+@click.option("--scale", default=1.0, show_default=True, help="About the origin, after.")
+@quiet_option
+def warp(cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str, scale: float, quiet: bool) -> None:
+    """Write CLOUD to OUT deformed in a known way, and what was done to it beside, as JSON (OUT with .json added).
+
+    dome and bowl bend it over its horizontal extent; shear leans over with the square of the height; twist turns with
+    height; subsidence is a local basin; drift bends the longest axis. A rotation, a scale and a shift follow.
+    """
+    import json
+
+    from pcbench.io import write_cloud
+    from pcbench.io.files import atomic_write, check_output
+    from pcbench.synthetic.warp import turn, warp_of
+
+    beside = out.with_name(f"{out.name}.json")
+    for path in (out, beside):
+        check_output(path, (cloud,))
+    angles, move = _numbers("--rotate", rotate, float), _numbers("--shift", shift, float)
+    for option, text, values in (("--rotate", rotate, angles), ("--shift", shift, move)):
+        if values is None or len(values) != 3:
+            raise InputError(f"expected {option} as three numbers x,y,z, got {text!r}")
+    assert angles is not None and move is not None
+    data = _read(cloud, quiet)
+    bend = warp_of(kind, data.points, rms, turn(angles, move, scale))  # type: ignore[arg-type]
+    record = bend.record(data.points)
+    write_cloud(out, bend.apply_cloud(data))
+    with atomic_write(beside) as file:
+        file.write((json.dumps(record, indent=1) + "\n").encode())
+    if not quiet:
+        click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")
+
+
 @app.command(short_help="Say what is in a cloud.")
 @click.argument("clouds", type=_FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:

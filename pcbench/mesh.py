@@ -138,8 +138,16 @@ class MeshMatches(NamedTuple):
     faces: IntArray
 
 
+class RayHits(NamedTuple):
+    """For each ray where it first meets the mesh (N,), in lengths of its direction, and the face (N,); inf and -1 where
+    it does not."""
+
+    distances: FloatArray
+    faces: IntArray
+
+
 class MeshIndex:
-    """Exact point-to-triangle distances in float64 to a fixed mesh."""
+    """Exact point-to-triangle distances in float64 to a fixed mesh, and where rays meet it."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
@@ -181,6 +189,33 @@ class MeshIndex:
             return matches
         side = np.einsum("ni,ni->n", queries - matches.feet, self._pseudo_normals.at(matches.faces, features))
         return matches._replace(distances=np.where(side < 0, -matches.distances, matches.distances))
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
+        """Where rays first meet the mesh, from either side of its faces.
+
+        Watertight (Woop, Benthin and Wald, "Watertight ray/triangle intersection", 2013): no ray slips through between
+        two faces with a common edge. Rays that are neighbours in the arrays should be neighbours in space.
+
+        Args:
+            origins: (N, 3) in the mesh's frame, or (3,) for all rays.
+            directions: (N, 3), of any length but 0. With a depth of 1 along the viewing axis, distances are z-depths.
+
+        Raises:
+            InputError: a shape is wrong, a number is not finite, or a direction is zero.
+        """
+        origins, directions = _rays(origins, directions)
+        hits = RayHits(np.empty(len(origins)), np.empty(len(origins), dtype=np.int64))
+        self._tree.cast(origins, directions, np.inf, *hits)
+        return hits
+
+    def blocked(self, origins: ArrayLike, directions: ArrayLike, *, limit: float = np.inf) -> NDArray[np.bool_]:
+        """Whether rays (N,) meet the mesh closer than `limit` lengths of their directions: with ends minus origins and
+        a limit of 1 whether something stands between. Arguments and errors are those of `cast`.
+        """
+        origins, directions = _rays(origins, directions)
+        result = np.empty(len(origins), dtype=np.bool_)
+        self._tree.blocked(origins, directions, limit, result)
+        return result
 
     @cached_property
     def _pseudo_normals(self) -> _PseudoNormals:
@@ -252,6 +287,19 @@ def _is_proper(faces: IntArray) -> NDArray[np.bool_]:
 def _edge_keys(faces: IntArray, vertices: int) -> IntArray:
     """One number for each directed edge (F, 3) of the faces: from corner k to the next."""
     return faces * vertices + np.roll(faces, -1, axis=1)
+
+
+def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    towards = _rows("directions", directions)
+    starts = np.asarray(origins, dtype=np.float64)
+    starts = _rows("origins", np.broadcast_to(starts, towards.shape) if starts.shape == (3,) else starts)
+    if len(starts) != len(towards):
+        raise InputError(f"expected an origin for each of the {len(towards)} directions, got {len(starts)}")
+    if not (np.isfinite(starts).all() and np.isfinite(towards).all()):
+        raise InputError("expected rays of finite numbers, got NaN or Inf")
+    if not towards.any(axis=1).all():
+        raise InputError("expected directions of some length, got zero")
+    return starts, towards
 
 
 def _rows(what: str, data: ArrayLike) -> FloatArray:

@@ -212,3 +212,17 @@ def mpeg(a_points, a_normals, b_points):
         result[f"h. ({kind})"] = max(result[f"h. 1({kind})"], result[f"h. 2({kind})"])
         result[f"h.,PSNR ({kind})"] = min(result[f"h.,PSNR 1({kind})"], result[f"h.,PSNR 2({kind})"])
     return result
+
+
+def first_hits(origins, directions, vertices, faces):
+    """t (N,) of the first face each ray meets, by Moeller and Trumbore's 3x3 systems; inf where there is none."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    first = np.full(len(origins), np.inf)
+    for i, (o, d) in enumerate(zip(origins, directions, strict=True)):
+        # o + t d = a + u (b - a) + v (c - a)
+        systems = np.stack([np.broadcast_to(-d, a.shape), b - a, c - a], axis=2)
+        regular = np.abs(np.linalg.det(systems)) > 1e-300
+        t, u, v = np.linalg.solve(systems[regular], (o - a[regular])[..., None])[..., 0].T
+        met = t[(u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)]
+        first[i] = met.min(initial=np.inf)
+    return first

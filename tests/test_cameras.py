@@ -53,3 +53,25 @@ def test_scaling_keeps_rays():
 def test_refusals(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+LENSES = [(0, 0, 0, 0), (0.08, 0, 0, 0), (-0.12, 0.02, 0.003, -0.002), (0.1, -0.05, 0.01, 0.02)]
+
+
+@pytest.mark.parametrize("distortion", LENSES)
+def test_directions_undo_projection(distortion):
+    k = Intrinsics(320, 200, 210, 215, 155, 104, distortion)
+    u, v = np.meshgrid(np.linspace(0, 320, 33), np.linspace(0, 200, 21))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays = k.directions(pixels)
+    np.testing.assert_array_equal(rays[:, 2], 1)
+    there = Camera("a.png", k, look_at([0, 0, 0], [0, 0, 1], up=[0, -1, 0])).project(7 * rays)[0]
+    np.testing.assert_allclose(there, pixels, atol=1e-9)  # pixels of about 300, Newton to 1e-10 of a focal length
+    inner = np.abs(rays[:, :2]).max(axis=0)
+    np.testing.assert_allclose(k.widest, inner, rtol=0.01)  # the border's extreme is between the grid's points
+
+
+def test_a_lens_that_folds_is_refused():
+    k = Intrinsics(320, 200, 110, 110, 160, 100, (-0.6, 0, 0, 0))
+    with pytest.raises(InputError, match="folds the image over"):
+        k.directions(np.array([[0.0, 0.0], [160, 100]]))

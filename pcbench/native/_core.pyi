@@ -88,3 +88,12 @@ class MeshIndex:
         Nearest points of the mesh, written in place: distances (N,), feet (N, 3), faces (N,), and features (N,):
         0-2 the face's corners, 3-5 its edges 01, 12, 20, 6 its inside.
         """
+
+    def cast(self, origins: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], directions: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], limit: float, distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], faces: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+        """
+        Where rays first meet the mesh, written in place: distances (N,) in units of the directions' lengths,
+        infinity where there is nothing below `limit`, and faces (N,), -1 there.
+        """
+
+    def blocked(self, origins: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], directions: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], limit: float, blocked: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C', device='cpu')]) -> None:
+        """Whether rays meet the mesh before `limit`, written in place (N,)."""

@@ -10,6 +10,7 @@
 #include <limits>
 #include <vector>
 
+#include "ray.h"
 #include "triangle.h"
 
 namespace pcbench::mesh {
@@ -17,6 +18,7 @@ namespace pcbench::mesh {
 typedef float Float4 __attribute__((vector_size(16)));
 
 inline Float4 larger(Float4 a, Float4 b) { return a > b ? a : b; }
+inline Float4 smaller(Float4 a, Float4 b) { return a < b ? a : b; }
 inline Float4 all(float value) { return Float4{value, value, value, value}; }
 
 // Child k is a node if count[k] is 0, else the triangles first[k], first[k] + 1, ... Two cache lines.
@@ -292,7 +294,99 @@ class MeshIndex {
         }
     }
 
+    // Where each of `count` rays origin + t * direction first meets the mesh with t in (0, limit): t and the face, the
+    // lowest of equals; infinity and -1 where it meets none. Neighbours in the arrays should be neighbours in space.
+    void cast(const double* origins, const double* directions, size_t count, double limit, double* distances,
+              int64_t* faces) const {
+        each_ray(origins, directions, count, [&](size_t row, const Ray& ray) {
+            const RayHit hit = first_hit(ray, limit, false);
+            distances[row] = hit.face < 0 ? HUGE_VAL : hit.t;
+            faces[row] = hit.face;
+        });
+    }
+
+    // Whether each ray meets the mesh at all with t in (0, limit): stops at the first triangle found.
+    void blocked(const double* origins, const double* directions, size_t count, double limit, bool* blocked) const {
+        each_ray(origins, directions, count,
+                 [&](size_t row, const Ray& ray) { blocked[row] = first_hit(ray, limit, true).face >= 0; });
+    }
+
   private:
+    template <typename Visit>
+    static void each_ray(const double* origins, const double* directions, size_t count, Visit visit) {
+        constexpr size_t kChunk = 1024;
+        const int64_t chunks = static_cast<int64_t>((count + kChunk - 1) / kChunk);
+#pragma omp parallel for schedule(dynamic, 1)
+        for (int64_t chunk = 0; chunk < chunks; ++chunk)
+            for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
+                const double *o = origins + 3 * i, *d = directions + 3 * i;
+                visit(i, Ray({o[0], o[1], o[2]}, {d[0], d[1], d[2]}));
+            }
+    }
+
+    struct RayHit {
+        double t;
+        int64_t face;
+    };
+    struct RayEntry {
+        float t;
+        uint32_t first, count;
+    };
+
+    RayHit first_hit(const Ray& ray, double limit, bool any) const {
+        // Slabs in float32, as Ize, "Robust BVH ray traversal", 2013: the origin is an interval that holds the true
+        // one, the three roundings that are left are relative and covered by kRayMargin.
+        Float4 low_origin[3], high_origin[3], inverse[3];
+        const double o[3] = {ray.origin.x, ray.origin.y, ray.origin.z};
+        const double d[3] = {ray.direction.x, ray.direction.y, ray.direction.z};
+        for (int axis = 0; axis < 3; ++axis) {
+            const double centred = (o[axis] - frame_.origin[axis]) * frame_.scale;
+            const float at = static_cast<float>(centred), error = std::fabs(at) * 0x1p-23f;
+            low_origin[axis] = all(at - error), high_origin[axis] = all(at + error);
+            // Never infinite: 0 * inf would be NaN on the face of a box.
+            const double slope = d[axis] * frame_.scale;
+            const double safe = std::fabs(slope) < 1e-18 ? std::copysign(1e-18, slope) : slope;
+            inverse[axis] = all(static_cast<float>(std::copysign(std::min(1 / std::fabs(safe), 1e18), safe)));
+        }
+        RayHit best{limit, -1};
+        float bound = to_bound(limit);
+        RayEntry stack[3 * Builder::kDepth + 1];
+        int top = 0;
+        stack[top++] = {0, 0, 0};
+        while (top > 0) {
+            const RayEntry entry = stack[--top];
+            if (entry.t > bound) continue;
+            for (uint32_t i = entry.first; i < entry.first + entry.count; ++i) {
+                const double t = ray.meets(triangles_[i]);
+                const int64_t face = faces_[i];
+                if (!(t > 0) || !(t < best.t || (t == best.t && best.face >= 0 && face < best.face))) continue;
+                best = {t, face};
+                if (any) return best;
+                bound = to_bound(t);
+            }
+            if (entry.count) continue;
+            const Node& node = nodes_[entry.first];
+            Float4 enter = all(0), leave = all(std::numeric_limits<float>::max());
+            for (int axis = 0; axis < 3; ++axis) {
+                const Float4 a = (node.low[axis] - high_origin[axis]) * inverse[axis];
+                const Float4 b = (node.high[axis] - low_origin[axis]) * inverse[axis];
+                enter = larger(enter, smaller(a, b)), leave = smaller(leave, larger(a, b));
+            }
+            leave = leave * all(kRayMargin);
+            const int pushed = top;
+            for (int k = 0; k < 4; ++k) {
+                if (!(enter[k] <= leave[k]) || enter[k] > bound) continue;
+                int place = top++;  // the nearest last, so that it is taken first
+                for (; place > pushed && stack[place - 1].t < enter[k]; --place) stack[place] = stack[place - 1];
+                stack[place] = {enter[k], node.first[k], node.count[k]};
+            }
+        }
+        return best;
+    }
+
+    static float to_bound(double t) { return static_cast<float>(std::min(t * kRayMargin, 1e38)); }
+
+    static constexpr float kRayMargin = 1 + 0x1p-20f;
     // Far above the rounding of float64 differences at the size of the mesh, which is about one in the boxes' frame.
     static constexpr double kSlack = 0x1p-40;
     // Float32 sums of three squares are good to 3e-7: a box must be farther by more than that to be left out.

@@ -36,6 +36,26 @@ void query(const MeshIndex& self, In<double, Rows> points, Out<double, Column> d
     self.query(points.data(), count, distances.data(), feet.data(), faces.data(), features.data());
 }
 
+void check_rays(size_t origins, size_t directions, size_t outputs) {
+    if (origins != directions || origins != outputs)
+        throw nb::value_error("MeshIndex: every ray needs an origin, a direction and a row of each output");
+}
+
+void cast(const MeshIndex& self, In<double, Rows> origins, In<double, Rows> directions, double limit,
+          Out<double, Column> distances, Out<int64_t, Column> faces) {
+    check_rays(origins.shape(0), directions.shape(0), distances.shape(0));
+    check_rays(origins.shape(0), directions.shape(0), faces.shape(0));
+    nb::gil_scoped_release release;
+    self.cast(origins.data(), directions.data(), origins.shape(0), limit, distances.data(), faces.data());
+}
+
+void blocked(const MeshIndex& self, In<double, Rows> origins, In<double, Rows> directions, double limit,
+             Out<bool, Column> blocked) {
+    check_rays(origins.shape(0), directions.shape(0), blocked.shape(0));
+    nb::gil_scoped_release release;
+    self.blocked(origins.data(), directions.data(), origins.shape(0), limit, blocked.data());
+}
+
 }  // namespace
 
 void bind_mesh(nb::module_& m) {
@@ -45,5 +65,11 @@ void bind_mesh(nb::module_& m) {
         .def("query", &query, nb::arg("points"), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
              nb::arg("faces").noconvert(), nb::arg("features").noconvert(),
              "Nearest points of the mesh, written in place: distances (N,), feet (N, 3), faces (N,), and features (N,):\n"
-             "0-2 the face's corners, 3-5 its edges 01, 12, 20, 6 its inside.");
+             "0-2 the face's corners, 3-5 its edges 01, 12, 20, 6 its inside.")
+        .def("cast", &cast, nb::arg("origins"), nb::arg("directions"), nb::arg("limit"),
+             nb::arg("distances").noconvert(), nb::arg("faces").noconvert(),
+             "Where rays first meet the mesh, written in place: distances (N,) in units of the directions' lengths,\n"
+             "infinity where there is nothing below `limit`, and faces (N,), -1 there.")
+        .def("blocked", &blocked, nb::arg("origins"), nb::arg("directions"), nb::arg("limit"),
+             nb::arg("blocked").noconvert(), "Whether rays meet the mesh before `limit`, written in place (N,).");
 }

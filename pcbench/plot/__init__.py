@@ -37,12 +37,9 @@ def draw(report: Path, names: tuple[str, ...] = ()) -> list[Path]:
         raise InputError(f"{report}: expected a report folder (with comparison.json)")
     check_libraries()
     command = [sys.executable, "-m", "pcbench.plot.worker", str(report.absolute()), *names]
-    # The worker must find this very package, wherever it is run from.
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]))
-    environment = {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "agg", "PYVISTA_OFF_SCREEN": "true"}
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=_TIME_LIMIT_S, env=environment, check=False
+            command, capture_output=True, text=True, timeout=_TIME_LIMIT_S, env=drawing_environment(), check=False
         )
     except subprocess.TimeoutExpired:
         raise NoFiguresError(f"no pictures: drawing took longer than {_TIME_LIMIT_S} s") from None
@@ -65,6 +62,18 @@ def check_libraries() -> None:
     for library in ("pyvista", "matplotlib"):
         if find_spec(library) is None:
             raise MissingExtra(library, "plot", "pictures")
+    try:
+        check_opengl()
+    except NoFiguresError as error:
+        raise NoFiguresError(f"{error}, then run: pcbench plot REPORT") from None
+
+
+def check_opengl() -> None:
+    """Say that VTK cannot draw here.
+
+    Raises:
+        NoFiguresError: neither a display nor EGL nor OSMesa is there.
+    """
     if not sys.platform.startswith("linux") or os.environ.get("DISPLAY"):
         return
     for name in _OPENGL:
@@ -74,6 +83,11 @@ def check_libraries() -> None:
         except OSError:
             continue
     raise NoFiguresError(
-        "no pictures: neither a display nor EGL nor OSMesa is there; install Debian's libegl1 (or libosmesa6),"
-        " then run: pcbench plot REPORT"
+        "no pictures: neither a display nor EGL nor OSMesa is there; install Debian's libegl1 (or libosmesa6)"
     )
+
+
+def drawing_environment() -> dict[str, str]:
+    """Environment variables of a drawing process: it must find this very package, wherever it is run from."""
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "agg", "PYVISTA_OFF_SCREEN": "true"}

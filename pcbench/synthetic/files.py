@@ -1,0 +1,187 @@
+"""A synthetic scene's files: images, cameras as COLMAP and nerfstudio write them, and the truth."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pcbench.cameras import Camera, Intrinsics
+from pcbench.cloud import FloatArray
+from pcbench.errors import InputError
+from pcbench.io import write_cloud
+from pcbench.mesh import Mesh, MeshIndex
+from pcbench.synthetic.plan import CitySettings
+from pcbench.synthetic.render import Optics, check_intrinsics, check_renderer, render
+from pcbench.synthetic.rigs import Site, perturbed_positions, rig
+from pcbench.synthetic.surface import build_city
+from pcbench.synthetic.truth import depth_map, surface_cloud
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """A city and how it is photographed.
+
+    Args:
+        images: how many.
+        intrinsics: of all of them.
+        rig: circles, grid, oblique or orbit (`pcbench.synthetic.rigs`).
+        points: of the true cloud.
+        gps: standard deviation in metres of the positions in gps.txt; None writes no such file.
+    """
+
+    city: CitySettings = field(default_factory=CitySettings)
+    images: int = 40
+    intrinsics: Intrinsics = field(default_factory=lambda: Intrinsics.from_fov(960, 540, 40.0))
+    rig: str = "circles"
+    optics: Optics = field(default_factory=Optics)
+    points: int = 1_000_000
+    gps: float | None = None
+
+
+def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] = lambda _: None) -> None:
+    """Make a city and write images/, transforms.json, sparse/0/ and truth/ (mesh.ply, cloud.ply, depth/) into `out`.
+
+    The folder appears when everything is in it. The same settings give the same bytes on one machine.
+
+    Raises:
+        InputError: `out` exists and is not an empty folder, or a setting is out of its range.
+        MissingExtra, NoFiguresError: no picture can be taken here.
+    """
+    check_renderer()
+    check_intrinsics(settings.intrinsics)
+    with _new_folder(out) as folder:
+        step("building the city")
+        city = build_city(settings.city)
+        ground = float(np.median(city.plan.terrain.heights))
+        site = Site(settings.city.extent, ground, city.plan.top)
+        cameras = rig(settings.rig, settings.images, site, settings.intrinsics)
+        (folder / "images").mkdir()
+        step(f"taking {len(cameras)} images")
+        render(city, cameras, folder / "images", optics=settings.optics, seed=settings.city.seed)
+        write_transforms(folder / "transforms.json", cameras)
+        write_colmap_text(folder / "sparse" / "0", cameras)
+        if settings.gps is not None:
+            positions = perturbed_positions(cameras, settings.gps, settings.city.seed)
+            _write_positions(folder / "gps.txt", cameras, positions)
+
+        (folder / "truth" / "depth").mkdir(parents=True)
+        index = MeshIndex(city.mesh)
+        write_mesh_ply(folder / "truth" / "mesh.ply", city.mesh)
+        for camera in cameras:
+            step(f"casting the depths of {camera.name}")
+            np.save(folder / "truth" / "depth" / f"{Path(camera.name).stem}.npy", depth_map(index, camera))
+        step("sampling the surface")
+        cloud = surface_cloud(city.plan, index, cameras, settings.points, settings.city.seed)
+        write_cloud(folder / "truth" / "cloud.ply", cloud)
+
+
+def write_transforms(path: Path, cameras: Sequence[Camera]) -> None:
+    """transforms.json as nerfstudio reads it: one camera model for all, camera-to-world with OpenGL's axes."""
+    k = cameras[0].intrinsics
+    names = ("k1", "k2", "p1", "p2")
+    frames = []
+    for camera in cameras:
+        world_from_cam = camera.cam_from_world.inverse().matrix
+        world_from_cam[:3, 1:3] *= -1  # x right, y up, looking along -z
+        frames.append({"file_path": f"images/{camera.name}", "transform_matrix": world_from_cam.tolist()})
+    values = {
+        "camera_model": "OPENCV",
+        "w": k.width,
+        "h": k.height,
+        "fl_x": k.fx,
+        "fl_y": k.fy,
+        "cx": k.cx,
+        "cy": k.cy,
+        **dict(zip(names, k.distortion, strict=True)),
+        "frames": frames,
+    }
+    path.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+
+
+def write_colmap_text(folder: Path, cameras: Sequence[Camera]) -> None:
+    """A COLMAP model in text without points: cameras.txt, images.txt and a points3D.txt that holds none."""
+    folder.mkdir(parents=True)
+    k = cameras[0].intrinsics
+    pinhole = [k.fx, k.fy, k.cx, k.cy]
+    model, values = ("PINHOLE", pinhole) if k.is_pinhole else ("OPENCV", [*pinhole, *k.distortion])
+    lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", f"1 {model} {k.width} {k.height} {_words(values)}"]
+    (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
+    for number, camera in enumerate(cameras, start=1):
+        pose = [*_quaternion(camera.cam_from_world.rotation), *camera.cam_from_world.translation]
+        lines += [f"{number} {_words(pose)} 1 {camera.name}", ""]
+    (folder / "images.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "points3D.txt").write_text("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n", encoding="utf-8")
+
+
+def _quaternion(rotation: FloatArray) -> FloatArray:
+    """wxyz of a rotation (3, 3), w >= 0: the largest eigenvector of Bar-Itzhack's matrix (2000), good for any angle."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    k = np.array(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ]
+    )
+    q: FloatArray = np.linalg.eigh(k)[1][:, -1]
+    return -q if q[0] < 0 else q
+
+
+def _words(values: Sequence[float] | FloatArray) -> str:
+    return " ".join(repr(float(v)) for v in values)
+
+
+def _write_positions(path: Path, cameras: Sequence[Camera], positions: FloatArray) -> None:
+    lines = ["# NAME X Y Z", *(f"{c.name} {_words(p)}" for c, p in zip(cameras, positions, strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_mesh_ply(path: Path, mesh: Mesh) -> None:
+    """Binary little-endian PLY: x y z double, faces as lists of int."""
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *([f"comment unit {mesh.unit}"] if mesh.unit else []),
+        f"element vertex {len(mesh.vertices)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        f"element face {len(mesh)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    faces = np.empty(len(mesh), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    with path.open("wb") as file:
+        file.write(("\n".join(lines) + "\n").encode())
+        file.write(mesh.vertices.astype("<f8").tobytes())
+        file.write(faces.tobytes())
+
+
+@contextmanager
+def _new_folder(out: Path) -> Iterator[Path]:
+    """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when it does not."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder to write the scene to, got a file")
+    if out.is_dir() and any(out.iterdir()):
+        raise InputError(f"{out}: the folder is not empty: choose another one, or empty it")
+    parent = out.absolute().parent
+    if not parent.is_dir():
+        raise InputError(f"{out}: the folder {parent} does not exist: make it first")
+    scratch = Path(tempfile.mkdtemp(prefix=".pcbench-", dir=parent))
+    try:
+        yield scratch
+        mask = os.umask(0)
+        os.umask(mask)
+        scratch.chmod(0o777 & ~mask)  # what the system gives new folders, not mkdtemp's private mode
+        scratch.replace(out.absolute())
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)

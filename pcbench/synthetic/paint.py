@@ -1,0 +1,315 @@
+"""Procedural textures: what colour the ground, walls, roofs, cars and leaves of a city have where no light falls short.
+
+Every pattern is drawn in metres, over texel centres, and its noise has detail at all scales, so that features are found
+from near and far. `CitySettings.texture` scales all of it down to plain surfaces.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.cloud import FloatArray
+from pcbench.synthetic.plan import Block, CitySettings, Plan
+
+Image = NDArray[np.float32]  # (rows, columns, 3), 0 to 1; row 0 is at v = 0
+_Plane = NDArray[np.float32]  # (rows, columns)
+
+_FACADES = [
+    (0.80, 0.74, 0.64),
+    (0.70, 0.46, 0.36),
+    (0.86, 0.83, 0.78),
+    (0.62, 0.60, 0.58),
+    (0.78, 0.62, 0.44),
+    (0.55, 0.36, 0.30),
+    (0.72, 0.74, 0.70),
+    (0.88, 0.78, 0.58),
+]
+_TILES = [(0.58, 0.32, 0.25), (0.50, 0.28, 0.23), (0.40, 0.36, 0.35), (0.62, 0.40, 0.29), (0.33, 0.31, 0.33)]
+_FLAT = [(0.62, 0.61, 0.58), (0.48, 0.47, 0.46), (0.74, 0.72, 0.68), (0.40, 0.42, 0.44), (0.58, 0.52, 0.45)]
+_CARS = [
+    (0.85, 0.85, 0.86),
+    (0.15, 0.16, 0.18),
+    (0.55, 0.57, 0.60),
+    (0.62, 0.12, 0.10),
+    (0.12, 0.22, 0.45),
+    (0.8, 0.7, 0.3),
+]
+_GRASS = (0.38, 0.46, 0.27)
+_ASPHALT = (0.37, 0.37, 0.38)
+_PAVING = (0.60, 0.58, 0.55)
+_WATER = (0.20, 0.33, 0.38)
+_ROOTED = 1.2  # m of a wall that are taken to be in the ground
+
+
+class Noise:
+    """Windows of one periodic tile of fractal noise, of mean 0 and variance 1."""
+
+    def __init__(self, seed: int, side: int = 1024) -> None:
+        rng = np.random.default_rng([seed, 2])
+        f = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
+        # Between white and 1/f^2: blobs of all sizes.
+        amplitude = 1 / np.maximum(np.hypot(*f), 1 / side) ** 1.05
+        amplitude[0, 0] = 0
+        tile = np.fft.irfft2(amplitude * np.fft.rfft2(rng.normal(size=(side, side))), s=(side, side))
+        self._tile: _Plane = (tile / tile.std()).astype(np.float32)
+
+    def __call__(self, rows: int, columns: int, rng: np.random.Generator) -> _Plane:
+        """A window at a random place (rows, columns)."""
+        side = len(self._tile)
+        y, x = rng.integers(0, side, 2)
+        return self._tile[np.ix_((y + np.arange(rows)) % side, (x + np.arange(columns)) % side)]
+
+
+class Grid(NamedTuple):
+    """Texel centres of a texture in metres from its corner; some lie beyond its edges, as a margin."""
+
+    u: FloatArray  # (columns,)
+    v: FloatArray  # (rows,)
+    width: float
+    height: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.v), len(self.u)
+
+
+class Painter:
+    """Paints one city."""
+
+    def __init__(self, settings: CitySettings) -> None:
+        self.settings = settings
+        self.noise = Noise(settings.seed)
+
+    def face(self, kind: str, side: str, seed: int, grid: Grid) -> Image:
+        """A wall, roof or gable of a solid."""
+        rng = np.random.default_rng([self.settings.seed, seed, 3])  # one look for the whole building
+        own = np.random.default_rng([self.settings.seed, seed, *side.encode()])  # this side's own
+        if kind == "car":
+            return self._car(side, grid, rng)
+        if kind in ("clutter", "chimney"):
+            return self._plain((0.62, 0.62, 0.63) if kind == "clutter" else (0.55, 0.33, 0.27), grid, own, 0.10)
+        if side.startswith("wall"):
+            return self._wall(kind, grid, rng, own)
+        if side.startswith("slope"):
+            return self._tiles(grid, rng, own)
+        return self._flat_roof(grid, rng, own)
+
+    def _plain(self, color: tuple[float, float, float], grid: Grid, rng: np.random.Generator, contrast: float) -> Image:
+        noise = self.noise(*grid.shape, rng)
+        return _tinted(color, 1 + contrast * self.settings.texture * noise)
+
+    def _wall(self, kind: str, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
+        """Storeys of windows in frames, a pane's tone each; some blocks have shops."""
+        base = _FACADES[rng.integers(len(_FACADES))]
+        storey, bay = rng.uniform(2.9, 3.4), rng.uniform(2.2, 4.0)
+        glass = kind == "tower" and rng.random() < 0.6
+        width, height = (0.86, 0.80) if glass else (rng.uniform(0.38, 0.6), rng.uniform(0.45, 0.62))  # in bays, storeys
+        image = self._plain(base, grid, own, 0.10)
+        if rng.random() >= self.settings.texture or (kind == "hall" and rng.random() < 0.5):
+            return image  # a blank wall
+        above = grid.v - _ROOTED
+        bays = max(1, round(grid.width / bay))
+        column, row = np.floor(grid.u / grid.width * bays).astype(int), np.floor(above / storey).astype(int)
+        s, t = grid.u / grid.width * bays - column, above / storey - row
+        # No window in what is left of a storey under the eaves.
+        whole = (row >= 0) & ((row + 1) * storey < grid.height - _ROOTED + 0.3)
+
+        def opening(scale: float) -> NDArray[np.bool_]:
+            across, up = np.abs(s - 0.5) < scale * width / 2, np.abs(t - 0.55) < scale * height / 2
+            mask: NDArray[np.bool_] = (up & whole)[:, None] & across[None, :]
+            return mask
+
+        image[opening(1.18)] = (0.55, 0.54, 0.52) if glass else (0.92, 0.90, 0.87)
+        panes = own.uniform(0.25, 1.0, (max(0, row.max()) + 1, bays + 2)) ** 1.6
+        if self.settings.repeated:
+            panes[:] = 0.5
+        tones = 0.16 + 0.42 * panes[np.ix_(np.maximum(row, 0), np.clip(column, -1, bays) + 1)]
+        mask = opening(1.0)
+        image[mask] = tones[mask][:, None] * np.array([0.80, 0.95, 1.1])
+        if kind == "block" and rng.random() < 0.7:
+            image[(above > 0) & (above < 2.6)] *= np.array(
+                own.uniform(0.6, 1.0) * own.uniform(0.85, 1.1, 3), dtype=np.float32
+            )
+        return image
+
+    def _tiles(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
+        rng.random(8)  # the walls' draws are not the roof's
+        base = _TILES[rng.integers(len(_TILES))]
+        r = self.settings.texture
+        rows = 1 + 0.10 * r * np.sin(2 * np.pi * grid.v / 0.9)
+        up, across = (np.floor((x - x[0]) / size).astype(int) for x, size in ((grid.v, 0.9), (grid.u, 0.7)))
+        blotch = own.normal(0, 0.07 * r, (up[-1] + 1, across[-1] + 1))[np.ix_(up, across)]
+        image = _tinted(base, rows[:, None] + blotch + 0.15 * r * self.noise(*grid.shape, own))
+        if own.random() < 0.35 * r:  # solar panels
+            low, high = np.array([0.15, 0.25]), np.array([own.uniform(0.5, 0.85), 0.8])
+            s, t = grid.u / grid.width, grid.v / grid.height
+            on = ((t > low[1]) & (t < high[1]))[:, None] & ((s > low[0]) & (s < high[0]))
+            frame = (np.mod(grid.v, 1.6) < 0.12)[:, None] | (np.mod(grid.u, 1.0) < 0.12)
+            image[on] = (0.10, 0.13, 0.24)
+            image[on & frame] = (0.45, 0.47, 0.52)
+        elif own.random() < 0.6 * r:  # skylights
+            for _ in range(int(own.integers(1, 4))):
+                left, lower = own.uniform(1, max(1.1, grid.width - 2)), own.uniform(1, max(1.1, grid.height - 2))
+                _rectangle(image, grid, left, lower, 0.9, 1.2, (0.30, 0.36, 0.42))
+        return image
+
+    def _flat_roof(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
+        rng.random(8)  # the walls' draws are not the roof's
+        r = self.settings.texture
+        image = self._plain(_FLAT[rng.integers(len(_FLAT))], grid, own, 0.17)
+        sheet = rng.uniform(2.5, 5)
+        image *= np.float32(1) - np.float32(0.10 * r) * (np.mod(grid.u, sheet) < 0.25)[None, :, None].astype(np.float32)
+        for _ in range(round(r * grid.width * grid.height / 45)):  # hatches, vents, patches
+            w, h = own.uniform(0.5, 2.4, 2)
+            s, t = own.uniform(1, max(1.1, grid.width - 3)), own.uniform(1, max(1.1, grid.height - 3))
+            _rectangle(image, grid, s, t, w, h, tuple(own.uniform(0.25, 0.85) * np.array([1, 1, 1.02])))
+        rim = np.minimum(grid.u, grid.width - grid.u)[None, :], np.minimum(grid.v, grid.height - grid.v)[:, None]
+        image[np.minimum(*rim) < 0.5] = (0.80, 0.79, 0.76)
+        return image
+
+    def _car(self, side: str, grid: Grid, rng: np.random.Generator) -> Image:
+        image: Image = np.empty((*grid.shape, 3), dtype=np.float32)
+        image[:] = _CARS[rng.integers(len(_CARS))]
+        if side == "roof":  # bonnet, windscreen, roof, rear window
+            s = grid.u / grid.width
+            image[:, ((s > 0.24) & (s < 0.36)) | ((s > 0.78) & (s < 0.88))] = (0.10, 0.12, 0.15)
+        else:
+            image[grid.v < 0.75] = (0.08, 0.08, 0.09)
+            image[grid.v > 1.5] = (0.15, 0.17, 0.20)
+        return image
+
+    def leaves(self, side: int) -> Image:
+        """Foliage (side, side, 3); trees wear parts of it."""
+        rng = np.random.default_rng([self.settings.seed, 4])
+        noise = 0.30 * self.noise(side, side, rng) + rng.normal(0, 0.15, (side, side)).astype(np.float32)
+        return _tinted((0.27, 0.40, 0.16), 1 + max(0.3, self.settings.texture) * noise)
+
+    def town(self, plan: Plan, grid: Grid) -> Image:
+        """The ground of the city; the grid starts at its south-western corner."""
+        r = self.settings.texture
+        half = self.settings.extent / 2
+        rng = np.random.default_rng([self.settings.seed, 5])
+        x, y = grid.u - half, grid.v - half
+        image = self._plain(_ASPHALT, grid, rng, 0.10)
+        for street in plan.streets:
+            self._markings(image, plan, street.axis, street.at, street.width, x, y)
+        for block in plan.blocks:
+            i = slice(*np.searchsorted(y, [block.low[1], block.high[1]]))
+            j = slice(*np.searchsorted(x, [block.low[0], block.high[0]]))
+            part = Grid(
+                x[j] - block.low[0], y[i] - block.low[1], block.high[0] - block.low[0], block.high[1] - block.low[1]
+            )
+            image[i, j] = self._block(block, part)
+        tone = np.float32(1) + np.float32(0.05 * r) * self.noise(*grid.shape, rng)
+        image *= tone[..., None]
+        if self.settings.symmetric:
+            image[len(y) // 2 :] = image[::-1, ::-1][len(y) // 2 :].copy()
+        return image
+
+    def _markings(
+        self, image: Image, plan: Plan, axis: int, at: float, width: float, x: FloatArray, y: FloatArray
+    ) -> None:
+        """A dashed line in the middle, lines at the kerbs, zebra crossings where it meets others."""
+        across, along = (x, y) if axis == 0 else (y, x)
+        view = image if axis == 0 else image.transpose(1, 0, 2)
+        near = np.abs(across - at)
+        crossing = np.zeros(len(along), dtype=bool)
+        zebra = np.zeros(len(along), dtype=bool)
+        for other in plan.streets:
+            if other.axis != axis:
+                gap = np.abs(along - other.at) - other.width / 2
+                crossing |= gap < 5
+                zebra |= (gap > 0.8) & (gap < 3.8)
+        white = np.array([0.84, 0.84, 0.80], dtype=np.float32)
+        dashes = (np.mod(along, 6.0) < 3.0) & ~crossing
+        view[np.ix_(dashes, near < 0.14)] = white
+        view[np.ix_(~crossing, np.abs(near - (width / 2 - 0.4)) < 0.12)] = white * 0.85
+        bars = (np.mod(across - at, 1.1) < 0.55) & (near < width / 2 - 0.3)
+        view[np.ix_(zebra, bars)] = white
+
+    def _block(self, block: Block, grid: Grid) -> Image:
+        r = self.settings.texture
+        rng = np.random.default_rng([self.settings.seed, block.seed, 6])
+        u, v = grid.u[None, :], grid.v[:, None]
+        rim = np.minimum(np.minimum(u, grid.width - u), np.minimum(v, grid.height - v))
+        noise = self.noise(*grid.shape, rng)
+        paving = _tinted(_PAVING, 1 + 0.09 * r * noise)
+        seams = (np.mod(u, 2.0) < 0.2) | (np.mod(v, 2.0) < 0.2)
+        paving[seams & np.ones_like(noise, dtype=bool)] *= np.float32(1 - 0.12 * r)
+        if block.kind == "core":
+            inner = _tinted(tuple(rng.uniform(0.42, 0.62) * np.array([1.0, 0.97, 0.92])), 1 + 0.13 * r * noise)
+        elif block.kind == "hall":
+            inner = _tinted(_ASPHALT, 1 + 0.12 * r * noise)
+            lines = (np.mod(v, 2.7) < 0.15) & (u > 0.58 * grid.width)
+            inner[lines & np.ones_like(noise, dtype=bool)] = 0.8
+        elif block.kind == "lake":
+            inner = _tinted(_WATER, 1 + 0.015 * r * noise)
+        else:
+            other = self.noise(*grid.shape, rng)[..., None]
+            inner = _tinted(_GRASS, 1 + 0.22 * r * noise)
+            inner += np.float32(0.05 * r) * other * np.array([1.2, 0.5, -0.2], dtype=np.float32)
+            if block.kind == "park":
+                angle, bend = rng.uniform(0, np.pi), rng.uniform(0.08, 0.2)
+                for turn in (0, rng.uniform(0.8, 2.2)):
+                    c, s = np.cos(angle + turn), np.sin(angle + turn)
+                    a, b = u - grid.width / 2, v - grid.height / 2
+                    path = np.abs(s * a - c * b + 5 * np.sin(bend * (c * a + s * b)))
+                    inner[path < 1.6] = paving[path < 1.6] * np.array([1.05, 0.98, 0.85], dtype=np.float32)
+            else:
+                long = int(grid.height > grid.width)
+                lots = max(1, int((max(grid.width, grid.height) - 6) // 15))
+                side = np.mod((v if long else u) - 3, (max(grid.width, grid.height) - 6) / lots)
+                hedge = (side < 0.7) & (rim > 3)
+                inner[hedge & np.ones_like(noise, dtype=bool)] *= np.float32(0.55)
+                drive = (side > 1.2) & (side < 3.8)
+                far = np.abs((u - grid.width / 2) if long else (v - grid.height / 2))
+                drive = drive & (far > 0.22 * min(grid.width, grid.height))
+                inner[drive & np.ones_like(noise, dtype=bool)] = _PAVING
+        walk = rim < 2.2
+        inner[walk] = paving[walk]
+        inner[rim < 0.25] = 0.72
+        return inner
+
+    def country(self, grid: Grid) -> Image:
+        """Fields around the city: patches about their nearest seeds, with furrows along each one's own direction."""
+        r = self.settings.texture
+        rng = np.random.default_rng([self.settings.seed, 8])
+        count = 110
+        seeds = rng.uniform(0, 1, (count, 2)) * [grid.width, grid.height]
+        colors = np.array(
+            [(0.42, 0.47, 0.22), (0.60, 0.55, 0.30), (0.36, 0.44, 0.20), (0.48, 0.40, 0.28), (0.52, 0.56, 0.28)]
+        )
+        color = (colors[rng.integers(0, len(colors), count)] * rng.uniform(0.85, 1.1, (count, 1))).astype(np.float32)
+        angle, pitch = rng.uniform(0, np.pi, count), rng.uniform(3, 7, count)
+        u, v = grid.u[None, :].astype(np.float32), grid.v[:, None].astype(np.float32)
+        first = np.full(grid.shape, np.inf, dtype=np.float32)
+        second, which = first.copy(), np.zeros(grid.shape, dtype=np.int16)
+        for k, (x, y) in enumerate(seeds.astype(np.float32)):
+            d = np.hypot(u - x, v - y)
+            closer = d < first
+            second = np.where(closer, first, np.minimum(second, d))
+            which[closer] = k
+            np.minimum(first, d, out=first)
+        furrow = np.sin(2 * np.pi * (np.cos(angle)[which] * u + np.sin(angle)[which] * v) / pitch[which])
+        noise = self.noise(*grid.shape, rng)
+        image = color[which] * (1 + r * (0.06 * furrow + 0.16 * noise)).astype(np.float32)[..., None]
+        image[second - first < 2.0] = (0.30, 0.36, 0.18)  # hedges
+        lane = (second - first > 5.0) & (second - first < 7.5) & (which % 3 == 0)
+        image[lane] = (0.62, 0.57, 0.48)
+        return image
+
+
+def _tinted(color: tuple[float, ...], tone: NDArray[np.floating]) -> Image:
+    image: Image = np.asarray(tone, dtype=np.float32)[..., None] * np.array(color, dtype=np.float32)
+    return image
+
+
+def _rectangle(
+    image: Image, grid: Grid, u: float, v: float, width: float, height: float, color: tuple[float, ...]
+) -> None:
+    i = slice(*np.searchsorted(grid.v, [v, v + height]))
+    j = slice(*np.searchsorted(grid.u, [u, u + width]))
+    image[i, j] = color

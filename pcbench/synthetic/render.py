@@ -1,0 +1,113 @@
+"""Photographs of a city: OpenGL through VTK in a process of its own, then the lens, the exposure and the sensor."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pcbench.cameras import Camera, Intrinsics
+from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.plot import check_opengl, drawing_environment
+from pcbench.synthetic.render_worker import FINER
+from pcbench.synthetic.surface import CitySurface
+
+_TIME_LIMIT_S = 120  # an image: software OpenGL needs a second for a megapixel
+_LARGEST = 16384  # pixels along a side of what OpenGL draws
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What a lens and a sensor do to an image.
+
+    Args:
+        exposure: standard deviation of the logarithm of each image's gain.
+        blur: standard deviation of the lens's blur in pixels.
+        noise: standard deviation of the sensor's noise in grey levels of 255.
+    """
+
+    exposure: float = 0.05
+    blur: float = 0.4
+    noise: float = 1.5
+
+
+def check_renderer() -> None:
+    """Say before anything is computed that no picture can be taken here.
+
+    Raises:
+        MissingExtra: pyvista is not installed.
+        NoFiguresError: neither a display nor EGL nor OSMesa is there.
+    """
+    from importlib.util import find_spec
+
+    for library in ("pyvista", "PIL"):
+        if find_spec(library) is None:
+            raise MissingExtra(library, "plot", "pictures")
+    check_opengl()
+
+
+def check_intrinsics(intrinsics: Intrinsics) -> None:
+    """Say before anything is computed that no picture can be taken with this camera.
+
+    Raises:
+        InputError: the image is larger than OpenGL can draw, or its distortion folds it over.
+    """
+    drawn = 2 * intrinsics.widest * max(intrinsics.fx, intrinsics.fy) * FINER
+    if drawn.max() > _LARGEST:
+        raise InputError(
+            f"expected images of at most {_LARGEST // FINER} pixels along a side (less where the lens widens them), got"
+            f" {intrinsics.width} x {intrinsics.height}"
+        )
+
+
+def render(
+    city: CitySurface, cameras: Sequence[Camera], folder: Path, *, optics: Optics | None = None, seed: int = 0
+) -> None:
+    """Write a photograph for each camera, by its name, into an existing folder.
+
+    Raises:
+        InputError: an image is larger than OpenGL can draw, or a lens folds it over.
+        MissingExtra, NoFiguresError: a library is missing.
+        PcbenchError: drawing fails.
+    """
+    check_renderer()
+    for camera in cameras:
+        check_intrinsics(camera.intrinsics)
+    with tempfile.TemporaryDirectory(prefix="pcbench-render-") as scratch:
+        job = Path(scratch)
+        corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # the city is small and about the origin
+        np.savez(job / "faces.npz", corners=corners, uv=city.uv, page=city.page, shade=city.shade)
+        for number, page in enumerate(city.pages):
+            np.save(job / f"page{number}.npy", page)
+        rows = [
+            {
+                "name": camera.name,
+                "intrinsics": asdict(camera.intrinsics),
+                "rotation": camera.cam_from_world.rotation.tolist(),
+                "translation": camera.cam_from_world.translation.tolist(),
+            }
+            for camera in cameras
+        ]
+        (job / "job.json").write_text(json.dumps({"cameras": rows, "optics": asdict(optics or Optics()), "seed": seed}))
+        command = [sys.executable, "-m", "pcbench.synthetic.render_worker", str(job), str(folder.absolute())]
+        try:
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                text=True,
+                timeout=_TIME_LIMIT_S * (1 + len(cameras)),
+                env=drawing_environment(),
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise PcbenchError(f"no images: drawing took longer than {_TIME_LIMIT_S} s an image") from None
+    missing = [camera.name for camera in cameras if not (folder / camera.name).is_file()]
+    if done.returncode != 0 or missing:
+        reason = next((line for line in reversed(done.stderr.splitlines()) if line.strip()), "it crashed")
+        raise PcbenchError(f"no images: drawing failed ({reason.strip()})")

@@ -1,0 +1,128 @@
+"""Where cameras stand: concentric circles, a drone's grid from above, the same tilted, one orbit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pcbench.cameras import Camera, Intrinsics, look_at
+from pcbench.cloud import FloatArray
+from pcbench.errors import InputError
+from pcbench.transform import Similarity
+
+# Gao et al.: seven circles about a landmark, the smallest and the largest of them in metres. Those between are placed
+# evenly here: the paper names the ends.
+_PAPER_RADII = np.linspace(500, 7250, 7)
+_PAPER_ALTITUDES = np.linspace(475, 3690, 7)
+_CLEARANCE = 20.0  # metres between the highest roof and the lowest flight
+
+
+@dataclass(frozen=True)
+class Site:
+    """What is photographed: a square of side `extent` about the origin, with ground at `ground` and roofs up to `top`
+    (metres).
+    """
+
+    extent: float
+    ground: float
+    top: float
+
+
+def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camera]:
+    """`count` cameras named 0001.png, 0002.png, ... over a site.
+
+    Args:
+        name: circles (seven, as in Gao et al., scaled to the site), grid (a nadir survey with 75 % overlap), oblique
+            (the same, tilted by 40 degrees to four sides in turn) or orbit (one circle).
+
+    Raises:
+        InputError: there is no such rig, or no image is wanted.
+    """
+    if name not in RIGS:
+        raise InputError(f"unknown rig {name!r}: choose one of {', '.join(RIGS)}")
+    if count < 1:
+        raise InputError(f"expected at least 1 image, got {count}")
+    poses = RIGS[name](count, site, intrinsics)
+    return [Camera(f"{k:04d}.png", intrinsics, pose) for k, pose in enumerate(poses, start=1)]
+
+
+def circles(
+    count: int, radii: Sequence[float] | FloatArray, altitudes: Sequence[float] | FloatArray, target: ArrayLike
+) -> list[Similarity]:
+    """Poses on circles about the vertical through `target` (3,), at which all look; as evenly shared as can be.
+
+    Args:
+        radii, altitudes: of each circle, in the frame's unit; altitudes are z coordinates. The tilt follows from them.
+    """
+    centre = np.asarray(target, dtype=np.float64)
+    poses = []
+    for k, part in enumerate(np.array_split(np.arange(count), len(radii))):
+        # Each circle starts a part of a step further than the one inside it: together they look from all sides, and
+        # each image has neighbours on the next circles from nearly the same side, which features can be matched to.
+        step = 2 * np.pi / max(1, len(part))
+        for angle in step * (np.arange(len(part)) + k / len(radii)):
+            x, y = centre[:2] + radii[k] * np.array([np.cos(angle), np.sin(angle)])
+            poses.append(look_at([x, y, altitudes[k]], centre))
+    return poses
+
+
+def perturbed_positions(cameras: Sequence[Camera], sigma: float, seed: int = 0) -> FloatArray:
+    """Positions (N, 3) as a GPS receiver would give them: Gaussian errors of `sigma` metres horizontally along each
+    axis and twice as much vertically.
+    """
+    rng = np.random.default_rng([seed, 11])
+    positions = np.array([camera.position for camera in cameras])
+    noisy: FloatArray = positions + rng.normal(0, sigma, positions.shape) * [1, 1, 2]
+    return noisy
+
+
+def _paper(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
+    # The largest circle is a little wider than the city; altitudes count from the tallest roof, so that no camera of a
+    # small circle stands inside a tower.
+    scale = 1.1 * site.extent / _PAPER_RADII[-1]
+    altitudes = site.top + scale * _PAPER_ALTITUDES
+    return circles(count, scale * _PAPER_RADII, altitudes, [0, 0, (site.ground + site.top) / 2])
+
+
+def _orbit(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
+    target = [0, 0, (site.ground + site.top) / 2]
+    return circles(count, [0.8 * site.extent], [site.top + 0.4 * site.extent], target)
+
+
+def _grid(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
+    return _survey(count, site, intrinsics, tilt_deg=0.0)
+
+
+def _oblique(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
+    return _survey(count, site, intrinsics, tilt_deg=40.0)
+
+
+def _survey(count: int, site: Site, intrinsics: Intrinsics, tilt_deg: float) -> list[Similarity]:
+    """Strips from west to east and back; images 75 % over each other at the ground, in both directions."""
+    shape = intrinsics.width / intrinsics.height
+    columns = max(1, round(np.sqrt(count / shape)))
+    rows = -(-count // columns)
+    lanes = [np.linspace(-0.5, 0.5, n + 2)[1:-1] * site.extent * (n + 1) / (n + 0.5) for n in (columns, rows)]
+    step = site.extent / np.array([columns, rows])
+    height = max(
+        4 * step[0] * intrinsics.fx / intrinsics.width,
+        4 * step[1] * intrinsics.fy / intrinsics.height,
+        site.top - site.ground + _CLEARANCE,
+    )
+    reach = height * np.tan(np.radians(tilt_deg))
+    poses = []
+    for k in range(count):
+        row, place = divmod(k, columns)
+        column = place if row % 2 == 0 else columns - 1 - place
+        ground = np.array([lanes[0][column], lanes[1][row], site.ground])
+        side = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)][k % 4])
+        position = ground + [*(-side * reach), height]
+        # The image's upper side points where the drone looks, north for nadir.
+        poses.append(look_at(position, ground, up=[*side, 0.0] if tilt_deg else [0.0, 1.0, 0.0]))
+    return poses
+
+
+RIGS = {"circles": _paper, "grid": _grid, "oblique": _oblique, "orbit": _orbit}
