@@ -28,6 +28,17 @@ _REGISTER_HELP = "icp, icp-point, similarity (ICP with scale), points:FILE, matr
 _CROP_HELP = "none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference or quantile:0.99."
 
 register_option = click.option("--register", default="icp", show_default=True, metavar="HOW", help=_REGISTER_HELP)
+cameras_option = click.option(
+    "--cameras",
+    default="auto",
+    show_default=True,
+    metavar="WHICH",
+    help="auto, none, or a file or folder with cameras.",
+)
+masks_option = click.option("--masks", type=_FILE, help="Folder of masks; black is left out.  [default: masks/]")
+image_scale_option = click.option(
+    "--image-scale", default=1.0, show_default=True, type=float, help="Work with images of this scale, up to 1."
+)
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 
 
@@ -282,6 +293,47 @@ def info(clouds: tuple[Path, ...]) -> None:
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}, crs {cloud.crs or 'unknown'}")
         if cloud.attributes:
             click.echo(f"  attributes {', '.join(cloud.attributes)}")
+
+
+@app.command(short_help="Say what is in a scene: images, cameras, GPS, masks.")
+@click.argument("scene", type=_FILE)
+@cameras_option
+@masks_option
+@image_scale_option
+@click.option("--figure", type=_FILE, help="Draw the cameras into this PNG.")
+@click.option(
+    "--write-cameras", type=_FILE, metavar="OUT", help="OUT.json (transforms.json), or a COLMAP model's folder."
+)
+@quiet_option
+def scene(
+    scene: Path,
+    cameras: str,
+    masks: Path | None,
+    image_scale: float,
+    figure: Path | None,
+    write_cameras: Path | None,
+    quiet: bool,
+) -> None:
+    """Say what is in SCENE, a folder of photographs with, perhaps, cameras: a COLMAP model, transforms.json, Strecha's
+    .camera files or an Earth Studio export.
+    """
+    from pcbench.io.files import check_output
+    from pcbench.scene import read_scene
+
+    warn = (lambda _: None) if quiet else _warn
+    data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=warn)
+    if figure is not None:
+        from pcbench.plot.cameras import draw_cameras
+
+        check_output(figure, ())
+        draw_cameras(data, figure)
+    if write_cameras is not None:
+        from pcbench.scene import write_cameras as write
+
+        write(data, write_cameras)
+    if not quiet:
+        for line in data.describe():
+            click.echo(line)
 
 
 def _compare(job: Job, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool) -> Comparison:
