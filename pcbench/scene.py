@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -240,23 +241,26 @@ def read_scene(
     return _with_cameras(scene, path, str(cameras), warn)
 
 
-def write_cameras(scene: Scene, path: Path) -> None:
-    """Write the cameras of a scene, for images of the working size: as transforms.json where `path` ends in .json, else
-    into a folder as a COLMAP text model, with the sparse points that came with them.
+def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, points: Cloud | None = None) -> None:
+    """Write cameras as transforms.json where `path` ends in .json, else into a folder as a COLMAP text model, with
+    sparse points if there are some.
+
+    Args:
+        cameras: by image name.
+        images: the folder of the images; a transforms.json names them by their way from its own folder.
 
     Raises:
-        InputError: the scene has no cameras, or the folder holds a binary model.
+        InputError: there are no cameras, or the folder holds a binary model.
         OSError: a file cannot be written.
     """
-    if not scene.cameras:
-        raise InputError(f"{scene.folder}: no cameras to write: expected a COLMAP model, transforms.json or the like")
-    cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
+    if not cameras:
+        raise InputError(f"{images}: no cameras to write: expected a COLMAP model, transforms.json or the like")
+    ordered = [cameras[name] for name in sorted(cameras)]
     if path.suffix.lower() != ".json":
-        write_colmap_model(path, cameras, scene.points)
+        write_colmap_model(path, ordered, points)
         return
     check_output(path, ())
-    here, images = path.absolute().parent, scene.folder.absolute()
-    write_transforms(path, cameras, images.relative_to(here).as_posix() if images.is_relative_to(here) else "images")
+    write_transforms(path, ordered, Path(os.path.relpath(images, path.absolute().parent)).as_posix())
 
 
 def _images(path: Path) -> tuple[Path, tuple[str, ...]]:

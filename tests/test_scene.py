@@ -139,9 +139,9 @@ def test_write_cameras(photographs, tmp_path):
     cameras = orbit(NAMES)
     write_colmap_model(photographs / "sparse", cameras)
     scene = read_scene(photographs)
-    write_cameras(scene, photographs / "transforms.json")
+    write_cameras(photographs / "transforms.json", scene.cameras, scene.folder)
     same(scene_cameras(read_scene(photographs, cameras=photographs / "transforms.json")), cameras)
-    write_cameras(scene, tmp_path / "model")
+    write_cameras(tmp_path / "model", scene.cameras, scene.folder)
     same(read_colmap_cameras(tmp_path / "model"), cameras)
 
 
