@@ -66,7 +66,12 @@ def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
     return tuple(sorted(cameras, key=lambda camera: camera.name))
 
 
-def _intrinsics(model: str, width: int, height: int, p: Sequence[float]) -> Intrinsics:
+def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[float]) -> Intrinsics:
+    """The intrinsics that a COLMAP camera's model and parameters mean.
+
+    Raises:
+        InputError: the model is none of those that `Intrinsics` holds, or the parameters are not as many as it has.
+    """
     if model not in _PARAMETERS:
         known = ", ".join(_PARAMETERS)
         raise InputError(f"camera model {model} is not supported (only {known}): run COLMAP's image_undistorter first")
@@ -98,7 +103,7 @@ def _text_lenses(data: bytes) -> dict[int, Intrinsics]:
             if len(words) < 5:
                 raise ValueError(f"expected id, model, width, height, parameters; got {line.strip()[:60]!r}")
             values = [float(word) for word in words[4:]]
-            lenses[int(words[0])] = _intrinsics(words[1], int(words[2]), int(words[3]), values)
+            lenses[int(words[0])] = intrinsics_from_colmap(words[1], int(words[2]), int(words[3]), values)
     return lenses
 
 
@@ -128,7 +133,7 @@ def _binary_lenses(data: bytes) -> dict[int, Intrinsics]:
             raise InputError(f"camera model {model} is not supported: run COLMAP's image_undistorter first")
         name, parameters = _MODELS[model]
         values = struct.unpack_from(f"<{parameters}d", data, place + 24)
-        lenses[number] = _intrinsics(name, width, height, values)
+        lenses[number] = intrinsics_from_colmap(name, width, height, values)
         place += 24 + 8 * parameters
     return lenses
 

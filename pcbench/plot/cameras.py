@@ -50,7 +50,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     side: Any = figure.add_subplot(1, 2, 1, projection="3d")
     above = figure.add_subplot(1, 2, 2)
     if len(points):
-        side.scatter(*points.T, s=0.6, c=_POINT, alpha=0.4, linewidths=0)
+        side.scatter(*points.T, s=1.5, c=_POINT, alpha=0.7, linewidths=0)
         above.scatter(points[:, 0], points[:, 1], s=0.8, c=_POINT, alpha=0.5, linewidths=0)
     for number, ring in enumerate(_rings(positions)):
         side.plot(*ring.T, color=_PATH, linewidth=1.2)
