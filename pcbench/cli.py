@@ -394,12 +394,14 @@ def reconstruct(
     \b
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
-    from pcbench.io import write_cloud
-    from pcbench.io.files import check_output
+    from pcbench.io import check_cloud_output, write_cloud
     from pcbench.reconstruct import Job, run
+    from pcbench.scene import check_cameras_output
     from pcbench.scene import write_cameras as write
 
-    check_output(out, ())
+    check_cloud_output(out)
+    if write_cameras is not None:
+        check_cameras_output(write_cameras)
     values = dict(_key_value(text) for text in settings)
     job = Job(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
     with _steps(quiet) as step:
@@ -410,7 +412,9 @@ def reconstruct(
             _warn(warning)
     made = result.required()
     write_cloud(out, made.cloud)
-    if write_cameras is not None:
+    if write_cameras is not None and not made.cameras:
+        _warn(f"{write_cameras}: not written, {name} gave no cameras")
+    elif write_cameras is not None:
         images = scene / "images"
         write(write_cameras, made.cameras, images if images.is_dir() else scene, made.cloud)
     if not quiet:

@@ -9,6 +9,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,13 @@ from pcbench.cameras import Camera
 from pcbench.cloud import Cloud
 from pcbench.errors import InputError, MissingExtra
 from pcbench.io.colmap import read_points3d
-from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras, write_colmap_model
+from pcbench.io.colmap_model import (
+    check_model_output,
+    has_points,
+    is_colmap_model,
+    read_colmap_cameras,
+    write_colmap_model,
+)
 from pcbench.io.earth_studio import read_earth_studio
 from pcbench.io.exif_gps import Gps
 from pcbench.io.files import check_output, digest
@@ -168,6 +175,12 @@ class Scene:
             raise InputError(f"expected images for training and for testing, got {len(self)} images split by {how}")
         return self.select(set(self.images) - set(test)), self.select(test)
 
+    @cached_property
+    def _digests(self) -> dict[str, tuple[str, str]]:
+        """SHA-256 of each image and its mask: read once, they may be gigabytes."""
+        mask = {name: digest(path) for name, path in self.masks.items()}
+        return {name: (digest(self.folder / name), mask.get(name, "")) for name in self.images}
+
     def describe(self) -> list[str]:
         """What is in the scene, a few lines for people."""
         sizes = sorted({self.size(name) for name in self.images})
@@ -190,8 +203,7 @@ class Scene:
         """SHA-256 of what a reconstruction depends on: the bytes of images and masks, scale, GPS and cameras."""
         whole = hashlib.sha256(repr(self.image_scale).encode())
         for name in self.images:
-            mask = digest(self.masks[name]) if name in self.masks else ""
-            whole.update(f"{name}\0{digest(self.folder / name)}\0{mask}\0{self.gps.get(name)}\0".encode())
+            whole.update(f"{name}\0{self._digests[name]}\0{self.gps.get(name)}\0".encode())
             if cameras and name in self.cameras:
                 camera = self.cameras[name]
                 whole.update(repr(camera.intrinsics).encode() + camera.cam_from_world.matrix.tobytes())
@@ -256,11 +268,23 @@ def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, point
     if not cameras:
         raise InputError(f"{images}: no cameras to write: expected a COLMAP model, transforms.json or the like")
     ordered = [cameras[name] for name in sorted(cameras)]
+    check_cameras_output(path)
     if path.suffix.lower() != ".json":
         write_colmap_model(path, ordered, points)
         return
-    check_output(path, ())
     write_transforms(path, ordered, Path(os.path.relpath(images, path.absolute().parent)).as_posix())
+
+
+def check_cameras_output(path: Path) -> None:
+    """Say before a long computation that cameras cannot be written there by `write_cameras`.
+
+    Raises:
+        InputError: the folder of a .json does not exist, or a model's folder is a file or holds a binary model.
+    """
+    if path.suffix.lower() == ".json":
+        check_output(path, ())
+    else:
+        check_model_output(path)
 
 
 def _images(path: Path) -> tuple[Path, tuple[str, ...]]:

@@ -535,6 +535,7 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     )
     code, out, err = run("plugins", "mine.py:Mine")
     assert (code, err) == (0, "")
+    assert "sfm (pcbench " in run("plugins")[1]
     assert "mine.py:Mine (mine.py): Returns what it got.\n  can run here\n  --set points=int  (default 4)\n" in out
     arguments = ("reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply")
     code, out, err = run(*arguments, "--set", "points=3", "--write-cameras", "cameras.json")
@@ -547,6 +548,17 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
         code, out, err = run(*arguments, *wrong)
         assert (code, out) == (2, "")
         assert one_line(err)
+    # Where results cannot be written is said before anything is computed.
+    for wrong in (
+        ("-o", "cloud.pts"),
+        ("-o", "no/cloud.ply"),
+        ("--write-cameras", "no/c.json"),
+        ("--write-cameras", "mine.py"),
+    ):
+        code, out, err = run(*arguments, "--workspace", "untouched", *wrong)
+        assert (code, out) == (2, "")
+        assert one_line(err)
+    assert not Path("untouched").exists()
     assert not Path("cloud.ply").exists()
     Path("mine.py").write_text(Path("mine.py").read_text().replace("return None", "return 'no such chip'"))
     assert "cannot run here: no such chip" in run("plugins", "mine.py:Mine")[1]

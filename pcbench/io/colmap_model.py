@@ -166,6 +166,18 @@ def has_points(folder: Path) -> bool:
         return any(line.strip() and not line.lstrip().startswith(b"#") for line in file)
 
 
+def check_model_output(folder: Path) -> None:
+    """Say that a text model cannot be written into a folder.
+
+    Raises:
+        InputError: it is a file, or holds a binary model, which readers would take instead of a new text one.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder for a COLMAP model, got a file")
+    if (folder / "cameras.bin").exists():
+        raise InputError(f"{folder}: holds a binary COLMAP model, which would hide this one: choose another folder")
+
+
 def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | None = None) -> None:
     """Write cameras, and points without tracks, as a COLMAP text model; the folder is made if it is missing.
 
@@ -175,8 +187,7 @@ def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | 
         InputError: the folder holds a binary model, which readers would take instead.
         OSError: a file cannot be written.
     """
-    if (folder / "cameras.bin").exists():
-        raise InputError(f"{folder}: holds a binary COLMAP model, which would hide this one: choose another folder")
+    check_model_output(folder)
     lenses: dict[Intrinsics, int] = {}
     images = ["# Image list with two lines of data per image:"]
     images += ["#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "#   POINTS2D[] as (X, Y, POINT3D_ID)"]
