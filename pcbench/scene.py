@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.cameras import Camera
-from pcbench.cloud import Cloud
+from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError, MissingExtra
+from pcbench.geodesy import enu_from_wgs84
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import (
     check_model_output,
@@ -54,6 +55,7 @@ class Scene:
         sizes: (width, height) of each image's file, in pixels.
         cameras: by image name, at the working size; the images without one are not in it.
         gps: by image name, from EXIF.
+        positions: by image name, measured in metres in a frame of their own (3,), from gps.txt.
         masks: by image name: an image of the same size whose black pixels are to be left out.
         image_scale: the working size relative to the files', 0 < scale <= 1.
         points: sparse points in the frame of the cameras, if they came with some.
@@ -65,6 +67,7 @@ class Scene:
     sizes: Mapping[str, Size]
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     gps: Mapping[str, Gps] = field(default_factory=dict)
+    positions: Mapping[str, FloatArray] = field(default_factory=dict)
     masks: Mapping[str, Path] = field(default_factory=dict)
     image_scale: float = 1.0
     points: Cloud | None = None
@@ -130,6 +133,19 @@ class Scene:
             return image
         return image.resize(size, Image.Resampling.LANCZOS if smooth else Image.Resampling.NEAREST)
 
+    def measured_positions(self) -> tuple[dict[str, FloatArray], str]:
+        """Where images were taken, in metres (3,) by name, and the frame in words: that of gps.txt, or east-north-up
+        about the first position in EXIF.
+        """
+        if self.positions:
+            return dict(self.positions), "in the frame of gps.txt"
+        if not self.gps:
+            return {}, ""
+        origin = self.gps[min(self.gps)]
+        enu = enu_from_wgs84(list(self.gps.values()), origin)
+        where = f"{origin.latitude_deg:.7f}, {origin.longitude_deg:.7f}, {origin.altitude:.2f} m"
+        return dict(zip(self.gps, enu, strict=True)), f"east-north-up about {where}"
+
     def select(self, names: Collection[str]) -> Scene:
         """The scene of some of its images.
 
@@ -147,6 +163,7 @@ class Scene:
             sizes={name: self.sizes[name] for name in kept},
             cameras={name: self.cameras[name] for name in kept if name in self.cameras},
             gps={name: self.gps[name] for name in kept if name in self.gps},
+            positions={name: self.positions[name] for name in kept if name in self.positions},
             masks={name: self.masks[name] for name in kept if name in self.masks},
         )
 
@@ -186,7 +203,7 @@ class Scene:
         sizes = sorted({self.size(name) for name in self.images})
         shown = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
         lines = [f"{self.folder}: {len(self)} images of {shown}"]
-        lines.append(f"  cameras {len(self.cameras)}, GPS {len(self.gps)}, masks {len(self.masks)}")
+        lines.append(f"  cameras {len(self.cameras)}, GPS {len(self.positions or self.gps)}, masks {len(self.masks)}")
         if self.cameras:
             positions = np.stack([camera.position for camera in self.cameras.values()])
             extent = " x ".join(f"{length:.4g}" for length in np.ptp(positions, axis=0))
@@ -204,6 +221,7 @@ class Scene:
         whole = hashlib.sha256(repr(self.image_scale).encode())
         for name in self.images:
             whole.update(f"{name}\0{self._digests[name]}\0{self.gps.get(name)}\0".encode())
+            whole.update(self.positions[name].tobytes() if name in self.positions else b"")
             if cameras and name in self.cameras:
                 camera = self.cameras[name]
                 whole.update(repr(camera.intrinsics).encode() + camera.cam_from_world.matrix.tobytes())
@@ -247,6 +265,7 @@ def read_scene(
         names,
         {name: (header.width, header.height) for name, header in headers.items()},
         gps={name: header.gps for name, header in headers.items() if header.gps is not None},
+        positions=_positions(path / "gps.txt", names, warn),
         masks=_masks(folder, names, headers, _masks_folder(path, masks)),
         image_scale=float(image_scale),
     )
@@ -301,6 +320,37 @@ def _images(path: Path) -> tuple[Path, tuple[str, ...]]:
         if names:
             return folder, tuple(names)
     raise InputError(f"{path}: expected a folder with images (.jpg, .jpeg, .png), directly or in images/")
+
+
+def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
+    """Measured positions, lines of an image's name and x y z in metres; lines that start with # are comments."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        return {}
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from error
+    find = _Names(images)
+    found: dict[str, FloatArray] = {}
+    lost: list[str] = []
+    for number, line in enumerate(lines, 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            position = np.array([float(word) for word in words[1:]])
+        except ValueError:
+            position = np.zeros(0)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise InputError(f"{path}: line {number}: expected a name and x y z, got {line.strip()[:60]!r}")
+        name = find(words[0])
+        if name is None:
+            lost.append(words[0])
+        else:
+            found[name] = position
+    if lost:
+        warn(f"{path}: {len(lost)} positions are left out, their images are missing: {_some(lost)}")
+    return found
 
 
 def _masks_folder(path: Path, masks: Path | str | None) -> Path | None:

@@ -18,7 +18,6 @@ import numpy as np
 from pcbench.cameras import Camera, Intrinsics
 from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError, ReconstructionError
-from pcbench.geodesy import enu_from_wgs84
 from pcbench.io.colmap_model import intrinsics_from_colmap
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.scene import Scene
@@ -44,7 +43,8 @@ class ColmapSfm:
     features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
     the time. refine: which intrinsics are solved for: `all`, `focal` length alone, or `none`.
     align: solved poses onto the scene's cameras, control points or GPS; `auto` takes the first there is. control: their
-    file, lines of name, x y z, image, pixel x y. undistort: leave undistorted images and model in the workspace.
+    file, lines of name, x y z, image, pixel x y. min_views: points that fewer images show are left out; one of two
+    images may be anywhere along their common plane. undistort: leave undistorted images and model in the workspace.
     """
 
     poses: Literal["auto", "given", "solve"] = "auto"
@@ -55,12 +55,15 @@ class ColmapSfm:
     refine: Literal["all", "focal", "none"] = "all"
     align: Literal["auto", "cameras", "control", "gps", "none"] = "auto"
     control: Path | None = None
+    min_views: int = 3
     undistort: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
         if self.features < _FEW_FEATURES:
             raise ValueError(f"expected at least {_FEW_FEATURES} features an image, got {self.features}")
+        if self.min_views < 2:
+            raise ValueError(f"expected points of at least 2 images, got min_views={self.min_views}")
         if not 0 <= self.seed < 2**31:
             raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {self.seed}")
         if self.align == "control" and self.control is None:
@@ -96,7 +99,7 @@ class ColmapSfm:
         model.write(result)
         if self.undistort:
             _undistort(workspace, _images(scene, workspace))
-        return Reconstruction(_cloud(model, "m" if in_metres else None), gauge, _cameras(model), notes)
+        return Reconstruction(self._cloud(model, "m" if in_metres else None, notes), gauge, _cameras(model), notes)
 
     def _features(self, scene: Scene, workspace: Path) -> Path:
         """SIFT features of every image, in a database."""
@@ -244,7 +247,7 @@ class ColmapSfm:
         inputs = {"matches": stage_key(matches), "scene": scene.fingerprint(), "seed": self.seed}
         model = pycolmap.Reconstruction(stage(workspace, "triangulation", inputs, make) / "0")
         # A point that n images show explains a match of each two of them.
-        explained = sum(n * (n - 1) // 2 for n in (point.track.length() for point in model.points3D.values()))
+        explained = sum(n * (n - 1) // 2 for n in map(_views, model.points3D.values()))
         share = min(1.0, explained / verified)
         if share < _LEAST_EXPLAINED:
             raise ReconstructionError(
@@ -266,7 +269,11 @@ class ColmapSfm:
             "control": lambda: _onto_control(registered, control, scene.image_scale),
             "gps": lambda: _onto_gps(registered, scene),
         }
-        there = {"cameras": bool(scene.cameras), "control": bool(control), "gps": len(scene.gps) >= 3}
+        there = {
+            "cameras": bool(scene.cameras),
+            "control": bool(control),
+            "gps": len(scene.measured_positions()[0]) >= 3,
+        }
         chosen = next((way for way in ways if there[way]), "none") if self.align == "auto" else self.align
         if chosen == "none":
             return "arbitrary", False
@@ -282,6 +289,28 @@ class ColmapSfm:
         _transform(model, transform)
         notes.append(note)
         return "georeferenced", chosen == "gps" or (chosen == "cameras" and scene.origin is not None)
+
+    def _cloud(self, model: Any, unit: str | None, notes: list[str]) -> Cloud:
+        """The points that enough images show, in the order of their numbers."""
+        everything = [point for _, point in sorted(model.points3D.items())]
+        views = np.array([_views(point) for point in everything], dtype=np.int32)
+        points = [point for point, n in zip(everything, views, strict=True) if n >= self.min_views]
+        if not points:
+            raise ReconstructionError(
+                f"none of {len(everything)} points is shown by {self.min_views} images: take more images, or --set"
+                " min_views=2"
+            )
+        if len(points) < len(everything):
+            notes.append(f"{len(everything) - len(points)} points of fewer than {self.min_views} images are left out")
+        return Cloud(
+            np.array([point.xyz for point in points]),
+            colors=np.array([point.color for point in points], dtype=np.uint8),
+            attributes={
+                "reprojection_error": np.array([point.error for point in points]),
+                "track_length": views[views >= self.min_views],
+            },
+            unit=unit,
+        )
 
 
 def _usable(scene: Scene, given: bool, notes: list[str]) -> Scene:
@@ -403,16 +432,15 @@ def _onto_cameras(found: Mapping[str, Camera], given: Mapping[str, Camera]) -> t
 
 
 def _onto_gps(found: Mapping[str, Camera], scene: Scene) -> tuple[Similarity, str]:
-    names = sorted(set(found) & set(scene.gps))
-    origin = scene.gps[min(scene.gps)]
+    measured, frame = scene.measured_positions()
+    names = sorted(set(found) & set(measured))
     candidate = np.array([found[name].position for name in names]).reshape(-1, 3)
-    reference = enu_from_wgs84([scene.gps[name] for name in names], origin)
+    reference = np.array([measured[name] for name in names]).reshape(-1, 3)
     fit = robust_similarity(candidate, reference)
     errors = fit.apply(candidate) - reference
     across, up = np.median(np.linalg.norm(errors[:, :2], axis=1)), np.median(np.abs(errors[:, 2]))
     return fit, (
-        f"aligned to the GPS of {len(names)} images: median error {across:.2f} m across, {up:.2f} m in height;"
-        f" east-north-up about {origin.latitude_deg:.7f}, {origin.longitude_deg:.7f}, {origin.altitude:.2f} m"
+        f"aligned to the GPS of {len(names)} images, {frame}: median error {across:.2f} m across, {up:.2f} m in height"
     )
 
 
@@ -471,18 +499,9 @@ def _cameras(model: Any) -> dict[str, Camera]:
     return cameras
 
 
-def _cloud(model: Any, unit: str | None) -> Cloud:
-    """The points in the order of their numbers."""
-    points = [point for _, point in sorted(model.points3D.items())]
-    return Cloud(
-        np.array([point.xyz for point in points]),
-        colors=np.array([point.color for point in points], dtype=np.uint8),
-        attributes={
-            "reprojection_error": np.array([point.error for point in points]),
-            "track_length": np.array([point.track.length() for point in points], dtype=np.int32),
-        },
-        unit=unit,
-    )
+def _views(point: Any) -> int:
+    """The number of images that show a point: a track may have two features in one image."""
+    return len({element.image_id for element in point.track.elements})
 
 
 def _undistort(workspace: Path, images: Path) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from pcbench.cloud import FloatArray
 from pcbench.errors import InputError
-from pcbench.geodesy import enu_from_wgs84
 from pcbench.scene import Scene
 
 Matching = Literal["auto", "exhaustive", "sequential", "spatial"]
@@ -54,9 +53,9 @@ def _positions(scene: Scene) -> FloatArray | None:
     """Where the images were taken (N, 3), in the cameras' frame or in metres; None if one of them is not known."""
     if all(name in scene.cameras for name in scene.images):
         return np.stack([scene.cameras[name].position for name in scene.images])
-    if all(name in scene.gps for name in scene.images):
-        positions = [scene.gps[name] for name in scene.images]
-        return enu_from_wgs84(positions, positions[0])
+    measured, _ = scene.measured_positions()
+    if all(name in measured for name in scene.images):
+        return np.stack([measured[name] for name in scene.images])
     return None
 
 

@@ -489,3 +489,20 @@ def test_rings_are_told_apart_and_closed():
     walk = np.random.default_rng(0).normal(size=(40, 3)).cumsum(axis=0)
     assert [len(ring) for ring in _rings(walk)] == [40]
     assert not _rings(np.zeros((1, 3)))
+
+
+def test_positions_of_a_file(photographs):
+    (photographs / "gps.txt").write_text("# NAME X Y Z\n3.png 1 2 3.5\n77.png 0 0 0\n")
+    warnings = []
+    scene = read_scene(photographs, on_warning=warnings.append)
+    assert "1 positions are left out, their images are missing: 77.png" in warnings[0]
+    found, frame = scene.measured_positions()
+    assert list(found) == ["3.png"]
+    np.testing.assert_array_equal(found["3.png"], [1, 2, 3.5])
+    assert frame == "in the frame of gps.txt"
+    assert "GPS 1" in scene.describe()[1]
+    assert not scene.select(["4.png"]).positions
+    for line in ("3.png 1 2", "3.png 1 2 x", "3.png 1 2 nan"):
+        (photographs / "gps.txt").write_text(line)
+        with pytest.raises(InputError, match=r"gps.txt: line 1: expected a name and x y z"):
+            read_scene(photographs)
