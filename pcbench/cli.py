@@ -6,6 +6,7 @@ import io
 import os
 import signal
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -354,6 +355,9 @@ def plugins(specs: tuple[str, ...]) -> None:
             click.echo(f"{spec}: {error}")  # one that is broken hides no other
             continue
         click.echo(f"{spec} ({plugin.origin}): {plugin.help or 'no description'}")
+        _, _, more = plugin.docstring.partition("\n\n")
+        if specs and more:
+            click.echo(textwrap.indent(f"\n{more}\n", "  "))
         missing = plugin.missing
         click.echo(f"  {'can run here' if missing is None else f'cannot run here: {missing}'}")
         for setting in plugin.settings:

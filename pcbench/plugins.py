@@ -85,9 +85,13 @@ class Plugin:
     @property
     def help(self) -> str:
         """The first paragraph of its docstring, on one line."""
+        return " ".join(self.docstring.split("\n\n")[0].split())
+
+    @property
+    def docstring(self) -> str:
         # A dataclass without a docstring gets its signature for one.
         text = inspect.getdoc(self.cls) or ""
-        return "" if text.startswith(f"{self.cls.__name__}(") else " ".join(text.split("\n\n")[0].split())
+        return "" if text.startswith(f"{self.cls.__name__}(") else text
 
     @property
     def settings(self) -> tuple[Setting, ...]:

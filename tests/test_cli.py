@@ -536,6 +536,8 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     code, out, err = run("plugins", "mine.py:Mine")
     assert (code, err) == (0, "")
     assert "sfm (pcbench " in run("plugins")[1]
+    assert "min_views: points that fewer images show" not in run("plugins")[1]
+    assert "min_views: points that fewer images show" in run("plugins", "sfm")[1]
     assert "mine.py:Mine (mine.py): Returns what it got.\n  can run here\n  --set points=int  (default 4)\n" in out
     arguments = ("reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply")
     code, out, err = run(*arguments, "--set", "points=3", "--write-cameras", "cameras.json")

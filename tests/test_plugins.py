@@ -192,6 +192,11 @@ def test_settings_are_converted(plugin):
             found.configure({name: text})
 
 
+def test_help_is_the_docstring(plugin):
+    assert find_plugin(plugin(GOOD)).help == ""  # not the signature that dataclasses put there
+    assert find_plugin(plugin(GOOD, '"""What it\n    does.\n\n    More."""')).help == "What it does."
+
+
 def test_what_must_be_given_is_said(plugin):
     found = find_plugin(plugin(GOOD, "n: int"))
     assert found.settings[0].default is None
