@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from pcbench.comparison import Comparison as Comparison
     from pcbench.comparison import Settings as Settings
     from pcbench.comparison import compare as compare
+    from pcbench.deform_files import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
     from pcbench.io import read_cloud as read_cloud
     from pcbench.io import write_cloud as write_cloud
@@ -26,6 +27,7 @@ _ROOMS = {
     "Settings": "comparison",
     "Similarity": "transform",
     "compare": "comparison",
+    "deform": "deform_files",
     "metrics": "metrics",
     "read_cloud": "io",
     "register": "registration",

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 _Number = TypeVar("_Number", int, float)
 
 _FILE = click.Path(path_type=Path)
-_REGISTER_HELP = "icp, icp-point, similarity (ICP with scale), points:FILE, matrix:FILE or none."
+_REGISTER_HELP = (
+    "icp, icp-point, similarity (ICP with scale), global or global-similarity (the same from any pose), points:FILE,"
+    " matrix:FILE or none."
+)
 _CROP_HELP = "none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference or quantile:0.99."
 
 register_option = click.option("--register", default="icp", show_default=True, metavar="HOW", help=_REGISTER_HELP)
@@ -234,6 +237,60 @@ def register(
         )
         for point in result.check_points:
             click.echo(f"# check point {point.name}: {point.error:.4g}")
+
+
+@app.command(short_help="Say whether a cloud is deformed against a reference.")
+@click.argument("reference", type=_FILE)
+@click.argument("candidate", type=_FILE)
+@click.option("--out", type=_FILE, help="Folder for deformation.json, the displacement field and pictures.")
+@register_option
+@click.option("--crop", default="none", show_default=True, metavar="REGION", help=_CROP_HELP)
+@click.option("--no-figures", is_flag=True, help="Leave the pictures out.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the bootstrap.")
+@quiet_option
+def deform(
+    reference: Path,
+    candidate: Path,
+    out: Path | None,
+    register: str,
+    crop: str,
+    no_figures: bool,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Register CANDIDATE to REFERENCE and say whether it is bent beyond that, by how much, and where.
+
+    \b
+    Example: pcbench deform ref.ply a.ply --out bend/
+    """
+    from pcbench.deform_files import deform_files
+    from pcbench.report import deformation_words
+
+    with _steps(quiet) as step:
+        outcome = deform_files(reference, candidate, register, crop, seed, out, figures=not no_figures, step=step)
+    values = outcome.deformation.values
+    if not quiet:
+        for warning in outcome.warnings:
+            _warn(warning)
+        click.echo(deformation_words(values, candidate.name, outcome.unit or ""))
+        if values["verdict"] != "undecided":
+            for warning in values["warnings"]:
+                _warn(warning)
+        for rung in values["rungs"]:
+            mark = "*" if rung["model"] == values["model"] else " "
+            score, error = rung["cv_score"] ** 0.5, rung["cv_se"] / (2 * rung["cv_score"] ** 0.5 or 1.0)
+            click.echo(f" {mark} {rung['model']:10} cross-validated residual {score:.4g} ± {error:.2g}")
+        if noise := values["noise"]:
+            click.echo(
+                f"noise: white {noise['sigma_white']:.3g}, correlated {noise['sigma_correlated']:.3g} over"
+                f" {noise['correlation_length']:.3g}; {values['pairs']:,} pairs are worth {noise['n_eff']:,.0f}"
+            )
+            local = values["local"]
+            click.echo(f"local changes: {local['tiles_changed']} of {local['tiles_tested']} tiles")
+        if out is not None:
+            click.echo(f"report: {out}")
+    if outcome.without_figures:
+        _warn(outcome.without_figures)
 
 
 @app.command(short_help="Draw a report's pictures again.")

@@ -18,11 +18,13 @@ from pcbench import intervals, metrics, presets
 from pcbench.cloud import Cloud, as_cloud, bounds
 from pcbench.crop import Region, parse_region
 from pcbench.crs import crs_name, same_crs
+from pcbench.deformation import Deformation
+from pcbench.deformation_pairs import Side, residual_deformation
 from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError, RegistrationError
 from pcbench.measure import Direction, Floor, measure, value_of
 from pcbench.mesh import Mesh, MeshIndex
-from pcbench.neighbors import FloatArray, Index, IntArray, Matches, match_both_ways
+from pcbench.neighbors import FloatArray, Index, IntArray, Matches
 from pcbench.normals import Surface
 from pcbench.registration import Registration, Target, recentring, register
 from pcbench.voxels import robust_extent, thin_to
@@ -105,6 +107,7 @@ class Candidate:
     registration: Registration
     metrics: dict[str, Any]
     deviation: DeviationMap
+    deformation: Deformation
     timings_s: dict[str, float]
     peak_rss_bytes: int
     warnings: tuple[str, ...] = ()
@@ -287,8 +290,9 @@ def _compare_one(
     step(f"{name}: matching both ways")
     with _timed(timings, "matching"):
         index = Index(aligned)
+        pair = _hard_pair(truth, index, inside)
         if truth.region is None:
-            forth, back = match_both_ways(truth.index, index)
+            forth, back = pair.to_reference, pair.to_candidate
         else:
             forth, back = truth.index.query(queries), index.query(truth.measured_points)
 
@@ -309,8 +313,11 @@ def _compare_one(
         )
     with _timed(timings, "maps"):
         deviation = _deviation_map(truth, index, candidate_to_reference, registration, settings)
+    step(f"{name}: looking for a bend")
+    with _timed(timings, "deformation"):
+        sides = Side(truth.surface, truth.inside, truth.cloud), Side(Surface(index), inside, cloud)
+        deformation = residual_deformation(*sides, registration, truth.origin, seed=settings.seed)
     with _timed(timings, "presets"):
-        pair = _hard_pair(truth, index, inside, forth, back)
         to_poisson = deviation.scalars.get("poisson_distance")
         values["presets"] = _presets(truth, pair, to_poisson, settings.presets, thresholds)
 
@@ -321,6 +328,7 @@ def _compare_one(
         registration=registration,
         metrics=values,
         deviation=replace(deviation, rows=np.flatnonzero(inside)),
+        deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),
         warnings=tuple(_crs_warnings(truth.cloud, cloud)),
@@ -387,15 +395,15 @@ def _from_reference(truth: _Reference, index: Index, forth: Matches, back: Match
     return Direction(queries, back.distances, plane, Floor.of(floor, floor_plane), blocks)
 
 
-def _hard_pair(
-    truth: _Reference, candidate: Index, inside: NDArray[np.bool_], forth: Matches, back: Matches
-) -> presets.Pair:
-    """Both clouds cut to the region; where there is none, with the matches that are known already."""
+def _hard_pair(truth: _Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.Pair:
+    """Both clouds cut to the region: where there is none, matched as they are."""
     normals, given = truth.surface.with_normals_at(truth.rows) if truth.has_normals else None, truth.cloud.normals
     if truth.rows is None:
-        return presets.Pair(truth.index, candidate, forth, back, truth.nearest_other, normals, given)
+        return presets.match(truth.index, candidate, truth.nearest_other, normals, given)
     normals, given = (None if n is None else n[truth.rows] for n in (normals, given))
-    return presets.match(Index(truth.measured_points), Index(candidate.points[inside]), normals, given)
+    reference = Index(truth.measured_points)
+    nearest_other = reference.nearest_other() if len(reference) > 1 else None
+    return presets.match(reference, Index(candidate.points[inside]), nearest_other, normals, given)
 
 
 def _presets(

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from pcbench.cloud import FloatArray
+from pcbench.transform import fit_similarity
+
 
 def same_crs(first: str, second: str) -> bool:
     """Whether two names mean one system; without pyproj only equal texts do."""
@@ -25,6 +30,32 @@ def crs_name(text: str) -> str:
 def is_known(text: str | None) -> bool:
     """Whether pyproj is installed and knows this system."""
     return text is not None and _parsed(text) is not None
+
+
+def euclidean_offsets(text: str, places: FloatArray) -> FloatArray | None:
+    """How far (N, 3) places (N, 3) on a map grid lie from where they are in Euclidean space, in the map's unit.
+
+    Earth-centred coordinates, brought back onto the map's by the best rigid motion: what is left is the Earth's
+    curvature and the projection's scale. Heights are taken as ellipsoidal. None where the system is no map grid, or is
+    not known.
+    """
+    crs = _parsed(text)
+    if crs is None:
+        return None
+    crs = crs.sub_crs_list[0] if crs.sub_crs_list else crs
+    if not crs.is_projected:
+        return None
+    from pyproj import Transformer
+
+    unit = crs.axis_info[0].unit_conversion_factor
+    to_geographic = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
+    longitude, latitude = to_geographic.transform(places[:, 0], places[:, 1])
+    to_space = Transformer.from_crs(crs.geodetic_crs.to_3d(), {"proj": "geocent", "datum": "WGS84"}, always_xy=True)
+    space = np.stack(to_space.transform(longitude, latitude, places[:, 2] * unit), axis=1) / unit
+    if not np.isfinite(space).all():
+        return None
+    offsets: FloatArray = fit_similarity(space, places, with_scale=False).apply(space) - places
+    return offsets
 
 
 def _parsed(text: str) -> Any | None:

@@ -108,28 +108,6 @@ class Index:
             _explain(error, wanted, "queries")
         return found
 
-    def tied(self, queries: "ArrayLike | Index", nearest: ArrayLike, slack: float) -> NDArray[np.bool_]:
-        """Whether another point is about as near to each query as its match: squared distance less the match's < slack.
-
-        nearest (M,) holds the matches' indices, as `query` finds them; slack is in squared units, so 0 finds none.
-        Queries that are another index's points cost less as that index.
-        """
-        source = queries if isinstance(queries, Index) else _as_points(queries, "queries")
-        matches = self._as_rows(nearest, "nearest")
-        if len(matches) != len(source):
-            raise InputError(f"nearest: expected one index for each of the {len(source)} queries, got {len(matches)}")
-        if not 0 <= slack <= _LARGEST_COORDINATE**2:
-            raise InputError(f"slack: expected a finite squared length of at least 0, got {slack}")
-        tied = np.empty(len(source), np.bool_)
-        if isinstance(source, Index):
-            self._tree.tied_of(source._tree, matches, slack, tied)
-            return tied
-        try:
-            self._tree.tied(source, matches, slack, tied)
-        except ValueError as error:
-            _explain(error, source, "queries")
-        return tied
-
     def query_radius(self, queries: ArrayLike, radius: float) -> Neighborhoods:
         """The points whose squared distance to each query (M, 3) is at most radius * radius."""
         wanted = _as_points(queries, "queries")
@@ -182,6 +160,18 @@ class Index:
         found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         self._tree.nearest_of(queries._tree, *found)
         return found
+
+    def nearest_of_with_ties(self, queries: "Index", slack: float) -> tuple[Matches, NDArray[np.bool_]]:
+        """`nearest_of`, and whether another point is about as near: squared distance less the match's < slack (M,).
+
+        slack is in squared units; 0 finds none.
+        """
+        if not 0 <= slack <= _LARGEST_COORDINATE**2:
+            raise InputError(f"slack: expected a finite squared length of at least 0, got {slack}")
+        found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
+        tied = np.empty(len(queries), np.bool_)
+        self._tree.nearest_of(queries._tree, *found, slack, tied)
+        return found, tied
 
     def nearest_of_moved(
         self, queries: "Index", motion: NDArray[np.float64], hint: NDArray[np.int64] | None = None

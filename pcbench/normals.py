@@ -58,6 +58,7 @@ class Surface:
         if given is not None:
             self._normals, self._known = unit(given)
         self._complete = bool(self._known.all())
+        self._variation = np.full(len(index), np.nan, dtype=np.float32)
         self._nearest_other: Matches | None = None
 
     def __len__(self) -> int:
@@ -83,12 +84,23 @@ class Surface:
             else:
                 missing = np.unique(which[~self._known[which]])
             if len(missing) == len(self):
-                self._normals, _, self._nearest_other = self._planes(None)
+                self._normals, self._variation[:], self._nearest_other = self._planes(None)
             elif len(missing):
-                self._normals[missing] = self._planes(missing).normals
+                self._normals[missing], self._variation[missing], _ = self._planes(missing)
             self._known[missing] = True
             self._complete = bool(self._known.all())
         return self._normals
+
+    def variation(self, which: IntArray) -> FloatArray:
+        """Surface variation (M,) at the indices `which` (M,), to float32's digits: see `estimate_normals`.
+
+        Raises:
+            InputError: fewer than three points.
+        """
+        missing = np.unique(which[np.isnan(self._variation[which])])
+        if len(missing):
+            self._variation[missing] = self._planes(missing).variation
+        return self._variation[which].astype(np.float64)
 
     def nearest_other(self) -> Matches:
         """See `Index.nearest_other`."""

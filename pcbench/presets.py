@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench import metrics
 from pcbench.native import _core
@@ -27,16 +28,25 @@ class Pair(NamedTuple):
     candidate: Index
     to_reference: Matches  # of the candidate's points
     to_candidate: Matches  # of the reference's points
+    tied_to_reference: NDArray[np.bool_]  # whether a second point is as near as the nearest one
+    tied_to_candidate: NDArray[np.bool_]
     nearest_other: Matches | None  # inside the reference; None for a single point
     normals: FloatArray | None  # (N, 3) of the reference, unit length
     raw_normals: FloatArray | None  # the same as they were given, where they were
 
 
-def match(reference: Index, candidate: Index, normals: FloatArray | None, raw_normals: FloatArray | None) -> Pair:
+def match(
+    reference: Index,
+    candidate: Index,
+    nearest_other: Matches | None,
+    normals: FloatArray | None,
+    raw_normals: FloatArray | None,
+) -> Pair:
     """The pair with everything its presets need to know of neighbours."""
-    to_reference, to_candidate = match_both_ways(reference, candidate)
-    other = reference.nearest_other() if len(reference) > 1 else None
-    return Pair(reference, candidate, to_reference, to_candidate, other, normals, raw_normals)
+    to_reference, tied_to_reference = reference.nearest_of_with_ties(candidate, _TIE)
+    to_candidate, tied_to_candidate = candidate.nearest_of_with_ties(reference, _TIE)
+    matches = (to_reference, to_candidate, tied_to_reference, tied_to_candidate)
+    return Pair(reference, candidate, *matches, nearest_other, normals, raw_normals)
 
 
 def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> dict[str, Any]:
@@ -114,8 +124,8 @@ def mpeg(pair: Pair) -> dict[str, Any]:
     d2: list[FloatArray] = []
     normals = pair.normals if pair.raw_normals is None else np.nan_to_num(pair.raw_normals, posinf=0, neginf=0)
     if normals is not None:
-        ab = _choices(pair.reference, pair.candidate, pair.to_candidate)
-        ba = _choices(pair.candidate, pair.reference, pair.to_reference)
+        ab = _choices(pair.reference, pair.candidate, pair.to_candidate, pair.tied_to_candidate)
+        ba = _choices(pair.candidate, pair.reference, pair.to_reference, pair.tied_to_reference)
         normals_b = _averaged_normals(normals, ab, ba, len(b))
         d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
     peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
@@ -152,8 +162,7 @@ class _Choices(NamedTuple):
     indices: IntArray
 
 
-def _choices(queries: Index, others: Index, nearest: Matches) -> _Choices:
-    several = others.tied(queries, nearest.indices, _TIE)
+def _choices(queries: Index, others: Index, nearest: Matches, several: NDArray[np.bool_]) -> _Choices:
     if not several.any():
         return _Choices(None, nearest.indices)
     single, tied = np.flatnonzero(~several), np.flatnonzero(several)
@@ -196,7 +205,8 @@ def _merge_duplicates(pair: Pair) -> Pair:
     reference, first = np.unique(pair.reference.points, axis=0, return_index=True)
     candidate = np.unique(pair.candidate.points, axis=0)
     normals, raw = (None if n is None else n[first] for n in (pair.normals, pair.raw_normals))
-    return match(Index(reference), Index(candidate), normals, raw)
+    index = Index(reference)
+    return match(index, Index(candidate), index.nearest_other() if len(index) > 1 else None, normals, raw)
 
 
 def _has_duplicates(points: FloatArray) -> bool:

@@ -22,16 +22,18 @@ from pcbench.normals import Surface, plane_normals
 from pcbench.transform import Similarity, fit_similarity, read_matrix
 from pcbench.voxels import cell_means, cells, robust_extent, thin, thin_to
 
-METHODS = ("icp", "icp-point", "similarity", "points:FILE", "matrix:FILE", "none")
+METHODS = ("icp", "icp-point", "similarity", "global", "global-similarity", "points:FILE", "matrix:FILE", "none")
 
 _SAMPLE = 30_000  # candidate points a fine iteration looks at: enough for millimetres, few enough for seconds
 _ITERATIONS = 100  # a stage
+_START = 0.1  # of the extent: the first gate
 _FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
 _INFORMANTS = 10_000  # pairs that are asked what the geometry fixes
 _TILES_ALONG = 8  # the scene: of the bootstrap
 _REPLICATES = 400
+_CLEAR = 5  # standard deviations before a scale is said to be missing
 _ON_REFERENCE = 5  # spacings of the reference: a candidate point nearer than that lies on it
 _NEAR = 0.05  # of the extent: where a point has its counterpart, if there is one
 _MOST_BESIDE = 0.25  # of the candidate, near the reference but not on it, before that is said
@@ -88,12 +90,14 @@ def register(
     Args:
         reference, candidate: clouds, or (N, 3) arrays.
         method: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement),
-            `points:FILE`, `matrix:FILE` or `none`.
+            `global` or `global-similarity` (from nothing, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or
+            `none`.
         target: of the reference's points minus `recentring(reference)`, if the caller has one already.
 
     Raises:
         InputError: unknown method, unreadable file.
         RegistrationError: the clouds do not overlap, or the scale collapsed.
+        MissingExtra: KISS-Matcher is not installed (`global`).
     """
     reference, candidate = as_cloud(reference), as_cloud(candidate)
     origin = recentring(reference)
@@ -104,6 +108,10 @@ def register(
     kind, colon, path = method.partition(":")
     if kind in ("icp", "icp-point", "similarity") and not colon:
         result = _icp(target, points, origin, kind)
+    elif method in ("global", "global-similarity"):
+        from pcbench.global_registration import register_from_nothing  # it builds on this module
+
+        result = register_from_nothing(target, points, origin, method)
     elif kind == "matrix" and path:
         result = _given(target, points, origin, method, read_matrix(path))
     elif kind == "points" and path:
@@ -185,13 +193,13 @@ class _Pairs(NamedTuple):
         )
 
 
-def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> Registration:
+def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str, *, may_be_far: bool = True) -> Registration:
     """Coarse to fine; the gate narrows, then a Tukey kernel whose width follows the residuals decides.
 
-    Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. A wide
-    gate finds large rotations, but slides clouds that overlap in part onto each other: it has its turn where the
-    narrow one leaves points beside the reference. Where the geometry turns out not to fix some motion, all starts again
-    with that motion held: noise must not move the pose.
+    Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. A start
+    that keeps all pairs and narrows slowly finds large motions, but slides clouds that overlap in part onto each other:
+    it has its turn where the quick one leaves points beside the reference, if they `may_be_far` at all. Where the
+    geometry turns out not to fix some motion, all starts again with that motion held: noise must not move the pose.
     """
     surface = target.surface
     if len(points) < _FEWEST or len(surface) < _FEWEST:
@@ -205,7 +213,8 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> R
     coarse_sample = Index(points[thin(points, coarse_side)])
     sample = Index(points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))])
     with_scale = kind == "similarity"
-    fine = _Gate(1.5 * coarse_side, max(3 * spacing, 1e-9 * extent), narrowing=0.7)
+    quick = _Gate(_START * extent, 2 * coarse_side, narrowing=0.7, kept=0.9)
+    fine = quick._replace(first=1.5 * coarse_side, final=max(3 * spacing, 1e-9 * extent))
 
     def attempt(start: _Gate, held: FloatArray) -> _Fit:
         T, first, _ = _iterate(
@@ -217,10 +226,9 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> R
 
     fits: list[_Fit] = []
     failures: list[RegistrationError] = []
-    for width, narrowing in ((0.1, 0.7), (0.2, 0.95)):
+    for start in (quick, quick._replace(narrowing=0.95, kept=1.0)) if may_be_far else (quick,):
         try:
-            gate = _Gate(width * extent, 2 * coarse_side, narrowing)
-            fits.append(attempt(gate, np.zeros((7 if with_scale else 6, 0))))
+            fits.append(attempt(start, np.zeros((7 if with_scale else 6, 0))))
         except RegistrationError as failure:
             failures.append(failure)
         else:
@@ -241,11 +249,12 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str) -> R
 
 
 class _Gate(NamedTuple):
-    """Largest distance of a pair: at first, in the end, and by what it is multiplied from iteration to iteration."""
+    """Which pairs count: up to a distance that narrows from `first` to `final`."""
 
     first: float
     final: float
-    narrowing: float
+    narrowing: float  # what the distance is multiplied by from iteration to iteration
+    kept: float  # share of the nearest pairs that count while it narrows
 
 
 class _Fit(NamedTuple):
@@ -271,14 +280,14 @@ def _iterate(
     Args:
         held: (6 or 7, H) orthonormal motions that are not to be made.
     """
-    radius, final, narrowing = gate
+    radius = gate.first
     previous = np.inf
     hint: IntArray | None = None  # where the last search ended: the next one starts there
     for iteration in range(1, _ITERATIONS + 1):
-        annealing = radius > final
+        annealing = radius > gate.final
         moved, nearest = target.index.nearest_of_moved(sample, T.matrix, hint)
         hint = nearest.indices
-        pairs = _weigh(target, moved, nearest, radius, robust=not annealing)
+        pairs = _weigh(target, moved, nearest, radius, robust=not annealing, kept=gate.kept)
         total = float(pairs.weights.sum())
         if pairs.near < max(_FEWEST, 0.01 * len(sample)) or total < 6:
             raise RegistrationError(
@@ -301,16 +310,18 @@ def _iterate(
         if not annealing and (size < tolerance or (size > 0.5 * previous and size < 20 * tolerance)):
             return T, iteration, True
         previous = size if not annealing else np.inf
-        radius = max(final, narrowing * radius)
+        radius = max(gate.final, gate.narrowing * radius)
     return T, _ITERATIONS, False
 
 
-def _weigh(target: Surface, moved: FloatArray, nearest: Matches, gate: float, *, robust: bool) -> _Pairs:
-    """Tukey's biweight where robust, its width following the residuals; else all but the farthest tenth."""
+def _weigh(
+    target: Surface, moved: FloatArray, nearest: Matches, gate: float, *, robust: bool, kept: float = 1.0
+) -> _Pairs:
+    """Tukey's biweight where robust, its width following the residuals; else 1 for the share `kept` of near pairs."""
     distances, indices = nearest
     normals = target.with_normals_at(indices)
     residuals, weights = np.empty(len(moved)), np.empty(len(moved))
-    near, sigma = _core.weigh(moved, distances, target.points, indices, normals, gate, robust, residuals, weights)
+    near, sigma = _core.weigh(moved, distances, target.points, indices, normals, gate, robust, kept, residuals, weights)
     return _Pairs(moved, indices, distances, residuals, weights, near, sigma)
 
 
@@ -354,13 +365,11 @@ class _Arms(NamedTuple):
         squares = np.square(pairs.moved - center).sum(axis=1)
         return cls(center, float(np.sqrt((squares * pairs.weights).sum() / total)) or 1.0)
 
-    def jacobian(self, points: FloatArray, normals: FloatArray, *, with_scale: bool) -> FloatArray:
-        """Rows (M, 6 or 7): residual change by rotation, translation and log-scale, as lengths at the radius."""
+    def jacobian(self, points: FloatArray, normals: FloatArray) -> FloatArray:
+        """Rows (M, 7): residual change by rotation, translation and log-scale, as lengths at the radius."""
         arms = points - self.center
-        columns = [np.cross(arms, normals) / self.radius, normals]
-        if with_scale:
-            columns.append(np.einsum("ni,ni->n", arms, normals)[:, None] / self.radius)
-        return np.hstack(columns)
+        growth = np.einsum("ni,ni->n", arms, normals)[:, None]
+        return np.hstack([np.cross(arms, normals) / self.radius, normals, growth / self.radius])
 
 
 class _Quality(NamedTuple):
@@ -441,16 +450,19 @@ def _information(
     twice, from two disjoint halves of the neighbours: the product of the two is free of that bias. Its scatter over
     spatial tiles says whether what remains differs from zero.
     """
+    size = 7 if with_scale else 6
     step = max(1, len(pairs.weights) // _INFORMANTS)
     side = float(np.ptp(pairs.moved, axis=0).max()) / _TILES_ALONG
     tile = cells(pairs.moved, side or 1.0).of_point
     tiles = int(tile.max()) + 1
     some, of_some = pairs.take(slice(None, None, step)), tile[::step]
     arms = _Arms.of(pairs)
-    a, b = (arms.jacobian(some.moved, n, with_scale=with_scale) for n in _split_normals(target.index, some.indices))
+    a, b = (arms.jacobian(some.moved, normals) for normals in _split_normals(target.index, some.indices))
     weight = np.bincount(of_some, some.weights, tiles)
     total = weight.sum()
-    by_tile = _sums_by_tile(of_some, a, b * some.weights[:, None], tiles)
+    residual = float(np.sqrt((pairs.weights * pairs.residuals**2).sum() / pairs.weights.sum()))
+    with_growth = _sums_by_tile(of_some, a, b * some.weights[:, None], tiles)
+    by_tile = with_growth[:, :size, :size]
     values, vectors = np.linalg.eigh(by_tile.sum(axis=0) / total)
 
     # Scatter of each direction's information over tiles.
@@ -464,18 +476,26 @@ def _information(
 
     curvature = _sums_by_tile(of_some, a, b * _tukey_slope(some)[:, None], tiles) * step
     normals = target.normals(pairs.indices)
-    pull = arms.jacobian(pairs.moved, normals, with_scale=with_scale) * (pairs.weights * pairs.residuals)[:, None]
+    pull = arms.jacobian(pairs.moved, normals) * (pairs.weights * pairs.residuals)[:, None]
     gradient = np.stack([np.bincount(tile, column, tiles).astype(np.float64) for column in pull.T], axis=1)
-    weakest, direction = _bootstrap(curvature, gradient)
+    _, covariance = _bootstrap(curvature[:, :size, :size], gradient[:, :size])
+    variances, directions = np.linalg.eigh(covariance)
+    weakest, direction = float(np.sqrt(variances[-1])), directions[:, -1]
     warnings = []
-    if weakest > 0.5 * np.sqrt((pairs.weights * pairs.residuals**2).sum() / pairs.weights.sum()):
+    if not with_scale:
+        # Steps of Gauss and Newton: where a scale is missing, residuals are large, and the robust cost nearly flat.
+        wanted, covariance = _bootstrap(step * with_growth, gradient)
+        if abs(wanted[6]) > max(_CLEAR * np.sqrt(covariance[6, 6]), 0.5 * residual):
+            factor = np.exp(wanted[6] / arms.radius)
+            warnings.append(f"the pairs ask for a scale of about {factor:.5g}: --register similarity finds it")
+    if weakest > 0.5 * residual:
         motion = _describe_motion(direction)
         warnings.append(f"the geometry hardly fixes {motion} (predicted sigma {weakest:.3g})")
     return eigenvalues, weakest, unfixed, warnings
 
 
-def _bootstrap(curvature: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
-    """Standard deviation of the worst-fixed motion, and which one it is (K,).
+def _bootstrap(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The motion (K,) that the pairs still ask for, and its covariance (K, K).
 
     The tiles of space are resampled (Bayesian bootstrap, Rubin 1981), not the pairs: neighbouring residuals are not
     independent, and a closed form that takes them so is over-confident several times. Each replicate is one Newton step
@@ -484,9 +504,9 @@ def _bootstrap(curvature: FloatArray, gradient: FloatArray) -> tuple[float, Floa
     weights = np.random.default_rng(0).exponential(size=(_REPLICATES, len(gradient)))
     hessians = np.einsum("rt,tij->rij", weights, curvature, optimize=False)
     steps = -np.linalg.solve(hessians, np.einsum("rt,ti->ri", weights, gradient, optimize=False)[:, :, None])[:, :, 0]
-    steps -= np.median(steps, axis=0)
-    variances, directions = np.linalg.eigh(np.einsum("ri,rj->ij", steps, steps, optimize=False) / len(steps))
-    return float(np.sqrt(variances[-1])), directions[:, -1]
+    motion: FloatArray = np.median(steps, axis=0)
+    steps -= motion
+    return motion, np.einsum("ri,rj->ij", steps, steps, optimize=False) / len(steps)
 
 
 def _sums_by_tile(tile: IntArray, a: FloatArray, b: FloatArray, tiles: int) -> FloatArray:

@@ -70,7 +70,8 @@ def test_compare_prints_a_table_and_leaves_a_folder(files, run):
     assert not err
     assert "D1 MSE" in out
     assert "sampling floor" in out
-    expected = REPORT | {"a_deviation.ply", "a_T.txt", "b_deviation.ply", "b_T.txt"}
+    fields = {f"{name}_deformation.{kind}" for name in "ab" for kind in ("csv", "ply")}
+    expected = REPORT | fields | {"a_deviation.ply", "a_T.txt", "b_deviation.ply", "b_T.txt"}
     assert {p.name for p in Path("report").iterdir()} - {"figures"} == expected
     values = doc("report")
     assert [c["name"] for c in values["candidates"]] == ["a", "b"]
@@ -146,7 +147,8 @@ def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(
     assert {p.name: p.read_bytes() for p in (files / "report").iterdir() if p.is_file()} == before
     assert run("compare", "ref.ply", "a.ply", "--out", "report")[0] == 0
     left = {p.name for p in (files / "report").iterdir()} - {"figures"}
-    assert left == REPORT | {"a_deviation.ply", "a_T.txt", "notes.txt"}
+    fields = {"a_deformation.csv", "a_deformation.ply"}
+    assert left == REPORT | fields | {"a_deviation.ply", "a_T.txt", "notes.txt"}
     assert not [p for p in files.iterdir() if p.name.startswith(".")]
 
 

@@ -210,6 +210,7 @@ def test_document_keys_and_null_instead_of_nan(pair):
         "registration",
         "metrics",
         "deviation",
+        "deformation",
         "timings_s",
         "peak_rss_bytes",
     } <= first.keys()

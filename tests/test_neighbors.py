@@ -203,8 +203,11 @@ def test_tied_equals_brute_force(shape, fraction):
     slack = fraction * (np.ptp(points, axis=0).max() or 1.0) ** 2
     others = squared - squared[every, nearest, None] < slack
     others[every, nearest] = False
-    np.testing.assert_array_equal(Index(points).tied(queries, nearest, slack), others.any(axis=1))
-    np.testing.assert_array_equal(Index(points).tied(Index(queries), nearest, slack), others.any(axis=1))
+    index, source = Index(points), Index(queries)
+    matches, tied = index.nearest_of_with_ties(source, slack)
+    np.testing.assert_array_equal(tied, others.any(axis=1))
+    for found, expected in zip(matches, index.nearest_of(source), strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_tied_is_strict_to_the_last_bit(shape):
@@ -212,21 +215,20 @@ def test_tied_is_strict_to_the_last_bit(shape):
     points = shape(rng, 500)
     queries = near_and_far_queries(rng, points, 60)
     squared = np.sort(squared_distances(queries, points), axis=1)
-    index, nearest = Index(points), brute_nearest(queries, points)[1]
+    index = Index(points)
     for row in range(0, len(queries), 3):
-        slack, ask = squared[row, 1] - squared[row, 0], (queries[row : row + 1], nearest[row : row + 1])
-        assert not index.tied(*ask, slack).any()
-        assert index.tied(*ask, np.nextafter(slack, np.inf)).all()
+        slack, source = squared[row, 1] - squared[row, 0], Index(queries[row : row + 1])
+        assert not index.nearest_of_with_ties(source, slack)[1].any()
+        assert index.nearest_of_with_ties(source, np.nextafter(slack, np.inf))[1].all()
 
 
 def test_tied_counts_every_point_but_the_match():
-    index = Index(grid(np.random.default_rng(17), 300))
-    itself = np.arange(300)
+    points = grid(np.random.default_rng(17), 300)
+    index = Index(points)
     duplicated = index.nearest_other().distances == 0
     assert 0 < duplicated.sum() < 300
-    np.testing.assert_array_equal(index.tied(index, itself, 1e-8), duplicated)
-    assert index.tied(index, index.nearest_other().indices, 1e-8).all()  # by the query's own point
-    assert not Index(np.zeros((1, 3))).tied(np.ones((2, 3)), [0, 0], 1.0).any()
+    np.testing.assert_array_equal(index.nearest_of_with_ties(Index(points), 1e-8)[1], duplicated)
+    assert not Index(np.zeros((1, 3))).nearest_of_with_ties(Index(np.ones((2, 3))), 1.0)[1].any()
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.03, 0.3, 10.0])
@@ -311,7 +313,6 @@ def test_no_queries_give_empty_answers():
     index, none = Index(np.zeros((3, 3))), np.empty((0, 3))
     assert index.query(none).distances.shape == (0,)
     assert index.query(none, 2).indices.shape == (0, 2)
-    assert index.tied(none, np.empty(0, np.int64), 1.0).shape == (0,)
     assert index.query_radius(none, 1.0).counts.shape == (0,)
     assert index.query_cylinder(none, none, 1.0, 1.0).offsets.tolist() == [0]
 
@@ -342,15 +343,14 @@ def test_memory_is_at_most_40_bytes_a_point():
         (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 0), "k: expected 1 to 3 .* got 0"),
         (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[3]), "hint: expected indices from 0 to 2"),
         (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[0, 1]), "hint: expected one index for each"),
-        (lambda: Index(np.zeros((3, 3))).tied(np.zeros((1, 3)), [0, 1], 1.0), "nearest: expected one index for each"),
-        (lambda: Index(np.zeros((3, 3))).tied(np.zeros((1, 3)), [3], 1.0), "nearest: expected indices from 0 to 2"),
-        (lambda: Index(np.zeros((3, 3))).tied([[np.nan, 0, 0]], [0], 1.0), "queries: expected finite coordinates"),
-        (lambda: Index(np.zeros((3, 3))).tied(np.zeros((1, 3)), [0], -1.0), "slack: expected a finite squared length"),
-        (lambda: Index(np.zeros((3, 3))).tied(np.zeros((1, 3)), [0], np.inf), "slack: expected a finite squared"),
         (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0), "radius: expected a finite length"),
         (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan), "radius: expected a finite length"),
         (lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1), "unit vectors, got length 2"),
         (lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], np.eye(3), 1, 1), "axes: expected one for each"),
+        (
+            lambda: Index(np.eye(3)).nearest_of_with_ties(Index(np.eye(3)), -1.0),
+            "slack: expected a finite squared length",
+        ),
         (lambda: Index(np.zeros((3, 3))).local_planes(4), "k: expected 3 to 3 .* got 4"),
         (lambda: Index(np.zeros((3, 3))).local_planes(3, [-1]), "rows: expected indices from 0 to 2, got -1 to -1"),
         (
@@ -400,8 +400,7 @@ for shape in SHAPES:
     planes, turn = index.local_planes(8, np.arange(0, len(a), 11)), np.eye(4)[[1, 0, 2, 3]]
     answers += [planes[:2], planes.nearest_other, index.nearest_of_moved(Index(b), turn)[1]]
     answers += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]
-    near = index.query(b).indices
-    answers.append([index.tied(b, near, (0.01 * extent) ** 2), index.tied(Index(b), near, 1e-8)])
+    answers += [index.nearest_of_with_ties(Index(b), slack)[1:] for slack in ((0.01 * extent) ** 2, 1e-8)]
     for answer in answers:
         for array in answer:
             digest.update(array.tobytes())

@@ -3,7 +3,20 @@
 import subprocess
 import sys
 
-HEAVY = ("scipy", "torch", "pycolmap", "pyvista", "vtk", "open3d", "trimesh", "laspy", "dask", "matplotlib", "rich")
+HEAVY = (
+    "scipy",
+    "torch",
+    "pycolmap",
+    "pyvista",
+    "vtk",
+    "open3d",
+    "trimesh",
+    "laspy",
+    "dask",
+    "matplotlib",
+    "rich",
+    "kiss_matcher",
+)
 
 
 def modules_after(code):

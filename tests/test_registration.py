@@ -56,7 +56,7 @@ def test_the_normal_equations_are_those_of_the_definition(robust):
     rows = rng.integers(0, count, count)
     distances = np.linalg.norm(moved - feet[rows], axis=1)
     residuals, weights = np.empty(count), np.empty(count)
-    near, sigma = _core.weigh(moved, distances, feet, rows, normals, gate, robust, residuals, weights)
+    near, sigma = _core.weigh(moved, distances, feet, rows, normals, gate, robust, 0.9, residuals, weights)
 
     expected = ((moved - feet[rows]) * normals[rows]).sum(axis=1)
     inside = distances <= gate
@@ -109,6 +109,15 @@ def test_repeated_registrations_scatter_as_predicted(alike):
     assert 0.75 < actual / np.median(predicted) < 1.7
 
 
+def test_says_that_a_scale_is_missing(scene):
+    reference, candidate = scene
+    for scale in (1.002, 1.0):
+        result = register(reference, motion(scale=scale).inverse().apply(candidate))
+        asked = [warning for warning in result.warnings if "ask for a scale" in warning]
+        assert len(asked) == (scale != 1)
+    assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
+
+
 def test_recovers_scale_only_when_asked(scene):
     reference, candidate = scene
     true = motion(scale=1.02)
@@ -138,6 +147,10 @@ def test_survives_outliers_and_partial_overlap(scene):
 
 def test_large_rotations_are_found_or_said_to_be_missed(scene):
     reference, candidate = scene
+    for shift in (15, -20):  # metres: half a block
+        true = Similarity(np.eye(3), np.array([shift, 5.0, 0]), 1.0)
+        result = register(reference, true.inverse().apply(candidate))
+        assert error(result.T_reference_candidate, true, candidate) < 0.003
     for angle in (20, 30, -30):
         true = Similarity(shapes.rotation([0, 0, 1], angle), np.array([1.2, -1.6, 0]), 1.0)
         result = register(reference, true.inverse().apply(candidate))

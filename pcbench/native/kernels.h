@@ -5,15 +5,18 @@
 
 namespace pcbench {
 
+// Whether another point than a query's match has a squared distance below the match's plus `slack`.
+struct Ties {
+    double slack = 0.0;
+    bool* flags = nullptr;  // null: nobody asks
+};
+
 struct Kernels {
     const char* name;
     bool (*arrange)(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt&);
     void (*bound)(Tree&);
     void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
-                    double* distances, int64_t* indices, Interrupt&);
-    // nearest: the row that each query was matched with.
-    void (*tied)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* nearest, double slack, bool* tied,
-                 Interrupt&);
+                    double* distances, int64_t* indices, Ties, Interrupt&);
     void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances,
                      int64_t* indices, Interrupt&);
     // Both write the number of points found for query row i to offsets[i + 1] when rows is null; else the rows

@@ -7,14 +7,13 @@
 #include "nearest.h"
 #include "planes.h"
 #include "regions.h"
-#include "tied.h"
 #include "tree_build.h"
 
 namespace pcbench::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, tied, knearest, in_balls, in_cylinders,
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, knearest, in_balls, in_cylinders,
                                 planes, PlaneScratch::bytes};
 
 }  // namespace pcbench::PCB_ISA

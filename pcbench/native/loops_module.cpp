@@ -86,16 +86,17 @@ void rounded_squares(Points queries, Points feet, Indices rows, Out<double, nb::
     pcbench::rounded_squares(count, q, f, squares.data());
 }
 
-nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Points normals, double gate, bool robust,
+nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Points normals, double gate, bool robust, double kept,
                 Out<double, nb::shape<-1>> residuals, Out<double, nb::shape<-1>> weights) {
     const size_t count = moved.shape(0);
+    check(0 <= kept && kept <= 1, "weigh: expected a share from 0 to 1");
     check(distances.shape(0) == count && residuals.shape(0) == count && weights.shape(0) == count,
           "weigh: every argument needs one row for each pair");
     const pcbench::Rows f = rows_of(feet, rows, count), n = rows_of(normals, rows, count);
     pcbench::Weighing found;
     {
         nb::gil_scoped_release release;
-        found = pcbench::weigh(count, moved.data(), distances.data(), f, n, gate, robust, residuals.data(),
+        found = pcbench::weigh(count, moved.data(), distances.data(), f, n, gate, robust, kept, residuals.data(),
                                weights.data());
     }
     return nb::make_tuple(found.near, found.sigma);
@@ -139,12 +140,12 @@ void bind_loops(nb::module_& m) {
           nb::arg("feet_rows").noconvert(), nb::arg("squares").noconvert(),
           "Squared distances (M,), written in place, from differences that were rounded to float32.");
     m.def("weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
-          nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("gate"), nb::arg("robust"),
+          nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("gate"), nb::arg("robust"), nb::arg("kept"),
           nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
           "Residuals and weights (M,) of pairs, written in place; the number of pairs within the gate and their sigma.",
           nb::sig("def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet: "
                   "NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], gate: float, "
-                  "robust: bool, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]"));
+                  "robust: bool, kept: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]"));
     m.def("plane_system", &plane_system, nb::arg("moved").noconvert(), nb::arg("normals").noconvert(),
           nb::arg("rows").noconvert(), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
           nb::arg("hessian").noconvert(), nb::arg("gradient").noconvert(), nb::arg("center").noconvert(),

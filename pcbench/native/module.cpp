@@ -85,17 +85,19 @@ public:
         in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
             pcbench::kernels().nearest(tree(), part.leaves.get(), part.leaf_count,
                                        hints ? hints->data() + offset : nullptr, false, distances.data() + offset,
-                                       indices.data() + offset, interrupt);
+                                       indices.data() + offset, {}, interrupt);
         });
     }
 
     void nearest_of(const PointIndex& queries, Out<double, nb::shape<-1>> distances,
-                    Out<int64_t, nb::shape<-1>> indices) const {
+                    Out<int64_t, nb::shape<-1>> indices, double slack, std::optional<Flags> tied) const {
         const pcbench::Tree& from = queries.tree();
         check(distances.shape(0) == from.count && indices.shape(0) == from.count, "nearest_of: one row for each query");
+        check(!tied || tied->shape(0) == from.count, "nearest_of: one flag for each query");
         interruptible([&](pcbench::Interrupt& interrupt) {
             pcbench::kernels().nearest(tree(), from.leaves, from.leaf_count, nullptr, &queries == this,
-                                       distances.data(), indices.data(), interrupt);
+                                       distances.data(), indices.data(), {slack, tied ? tied->data() : nullptr},
+                                       interrupt);
         });
     }
 
@@ -116,27 +118,9 @@ public:
             valid = move_leaves(from, motion.data(), leaves.get(), moved.data());
             if (!valid) return;
             pcbench::kernels().nearest(tree(), leaves.get(), from.leaf_count, hints ? hints->data() : nullptr, false,
-                                       distances.data(), indices.data(), interrupt);
+                                       distances.data(), indices.data(), {}, interrupt);
         });
         check(valid, kBadCoordinate);
-    }
-
-    void tied(Points queries, Indices nearest, double slack, Flags tied) const {
-        check(nearest.shape(0) == queries.shape(0) && tied.shape(0) == queries.shape(0), "tied: one row for each query");
-        check_rows(nearest, "tied: a match lies outside the points");
-        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
-            pcbench::kernels().tied(tree(), part.leaves.get(), part.leaf_count, nearest.data() + offset, slack,
-                                    tied.data() + offset, interrupt);
-        });
-    }
-
-    void tied_of(const PointIndex& queries, Indices nearest, double slack, Flags tied) const {
-        const pcbench::Tree& from = queries.tree();
-        check(nearest.shape(0) == from.count && tied.shape(0) == from.count, "tied_of: one row for each query");
-        check_rows(nearest, "tied_of: a match lies outside the points");
-        interruptible([&](pcbench::Interrupt& interrupt) {
-            pcbench::kernels().tied(tree(), from.leaves, from.leaf_count, nearest.data(), slack, tied.data(), interrupt);
-        });
     }
 
     void knearest(Points queries, Out<double, nb::ndim<2>> distances, Out<int64_t, nb::ndim<2>> indices) const {
@@ -283,15 +267,12 @@ NB_MODULE(_core, m) {
         .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("hints").noconvert().none(),
              nb::arg("distances").noconvert(), nb::arg("indices").noconvert())
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
-             nb::arg("indices").noconvert(), "Queries are another index's points, or its own: then no point is its own neighbour.")
+             nb::arg("indices").noconvert(), nb::arg("slack") = 0.0, nb::arg("tied").noconvert().none() = nb::none(),
+             "Queries are another index's points, or its own: then no point is its own neighbour. tied: whether another"
+             " point than the match has a squared distance below the match's plus slack.")
         .def("nearest_of_moved", &PointIndex::nearest_of_moved, nb::arg("queries"), nb::arg("motion").noconvert(),
              nb::arg("hints").noconvert().none(), nb::arg("moved").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), "Queries are another index's points after a motion (3, 4).")
-        .def("tied", &PointIndex::tied, nb::arg("queries").noconvert(), nb::arg("nearest").noconvert(),
-             nb::arg("slack"), nb::arg("tied").noconvert(),
-             "Whether another point than the match has a squared distance below the match's plus slack.")
-        .def("tied_of", &PointIndex::tied_of, nb::arg("queries"), nb::arg("nearest").noconvert(), nb::arg("slack"),
-             nb::arg("tied").noconvert(), "The same, where queries are an index's points.")
         .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert())
         .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),

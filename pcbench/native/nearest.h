@@ -6,25 +6,29 @@
 
 namespace pcbench::PCB_ISA {
 
+// With kTies also the squared distance to the nearest point that is not the answer, as far as it is less than the
+// answer's plus `slack`.
+template <bool kTies>
 class NearestOfGroup {
 public:
-    NearestOfGroup(const Tree& tree, const Group& group) : tree_(tree), group_(group) {
+    NearestOfGroup(const Tree& tree, const Group& group, double slack) : tree_(tree), group_(group), slack_(slack) {
         store(best_, splat(kFarAway));
         store(row_, splat(kNoRow));
+        if (kTies) store(second_, splat(kFarAway));
     }
 
     // Where the walk starts decides how much it prunes: any leaf will do, the previous group's answer is best.
     void start(uint32_t leaf) {
         seed_ = near_ = leaf;
         visit_all_lanes(leaf);
-        bound_ = largest(load(best_));
+        bound_ = largest(limits());
     }
 
     // Starts in the queries' own leaf, where a query is not its own neighbour.
     void start_at_own(uint32_t leaf) {
         seed_ = near_ = leaf;
         visit_all_lanes<true>(leaf);
-        bound_ = largest(load(best_));
+        bound_ = largest(limits());
     }
 
     void suggest(const int64_t* hints) {
@@ -41,6 +45,7 @@ public:
     double bound() const { return bound_; }
 
     uint32_t last_tie() const {
+        if (kTies) return UINT32_MAX;
         double last = 0;
         for (int l = 0; l < kLanes; ++l)
             if (best_[l] == bound_ && row_[l] > last) last = row_[l];
@@ -49,7 +54,7 @@ public:
 
     void leaf(uint32_t leaf, const Node& parent, int child) {
         if (leaf == seed_) return;
-        unsigned lanes = bits(group_.gaps_to(parent, child) <= load(best_));
+        unsigned lanes = bits(group_.gaps_to(parent, child) <= limits());
         if (!lanes) return;
         bool improved = false;
         if (__builtin_popcount(lanes) > 2)
@@ -58,30 +63,36 @@ public:
             for (; lanes; lanes &= lanes - 1) improved |= visit_one_lane(leaf, __builtin_ctz(lanes));
         if (!improved) return;
         near_ = leaf;
-        bound_ = largest(load(best_));
+        bound_ = largest(limits());
     }
 
     uint32_t near() const { return near_; }
     double squared(int lane) const { return best_[lane]; }
     int64_t row(int lane) const { return static_cast<int64_t>(row_[lane]); }
+    bool tied(int lane) const { return second_[lane] - best_[lane] < slack_; }
 
 private:
+    // Squared distances that matter. Rounding is monotone: d - best < slack implies d <= best + slack, each rounded once.
+    Lanes limits() const { return kTies ? load(best_) + splat(slack_) : load(best_); }
+
     // One point after the other, against eight queries.
     template <bool kOwnLeaf = false>
     bool visit_all_lanes(uint32_t id) {
         const Leaf& leaf = tree_.leaves[id];
         const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), before = load(best_);
-        Lanes best = before, row = load(row_);
+        Lanes best = before, row = load(row_), second = kTies ? load(second_) : before;
         for (size_t i = 0; i < kFan; ++i) {
             Lanes squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
             if (kOwnLeaf) squared = select(from_bits(1u << i), splat(HUGE_VAL), squared);
             const Lanes index = splat(leaf.row[i]);
             const Mask better = (squared < best) | ((squared == best) & (index < row));
+            if (kTies) second = min(second, max(best, squared));
             best = min(best, squared);
             row = select(better, index, row);
         }
         store(best_, best);
         store(row_, row);
+        if (kTies) store(second_, second);
         return bits(best < before);
     }
 
@@ -91,7 +102,7 @@ private:
         alignas(64) double squared[kLanes];
         const Lanes d = squared_length(splat(group_.x[lane]) - load(leaf.x), splat(group_.y[lane]) - load(leaf.y),
                                        splat(group_.z[lane]) - load(leaf.z));
-        unsigned near = bits(d <= splat(best_[lane]));
+        unsigned near = bits(d <= splat(kTies ? best_[lane] + slack_ : best_[lane]));
         if (!near) return false;
         store(squared, d);
         bool improved = false;
@@ -103,6 +114,10 @@ private:
     }
 
     bool improve(int lane, double squared, double row) {
+        if (kTies) {
+            const double loser = squared > best_[lane] ? squared : best_[lane];
+            second_[lane] = loser < second_[lane] ? loser : second_[lane];
+        }
         if (!comes_before(squared, row, best_[lane], row_[lane])) return false;
         best_[lane] = squared, row_[lane] = row;
         return true;
@@ -110,38 +125,49 @@ private:
 
     const Tree& tree_;
     const Group& group_;
+    const double slack_;
     alignas(64) double best_[kLanes];
     alignas(64) double row_[kLanes];
+    alignas(64) double second_[kLanes];
     double bound_ = kFarAway;
     uint32_t seed_ = 0, near_ = 0;
 };
 
-// `queries` are leaves: sorted in space, each with its row. `own` says that they are the tree's own leaves.
-inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
-                    double* distances, int64_t* indices, Interrupt& interrupt) {
-    constexpr size_t kChunk = 256;
-#pragma omp parallel for schedule(dynamic) if (leaf_count > 4 * kChunk)
-    for (size_t chunk = 0; chunk < (leaf_count + kChunk - 1) / kChunk; ++chunk) {
-        uint32_t near = 0;
-        const size_t end = chunk * kChunk + kChunk < leaf_count ? chunk * kChunk + kChunk : leaf_count;
-        for (size_t q = chunk * kChunk; q < end; ++q) {
-            if (q % 16 == 0 && interrupt.requested()) break;
-            const Group group(queries[q]);
-            // The rows are scattered over the result: their lines arrive while the tree is walked.
-            for (size_t row : group.row) __builtin_prefetch(distances + row, 1), __builtin_prefetch(indices + row, 1);
-            NearestOfGroup found(tree, group);
-            if (own)
-                found.start_at_own(static_cast<uint32_t>(q));
-            else
-                found.start(near);
-            if (hints) found.suggest(hints);
-            walk(tree, found);
-            near = found.near();
-            for (int l = 0; l < group.count; ++l) {
-                distances[group.row[l]] = std::sqrt(found.squared(l));
-                indices[group.row[l]] = found.row(l);
-            }
+template <bool kTies>
+inline void nearest_in_chunk(const Tree& tree, const Leaf* queries, size_t begin, size_t end, const int64_t* hints,
+                             bool own, double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
+    uint32_t near = 0;
+    for (size_t q = begin; q < end; ++q) {
+        if (q % 16 == 0 && interrupt.requested()) return;
+        const Group group(queries[q]);
+        // The rows are scattered over the result: their lines arrive while the tree is walked.
+        for (size_t row : group.row) __builtin_prefetch(distances + row, 1), __builtin_prefetch(indices + row, 1);
+        NearestOfGroup<kTies> found(tree, group, ties.slack);
+        if (own)
+            found.start_at_own(static_cast<uint32_t>(q));
+        else
+            found.start(near);
+        if (hints) found.suggest(hints);
+        walk(tree, found);
+        near = found.near();
+        for (int l = 0; l < group.count; ++l) {
+            distances[group.row[l]] = std::sqrt(found.squared(l));
+            indices[group.row[l]] = found.row(l);
+            if (kTies) ties.flags[group.row[l]] = found.tied(l);
         }
+    }
+}
+
+// `queries` are leaves: sorted in space, each with its row. `own` says that they are the tree's own leaves. Ties are
+// only looked for where nothing is hinted at.
+inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
+                    double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
+    constexpr size_t kChunk = 256;
+    const auto search = ties.flags ? nearest_in_chunk<true> : nearest_in_chunk<false>;
+#pragma omp parallel for schedule(dynamic) if (leaf_count > 4 * kChunk)
+    for (size_t begin = 0; begin < leaf_count; begin += kChunk) {
+        const size_t end = begin + kChunk < leaf_count ? begin + kChunk : leaf_count;
+        search(tree, queries, begin, end, hints, own, distances, indices, ties, interrupt);
     }
 }
 

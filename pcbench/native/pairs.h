@@ -69,9 +69,9 @@ struct Weighing {
 };
 
 // Residuals of all pairs along their planes' normals, and weights: 0 beyond the gate; within it Tukey's biweight at
-// 95 % efficiency where `robust`, else 1 but for the farthest tenth.
+// 95 % efficiency where `robust`, else 1 for the share `kept` of nearest pairs.
 inline Weighing weigh(size_t count, const double* moved, const double* distances, Rows feet, Rows normals, double gate,
-                      bool robust, double* residuals, double* weights) {
+                      bool robust, double kept, double* residuals, double* weights) {
     plane_distances(count, {moved, nullptr}, feet, normals, residuals);
     std::vector<double> sizes;
     sizes.reserve(count);
@@ -97,7 +97,7 @@ inline Weighing weigh(size_t count, const double* moved, const double* distances
         sizes.clear();
         for (size_t i = 0; i < count; ++i)
             if (distances[i] <= gate) sizes.push_back(distances[i]);
-        const double limit = of_rank(sizes, (near - 1) * 9 / 10);
+        const double limit = of_rank(sizes, static_cast<size_t>(kept * static_cast<double>(near - 1)));
         for (size_t i = 0; i < count; ++i) weights[i] = distances[i] <= limit ? 1.0 : 0.0;
     }
     return {near, sigma};

@@ -33,7 +33,7 @@ def draw(report: Path, names: tuple[str, ...] = ()) -> list[Path]:
         InputError: the folder holds no report, or no picture has that name.
         NoFiguresError, MissingExtra: a library is missing or fails.
     """
-    if not (report / "comparison.json").is_file():
+    if not any((report / name).is_file() for name in ("comparison.json", "deformation.json")):
         raise InputError(f"{report}: expected a report folder (with comparison.json)")
     check_libraries()
     command = [sys.executable, "-m", "pcbench.plot.worker", str(report.absolute()), *names]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
@@ -99,6 +99,23 @@ def frame(clouds: Any) -> tuple[FloatArray, FloatArray]:
     return np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
 
 
+def framed_panels(
+    populate: Callable[[Any], None],
+    half: FloatArray,
+    title: str,
+    path: Path,
+    ends: tuple[float, float],
+    label: str,
+) -> None:
+    """What `populate` adds to a plotter about the origin, within a box of half extents (3,), from all viewpoints."""
+    import pyvista
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(_PANEL))
+    plotter.set_background(_GROUND)
+    populate(plotter)
+    _compose(_shoot(plotter, half), title, path, scale=Limits(*ends), label=label)
+
+
 def _render(
     points: FloatArray, colors: NDArray[Any], box: tuple[FloatArray, FloatArray], *, scale: Limits | None
 ) -> list[NDArray[np.uint8]]:
@@ -115,11 +132,15 @@ def _render(
     if scale is not None:
         options |= {"cmap": _DIVERGING if scale.signed else _SEQUENTIAL, "clim": (scale.low, scale.high)}
     plotter.add_mesh(data, scalars="colors", style="points", point_size=size, lighting=False, **options)
-    plotter.enable_parallel_projection()
     # Shading by depth shows shapes, but it darkens colours, and single points altogether: no map may have it.
     if scale is None and len(points) > 200_000:
         plotter.enable_eye_dome_lighting()
-    half = (box[1] - box[0]) / 2
+    return _shoot(plotter, (box[1] - box[0]) / 2)
+
+
+def _shoot(plotter: Any, half: FloatArray) -> list[NDArray[np.uint8]]:
+    """The scene about the origin from all viewpoints; closes the plotter."""
+    plotter.enable_parallel_projection()
     images = []
     for view in VIEWS:
         toward = np.array(view.direction) / np.linalg.norm(view.direction)

@@ -15,7 +15,7 @@ from pcbench.cloud import Cloud
 from pcbench.errors import PcbenchError
 from pcbench.io import read_cloud
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.plot import charts, maps
+from pcbench.plot import bends, charts, maps
 
 _MESH_SAMPLES = 500_000
 
@@ -28,6 +28,7 @@ class Report:
     document: dict[str, Any]
     deviations: dict[str, Cloud]  # by candidate: aligned points with their distances
     m3c2: dict[str, Cloud]  # by candidate, where there is one: core points with theirs
+    fields: dict[str, Cloud]  # by candidate, where there is one: cells with their displacements
 
     @property
     def unit(self) -> str:
@@ -51,19 +52,14 @@ def read_report(folder: Path) -> Report:
     deviations = {name: read_cloud(folder / f"{name}_deviation.ply") for name in names}
     cores = {name: folder / f"{name}_m3c2.ply" for name in names}
     m3c2 = {name: read_cloud(path) for name, path in cores.items() if path.is_file()}
-    return Report(folder, document, deviations, m3c2)
+    tables = {name: folder / f"{name}_deformation.ply" for name in names}
+    fields = {name: read_cloud(path) for name, path in tables.items() if path.is_file()}
+    return Report(folder, document, deviations, m3c2, fields)
 
 
 def draw(folder: Path, wanted: list[str]) -> list[Path]:
-    report = read_report(folder)
-    pictures: dict[str, Callable[[Path], bool]] = {
-        "distribution": lambda path: charts.distribution(report.document, report.deviations, path)
-    }
-    pictures["reference"] = lambda path: maps.reference(report.reference(), report.deviations, path)
-    scalars = dict.fromkeys(name for cloud in report.deviations.values() for name in cloud.attributes)
-    for scalar in scalars:
-        pictures |= _maps(report.deviations, scalar, report.unit)
-    pictures |= _maps(report.m3c2, "m3c2_distance", report.unit)
+    of_comparison = (folder / "comparison.json").is_file()
+    pictures = _pictures_of_comparison(folder) if of_comparison else _pictures_of_deformation(folder)
     if unknown := [name for name in wanted if name not in pictures]:
         raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}")
     (folder / "figures").mkdir(exist_ok=True)
@@ -73,8 +69,46 @@ def draw(folder: Path, wanted: list[str]) -> list[Path]:
         if pictures[name](path):
             written.append(path.relative_to(folder))
         elif name in wanted:
-            raise PcbenchError(f"no picture {name!r}: the reference's file has gone")
+            why = "the reference's file has gone" if name == "reference" else "the chosen model moves nothing"
+            raise PcbenchError(f"no picture {name!r}: {why}")
     return written
+
+
+def _pictures_of_deformation(folder: Path) -> dict[str, Callable[[Path], bool]]:
+    """Those of a folder that `pcbench deform` wrote."""
+    values = json.loads((folder / "deformation.json").read_text(encoding="utf-8"))
+    if not (folder / "deformation.ply").is_file():
+        return {}
+    cloud, field = read_cloud(folder / "aligned.ply"), read_cloud(folder / "deformation.ply")
+    return _bends("", values, cloud, field, cloud.unit or field.unit or "units of the file")
+
+
+def _bends(
+    name: str, values: dict[str, Any], cloud: Cloud, field: Cloud, unit: str
+) -> dict[str, Callable[[Path], bool]]:
+    title = f"{name or 'candidate'} against the reference: {values['verdict']} ({values['model']} model)"
+    prefix = f"{name}_" if name else ""
+    return {
+        f"{prefix}deformation": lambda path: bends.evidence(values, field, title, unit, path),
+        f"{prefix}displacement": lambda path: bends.arrows(cloud, field, title, unit, path),
+    }
+
+
+def _pictures_of_comparison(folder: Path) -> dict[str, Callable[[Path], bool]]:
+    report = read_report(folder)
+    pictures: dict[str, Callable[[Path], bool]] = {
+        "distribution": lambda path: charts.distribution(report.document, report.deviations, path)
+    }
+    pictures["reference"] = lambda path: maps.reference(report.reference(), report.deviations, path)
+    scalars = dict.fromkeys(name for cloud in report.deviations.values() for name in cloud.attributes)
+    for scalar in scalars:
+        pictures |= _maps(report.deviations, scalar, report.unit)
+    pictures |= _maps(report.m3c2, "m3c2_distance", report.unit)
+    found = {candidate["name"]: candidate.get("deformation") for candidate in report.document["candidates"]}
+    for name, field in report.fields.items():
+        if found[name]:
+            pictures |= _bends(name, found[name], report.deviations[name], field, report.unit)
+    return pictures
 
 
 def _maps(clouds: dict[str, Cloud], scalar: str, unit: str) -> dict[str, Callable[[Path], bool]]:

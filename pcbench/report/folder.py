@@ -15,21 +15,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.cloud import Cloud
 from pcbench.comparison import Comparison, Settings
 from pcbench.crs import is_known
+from pcbench.deformation import Deformation
 from pcbench.deviation import M3C2
 from pcbench.errors import InputError
 from pcbench.io import write_cloud
 from pcbench.report.colors import color_limit, ramp
 from pcbench.report.document import to_json
 from pcbench.report.table import Row, markdown, rows
-from pcbench.transform import format_matrix
+from pcbench.transform import Similarity, format_matrix
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report
-_SUFFIXES = ("_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
+_DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
+_DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
+_SUFFIXES = ("_deformation.csv", "_deformation.ply", "_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
             raise InputError(f"{out}: the report would replace its own input {path}: choose another folder")
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the report to, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
+    if out.is_dir() and any(out.iterdir()) and not any((out / mark).is_file() for mark in (_MARK, _DEFORM_MARK)):
         raise InputError(f"{out}: the folder is not empty and holds no report: choose another one, or empty it")
     created = _make_parents(out.absolute().parent)
     try:
@@ -180,6 +184,34 @@ def _write_maps(folder: Path, comparison: Comparison, inputs: Inputs) -> None:
             write_cloud(f"{stem}_deviation.laz", cloud if is_known(cloud.crs) else replace(cloud, crs=None))
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
+        write_field(f"{stem}_deformation", candidate.deformation, reference["crs"], reference["unit"])
+
+
+def write_deformation(
+    folder: Path, deformation: Deformation, aligned: Cloud, transform: Similarity, crs: str | None, unit: str | None
+) -> None:
+    """Write what `pcbench deform` leaves, but for the pictures, into an empty folder."""
+    (folder / _DEFORM_MARK).write_text(to_json(deformation.values), encoding="utf-8")
+    write_field(f"{folder}/deformation", deformation, crs, unit)
+    write_cloud(folder / "aligned.ply", aligned)
+    (folder / "T.txt").write_text(format_matrix(transform), encoding="utf-8")
+
+
+def write_field(stem: str, deformation: Deformation, crs: str | None, unit: str | None) -> None:
+    """STEM.ply and STEM.csv: the displacement of the candidate against the reference, a row for each cell."""
+    field = deformation.field
+    if field is None:
+        return
+    columns: dict[str, NDArray[Any]] = {
+        **{f"displacement_{axis}": field.displacements[:, k] for k, axis in enumerate("xyz")},
+        "vertical": field.vertical,
+        "vertical_sigma": field.sigma,
+        "local": field.local,
+        "changed": field.changed.astype(np.uint8),
+        "pairs": field.counts.astype(np.int32),
+    }
+    write_cloud(f"{stem}.ply", Cloud(field.places, attributes=columns, crs=crs, unit=unit))
+    write_cloud(f"{stem}.csv", Cloud(field.places, attributes=columns))
 
 
 def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
@@ -229,5 +261,7 @@ def _report_files(out: Path) -> list[Path]:
         candidates = [check_name(candidate["name"]) for candidate in doc["candidates"]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, InputError):
         candidates = []
+    if (out / _DEFORM_MARK).is_file():
+        names |= set(_DEFORM_FILES)
     names |= {f"{name}{suffix}" for name in candidates for suffix in _SUFFIXES}
     return [out / name for name in sorted(names) if (out / name).is_file()] + sorted(out.glob("figures/*.png"))

@@ -1,0 +1,142 @@
+"""Points of two clouds in any pose that look alike, by KISS-Matcher's features (Lim et al. 2025), and poses from them.
+
+Most such pairs are wrong. Poses that many pairs agree on are found by RANSAC (Fischler & Bolles 1981) over triples.
+Several are kept: which of them is right, and whether one is, the pairs alone do not tell.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench import kiss_child
+from pcbench.errors import InputError, MissingExtra, RegistrationError
+from pcbench.neighbors import FloatArray, IntArray
+from pcbench.transform import Similarity, fit_similarity
+
+RUNG = 1.2  # features stand a tenth more or less of scale, so poses are looked for within this factor
+
+_TRIPLES = 1_000_000  # drawn; with 2 % of the pairs right, eight of them are
+_TOLERANCE = 2.0  # cells; means over differently placed cells of one surface stand that far apart at most
+_SHORTEST = 5.0  # cells; smaller triangles say little about the rotation
+_EVALUATIONS = 20_000_000  # poses times pairs: a second's work
+_PROBES = 50
+
+
+class Pairs(NamedTuple):
+    """Points (N, 3) of the candidate and of the reference, in cells."""
+
+    candidate: FloatArray
+    reference: FloatArray
+
+
+def matched(clouds: list[Pairs]) -> list[Pairs]:
+    """Pairs of points that look alike, for each two clouds of cell means in units of the cells' side.
+
+    Raises:
+        MissingExtra: KISS-Matcher is not installed.
+        RegistrationError: it failed.
+    """
+    if importlib.util.find_spec("kiss_matcher") is None:
+        raise MissingExtra("kiss-matcher", "global", "to register from nothing")
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, "clouds.npz"), Path(folder, "pairs.npz")
+        arrays = {f"{name}{k}": part for k, two in enumerate(clouds) for name, part in two._asdict().items()}
+        np.savez(source, allow_pickle=False, **arrays)
+        command = [sys.executable, "-P", kiss_child.__file__, str(source), str(target)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            raise RegistrationError(f"KISS-Matcher failed: {reason}")
+        with np.load(target) as found:
+            both = [[found[f"{name}{k}"].astype(np.float64) for name in Pairs._fields] for k in range(len(clouds))]
+    return [Pairs(*two) for two in both]
+
+
+def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similarity]:
+    """At most `count` clearly different poses candidate -> reference, in cells, those that most pairs agree on first.
+
+    With scale, of one within `RUNG` of 1.
+    """
+    p, q = pairs
+    if len(p) < 3:
+        return []
+    triples = np.random.default_rng(0).integers(0, len(p), (_TRIPLES, 3))
+    sides_p, sides_q = _sides(p, triples), _sides(q, triples)
+    long = (np.minimum(sides_p, sides_q) > _SHORTEST).all(axis=1)
+    triples, sides_p, sides_q = triples[long], sides_p[long], sides_q[long]
+    scales = sides_q.sum(axis=1) / sides_p.sum(axis=1) if with_scale else np.ones(len(triples))
+    alike = (np.abs(sides_q - scales[:, None] * sides_p) < _TOLERANCE).all(axis=1)
+    alike &= np.abs(np.log(scales)) < np.log(RUNG)
+    # Nearly straight triangles leave the turn about them open.
+    alike &= (sides_p.sum(axis=1) - 2 * sides_p.max(axis=1)) > 0.02 * sides_p.sum(axis=1)
+    kept = np.flatnonzero(alike)[: _EVALUATIONS // len(p)]
+    triples, scales = triples[kept], scales[kept]
+    rotations = np.einsum("nij,nkj->nik", _frames(q[triples]), _frames(p[triples]))
+    linear = scales[:, None, None] * rotations
+    shifts = q[triples].mean(axis=1) - np.einsum("nij,nj->ni", linear, p[triples].mean(axis=1))
+    support = _support(pairs, linear, shifts)
+
+    probes = p[:: max(1, len(p) // _PROBES)]
+    moved = np.einsum("nij,mj->nmi", linear, probes) + shifts[:, None]
+    poses: list[Similarity] = []
+    left = support >= 4  # three agree with any pose through them
+    while left.any() and len(poses) < count:
+        best = int(np.argmax(np.where(left, support, 0)))
+        left &= np.square(moved - moved[best]).sum(axis=2).mean(axis=1) > (2 * _TOLERANCE) ** 2
+        pose = _refined(pairs, Similarity(rotations[best], shifts[best], float(scales[best])), with_scale=with_scale)
+        if all(apart(pose, other, probes) > 2 * _TOLERANCE for other in poses):
+            poses.append(pose)
+    return poses
+
+
+def apart(a: Similarity, b: Similarity, points: FloatArray) -> float:
+    """Root mean square distance between where two poses put points (N, 3)."""
+    return float(np.sqrt(np.square(a.apply(points) - b.apply(points)).sum(axis=1).mean()))
+
+
+def _sides(points: FloatArray, triples: IntArray) -> FloatArray:
+    """Lengths (T, 3) of the triangles' sides."""
+    a, b, c = points[triples.T]
+    return np.stack([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=1)
+
+
+def _frames(corners: FloatArray) -> FloatArray:
+    """Rotations (T, 3, 3) whose columns are a triangle's first side, the normal to it in the plane, the plane's normal.
+
+    `corners` (T, 3, 3) has a row a corner.
+    """
+    a, b, c = corners.transpose(1, 0, 2)
+    along = b - a
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, c - a)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.stack([along, np.cross(across, along), across], axis=2)
+
+
+def _support(pairs: Pairs, linear: FloatArray, shifts: FloatArray) -> IntArray:
+    """How many pairs agree with each pose (T,)."""
+    support = np.empty(len(linear), np.int64)
+    step = 200
+    for k in range(0, len(linear), step):
+        moved = np.einsum("nij,mj->nmi", linear[k : k + step], pairs.candidate) + shifts[k : k + step, None]
+        squares = np.square(moved - pairs.reference).sum(axis=2)
+        support[k : k + step] = np.count_nonzero(squares < _TOLERANCE**2, axis=1)
+    return support
+
+
+def _refined(pairs: Pairs, pose: Similarity, *, with_scale: bool) -> Similarity:
+    """The pose fitted to the pairs that agree with it, three times over."""
+    for _ in range(3):
+        near = np.square(pose.apply(pairs.candidate) - pairs.reference).sum(axis=1) < _TOLERANCE**2
+        try:
+            pose = fit_similarity(pairs.candidate[near], pairs.reference[near], with_scale=with_scale)
+        except InputError:  # too few are left, or all lie on one line
+            break
+    return pose

@@ -1,0 +1,117 @@
+"""`pcbench deform`: from two files to a verdict on their deformation, and to a folder with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pcbench.cloud import Cloud
+from pcbench.crop import parse_region
+from pcbench.deformation import Deformation
+from pcbench.deformation_pairs import Side, residual_deformation
+from pcbench.errors import InputError, PcbenchError
+from pcbench.io import read_cloud
+from pcbench.neighbors import Index
+from pcbench.normals import Surface
+from pcbench.registration import Registration, Target, recentring, register
+from pcbench.report import report_folder, write_deformation
+from pcbench.voxels import robust_extent, thin_to
+
+_SHOWN = 300_000  # points of the aligned candidate that pictures are drawn over
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    registration: Registration
+    deformation: Deformation
+    warnings: tuple[str, ...]
+    unit: str | None
+    without_figures: str | None
+
+
+def deform(
+    reference: Cloud, candidate: Cloud, method: str = "icp", crop: str = "none", seed: int = 0
+) -> tuple[Registration, Deformation]:
+    """Register a candidate and say whether it is deformed beyond that, how much, and where.
+
+    Args:
+        reference, candidate: clouds.
+        method: how they are registered, see `pcbench.registration.METHODS`.
+        crop: which part counts, in the reference's coordinates, see `pcbench.crop.parse_region`.
+        seed: of the bootstrap.
+
+    Raises:
+        InputError: a region is not usable, or holds no points of either cloud.
+        RegistrationError: the clouds do not overlap.
+    """
+    origin = recentring(reference)
+    surface = Surface(Index(reference.points - origin), given=reference.normals)
+    found = register(reference, candidate, method, target=Target(surface))
+    aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
+    region = parse_region(crop, reference)
+    region = None if region is None else region.shifted(origin)
+    sides = []
+    for name, points, cloud in (("reference", surface, reference), ("candidate", aligned, candidate)):
+        inside = np.ones(len(points), dtype=bool) if region is None else region.contains(points.points)
+        if not inside.any():
+            raise InputError(f"the crop {crop!r} leaves none of the {name}'s {len(points)} points")
+        sides.append(Side(points, inside, cloud))
+    return found, residual_deformation(sides[0], sides[1], found, origin, seed=seed)
+
+
+def deform_files(
+    reference: Path,
+    candidate: Path,
+    method: str,
+    crop: str,
+    seed: int,
+    out: Path | None,
+    *,
+    figures: bool,
+    step: Callable[[str], None],
+) -> Outcome:
+    """`deform` from files to a folder: deformation.json, the field, the aligned candidate (thinned) and pictures.
+
+    Raises:
+        PcbenchError, OSError: an input or the output is not usable; nothing was written then.
+    """
+    warnings: list[str] = []
+    clouds = []
+    for path in (reference, candidate):
+        step(f"reading {path}")
+        clouds.append(read_cloud(path, on_warning=warnings.append))
+    truth, cloud = clouds
+    without_figures = None
+
+    def run() -> tuple[Registration, Deformation]:
+        step("registering, and looking for a bend")
+        return deform(truth, cloud, method, crop, seed)
+
+    if out is None:
+        found, deformation = run()
+    else:
+        with report_folder(out, keep=(reference, candidate)) as folder:
+            found, deformation = run()
+            step("writing the report")
+            rows = thin_to(cloud.points, _SHOWN, start=1e-4 * robust_extent(cloud.points))
+            transform = found.T_reference_candidate
+            aligned = Cloud(transform.apply(cloud.points[rows]), crs=truth.crs, unit=truth.unit)
+            write_deformation(folder, deformation, aligned, transform, truth.crs, truth.unit)
+            if figures:
+                step("drawing the pictures")
+                without_figures = _draw(folder)
+    return Outcome(found, deformation, (*warnings, *found.warnings), truth.unit, without_figures)
+
+
+def _draw(folder: Path) -> str | None:
+    """Draw the pictures; what stands in the way is returned, because the numbers are delivered all the same."""
+    from pcbench.plot import draw
+
+    try:
+        draw(folder)
+    except PcbenchError as error:
+        return str(error)
+    return None

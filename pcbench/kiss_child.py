@@ -1,0 +1,29 @@
+"""Matches features of clouds with KISS-Matcher in a process of its own: `kiss_child.py PAIRS.npz MATCHES.npz`.
+
+The library writes remarks to standard output and takes as many threads as it finds. Here the remarks go nowhere and one
+thread gives the same matches every time. Nothing of pcbench is imported.
+"""
+
+import os
+import sys
+
+
+def main(pairs: str, matches: str) -> None:
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # TBB and OpenMP both count the CPUs they may use
+    import numpy as np
+    from kiss_matcher import KISSMatcher, KISSMatcherConfig
+
+    clouds = np.load(pairs)
+    found = {}
+    for k in range(len(clouds.files) // 2):
+        # Lengths come in cells: the library's own bounds are made for cells of about one unit.
+        matcher = KISSMatcher(KISSMatcherConfig(voxel_size=1.0, use_voxel_sampling=False))
+        matcher.match(clouds[f"candidate{k}"].T, clouds[f"reference{k}"].T)
+        candidate, reference = (np.array(part).reshape(-1, 3) for part in matcher.get_keypoints_from_faster_pfh())
+        rows = np.array(matcher.get_initial_correspondences(), dtype=np.int64).reshape(-1, 2)
+        found[f"candidate{k}"], found[f"reference{k}"] = candidate[rows[:, 0]], reference[rows[:, 1]]
+    np.savez(matches, allow_pickle=False, **found)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,139 @@
+"""False alarms and power of the deformation verdict: python tests/bench/deformation.py [--runs 500] [--power-runs 100]
+
+Pairs of one inner piece of the synthetic city (exact tangent planes) with white and correlated noise; every row is
+its noise. Beside our verdict, on the same data: the model that the BIC of all pairs picks, and the minimum of
+tile-blocked cross-validation. `--times` measures two whole clouds instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from measure import limit_threads, setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from bends import POINTS, SIZE, Cell, Judged, Scene, bends
+
+from pcbench import deformation as d
+
+NULL = (
+    Cell("gauss", 0),
+    *(Cell(kernel, ratio) for kernel in ("gauss", "exp") for ratio in (100, 40, 20, 10)),
+    Cell("gauss", 40, 2.0),
+    Cell("gauss", 20, 2.0),
+    Cell("gauss", 25, 1.0, 200_000),
+)
+POWER = tuple(Cell("gauss", ratio) for ratio in (100, 40, 20, 10))
+DOMES = (0.1, 0.25, 0.5, 1.0, 2.0)  # RMS, times the total noise
+HEAD = f"{'N':>8}{'L m':>6}{'l m':>7}  {'noise':12}{'ratio':>5}"
+
+
+def rivals(scene: Scene, judged: Judged, count: int) -> tuple[str, str]:
+    """The models that naive BIC and minimum cross-validation pick."""
+    g, scores = scene.geometry, judged.scores
+    bic = {
+        m: count * np.log(scores.energy.sum() - scores.total @ g.fit(m, scores.total)) + p * np.log(count)
+        for m, p in d.PARAMETERS.items()
+    }
+    rungs = d.climb(g, scores, judged.noise, 0)
+    return min(bic, key=lambda m: bic[m]), str(min(rungs, key=lambda rung: rung["cv_score"])["model"])
+
+
+def null(scenes: dict[int, Scene], runs: int) -> None:
+    print(f"\nundeformed, {runs} runs a row: share of verdicts; wrong is any non-affine one")
+    print(f"{HEAD}{'tiles':>6}{'none':>8}{'undecided':>10}{'affine':>8}{'wrong':>8}  {'naive BIC':>10}{'min CV':>8}")
+    for cell in NULL:
+        if cell.points not in scenes:
+            scenes[cell.points] = Scene(cell.points)
+        scene = scenes[cell.points]
+        waves = scene.waves(cell)
+        rows = [scene.judge(scene.noise(cell, waves, 1000 + run)) for run in range(runs)]
+        others = [rivals(scene, row, cell.points) for row in rows]
+        tiles = len(scene.geometry.tile_matrices[1])
+        verdicts = [row.finding.verdict for row in rows]
+        share = {v: verdicts.count(v) / runs for v in ("none", "undecided", "affine", "similarity", "non-affine")}
+        bent = [np.mean([other[k] in ("quadratic", "cubic") for other in others]) for k in (0, 1)]
+        print(
+            f"{cell}{tiles:6}{share['none']:8.3f}{share['undecided']:10.3f}"
+            f"{share['affine'] + share['similarity']:8.3f}{share['non-affine']:8.3f}  {bent[0]:10.3f}{bent[1]:8.3f}",
+            flush=True,
+        )
+
+
+def p_noise(judged: Judged) -> float:
+    return judged.finding.evidence.p_noise
+
+
+def power(scene: Scene, runs: int) -> None:
+    tiles = len(scene.geometry.tile_matrices[1])
+    dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
+    print(f"\na dome, {runs} runs a row; its RMS along the normals beyond affine, times the total noise")
+    print(f"{HEAD}{'tiles':>6}{'RMS':>6}{'found':>8}{'undecided':>10}  {'ROC: at 1 % false':>18}{'5 %':>7}{'area':>7}")
+    for cell in POWER:
+        waves = scene.waves(cell)
+        without = np.array([p_noise(scene.judge(scene.noise(cell, waves, 50_000 + run))) for run in range(runs)])
+        for size in DOMES:
+            bend = size * cell.total * dome
+            rows = [scene.judge(scene.noise(cell, waves, 90_000 + run) + bend) for run in range(runs)]
+            verdicts, p = [row.finding.verdict for row in rows], np.array([p_noise(row) for row in rows])
+            at = [float(np.mean(p < np.quantile(without, share))) for share in (0.01, 0.05)]
+            area = float(np.mean(p[:, None] < without[None]) + 0.5 * np.mean(p[:, None] == without[None]))
+            print(
+                f"{cell}{tiles:6}{size:6.2f}{verdicts.count('non-affine') / runs:8.2f}"
+                f"{verdicts.count('undecided') / runs:10.2f}  {at[0]:18.2f}{at[1]:7.2f}{area:7.3f}",
+                flush=True,
+            )
+
+
+def times(sizes: list[int]) -> None:
+    """Seconds for two whole clouds that are registered and indexed, and whose normals are known, as in `compare`."""
+    from pcbench.deformation_pairs import Side, residual_deformation
+    from pcbench.neighbors import Index
+    from pcbench.normals import Surface
+    from pcbench.registration import Target, recentring, register
+    from pcbench.synthetic import demo
+
+    print(f"\n{'reference':>10}{'candidate':>11}{'seconds':>9}  verdict")
+    for size in sizes:
+        scene = demo(size)
+        origin = recentring(scene.reference)
+        surface = Surface(Index(scene.reference.points - origin))
+        surface.normals(np.arange(len(surface)))
+        truth = Side(surface, np.ones(len(surface), bool), scene.reference)
+        for cloud in scene.candidates.values():
+            found = register(scene.reference, cloud, target=Target(surface))
+            index = Index(found.T_local.apply(cloud.points - origin))
+            seconds = []
+            for _ in range(5):
+                start = time.perf_counter()
+                side = Side(Surface(index), np.ones(len(index), bool), cloud)
+                answer = residual_deformation(truth, side, found, origin)
+                seconds.append(time.perf_counter() - start)
+            print(f"{size:10,}{len(cloud):11,}{np.median(seconds):9.2f}  {answer.verdict}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=500)
+    parser.add_argument("--power-runs", type=int, default=100)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--times", action="store_true")
+    options = parser.parse_args()
+    limit_threads(options.threads)
+    print(setting())
+    if options.times:
+        return times([100_000, 1_270_820, 5_000_000])
+    scenes = {POINTS: Scene(POINTS)}
+    if options.power_runs:
+        power(scenes[POINTS], options.power_runs)
+    if options.runs:
+        null(scenes, options.runs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,409 @@
+"""Deformation: known bends come back with their size, and what is no bend is not taken for one."""
+
+import json
+
+import numpy as np
+import pytest
+from bends import SIZE, Cell, Scene, bends
+from data_folder import data_folder
+
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.crs import euclidean_offsets
+from pcbench.deform_files import deform
+from pcbench.deformation import (
+    Noise,
+    _nonnegative_least_squares,
+    chi_squares_point,
+    chi_squares_tail,
+    minimum_detectable_rms,
+)
+from pcbench.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
+from pcbench.synthetic import city
+
+NOISE = Cell("gauss", 40)  # white and correlated in equal parts, over 5 m of 200 m
+KINDS = tuple(bends(np.zeros((1, 3)), SIZE))
+UTM = np.array([500_000.0, 4_800_000.0, 100.0])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene(8000)
+
+
+@pytest.fixture(scope="module")
+def waves(scene):
+    return scene.waves(NOISE)
+
+
+# The mathematics, piece by piece.
+
+
+def test_moments_hold_the_normal_equations_of_a_cubic_field():
+    rng = np.random.default_rng(0)
+    places, normals = rng.uniform(-1, 1, (50, 3)), rng.normal(size=(50, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    weights, residuals = rng.random(50), rng.normal(size=50)
+    design = np.einsum("an,nk->nak", monomials(places), normals).reshape(50, 60)
+    moments, scores = normal_equations(places, normals, weights, residuals)
+    matrix = normal_matrix(moments)
+    # Sums of fifty terms of size one.
+    np.testing.assert_allclose(matrix, design.T @ (weights[:, None] * design), atol=1e-12)
+    np.testing.assert_allclose(scores.ravel(), design.T @ (weights * residuals), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("smaller", "larger"), [("rigid", "similarity"), ("similarity", "affine"), ("affine", "cubic")]
+)
+def test_models_are_nested_and_count_their_parameters(smaller, larger):
+    small, large = model_columns(smaller), model_columns(larger)
+    assert np.linalg.matrix_rank(small) == small.shape[1] == PARAMETERS[smaller]
+    assert np.linalg.matrix_rank(np.hstack([small, large])) == large.shape[1]
+
+
+def test_rigid_fields_keep_distances_and_similar_ones_shapes():
+    places = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    for model, columns in (("rigid", 6), ("similarity", 7)):
+        for column in model_columns(model).T:
+            moved = np.einsum("an,ak->nk", monomials(places), column.reshape(20, 3))
+            # The gradient is antisymmetric, but for a scale.
+            gradient = np.linalg.lstsq(places - places.mean(0), moved - moved.mean(0), rcond=None)[0]
+            symmetric = gradient + gradient.T
+            np.testing.assert_allclose(symmetric, symmetric[0, 0] * np.eye(3), atol=1e-12)
+        assert model_columns(model).shape[1] == columns
+
+
+def test_tail_of_a_sum_of_chi_squares():
+    weights = np.array([3.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+    draws = np.square(np.random.default_rng(0).normal(size=(200_000, 6))) @ weights
+    for share in (0.1, 0.01):
+        value = float(np.quantile(draws, 1 - share))
+        # An approximation by two moments: with weights so uneven it is a third short at 1 %.
+        assert chi_squares_tail(value, weights) == pytest.approx(share, rel=0.4)
+    assert chi_squares_tail(chi_squares_point(2.326, weights), weights) == pytest.approx(0.01, rel=1e-2)
+    assert chi_squares_tail(0.0, np.zeros(3)) == 1.0
+
+
+def test_nonnegative_least_squares_against_scipy():
+    from scipy.optimize import nnls
+
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        matrix, values = rng.normal(size=(12, 6)), rng.normal(size=12)
+        np.testing.assert_allclose(_nonnegative_least_squares(matrix, values), nnls(matrix, values)[0], atol=1e-9)
+
+
+def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
+    """Noise of known variances is put through the same sums: their power is what was predicted."""
+    step = scene.geometry.step("affine", "cubic")
+    lengths = scene.geometry.lengths
+    # Two kernels that together cover the area of the one that is simulated: their lengths are fixed.
+    above = int(np.searchsorted(lengths, NOISE.length))
+    below, beyond = lengths[above - 1] ** 2, lengths[above] ** 2
+    components = np.zeros(len(lengths))
+    components[above] = 0.02**2 * (NOISE.length**2 - below) / (beyond - below)
+    components[above - 1] = 0.02**2 - components[above]
+    predicted = np.trace(step.covariance(Noise(0.02**2, components, lengths)))
+    powers = []
+    for seed in range(40):
+        scores = scene.judge(scene.noise(NOISE, waves, seed)).scores
+        powers.append(np.square(step.modes.T @ scores.total).sum())
+    # Cells are coarse, and the mean of 40 runs is good to 5 %.
+    assert np.mean(powers) == pytest.approx(predicted, rel=0.2)
+
+
+def test_noise_comes_back(scene, waves):
+    found = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
+    assert np.mean([np.sqrt(n.white) for n in found]) == pytest.approx(0.02, rel=0.1)
+    assert np.mean([np.sqrt(n.correlated) for n in found]) == pytest.approx(0.02, rel=0.15)
+    assert np.median([n.correlation_length for n in found]) == pytest.approx(5.0, rel=0.3)
+
+
+# Recovery: pairs with exact planes.
+
+
+def test_nothing_is_found_where_nothing_is(scene, waves):
+    findings = [scene.judge(scene.noise(NOISE, waves, 100 + seed)).finding for seed in range(20)]
+    assert [f.verdict for f in findings].count("none") >= 18
+    assert not any(f.verdict == "non-affine" for f in findings)
+
+
+@pytest.mark.parametrize("times", [1, 2, 5])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_bend_is_found(scene, waves, kind, times):
+    bend = times * NOISE.total * scene.beyond_affine(bends(scene.places, SIZE)[kind])
+    judged = scene.judge(scene.noise(NOISE, waves, 7) + bend)
+    assert judged.finding.verdict == "non-affine"
+    if times >= 2:
+        error = np.sqrt(np.mean(np.square(scene.fitted(judged) - bend)))
+        assert error <= 0.25 * times * NOISE.total
+
+
+@pytest.mark.parametrize("model", ["similarity", "affine"])
+def test_smaller_models_are_enough_for_smaller_deformations(scene, waves, model):
+    x = scene.places
+    field = 1e-3 * x if model == "similarity" else 2e-3 * x[:, [1]] * [1.0, 0.0, 0.0]
+    judged = scene.judge(scene.noise(NOISE, waves, 8) + (field * scene.normals).sum(axis=1))
+    assert (judged.finding.verdict, judged.finding.model) == (model, model)
+
+
+def test_the_dome_that_can_be_detected(scene, waves):
+    noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
+    limit = minimum_detectable_rms(scene.geometry, noise)
+    dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
+
+    def found(size):
+        runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
+        return np.mean([run.evidence.p_noise <= 0.01 for run in runs])
+
+    # 80 % of such domes are found at 1 %, within the scatter of 30 runs and of the noise's estimate; of half as large
+    # ones far fewer.
+    assert found(limit) >= 0.6
+    assert found(limit / 2) <= 0.6
+
+
+# Recovery: whole clouds.
+
+
+def sampled(count, rng):
+    return city(3).sample(count, rng)[0]
+
+
+def noisy(points, rng, size=0.02):
+    return points + rng.normal(0, size, points.shape)
+
+
+def dome(points, rms):
+    square = np.square(points[:, :2]).sum(axis=1)
+    lift = square - square.mean()
+    return points + rms * (lift / lift.std())[:, None] * [0, 0, -1]
+
+
+def verdict(reference, candidate, method="icp", **options):
+    return deform(Cloud(reference, unit="m", **options), Cloud(candidate, unit="m"), method)[1]
+
+
+def test_a_dome_of_two_clouds_comes_back_with_its_size():
+    rng = np.random.default_rng(1)
+    candidate = dome(sampled(40_000, rng), 0.1)
+    found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
+    assert found.verdict == "non-affine"
+    # Along the normals: half of the surface is walls or steep roofs, where a lift hardly shows.
+    low, high = found.values["amplitude"]["ci"]
+    assert 0.06 < low < found.values["amplitude"]["rms"] < high < 0.1
+    assert found.values["growth"]["with_distance"]["ci"][1] < 0
+    field = found.field
+    truth = dome(field.places, 0.1) - field.places
+    seen = field.counts >= 20
+    vertical = np.isfinite(field.vertical) & seen
+    assert np.corrcoef(field.displacements[vertical, 2], truth[vertical, 2])[0, 1] > 0.98
+    # The signed means follow it within their noise.
+    assert np.corrcoef(field.vertical[vertical], truth[vertical, 2])[0, 1] > 0.95
+
+
+def test_a_bend_of_fifty_sigma_is_no_outlier():
+    """A robust fit that grows from the rigid model would weigh it down to nothing."""
+    rng = np.random.default_rng(2)
+    candidate = dome(sampled(40_000, rng), 1.0)
+    found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
+    assert found.verdict == "non-affine"
+    assert found.values["amplitude"]["rms"] > 0.6
+    assert found.values["remaining_rms"] < 0.05
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.1])
+@pytest.mark.parametrize("case", ["sparse candidate", "sparse reference", "overlap", "outliers", "utm"])
+def test_hard_pairs(case, bend):
+    rng = np.random.default_rng(3)
+    few, many = (6_000, 300_000) if case.startswith("sparse") else (50_000, 100_000)
+    if case == "sparse reference":
+        few, many = many, few
+    reference, candidate = noisy(sampled(many, rng), rng), noisy(dome(sampled(few, rng), bend), rng)
+    if case == "overlap":  # 40 % of either
+        reference, candidate = reference[reference[:, 0] < 86], candidate[candidate[:, 0] > -86]
+    if case == "outliers":
+        strays = rng.random(len(candidate)) < 0.3
+        candidate[strays] = rng.uniform([-200, -200, -5], [200, 200, 50], (int(strays.sum()), 3))
+    if case == "utm":
+        reference, candidate = reference + UTM, candidate + UTM
+    found = verdict(reference, candidate)
+    assert found.verdict == ("non-affine" if bend else "none"), found.values["warnings"]
+
+
+def test_one_moved_building_is_a_local_change():
+    rng = np.random.default_rng(4)
+    candidate = sampled(60_000, rng)
+    patches = city(3).patches
+    roofs = patches.take(np.flatnonzero((patches.kind == 2) & (np.hypot(*patches.corner[:, :2].T) > 100)))
+    largest = int(np.argmax(roofs.areas()))
+    middle = (roofs.corner + 0.5 * (roofs.u + roofs.v))[largest, :2]
+    half = 0.5 * np.abs(roofs.u + roofs.v)[largest, :2] + 0.05
+    moved = (np.abs(candidate[:, :2] - middle) < half).all(axis=1)  # its walls and its roof: no ground is under it
+    candidate[moved] += [0.2, 0.1, 0.1]
+    found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
+    assert found.verdict == "none"
+    places = found.field.places[found.field.changed]
+    inside = (np.abs(places[:, :2] - middle) < half + 15).all(axis=1)
+    assert inside.sum() >= 1
+    assert inside.mean() >= 0.7
+
+
+def test_scale_counts_only_between_metric_clouds():
+    rng = np.random.default_rng(5)
+    reference, candidate = noisy(sampled(80_000, rng), rng), noisy(1.002 * sampled(40_000, rng), rng)
+    assert verdict(reference, candidate).verdict == "similarity"
+    _, found = deform(Cloud(reference), Cloud(candidate))
+    assert (found.verdict, found.model) == ("none", "similarity")
+    assert any("unit" in warning for warning in found.values["warnings"])
+
+
+def test_tilt_and_scale_left_in_by_the_registration_are_no_bend():
+    rng = np.random.default_rng(6)
+    tilt = np.array([[1, 0, 0.002], [0, 1, 0], [-0.002, 0, 1]])
+    found = verdict(noisy(sampled(80_000, rng), rng), noisy(1.001 * sampled(40_000, rng) @ tilt.T, rng), "none")
+    assert found.verdict == "similarity"
+
+
+def test_shear_is_affine():
+    rng = np.random.default_rng(7)
+    shear = np.array([[1, 0.003, 0], [0, 1, 0], [0, 0, 1]])
+    assert verdict(noisy(sampled(80_000, rng), rng), noisy(sampled(40_000, rng) @ shear.T, rng)).verdict == "affine"
+
+
+def test_flat_ground_shows_no_horizontal_motion():
+    rng = np.random.default_rng(8)
+    ground = [np.column_stack([rng.uniform(-100, 100, (n, 2)), np.zeros(n)]) for n in (60_000, 30_000)]
+    found = verdict(noisy(ground[0], rng), noisy(ground[1], rng))
+    assert found.verdict == "none"
+    assert found.values["observable"] == {"x": 0.0, "y": 0.0, "z": 1.0}
+
+
+def test_an_exact_copy_is_not_bent():
+    points = sampled(20_000, np.random.default_rng(9))
+    found = verdict(points, points.copy())
+    assert found.verdict == "none"
+    assert found.values["amplitude"]["rms"] < 1e-12
+    assert found.values["local"]["tiles_changed"] == 0
+
+
+def test_too_few_points_are_undecided():
+    rng = np.random.default_rng(10)
+    points = sampled(250, rng)
+    found = verdict(points, noisy(points, rng), "none")
+    assert found.verdict == "undecided"
+    assert "too few" in found.values["warnings"][0]
+
+
+def test_a_map_against_space_is_taken_off_first():
+    """UTM heights follow the Earth: over 3 km that is a dome of 17 cm, and the grid's scale is 0.9996."""
+    pytest.importorskip("pyproj")
+    rng = np.random.default_rng(11)
+
+    def terrain(count):
+        xy = rng.uniform(-1500, 1500, (count, 2))
+        z = 40 * np.sin(xy[:, 0] / 200) * np.cos(xy[:, 1] / 170) + 15 * np.sin(xy.sum(axis=1) / 90)
+        return np.column_stack([xy, z])
+
+    on_map = terrain(150_000) + UTM
+    places = terrain(50_000) + UTM
+    in_space = places + euclidean_offsets("EPSG:32632", places)
+    reference = Cloud(noisy(on_map, rng), unit="m", crs="EPSG:32632")
+    candidate = Cloud(noisy(in_space, rng), unit="m")
+    _, found = deform(reference, candidate)
+    assert found.verdict == "none"
+    assert any("map grid" in warning for warning in found.values["warnings"])
+    _, unknown = deform(Cloud(reference.points, unit="m"), candidate)
+    assert unknown.verdict == "non-affine"
+    assert any("curvature" in warning for warning in unknown.values["warnings"])
+
+
+def test_the_earth_curves_by_what_it_should():
+    pytest.importorskip("pyproj")
+    x = np.linspace(-3000, 3000, 61)
+    places = np.stack(np.meshgrid(x, x, [0.0, 100.0]), axis=-1).reshape(-1, 3) + [500_000, 5_000_000, 0]
+    offsets = euclidean_offsets("EPSG:32632", places)
+    edge = offsets[np.hypot(*(places[:, :2] - [500_000, 5_000_000]).T).argmax(), 2]
+    middle = offsets[np.hypot(*(places[:, :2] - [500_000, 5_000_000]).T).argmin(), 2]
+    # d^2 / 2R at the corner, 4243 m from the centre; the projection's own scale is left in the plane.
+    assert middle - edge == pytest.approx(4243**2 / (2 * 6.37e6), rel=0.02)
+
+
+def test_vegetation_is_weighed_down_by_its_class():
+    rng = np.random.default_rng(12)
+    ground = sampled(60_000, rng)
+    square = np.square(ground[:, :2]).sum(axis=1)
+    foliage = rng.random(len(ground)) < 0.15
+    candidate = ground.copy()
+    # Seen in leaf, higher towards the edge: it looks like bending.
+    candidate[foliage, 2] += 0.08 * square[foliage] / square.max()
+    classes = np.where(foliage, 5, 2).astype(np.uint8)
+    reference = Cloud(noisy(sampled(120_000, rng), rng), unit="m")
+    _, blind = deform(reference, Cloud(noisy(candidate, rng), unit="m"))
+    _, seeing = deform(reference, Cloud(noisy(candidate, rng), unit="m", attributes={"classification": classes}))
+    assert seeing.values["amplitude"]["rms"] < 0.5 * blind.values["amplitude"]["rms"]
+
+
+def test_it_is_deterministic():
+    rng = np.random.default_rng(13)
+    reference, candidate = noisy(sampled(60_000, rng), rng), noisy(sampled(20_000, rng), rng)
+    first, second = (verdict(reference, candidate).values for _ in range(2))
+    assert json.dumps(first) == json.dumps(second)
+
+
+# The command.
+
+
+def test_deform_leaves_a_folder(tmp_path, capsys):
+    from pcbench import cli
+
+    rng = np.random.default_rng(14)
+    write_cloud(tmp_path / "ref.ply", Cloud(noisy(sampled(60_000, rng), rng), unit="m"))
+    write_cloud(tmp_path / "cand.ply", Cloud(noisy(dome(sampled(30_000, rng), 0.1), rng), unit="m"))
+    arguments = ["deform", str(tmp_path / "ref.ply"), str(tmp_path / "cand.ply"), "--out", str(tmp_path / "bend")]
+    cli.app([*arguments, "--no-figures"], standalone_mode=False)
+    assert "cand.ply is bent against the reference" in capsys.readouterr().out
+    values = json.loads((tmp_path / "bend/deformation.json").read_text())
+    assert values["verdict"] == "non-affine"
+    assert {
+        "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "noise", "tiles", "growth", "observable",
+        "local", "minimum_detectable_rms", "warnings",
+    } <= values.keys()  # fmt: skip
+    assert {p.name for p in (tmp_path / "bend").iterdir()} == {
+        "T.txt", "aligned.ply", "deformation.csv", "deformation.json", "deformation.ply",
+    }  # fmt: skip
+    field = read_cloud(tmp_path / "bend/deformation.ply")
+    table = read_cloud(tmp_path / "bend/deformation.csv")
+    np.testing.assert_allclose(table.points, field.points, rtol=1e-12)
+    assert "displacement_z" in table.attributes
+    # A second run replaces the first.
+    cli.app([*arguments, "--no-figures", "-q"], standalone_mode=False)
+    assert json.loads((tmp_path / "bend/deformation.json").read_text()) == values
+
+
+# Real geometry and density.
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.5])
+def test_halves_of_a_lidar_cloud(bend):
+    """Two disjoint halves (feet; buildings, trees, a stadium) with independent correlated noise."""
+    cloud = read_cloud(data_folder("autzen") / "autzen_trim.las")
+    rng = np.random.default_rng(15)
+    first = rng.random(len(cloud)) < 0.5
+    points = cloud.points - cloud.points.mean(axis=0)
+    size = float(np.ptp(points[:, :2], axis=0).max())
+
+    def waves():
+        frequencies = rng.normal(size=(60, 3)) / (size / 60)
+        return 0.1 * np.cos(points @ frequencies.T + rng.uniform(0, 6.3, 60)) @ rng.normal(0, np.sqrt(2 / 60), (60, 3))
+
+    sides = [points + waves() + rng.normal(0, 0.1, points.shape) for _ in range(2)]
+    classes = cloud.attributes["classification"]
+    reference = Cloud(sides[0][first], unit="ft", attributes={"classification": classes[first]})
+    lifted = dome(sides[1][~first], bend)
+    candidate = Cloud(lifted, unit="ft", attributes={"classification": classes[~first]})
+    _, found = deform(reference, candidate)
+    # Trees are correlated noise of long range: nothing is found where nothing is, but it may stay undecided.
+    assert found.verdict in (("non-affine",) if bend else ("none", "undecided")), found.values["warnings"]
+    if bend:  # along the normals
+        low, high = found.values["amplitude"]["ci"]
+        assert low > 0.4 * bend
+        assert high < bend

@@ -1,0 +1,215 @@
+"""Registration from nothing: any pose is found, and where the evidence is missing or ambiguous it is said."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import shapes
+from data_folder import data_folder
+
+from pcbench import cli, read_cloud, write_cloud
+from pcbench.cloud import Cloud
+from pcbench.correspondences import Pairs, likely_poses
+from pcbench.errors import InputError, MissingExtra, RegistrationError
+from pcbench.registration import register
+from pcbench.synthetic import city
+from pcbench.transform import Similarity, read_matrix
+
+needs_kiss = pytest.mark.skipif(importlib.util.find_spec("kiss_matcher") is None, reason="kiss-matcher is missing")
+UTM = np.array([500_000.0, 4_800_000.0, 0.0])
+
+
+def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
+    """Two samples with 2 cm noise of two windows of a 400 m city, along x; `overlap` of each is in the other."""
+    rng, width = np.random.default_rng(seed), 400 / (2 - overlap)
+    town, second = city(seed), city(seed if other is None else other)
+    reference, candidate = town.sample(counts[0], rng)[0], second.sample(counts[1], rng)[0]
+    reference, candidate = reference[reference[:, 0] < width - 200], candidate[candidate[:, 0] > 200 - width]
+    return (cloud + rng.normal(0, 0.02, cloud.shape) for cloud in (reference, candidate))
+
+
+def pose(seed, scale=1.0):
+    """A random rotation of 45 to 180 degrees and a shift of up to 100 m each way."""
+    rng = np.random.default_rng(seed)
+    return Similarity(shapes.rotation(rng.normal(size=3), rng.uniform(45, 180)), rng.uniform(-100, 100, 3), scale)
+
+
+def error(found, true, points):
+    """RMS distance between where the true and the found pose put the candidate; points in the reference's frame."""
+    return float(np.sqrt(np.square(found.apply(true.inverse().apply(points)) - points).sum(axis=1).mean()))
+
+
+# Bounds in metres: half the noise; 1 to 5 mm was measured.
+@needs_kiss
+@pytest.mark.parametrize(
+    ("method", "seed", "overlap", "scale"),
+    [
+        ("global", 1, 1.0, 1.0),
+        ("global", 2, 0.3, 1.0),
+        ("global-similarity", 4, 1.0, 0.1),
+        pytest.param("global-similarity", 5, 0.5, 10.0, marks=pytest.mark.slow),
+    ],
+)
+def test_finds_any_pose(method, seed, overlap, scale):
+    reference, candidate = windows(seed, overlap)
+    true = pose(seed, scale)
+    result = register(reference, true.inverse().apply(candidate), method)
+    assert error(result.T_reference_candidate, true, candidate) < 0.01
+    assert result.method == method
+    assert result.converged
+    assert not any("ambiguous" in w or "evidence" in w for w in result.warnings)
+    if method == "global":
+        assert result.T_reference_candidate.scale == 1.0
+
+
+@needs_kiss
+@pytest.mark.slow
+def test_strays_do_not_hide_the_pose():
+    reference, candidate = windows(2, 1.0)
+    rng, true = np.random.default_rng(6), pose(6)
+    strays = rng.uniform(candidate.min(axis=0), candidate.max(axis=0), (len(candidate) // 2, 3))
+    result = register(reference, true.inverse().apply(np.concatenate([candidate, strays])), "global")
+    assert error(result.T_reference_candidate, true, candidate) < 0.01
+
+
+@needs_kiss
+@pytest.mark.parametrize("method", ["global", pytest.param("global-similarity", marks=pytest.mark.slow)])
+def test_refuses_unrelated_clouds(method):
+    """Another city on the same ground and the same street grid: three quarters of it could be laid on the first."""
+    reference, candidate = windows(1, 1.0, other=9)
+    with pytest.raises(RegistrationError, match="no pose of the candidate fits the reference"):
+        register(reference, pose(1).inverse().apply(candidate), method)
+
+
+@needs_kiss
+def test_refuses_noise():
+    rng = np.random.default_rng(7)
+    with pytest.raises(RegistrationError, match="no pose of the candidate fits"):
+        register(rng.normal(size=(5000, 3)), rng.normal(size=(5000, 3)), "global")
+
+
+def symmetric(n, seed, noise=0.01):
+    """A gabled hall of 30 m x 12 m on a square: a half turn about the vertical maps it onto itself."""
+    rng = np.random.default_rng(seed)
+    ground, rise = 40.0, 4.0
+    faces = [((-ground, -ground, 0), (2 * ground, 0, 0), (0, 2 * ground, 0))]
+    faces += [((-15, y, 0), (30, 0, 0), (0, 0, 8)) for y in (-6, 6)]
+    faces += [((x, -6, 0), (0, 12, 0), (0, 0, 8)) for x in (-15, 15)]
+    faces += [((-15, y, 8), (30, 0, 0), (0, -y, rise)) for y in (-6, 6)]
+    corner, u, v = (np.array(part, dtype=float) for part in zip(*faces, strict=True))
+    areas = np.linalg.norm(np.cross(u, v), axis=1)
+    which = rng.choice(len(faces), size=n, p=areas / areas.sum())
+    s, t = rng.random((2, n, 1))
+    return corner[which] + s * u[which] + t * v[which] + rng.normal(0, noise, (n, 3))
+
+
+@needs_kiss
+def test_a_symmetric_scene_is_ambiguous():
+    true = pose(8)
+    candidate = symmetric(20_000, 2)
+    result = register(symmetric(40_000, 1), true.inverse().apply(candidate), "global")
+    assert any("ambiguous" in w for w in result.warnings)
+    turned = Similarity(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ true
+    errors = [error(result.T_reference_candidate, truth, candidate) for truth in (true, turned)]
+    # One of the two is right, which the other one is 60 m away from; quarter turns of the square ground are neither.
+    assert min(errors) < 0.5
+
+
+@needs_kiss
+def test_a_plane_is_never_sure():
+    rng = np.random.default_rng(9)
+    reference, candidate = (shapes.plane_samples(n, 40, seed=n) + rng.normal(0, 0.01, (n, 3)) for n in (20_000, 8_000))
+    try:
+        result = register(reference, pose(9).inverse().apply(candidate), "global")
+    except RegistrationError:
+        return
+    assert any("does not fix" in w or "ambiguous" in w for w in result.warnings)
+
+
+@needs_kiss
+def test_far_coordinates_and_other_processes_change_nothing(tmp_path):
+    reference, candidate = (np.round(c * 2**20) / 2**20 for c in windows(2, 0.5, counts=(80_000, 40_000)))
+    candidate = np.round(pose(2).inverse().apply(candidate) * 2**20) / 2**20
+    here, there = register(reference, candidate, "global"), register(reference + UTM, candidate - UTM, "global")
+    # 1e-7: the pose of coordinates of 1e7 in float64.
+    moved = there.T_reference_candidate.apply(candidate - UTM) - UTM
+    np.testing.assert_allclose(moved, here.T_reference_candidate.apply(candidate), atol=1e-7)
+    np.savez(tmp_path / "clouds.npz", reference, candidate)
+    code = (
+        "import sys, numpy as np; from pcbench import register; clouds = np.load(sys.argv[1]);"
+        "print(register(*clouds.values(), 'global').T_reference_candidate.matrix.tobytes().hex())"
+    )
+    for threads in ("1", "2"):
+        command = [sys.executable, "-c", code, str(tmp_path / "clouds.npz")]
+        environment = {**os.environ, "OMP_NUM_THREADS": threads}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == here.T_reference_candidate.matrix.tobytes().hex()
+
+
+@needs_kiss
+def test_real_lidar_pair_from_any_pose():
+    folder = data_folder("small_gicp")
+    reference, candidate = read_cloud(folder / "target.ply"), read_cloud(folder / "source.ply")
+    true = Similarity.from_matrix(np.loadtxt(folder / "T_target_source.txt"))
+    away = pose(11)
+    result = register(reference, candidate.transformed(away), "global")
+    near = candidate.points[np.linalg.norm(candidate.points, axis=1) < 30]
+    # The file's transform is good to 2-8 cm itself.
+    assert np.sqrt(np.square((result.T_reference_candidate @ away).apply(near) - true.apply(near)).sum(1).mean()) < 0.1
+
+
+@needs_kiss
+@pytest.mark.slow
+def test_real_aerial_cloud_from_any_pose():
+    """Streets, roofs and trees from the air, in feet: two halves that share no point, one of them turned."""
+    points = read_cloud(data_folder("autzen") / "autzen_trim.las").points
+    points = points - np.floor(points.mean(axis=0))
+    true = pose(12)
+    result = register(points[::2], true.inverse().apply(points[1::2]), "global")
+    assert error(result.T_reference_candidate, true, points) < 1  # feet; half the points' spacing
+
+
+def test_says_what_is_missing(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    reference, candidate = windows(1, 1.0, counts=(5000, 5000))
+    with pytest.raises(MissingExtra, match=r"kiss-matcher is needed .* pip install 'pcbench\[global\]'"):
+        register(reference, candidate, "global")
+
+
+def test_too_few_points_and_other_names():
+    with pytest.raises(RegistrationError, match="at least 100 points in each cloud to register from nothing, got 20"):
+        register(np.random.default_rng(0).normal(size=(500, 3)), np.eye(3).repeat(7, axis=0)[:20], "global")
+    with pytest.raises(InputError, match="unknown registration 'global:x'"):
+        register(np.eye(3), np.eye(3), "global:x")
+
+
+def test_poses_from_pairs_of_which_most_are_wrong():
+    rng, true = np.random.default_rng(13), pose(13, scale=1.1)
+    candidate = rng.uniform(-50, 50, (1000, 3))
+    reference = true.apply(candidate)
+    reference[60:] = rng.uniform(-50, 50, (940, 3))  # 6 % are right
+    found = likely_poses(Pairs(candidate, reference), 3, with_scale=True)
+    np.testing.assert_allclose(found[0].matrix, true.matrix, atol=0.5)
+    assert likely_poses(Pairs(candidate[:2], reference[:2]), 3, with_scale=True) == []
+    line = np.linspace(0, 100, 50)[:, None] * [1.0, 0, 0]
+    assert len(likely_poses(Pairs(line, line), 3, with_scale=False)) <= 3
+
+
+@needs_kiss
+def test_the_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    true = pose(14)
+    write_cloud("ref.ply", Cloud(shapes.city(40_000, noise=0.01, seed=1)[0]))
+    points = shapes.city(20_000, noise=0.01, seed=2)[0]
+    write_cloud("cand.ply", Cloud(true.inverse().apply(points)))
+    cli.app(["register", "ref.ply", "cand.ply", "--register", "global", "--matrix", "T.txt"], standalone_mode=False)
+    assert error(read_matrix("T.txt"), true, points) < 0.01
+    assert "# global: rmse" in capsys.readouterr().out
+    cli.app(
+        ["compare", "ref.ply", "cand.ply", "--register", "global", "--out", "report", "--no-figures", "-q"],
+        standalone_mode=False,
+    )
+    assert error(read_matrix("report/cand_T.txt"), true, points) < 0.01
