@@ -101,7 +101,10 @@ class Intrinsics:
 
     def scaled(self, factor: float) -> Intrinsics:
         """For images resized by `factor`; sizes are rounded, and the rest follows the rounded sizes."""
-        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+
+    def resized(self, width: int, height: int) -> Intrinsics:
+        """For images resized to width x height pixels."""
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
@@ -163,3 +166,25 @@ def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return Similarity(rotation, -rotation @ eye)
+
+
+def rotation_from(matrix: ArrayLike) -> FloatArray:
+    """The rotation (3, 3) that a file's matrix means: camera files carry few digits, and the nearest rotation (the
+    polar factor) is what they were printed from.
+
+    Raises:
+        InputError: it is further than 1e-3 from any rotation: scaled, sheared, reflected, or no matrix at all.
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    if m.shape != (3, 3) or not np.isfinite(m).all():
+        raise InputError(f"expected a 3x3 rotation matrix of finite numbers, got {m.shape} with {m.ravel()[:3]}")
+    error = float(np.abs(m @ m.T - np.eye(3)).max())
+    determinant = float(np.linalg.det(m))
+    if error > 1e-3 or determinant < 0:
+        raise InputError(
+            f"expected a rotation (orthonormal rows, determinant +1), got determinant {determinant:.6g} and rows that"
+            f" are {error:.2g} from orthonormal: remove scale, shear and reflection"
+        )
+    u, _, vt = np.linalg.svd(m)
+    rotation: FloatArray = u @ vt
+    return rotation

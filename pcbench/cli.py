@@ -6,6 +6,7 @@ import io
 import os
 import signal
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,20 @@ _REGISTER_HELP = (
 _CROP_HELP = "none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference or quantile:0.99."
 
 register_option = click.option("--register", default="icp", show_default=True, metavar="HOW", help=_REGISTER_HELP)
+cameras_option = click.option(
+    "--cameras",
+    default="auto",
+    show_default=True,
+    metavar="WHICH",
+    help="auto, none, or a file or folder with cameras.",
+)
+masks_option = click.option("--masks", type=_FILE, help="Folder of masks; black is left out.  [default: masks/]")
+image_scale_option = click.option(
+    "--image-scale", default=1.0, show_default=True, type=float, help="Work with images of this scale, up to 1."
+)
+write_cameras_option = click.option(
+    "--write-cameras", type=_FILE, metavar="OUT", help="OUT.json (transforms.json), or a COLMAP model's folder."
+)
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 
 
@@ -450,6 +465,143 @@ def info(clouds: tuple[Path, ...]) -> None:
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}, crs {cloud.crs or 'unknown'}")
         if cloud.attributes:
             click.echo(f"  attributes {', '.join(cloud.attributes)}")
+
+
+@app.command(short_help="Say what is in a scene: images, cameras, GPS, masks.")
+@click.argument("scene", type=_FILE)
+@cameras_option
+@masks_option
+@image_scale_option
+@click.option("--figure", type=_FILE, help="Draw the cameras into this PNG.")
+@write_cameras_option
+@quiet_option
+def scene(
+    scene: Path,
+    cameras: str,
+    masks: Path | None,
+    image_scale: float,
+    figure: Path | None,
+    write_cameras: Path | None,
+    quiet: bool,
+) -> None:
+    """Say what is in SCENE, a folder of photographs with, perhaps, cameras: a COLMAP model, transforms.json, Strecha's
+    .camera files or an Earth Studio export.
+    """
+    from pcbench.io.files import check_output
+    from pcbench.scene import read_scene
+
+    warn = (lambda _: None) if quiet else _warn
+    data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=warn)
+    if figure is not None:
+        from pcbench.plot.cameras import draw_cameras
+
+        check_output(figure, ())
+        draw_cameras(data, figure)
+    if write_cameras is not None:
+        from pcbench.scene import write_cameras as write
+
+        write(write_cameras, data.cameras, data.folder, data.points)
+    if not quiet:
+        for line in data.describe():
+            click.echo(line)
+
+
+@app.command(short_help="List the reconstructors, or describe some.")
+@click.argument("specs", nargs=-1, metavar="[NAME | MODULE:CLASS | FILE.py:CLASS]...")
+def plugins(specs: tuple[str, ...]) -> None:
+    """List the installed reconstructors, or describe those given: where they come from, what they are for, whether
+    they can run here, and their settings with types and defaults.
+    """
+    from pcbench.plugins import find_plugin, installed
+
+    for spec in specs or installed():
+        try:
+            plugin = find_plugin(spec)
+        except InputError as error:
+            if specs:
+                raise
+            click.echo(f"{spec}: {error}")  # one that is broken hides no other
+            continue
+        click.echo(f"{spec} ({plugin.origin}): {plugin.help or 'no description'}")
+        _, _, more = plugin.docstring.partition("\n\n")
+        if specs and more:
+            click.echo(textwrap.indent(f"\n{more}\n", "  "))
+        missing = plugin.missing
+        click.echo(f"  {'can run here' if missing is None else f'cannot run here: {missing}'}")
+        for setting in plugin.settings:
+            default = "must be given" if setting.default is None else f"default {setting.default}"
+            click.echo(f"  --set {setting.name}={setting.type}  ({default})")
+
+
+@app.command(short_help="Make a cloud of a scene with a reconstructor.")
+@click.argument("name", metavar="NAME")
+@click.argument("scene", type=_FILE)
+@click.option("-o", "--out", type=_FILE, required=True, help="The cloud.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="A setting of the reconstructor.")
+@cameras_option
+@masks_option
+@image_scale_option
+@click.option("--workspace", type=_FILE, help="Folder for its files, which the next run uses.  [default: OUT.work]")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop it after this."
+)
+@write_cameras_option
+@quiet_option
+def reconstruct(
+    name: str,
+    scene: Path,
+    out: Path,
+    settings: tuple[str, ...],
+    cameras: str,
+    masks: Path | None,
+    image_scale: float,
+    workspace: Path | None,
+    time_limit: float | None,
+    write_cameras: Path | None,
+    quiet: bool,
+) -> None:
+    """Make a cloud of the photographs in SCENE with the reconstructor NAME: an installed one (`pcbench plugins`),
+    MODULE:CLASS or FILE.py:CLASS. It runs in a process of its own.
+
+    \b
+    Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
+    """
+    from pcbench.io import check_cloud_output, write_cloud
+    from pcbench.reconstruct import Job, run
+    from pcbench.scene import check_cameras_output
+    from pcbench.scene import write_cameras as write
+
+    check_cloud_output(out)
+    if write_cameras is not None:
+        check_cameras_output(write_cameras)
+    values = dict(_key_value(text) for text in settings)
+    job = Job(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
+    with _steps(quiet) as step:
+        step(f"reconstructing with {name}")
+        result = run(job, workspace or out.with_suffix(".work"), time_limit)
+    if not quiet:
+        for warning in result.warnings:
+            _warn(warning)
+    made = result.required()
+    write_cloud(out, made.cloud)
+    if write_cameras is not None and not made.cameras:
+        _warn(f"{write_cameras}: not written, {name} gave no cameras")
+    elif write_cameras is not None:
+        images = scene / "images"
+        write(write_cameras, made.cameras, images if images.is_dir() else scene, made.cloud)
+    if not quiet:
+        for note in made.notes:
+            click.echo(f"note: {note}")
+        memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
+        click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
+        click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")
+
+
+def _key_value(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise InputError(f"expected --set KEY=VALUE, got {text!r}")
+    return key.strip(), value.strip()
 
 
 def _compare(job: Job, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool) -> Comparison:

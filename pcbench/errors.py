@@ -13,6 +13,10 @@ class RegistrationError(PcbenchError):
     """The candidate could not be brought onto the reference."""
 
 
+class ReconstructionError(PcbenchError):
+    """A reconstructor gave no cloud: the images do not allow it, or it broke down."""
+
+
 class MissingExtra(PcbenchError):
     """An optional library is not installed or does not load."""
 

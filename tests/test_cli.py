@@ -483,3 +483,90 @@ def test_a_mesh_file_as_the_reference(files, run):
     assert values["reference"]["faces"] == 2
     assert values["candidates"][0]["deviation"]["maps"]["mesh_distance"]["rms"] == pytest.approx(0.1)
     assert "mesh_distance" in read_cloud("report/low_deviation.ply").attributes
+
+
+def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, run):
+    from pcbench.cameras import Camera, Intrinsics, look_at
+    from pcbench.io.colmap_model import write_colmap_model
+
+    image = pytest.importorskip("PIL.Image")
+    monkeypatch.chdir(tmp_path)
+    Path("photos/images").mkdir(parents=True)
+    cameras = []
+    for number in range(3):
+        image.new("RGB", (40, 30)).save(f"photos/images/{number}.png")
+        cameras.append(Camera(f"{number}.png", Intrinsics(40, 30, 35, 35, 20, 15), look_at([number, 0, 5], [1, 1, 0])))
+    write_colmap_model(Path("photos/sparse"), cameras)
+    code, out, err = run("scene", "photos", "--write-cameras", "photos/transforms.json", "--figure", "cameras.png")
+    assert (code, err) == (0, "")
+    assert "3 images of 40 x 30" in out
+    assert "cameras 3, GPS 0, masks 0" in out
+    assert Path("cameras.png").stat().st_size
+    code, out, err = run("scene", "photos", "--cameras", "photos/transforms.json", "--image-scale", "0.5")
+    assert (code, err) == (0, "")
+    assert "3 images of 20 x 15" in out
+    Path("photos/images/1.png").write_bytes(b"")
+    for arguments in (("photos",), ("nowhere",), ("photos", "--image-scale", "2")):
+        code, out, err = run("scene", *arguments, "--figure", "other.png")
+        assert (code, out) == (2, "")
+        assert one_line(err)
+    assert not Path("other.png").exists()
+
+
+def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
+    from pcbench.cameras import Camera, Intrinsics, look_at
+    from pcbench.io.colmap_model import write_colmap_model
+
+    image = pytest.importorskip("PIL.Image")
+    monkeypatch.chdir(tmp_path)
+    Path("photos").mkdir()
+    image.new("RGB", (40, 30)).save("photos/0.png")
+    camera = Camera("0.png", Intrinsics(40, 30, 35, 35, 20, 15), look_at([0, 0, 5], [1, 1, 0]))
+    write_colmap_model(Path("photos/sparse"), [camera], Cloud(np.arange(12.0).reshape(4, 3)))
+    Path("mine.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from pcbench.plugins import Reconstruction\n"
+        "@dataclass(frozen=True)\n"
+        "class Mine:\n"
+        '    """Returns what it got."""\n'
+        "    points: int = 4\n"
+        "    @classmethod\n"
+        "    def missing(cls): return None\n"
+        "    def reconstruct(self, scene, workspace):\n"
+        "        return Reconstruction(scene.points.select(slice(self.points)), 'georeferenced', scene.cameras)\n"
+    )
+    code, out, err = run("plugins", "mine.py:Mine")
+    assert (code, err) == (0, "")
+    assert "sfm (pcbench " in run("plugins")[1]
+    assert "min_views: points that fewer images show" not in run("plugins")[1]
+    assert "min_views: points that fewer images show" in run("plugins", "sfm")[1]
+    assert "mine.py:Mine (mine.py): Returns what it got.\n  can run here\n  --set points=int  (default 4)\n" in out
+    arguments = ("reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply")
+    code, out, err = run(*arguments, "--set", "points=3", "--write-cameras", "cameras.json")
+    assert (code, err) == (0, "")
+    assert "cloud.ply: 3 points, georeferenced, 1 cameras" in out
+    assert len(read_cloud("cloud.ply")) == 3
+    assert json.loads(Path("cameras.json").read_text())["frames"][0]["file_path"] == "photos/0.png"
+    Path("cloud.ply").unlink()
+    for wrong in (("--set", "points=x"), ("--set", "points"), ("--cameras", "none"), ("--set", "other=1")):
+        code, out, err = run(*arguments, *wrong)
+        assert (code, out) == (2, "")
+        assert one_line(err)
+    # Where results cannot be written is said before anything is computed.
+    for wrong in (
+        ("-o", "cloud.pts"),
+        ("-o", "no/cloud.ply"),
+        ("--write-cameras", "no/c.json"),
+        ("--write-cameras", "mine.py"),
+    ):
+        code, out, err = run(*arguments, "--workspace", "untouched", *wrong)
+        assert (code, out) == (2, "")
+        assert one_line(err)
+    assert not Path("untouched").exists()
+    assert not Path("cloud.ply").exists()
+    Path("mine.py").write_text(Path("mine.py").read_text().replace("return None", "return 'no such chip'"))
+    assert "cannot run here: no such chip" in run("plugins", "mine.py:Mine")[1]
+    assert "mine.py:Mine cannot run here: no such chip" in run(*arguments)[2]
+    code, out, err = run("plugins", "mine.py:Yours")
+    assert code == 2
+    assert one_line(err)

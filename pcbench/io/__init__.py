@@ -12,14 +12,14 @@ from typing import NamedTuple
 from pcbench.cloud import Cloud
 from pcbench.errors import InputError
 from pcbench.io import colmap
-from pcbench.io.files import Fields, check_readable
+from pcbench.io.files import Fields, check_output, check_readable
 from pcbench.io.las import read_las, write_las
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from pcbench.io.pcd import read_pcd, write_pcd
 from pcbench.io.ply import read_ply, write_ply
 from pcbench.io.text import read_text, write_text
 
-__all__ = ["FILTERED", "read_cloud", "write_cloud"]
+__all__ = ["FILTERED", "check_cloud_output", "read_cloud", "write_cloud"]
 
 
 class _Format(NamedTuple):
@@ -104,6 +104,20 @@ def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:
         OSError: the file cannot be written.
     """
     path = Path(path)
+    _writer(path)(path, cloud)
+
+
+def check_cloud_output(path: Path) -> None:
+    """Say before a long computation that its cloud cannot be written there.
+
+    Raises:
+        InputError: the extension is unknown or only read, or the folder does not exist.
+    """
+    _writer(path)
+    check_output(path, ())
+
+
+def _writer(path: Path) -> Callable[[Path, Cloud], None]:
     try:
         write = _format(path).write
         if write is None:
@@ -111,7 +125,7 @@ def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:
             raise InputError(f"{path.suffix} is read but not written: choose one of {writable}")
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    write(path, cloud)
+    return write
 
 
 def _format(path: Path) -> _Format:

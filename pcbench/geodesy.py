@@ -1,0 +1,42 @@
+"""WGS84 positions into local east-north-up metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pcbench.cloud import FloatArray
+from pcbench.io.exif_gps import Gps
+
+_SEMI_MAJOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84 (NIMA TR8350.2)
+
+
+def enu_from_wgs84(positions: Sequence[Gps], origin: Gps) -> FloatArray:
+    """East, north and up (N, 3) in metres of positions, in the plane that touches the ellipsoid's normal at `origin`.
+
+    Altitudes are taken as heights above the ellipsoid; one constant offset from that (the geoid) cancels.
+    """
+    centred = _earth_centred(positions) - _earth_centred([origin])
+    latitude, longitude = np.radians(origin.latitude_deg), np.radians(origin.longitude_deg)
+    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    axes = np.array(
+        [
+            [-sin_lon, cos_lon, 0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
+    )
+    enu: FloatArray = centred @ axes.T
+    return enu
+
+
+def _earth_centred(positions: Sequence[Gps]) -> FloatArray:
+    latitude, longitude, height = np.array(positions, dtype=np.float64).reshape(-1, 3).T
+    latitude, longitude = np.radians(latitude), np.radians(longitude)
+    eccentricity2 = _FLATTENING * (2 - _FLATTENING)
+    normal = _SEMI_MAJOR / np.sqrt(1 - eccentricity2 * np.sin(latitude) ** 2)
+    x = (normal + height) * np.cos(latitude) * np.cos(longitude)
+    y = (normal + height) * np.cos(latitude) * np.sin(longitude)
+    z = (normal * (1 - eccentricity2) + height) * np.sin(latitude)
+    return np.stack([x, y, z], axis=1)

@@ -1,0 +1,164 @@
+"""Google Earth Studio's JSON camera export (Render -> 3D camera export -> JSON), into local east-north-up.
+
+A frame has `position`, `rotation` (degrees), `coordinate` (latitude, longitude, altitude) and `fovVertical`. What the
+fields mean was found from real exports: the earth is a SPHERE of 6,371,010 m, positions are earth-centred (x to
+0 N 0 E, z to the north pole) or, with a track point set as the origin, relative to it; the camera's axes (x right,
+y down, z forward) in that frame are the columns of Rx(x) Ry(y) Rz(z).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.cameras import Camera, Intrinsics
+from pcbench.cloud import FloatArray
+from pcbench.errors import InputError
+from pcbench.io.exif_gps import Gps
+from pcbench.transform import Similarity, fit_similarity
+
+EARTH_RADIUS = 6_371_010.0  # metres
+_GLOBAL = 0.5 * EARTH_RADIUS  # positions nearer to zero than this are relative to a track point
+
+
+class EarthStudio(NamedTuple):
+    """Cameras, one a frame in the frames' order and named by their numbers from 0, in local east-north-up (metres)
+    about `origin`: the track point that was set as the origin, else the first one, else the ground under frame 0.
+    """
+
+    cameras: tuple[Camera, ...]
+    origin: Gps
+
+
+def read_earth_studio(path: Path) -> EarthStudio:
+    """The cameras of an Earth Studio export.
+
+    Local positions are brought back by the frames' own latitudes, longitudes and altitudes.
+
+    Raises:
+        InputError: it is no such export, a number is missing, or a local export cannot be brought back; the message
+            starts with the path.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8-sig"))
+        if not isinstance(document, dict) or not document.get("cameraFrames"):
+            raise InputError("expected an Earth Studio camera export with cameraFrames")
+        return _earth_studio(document)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{path}: expected an Earth Studio camera export (JSON): {what}") from None
+
+
+def _earth_studio(document: Mapping[str, Any]) -> EarthStudio:
+    frames = document["cameraFrames"]
+    coordinates = np.array([_triple(f["coordinate"], "latitude", "longitude", "altitude") for f in frames])
+    given = np.array([_triple(f["position"]) for f in frames])
+    rotations = np.stack([_rotation(*_triple(f["rotation"])) for f in frames])
+    centred = _on_sphere(coordinates)
+    if np.linalg.norm(given, axis=1).max() > _GLOBAL:
+        centred = given  # the same to a nanometre, and what the renderer used
+    else:
+        rotations = _global_from_local(given, centred) @ rotations
+
+    origin = _origin(document, coordinates)
+    enu_from_earth = _enu_axes(origin)
+    base = _on_sphere(np.array([origin]))[0]
+    positions = (centred - base) @ enu_from_earth.T
+    width, height = int(document["width"]), int(document["height"])
+    cameras = []
+    for number, (frame, position, rotation) in enumerate(zip(frames, positions, rotations, strict=True)):
+        intrinsics = Intrinsics.from_fov(width, height, float(frame["fovVertical"]))
+        cam_from_world = (enu_from_earth @ rotation).T
+        cameras.append(Camera(str(number), intrinsics, Similarity(cam_from_world, -cam_from_world @ position)))
+    return EarthStudio(tuple(cameras), origin)
+
+
+def _origin(document: Mapping[str, Any], coordinates: FloatArray) -> Gps:
+    points = document.get("trackPoints") or []
+    origins = [p for p in points if (p.get("coordinate") or {}).get("isOrigin")]
+    for point in [*origins, *points][:1]:
+        position = np.array(_triple(point["position"]))
+        if np.linalg.norm(position) > _GLOBAL:
+            return _geodetic(position)
+        return _from_sliders(point)
+    return Gps(float(coordinates[0, 0]), float(coordinates[0, 1]), 0.0)
+
+
+def _from_sliders(point: Mapping[str, Any]) -> Gps:
+    """A track point of a local export: its position is local too, but its sliders (0 to 1 of a range) are not."""
+    found: dict[str, float] = {}
+    for attribute in point["coordinate"]["position"]["attributes"]:
+        value = attribute["value"]
+        low, high = float(value["minValueRange"]), float(value["maxValueRange"])
+        found[attribute["type"]] = low + float(value["relative"]) * (high - low)
+    return Gps(found["latitude"], found["longitude"], found["altitude"])
+
+
+def _global_from_local(local: FloatArray, centred: FloatArray) -> FloatArray:
+    """The rotation (3, 3) from a local export's axes to the earth's, out of positions known in both."""
+    offset = centred - local
+    if np.abs(offset - offset[0]).max() < 1e-2:  # moved, not turned
+        return np.eye(3)
+    try:
+        fit = fit_similarity(local, centred, with_scale=False)
+    except InputError:
+        raise InputError(
+            "expected cameras on a curve, got a straight flight in local coordinates, which does not say how they are"
+            " turned: export again with global coordinates"
+        ) from None
+    if (error := float(np.abs(fit.apply(local) - centred).max())) > 1e-2:
+        raise InputError(f"positions and coordinates differ by {error:.3g} m: export again with global coordinates")
+    return fit.rotation
+
+
+def _on_sphere(coordinates: FloatArray) -> FloatArray:
+    """Earth-centred positions (N, 3) of latitudes and longitudes in degrees and altitudes (N, 3)."""
+    latitude, longitude = np.radians(coordinates[:, 0]), np.radians(coordinates[:, 1])
+    direction = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    positions: FloatArray = (EARTH_RADIUS + coordinates[:, 2:]) * np.stack(direction, axis=1)
+    return positions
+
+
+def _geodetic(position: FloatArray) -> Gps:
+    x, y, z = position
+    radius = float(np.linalg.norm(position))
+    return Gps(float(np.degrees(np.arcsin(z / radius))), float(np.degrees(np.arctan2(y, x))), radius - EARTH_RADIUS)
+
+
+def _enu_axes(origin: Gps) -> FloatArray:
+    """East, north and up at a place on the sphere, as rows (3, 3) in the earth's axes."""
+    latitude, longitude = np.radians(origin.latitude_deg), np.radians(origin.longitude_deg)
+    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    return np.array(
+        [
+            [-sin_lon, cos_lon, 0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
+    )
+
+
+def _rotation(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
+    """Rx(x) Ry(y) Rz(z), (3, 3)."""
+    (cx, cy, cz), (sx, sy, sz) = (f(np.radians([x_deg, y_deg, z_deg])) for f in (np.cos, np.sin))
+    rotation: FloatArray = (
+        np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+        @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        @ np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    )
+    return rotation
+
+
+def _triple(values: Mapping[str, Any], a: str = "x", b: str = "y", c: str = "z") -> tuple[float, float, float]:
+    x, y, z = float(values[a]), float(values[b]), float(values[c])
+    if not np.isfinite([x, y, z]).all():
+        raise ValueError(f"{a}, {b}, {c} are not finite")
+    return x, y, z

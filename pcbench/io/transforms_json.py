@@ -1,0 +1,123 @@
+"""transforms.json, as instant-ngp and nerfstudio read it (docs.nerf.studio, "Data conventions").
+
+Poses are camera-to-world with OpenGL's camera axes (x right, y up, z backwards); pixel centres are at +0.5. Intrinsics
+stand at the top or with a frame.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcbench.cameras import Camera, Intrinsics, rotation_from
+from pcbench.errors import InputError
+from pcbench.io.files import atomic_write
+from pcbench.transform import Similarity
+
+Size = tuple[int, int]
+
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
+_UNSUPPORTED = ("k3", "k4")
+# OpenGL's axes to OpenCV's: y and z change their sign.
+_FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+def read_transforms(path: Path, size_of: Callable[[str], Size | None]) -> tuple[Camera, ...]:
+    """The cameras of a transforms.json, named by their `file_path` as it stands there.
+
+    Args:
+        size_of: width and height of the image that a `file_path` means, None where there is none: files that give an
+            angle of view alone leave the size to the image. Frames without size and image are left out.
+
+    Raises:
+        InputError: it is no such file, a number is missing, a lens model is not supported, or a pose is no rotation;
+            the message starts with the path and names the frame.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8-sig"))
+        if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
+            raise InputError("expected a JSON object with a list of frames")
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: expected a transforms.json: {error}") from None
+    cameras = []
+    for number, frame in enumerate(document["frames"]):
+        name = frame.get("file_path") if isinstance(frame, dict) else None
+        try:
+            if not isinstance(name, str):
+                raise InputError("expected a file_path")
+            values = {**document, **frame}
+            intrinsics = _intrinsics(values, size_of(name))
+            if intrinsics is not None:
+                cameras.append(Camera(name, intrinsics, _pose(values.get("transform_matrix"))))
+        except InputError as error:
+            raise InputError(f"{path}: frame {number} ({name}): {error}") from None
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: frame {number} ({name}): expected numbers: {what}") from None
+    return tuple(cameras)
+
+
+def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | None:
+    model = values.get("camera_model", "OPENCV")
+    if model not in _MODELS or any(float(values.get(k, 0)) for k in _UNSUPPORTED) or values.get("is_fisheye"):
+        raise InputError(f"expected a lens with k1, k2, p1, p2 at most, got {model}: undistort the images first")
+    size = (int(values["w"]), int(values["h"])) if "w" in values and "h" in values else image
+    if size is None:
+        return None
+    width, height = size
+    fx = float(values["fl_x"]) if "fl_x" in values else _focal(width, float(values["camera_angle_x"]))
+    if "fl_y" in values:
+        fy = float(values["fl_y"])
+    else:
+        fy = _focal(height, float(values["camera_angle_y"])) if "camera_angle_y" in values else fx
+    k1, k2, p1, p2 = (float(values.get(k, 0)) for k in ("k1", "k2", "p1", "p2"))
+    centre = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
+    return Intrinsics(width, height, fx, fy, *centre, (k1, k2, p1, p2))
+
+
+def _focal(pixels: int, angle_rad: float) -> float:
+    return 0.5 * pixels / float(np.tan(0.5 * angle_rad))
+
+
+def _pose(matrix: Any) -> Similarity:
+    m = np.array(matrix, dtype=np.float64)
+    if m.shape not in ((4, 4), (3, 4)) or not np.isfinite(m).all():
+        raise InputError(f"expected a 4x4 transform_matrix of finite numbers, got shape {m.shape}")
+    cam_from_world = (rotation_from(m[:3, :3]) @ _FLIP).T
+    return Similarity(cam_from_world, -cam_from_world @ m[:3, 3])
+
+
+def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "images") -> None:
+    """Write cameras as a transforms.json, all or nothing.
+
+    Args:
+        images: the folder of the images, relative to the file's own.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    lenses = [_lens(camera.intrinsics) for camera in cameras]
+    shared = lenses[0] if lenses and all(lens == lenses[0] for lens in lenses) else {}
+    frames = []
+    for camera, lens in zip(cameras, lenses, strict=True):
+        world_from_cam = camera.cam_from_world.inverse().matrix
+        world_from_cam[:3, :3] = world_from_cam[:3, :3] @ _FLIP
+        name = f"{images}/{camera.name}" if images else camera.name
+        frames.append({"file_path": name, **({} if shared else lens), "transform_matrix": world_from_cam.tolist()})
+    document = {"camera_model": "OPENCV", **shared, "frames": frames}
+    with atomic_write(path) as file:
+        file.write(json.dumps(document, indent=1).encode() + b"\n")
+
+
+def _lens(intrinsics: Intrinsics) -> dict[str, float]:
+    values: dict[str, float] = {"w": intrinsics.width, "h": intrinsics.height}
+    values |= {"fl_x": intrinsics.fx, "fl_y": intrinsics.fy, "cx": intrinsics.cx, "cy": intrinsics.cy}
+    return values | dict(zip(("k1", "k2", "p1", "p2"), intrinsics.distortion, strict=True))

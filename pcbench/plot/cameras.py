@@ -1,0 +1,144 @@
+"""The cameras of a scene: where they stand, where they look, the rings they fly, and the sparse points below."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pcbench.cameras import Camera
+from pcbench.cloud import FloatArray
+from pcbench.errors import InputError, MissingExtra
+from pcbench.io.files import atomic_write
+
+if TYPE_CHECKING:
+    from pcbench.scene import Scene
+
+_CAMERA, _PATH, _POINT = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
+_MOST_POINTS = 20_000  # more are drawn as a blot
+
+
+def draw_cameras(scene: Scene, path: Path) -> None:
+    """Draw the cameras of a scene from the side and from above, in the frame of the cameras, as a PNG.
+
+    Cameras whose frame has no upright axis of its own (a COLMAP model) are turned so that their images are upright.
+
+    Raises:
+        InputError: the scene has no cameras.
+        MissingExtra: matplotlib is not installed.
+        OSError: the file cannot be written.
+    """
+    if not scene.cameras:
+        raise InputError(f"{scene.folder}: no cameras to draw: expected a COLMAP model, transforms.json or the like")
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+        from matplotlib.ticker import MaxNLocator
+    except ImportError as error:
+        raise MissingExtra("matplotlib", "plot", str(error)) from error
+
+    cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
+    turn, turned = _upright(cameras)
+    positions = np.stack([camera.position for camera in cameras]) @ turn.T
+    size = 0.04 * float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
+    outlines = [_outline(camera, size) @ turn.T for camera in cameras]
+    points = _near(scene.points.points @ turn.T, positions) if scene.points is not None else np.zeros((0, 3))
+
+    figure = Figure(figsize=(14, 6.4), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    side: Any = figure.add_subplot(1, 2, 1, projection="3d")
+    above = figure.add_subplot(1, 2, 2)
+    if len(points):
+        side.scatter(*points.T, s=1.5, c=_POINT, alpha=0.7, linewidths=0)
+        above.scatter(points[:, 0], points[:, 1], s=0.8, c=_POINT, alpha=0.5, linewidths=0)
+    for number, ring in enumerate(_rings(positions)):
+        side.plot(*ring.T, color=_PATH, linewidth=1.2)
+        above.plot(ring[:, 0], ring[:, 1], color=_PATH, linewidth=1.2, label=None if number else "order of the images")
+    for number, outline in enumerate(outlines):
+        side.plot(*outline.T, color=_CAMERA, linewidth=0.7)
+        above.plot(outline[:, 0], outline[:, 1], color=_CAMERA, linewidth=0.7, label=None if number else "cameras")
+    unit = "m" if scene.origin is not None else "units of the cameras"
+    axes = ("east", "north", "up") if scene.origin is not None else ("x", "y", "z")
+    if turned:
+        axes = ("right", "forward", "up")
+    everything = np.concatenate([*outlines, points])
+    middle, extent = everything.min(axis=0) + 0.5 * np.ptp(everything, axis=0), np.ptp(everything, axis=0)
+    extent = np.maximum(extent, 0.15 * extent.max())  # a level flight still gets a box with a height
+    side.set(**{f"{axis}lim": (m - 0.5 * e, m + 0.5 * e) for axis, m, e in zip("xyz", middle, extent, strict=True)})
+    side.set_box_aspect(extent, zoom=0.9)
+    for axis, label, length in zip((side.xaxis, side.yaxis, side.zaxis), axes, extent, strict=True):
+        axis.set_label_text(label)
+        axis.set_major_locator(MaxNLocator(2 if length < 0.3 * extent.max() else 5))
+    side.set_title("from the side", fontsize=11)
+    above.set_xlabel(f"{axes[0]} [{unit}]")
+    above.set_ylabel(f"{axes[1]} [{unit}]")
+    above.set_aspect("equal", adjustable="datalim")
+    above.grid(True, alpha=0.3)
+    above.spines[["top", "right"]].set_visible(False)
+    above.set_title("from above", fontsize=11)
+    above.legend(framealpha=0.9, edgecolor="none", loc="best")
+    known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
+    figure.suptitle(known + (f", {len(scene.points):,} points" if scene.points is not None else ""), fontsize=12)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _outline(camera: Camera, size: float) -> FloatArray:
+    """A camera as one line in the world (10, 3): the pyramid from its centre through the image's corners."""
+    k = camera.intrinsics
+    x, y = np.array([0, k.width]), np.array([0, k.height])
+    (left, right), (top, bottom) = (x - k.cx) / k.fx, (y - k.cy) / k.fy
+    a, b, c, d, o = [left, top, 1], [right, top, 1], [right, bottom, 1], [left, bottom, 1], [0, 0, 0]
+    line = size * np.array([o, a, b, o, c, b, c, d, o, d, a], dtype=np.float64)
+    return camera.cam_from_world.inverse().apply(line)
+
+
+def _rings(positions: FloatArray) -> list[FloatArray]:
+    """Positions (N, 3) in their order, as lines: closed rings about a common vertical axis if that is what they are,
+    else one open line.
+    """
+    if len(positions) < 2:
+        return []
+    # On a ring neither the distance from the axis nor the height changes: a step that is mostly such a change leads to
+    # another ring. The mean of whole rings is on their axis.
+    radius = np.linalg.norm(positions[:, :2] - positions[:, :2].mean(axis=0), axis=1)
+    across = np.linalg.norm(np.diff(np.stack([radius, positions[:, 2]], axis=1), axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    rings = np.split(positions, np.flatnonzero(across > 0.5 * steps) + 1)
+    if not all(_is_closed(ring) for ring in rings):
+        return [positions]
+    return [np.concatenate([ring, ring[:1]]) for ring in rings]
+
+
+def _is_closed(ring: FloatArray) -> bool:
+    """Whether the ends of a line (N, 3) are as near as neighbours."""
+    longest = np.linalg.norm(np.diff(ring, axis=0), axis=1).max(initial=0)
+    return len(ring) > 3 and bool(np.linalg.norm(ring[0] - ring[-1]) < 1.5 * longest)
+
+
+def _upright(cameras: list[Camera]) -> tuple[FloatArray, bool]:
+    """The rotation (3, 3) that brings the scene's up to +z, and whether it is one at all.
+
+    +z is up already where the images' upper sides point that way on average, or where the cameras look down along it.
+    """
+    rotations = np.stack([camera.cam_from_world.rotation for camera in cameras])
+    up, direction = -rotations[:, 1].mean(axis=0), rotations[:, 2].mean(axis=0)
+    if up[2] > 0.5 * np.linalg.norm(up) or direction[2] < -0.7:
+        return np.eye(3), False
+    z = up / np.linalg.norm(up)
+    forward = direction - (direction @ z) * z
+    if np.linalg.norm(forward) < 1e-6:  # all around: any horizontal axis does
+        forward = np.eye(3)[int(np.argmin(np.abs(z)))] - z[int(np.argmin(np.abs(z)))] * z
+    y = forward / np.linalg.norm(forward)
+    return np.stack([np.cross(y, z), y, z]), True
+
+
+def _near(points: FloatArray, positions: FloatArray) -> FloatArray:
+    """At most `_MOST_POINTS` of the points (N, 3), without the strays that would leave the cameras a dot."""
+    centre = np.median(points, axis=0)
+    distances = np.linalg.norm(points - centre, axis=1)
+    reach = max(float(np.quantile(distances, 0.95)), float(np.linalg.norm(positions - centre, axis=1).max()))
+    kept = points[distances <= 1.5 * reach]
+    shown: FloatArray = kept[:: max(1, len(kept) // _MOST_POINTS)]
+    return shown

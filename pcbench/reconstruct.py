@@ -1,0 +1,188 @@
+"""Runs a reconstructor in a process of its own: whatever it does there, it ends as a recorded result."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pcbench.errors import InputError, ReconstructionError
+from pcbench.io import read_cloud
+from pcbench.io.colmap_model import read_colmap_cameras
+from pcbench.io.files import atomic_write
+from pcbench.plugins import Reconstruction
+
+Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
+
+# In the workspace. The plugin has a folder of its own in it, which is kept between runs.
+JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A reconstructor, its settings as text, and the scene it gets: the arguments of `read_scene`, and which images of
+    it (None: all).
+    """
+
+    plugin: str
+    scene: Path
+    settings: Mapping[str, str] = field(default_factory=dict)
+    cameras: str = "auto"
+    masks: Path | None = None
+    image_scale: float = 1.0
+    images: tuple[str, ...] | None = None
+
+    def to_json(self) -> str:
+        left, colon, name = self.plugin.rpartition(":")
+        # The process runs elsewhere: every path is made absolute.
+        plugin = f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else self.plugin
+        cameras = self.cameras if self.cameras in ("auto", "none") else str(Path(self.cameras).absolute())
+        values = {
+            "plugin": plugin,
+            "settings": dict(self.settings),
+            "scene": str(self.scene.absolute()),
+            "cameras": cameras,
+            "masks": None if self.masks is None else str(self.masks.absolute()),
+            "image_scale": self.image_scale,
+            "images": None if self.images is None else list(self.images),
+        }
+        return json.dumps(values, indent=1) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """How a reconstruction went.
+
+    Args:
+        status: "ok"; "failed" (the plugin said why it cannot), "crashed", "timeout", "garbage" (what it returned is no
+            reconstruction), "refused" (the plugin, its settings or the scene are not as they have to be).
+        message: one line for every status but "ok".
+        wall_s, cpu_s: seconds of the process and its children, from its start to its end.
+        peak_rss_bytes: the most memory it had at a time; None where it did not live to say so.
+        log: what it printed.
+        settings: all of the reconstructor's settings as text, defaults included; empty if it was refused.
+        warnings: what was left out of the scene.
+    """
+
+    status: Status
+    message: str
+    wall_s: float
+    cpu_s: float
+    peak_rss_bytes: int | None
+    log: Path
+    settings: Mapping[str, str]
+    warnings: tuple[str, ...]
+    reconstruction: Reconstruction | None
+
+    def required(self) -> Reconstruction:
+        """The reconstruction.
+
+        Raises:
+            InputError: it was refused.
+            ReconstructionError: there is none for another reason.
+        """
+        if self.reconstruction is not None:
+            return self.reconstruction
+        if self.status == "refused":
+            raise InputError(self.message)
+        raise ReconstructionError(f"{self.status}: {self.message} (log: {self.log})")
+
+
+def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
+    """Run a reconstructor. Its failure is a result, not an exception.
+
+    Args:
+        workspace: a folder that is made if it is missing; a later run of the same reconstructor goes on from what this
+            one has finished. Two runs at a time need two.
+        time_limit_s: after it the process and its children are killed.
+
+    Raises:
+        OSError: the workspace cannot be written.
+    """
+    (workspace / PLUGIN).mkdir(parents=True, exist_ok=True)
+    (workspace / OUTCOME).unlink(missing_ok=True)
+    with atomic_write(workspace / JOB) as file:
+        file.write(job.to_json().encode())
+    # The process must find this very package; -P: and not what lies in the current folder.
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")]))
+    command = [sys.executable, "-P", "-m", "pcbench.reconstruct_child", str(workspace.absolute())]
+    start = time.perf_counter()
+    with (workspace / LOG).open("wb") as log:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"},
+            start_new_session=True,  # its children can be ended with it
+        )
+        code, cpu_s = _wait(process, time_limit_s)
+    wall_s = time.perf_counter() - start
+    try:
+        outcome: dict[str, Any] = json.loads((workspace / OUTCOME).read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        outcome = {"status": "crashed", "message": _how_it_ended(code, workspace / LOG)}
+    if code is None:
+        outcome |= {"status": "timeout", "message": f"it took longer than the limit of {time_limit_s:g} s"}
+    status: Status = outcome["status"]
+    return Run(
+        status=status,
+        message=outcome.get("message", ""),
+        wall_s=wall_s,
+        cpu_s=cpu_s,
+        peak_rss_bytes=outcome.get("peak_rss_bytes"),
+        log=workspace / LOG,
+        settings=outcome.get("settings", {}),
+        warnings=tuple(outcome.get("warnings", ())),
+        reconstruction=_read(workspace, outcome) if status == "ok" else None,
+    )
+
+
+def _wait(process: subprocess.Popen[bytes], limit_s: float | None) -> tuple[int | None, float]:
+    """Exit code (None: it was stopped at the limit) and CPU seconds; afterwards nothing of its session is left."""
+    deadline = None if limit_s is None else time.monotonic() + limit_s
+    code: int | None = None
+    try:
+        while True:
+            pid, status, usage = os.wait4(process.pid, os.WNOHANG)
+            if pid:
+                code = os.waitstatus_to_exitcode(status)
+                break
+            if deadline is not None and time.monotonic() > deadline:
+                break
+            time.sleep(0.02)
+    finally:
+        _end_session(process.pid)
+        if code is None:
+            _, _, usage = os.wait4(process.pid, 0)
+        process.returncode = code if code is not None else -signal.SIGKILL  # it is waited for already
+    return code, usage.ru_utime + usage.ru_stime
+
+
+def _end_session(pid: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):  # all gone
+        os.killpg(pid, signal.SIGKILL)
+
+
+def _how_it_ended(code: int | None, log: Path) -> str:
+    text = log.read_bytes()[-4000:].decode(errors="replace")
+    last = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it printed nothing")
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        hint = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
+        return f"the process was ended by {name}{hint}; its last line: {last[:200]}"
+    return f"the process ended with code {code} and without a result; its last line: {last[:200]}"
+
+
+def _read(workspace: Path, outcome: Mapping[str, Any]) -> Reconstruction:
+    cameras = read_colmap_cameras(workspace / CAMERAS) if outcome["cameras"] else ()
+    cloud = read_cloud(workspace / CLOUD)
+    return Reconstruction(cloud, outcome["gauge"], {c.name: c for c in cameras}, tuple(outcome["notes"]))

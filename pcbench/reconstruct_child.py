@@ -1,0 +1,92 @@
+"""The reconstructing process: `python -m pcbench.reconstruct_child WORKSPACE` reads the job there and writes what came
+of it: outcome.json, and where it went well cloud.ply and cameras.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import shutil
+import sys
+import traceback
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from pcbench.errors import InputError, PcbenchError
+from pcbench.io import write_cloud
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.io.files import atomic_write
+from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
+from pcbench.reconstruct import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
+from pcbench.scene import Scene, read_scene
+
+
+def main(workspace: Path) -> None:
+    job = json.loads((workspace / JOB).read_text(encoding="utf-8"))
+    warnings: list[str] = []
+    outcome: dict[str, Any] = {"warnings": warnings}
+    try:
+        plugin, reconstructor, scene = _prepare(job, warnings)
+    except PcbenchError as error:
+        outcome |= {"status": "refused", "message": str(error)}
+    else:
+        outcome["settings"] = {f.name: str(getattr(reconstructor, f.name)) for f in fields(plugin.cls) if f.init}
+        outcome |= _reconstruct(plugin, reconstructor, scene, workspace)
+    outcome["peak_rss_bytes"] = _peak_rss_bytes()
+    with atomic_write(workspace / OUTCOME) as file:
+        file.write(json.dumps(outcome, indent=1).encode() + b"\n")
+
+
+def _prepare(job: dict[str, Any], warnings: list[str]) -> tuple[Plugin, Reconstructor, Scene]:
+    plugin = find_plugin(job["plugin"])
+    reconstructor = plugin.configure(job["settings"])
+    if missing := plugin.missing:
+        raise InputError(f"{plugin.name} cannot run here: {missing}")
+    scene = read_scene(
+        job["scene"],
+        cameras=job["cameras"],
+        masks=job["masks"],
+        image_scale=job["image_scale"],
+        on_warning=warnings.append,
+    )
+    return plugin, reconstructor, scene if job["images"] is None else scene.select(job["images"])
+
+
+def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, workspace: Path) -> dict[str, Any]:
+    try:
+        result: Any = reconstructor.reconstruct(scene, workspace / PLUGIN)
+    except PcbenchError as error:
+        traceback.print_exc()
+        return {"status": "failed", "message": str(error)}
+    except Exception as error:
+        traceback.print_exc()
+        return {"status": "crashed", "message": f"{type(error).__name__}: {' '.join(str(error).split())}"}
+    if not isinstance(result, Reconstruction):
+        what = type(result).__name__
+        return {"status": "garbage", "message": f"expected {plugin.name} to return a Reconstruction, got {what}"}
+    write_cloud(workspace / CLOUD, result.cloud)
+    shutil.rmtree(workspace / CAMERAS, ignore_errors=True)
+    if result.cameras:
+        write_colmap_model(workspace / CAMERAS, list(result.cameras.values()))
+    notes = [str(note) for note in result.notes]
+    return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes}
+
+
+def _peak_rss_bytes() -> int:
+    """Of this process or of its largest child.
+
+    Not by `getrusage` for this one: there the memory of the process that started it counts too.
+    """
+    status = Path("/proc/self/status")
+    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    if status.is_file():
+        line = next((line for line in status.read_text().splitlines() if line.startswith("VmHWM:")), None)
+        own = int(line.split()[1]) if line else own
+    unit = 1 if sys.platform == "darwin" else 1024
+    return max(own, children) * unit
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

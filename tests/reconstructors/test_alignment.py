@@ -1,0 +1,74 @@
+"""Alignment to cameras, GPS and control points."""
+
+import numpy as np
+import pytest
+
+from pcbench.cameras import Camera, Intrinsics, look_at
+from pcbench.errors import InputError
+from pcbench.transform import Similarity
+from reconstructors.alignment import camera_errors, moved, read_control, robust_similarity, triangulate
+
+K = Intrinsics(40, 30, 35, 35, 20, 15)
+
+
+def test_wrong_positions_do_not_pull():
+    rng = np.random.default_rng(0)
+    candidate = rng.normal(size=(20, 3))
+    truth = Similarity(look_at([1, 2, 3], [0, 0, 0]).rotation, np.array([10, 20, 30.0]), 7.0)
+    reference = truth.apply(candidate)
+    found = robust_similarity(candidate, reference)
+    np.testing.assert_allclose(found.matrix, truth.matrix, atol=1e-9)
+    reference += rng.normal(scale=0.01, size=reference.shape)
+    reference[:3] += [50, 0, 0]
+    found = robust_similarity(candidate, reference)
+    # 20 positions of 1 cm noise; three that are 50 units off count as their direction alone.
+    assert np.abs(found.apply(candidate) - truth.apply(candidate)).max() < 0.1
+
+
+def test_a_camera_sees_the_same_after_it_is_moved():
+    camera = Camera("a", K, look_at([3, 2, 1], [0, 0, 0]))
+    transform = Similarity(look_at([1, 2, 3], [0, 0, 0]).rotation, np.array([10, 20, 30.0]), 7.0)
+    points = np.random.default_rng(0).normal(size=(10, 3)) * 0.3
+    pixels, depths = camera.project(points)
+    after, far = moved(camera, transform).project(transform.apply(points))
+    np.testing.assert_allclose(after, pixels, atol=1e-9)
+    np.testing.assert_allclose(far, 7 * depths)
+
+
+def test_camera_errors_are_distances_and_angles():
+    a = Camera("a", K, look_at([3, 2, 1], [0, 0, 0]))
+    turn = Similarity(
+        np.array([[1, 0, 0], [0, np.cos(0.01), -np.sin(0.01)], [0, np.sin(0.01), np.cos(0.01)]]), np.zeros(3)
+    )
+    b = Camera("a", K, turn @ a.cam_from_world)  # turned about its own centre
+    positions, angles = camera_errors({"a": a, "b": a}, {"a": b, "c": b})
+    assert positions == pytest.approx([0], abs=1e-12)
+    assert angles == pytest.approx([np.degrees(0.01)])
+    half = Camera("a", K, Similarity(np.diag([-1.0, -1, 1]), np.zeros(3)) @ a.cam_from_world)
+    assert camera_errors({"a": a}, {"a": half})[1] == pytest.approx([180])
+
+
+def test_lines_meet_in_their_point():
+    point, centres = np.array([1.0, 2, 3]), np.random.default_rng(0).normal(size=(4, 3))
+    rays = (point - centres) / np.linalg.norm(point - centres, axis=1)[:, None]
+    np.testing.assert_allclose(triangulate(rays, centres), point, atol=1e-12)
+
+
+def test_control_files(tmp_path):
+    path = tmp_path / "control.txt"
+    path.write_text("# survey\nA 1 2 3 a.jpg 10.5 20\nA 1 2 3 b.jpg 11 21\nB* 4 5 6 a.jpg 1 2\nB* 4 5 6 b.jpg 3 4\n")
+    a, b = read_control(path)
+    assert (a.name, a.is_check, b.is_check) == ("A", False, True)
+    np.testing.assert_array_equal(b.position, [4, 5, 6])
+    assert a.observations[0] == ("a.jpg", 10.5, 20)
+    for text, match in (
+        ("A 1 2 3 a.jpg 10", "line 1: expected name, x y z, image"),
+        ("A 1 2 3 a.jpg 1 nan", "finite"),
+        ("A 1 2 3 a.jpg 1 2\nA 1 2 4 b.jpg 1 2", "line 2: A has another position"),
+        ("A 1 2 3 a.jpg 1 2", "in one image only"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=match):
+            read_control(path)
+    with pytest.raises(InputError, match="cannot read control points"):
+        read_control(tmp_path / "none.txt")

@@ -1,0 +1,310 @@
+"""Sparse structure from motion: against exact truth, on real photographs, and what is said where it cannot work."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import textured_corner as corner
+from data_folder import data_folder
+from PIL import Image
+
+from pcbench.errors import InputError, ReconstructionError
+from pcbench.geodesy import enu_from_wgs84
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.io.exif_gps import Gps
+from pcbench.plugins import find_plugin
+from pcbench.scene import read_scene
+from reconstructors.alignment import camera_errors
+from reconstructors.colmap_sfm import ColmapSfm
+
+pytest.importorskip("pycolmap")
+
+K = corner.standard_intrinsics()
+QUICK = {"upsample": False, "features": 2000}
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """Seven images of the corner of 480 x 360 pixels with their true cameras."""
+    folder = tmp_path_factory.mktemp("corner")
+    (folder / "images").mkdir()
+    cameras = corner.cameras(7, K)
+    for camera in cameras:
+        Image.fromarray(corner.photograph(camera)).save(folder / "images" / camera.name)
+    write_colmap_model(folder / "sparse", cameras)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    """Shared by the tests of the same photographs: features and matches are found once."""
+    return tmp_path_factory.mktemp("workspace")
+
+
+def test_given_poses_triangulate_onto_the_truth(photographs, workspace):
+    scene = read_scene(photographs)
+    made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    assert made.gauge == "georeferenced"
+    assert "exhaustive matching, 21 pairs" in made.notes
+    assert len(made.cloud) > 500
+    assert int(re.search(r"(\d+)% of the verified", " ".join(made.notes))[1]) > 80  # of the verified matches agree
+    # SIFT is good to some tenths of a pixel; a pixel at 5 m is 12 mm.
+    error = corner.distances(made.cloud.points)
+    assert np.median(error) < 0.006
+    assert np.quantile(error, 0.9) < 0.03
+    positions, angles = camera_errors(made.cameras, scene.cameras)
+    assert len(positions) == 7
+    assert positions.max() < 1e-12
+    assert angles.max() < 1e-6
+    assert set(made.cloud.attributes) == {"reprojection_error", "track_length"}
+    # A point has the colour of what it shows.
+    pixels, _ = scene.cameras["003.png"].project(made.cloud.points)
+    inside = ((pixels > 5) & (pixels < [475, 355])).all(axis=1)
+    x, y = pixels[inside].astype(int).T
+    shown = scene.read_image("003.png")[y, x].astype(float)
+    assert np.median(np.abs(shown - made.cloud.colors[inside])) < 10
+
+
+@pytest.mark.parametrize("mapping", ["incremental", "global"])
+def test_solved_poses_are_the_true_ones(photographs, workspace, mapping):
+    scene = read_scene(photographs)
+    made = ColmapSfm(poses="solve", mapping=mapping, refine="none", **QUICK).reconstruct(scene, workspace)
+    assert made.gauge == "georeferenced"
+    positions, angles = camera_errors(made.cameras, scene.cameras)
+    assert len(positions) == 7
+    # Tenths of a pixel over the whole image: 1 mm at 5 m, 0.01 degrees; ten times that is a mistake.
+    assert positions.max() < 0.02
+    assert angles.max() < 0.2
+    assert f"position errors {np.median(positions):.3g} (median)" in " ".join(made.notes)
+    assert np.median(corner.distances(made.cloud.points)) < 0.008
+
+
+def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
+    scene = read_scene(photographs, cameras="none")
+    made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    assert made.gauge == "arbitrary"
+    assert made.cloud.unit is None
+    assert len(made.cameras) == 7
+    with pytest.raises(InputError, match="poses=given needs cameras"):
+        ColmapSfm(poses="given", **QUICK).reconstruct(scene, workspace)
+    with pytest.raises(InputError, match="align=gps needs three positions"):
+        ColmapSfm(align="gps", **QUICK).reconstruct(scene, workspace)
+
+
+@pytest.mark.parametrize("settings", [{}, {"poses": "solve"}, {"poses": "solve", "mapping": "global"}])
+def test_the_same_input_gives_the_same_cloud(photographs, tmp_path, settings):
+    scene = read_scene(photographs).select([f"{n:03}.png" for n in range(1, 6)])
+    made = []
+    for run in ("a", "b"):
+        (tmp_path / run).mkdir()
+        made.append(ColmapSfm(**QUICK, **settings).reconstruct(scene, tmp_path / run))
+    np.testing.assert_array_equal(made[0].cloud.points, made[1].cloud.points)
+    for name, camera in made[0].cameras.items():
+        np.testing.assert_array_equal(camera.cam_from_world.matrix, made[1].cameras[name].cam_from_world.matrix)
+
+
+def test_what_is_done_is_not_done_again(photographs, workspace):
+    scene = read_scene(photographs)
+    first = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    times = {stage: (workspace / stage / "stage.json").stat().st_mtime_ns for stage in ("features", "matches")}
+    again = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    np.testing.assert_array_equal(first.cloud.points, again.cloud.points)
+    assert times == {stage: (workspace / stage / "stage.json").stat().st_mtime_ns for stage in times}
+
+
+def test_gps_gives_metres(photographs, workspace):
+    truth = read_scene(photographs).cameras
+    origin = Gps(48.0, 11.0, 500.0)
+    # 30 times as large, so that degrees have digits enough; the corner's axes are east, north and up.
+    metres = {"lat": 111_200.0, "lon": 111_320.0 * np.cos(np.radians(48))}
+    gps = {}
+    for name, camera in truth.items():
+        east, north, up = 30 * camera.position
+        gps[name] = Gps(48 + north / metres["lat"], 11 + east / metres["lon"], 500 + up)
+    scene = replace(read_scene(photographs, cameras="none"), gps=gps)
+    made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    assert (made.gauge, made.cloud.unit) == ("georeferenced", "m")
+    assert "aligned to the GPS of 7 images" in " ".join(made.notes)
+    # The frame is east-north-up about the first image's position.
+    expected = enu_from_wgs84([gps[name] for name in truth], gps["000.png"])
+    found = np.stack([made.cameras[name].position for name in truth])
+    np.testing.assert_allclose(found, expected, atol=1.5)  # the intrinsics are solved for: a hundredth of 150 m
+    corner_at = enu_from_wgs84([origin], gps["000.png"])[0]
+    assert np.median(np.abs(made.cloud.points - corner_at).min(axis=1)) < 0.5
+
+
+def test_positions_in_a_file_give_their_frame(photographs, workspace):
+    truth = read_scene(photographs).cameras
+    positions = {name: 10 * camera.position + [100, 200, 300] for name, camera in truth.items()}
+    positions["002.png"] = positions["002.png"] + [30, 0, 0]  # one is wrong
+    scene = replace(read_scene(photographs), positions=positions)
+    made = ColmapSfm(poses="solve", align="gps", refine="none", **QUICK).reconstruct(scene, workspace)
+    assert (made.gauge, made.cloud.unit) == ("georeferenced", "m")
+    assert np.median(corner.distances((made.cloud.points - [100, 200, 300]) / 10)) < 0.02
+
+
+def test_points_of_two_images_are_left_out(photographs, workspace):
+    scene = read_scene(photographs)
+    some, more = (ColmapSfm(min_views=n, **QUICK).reconstruct(scene, workspace) for n in (3, 2))
+    assert some.cloud.attributes["track_length"].min() == 3
+    assert more.cloud.attributes["track_length"].min() == 2
+    left_out = len(more.cloud) - len(some.cloud)
+    assert f"{left_out} points of fewer than 3 images are left out" in some.notes
+    with pytest.raises(ReconstructionError, match="points is shown by 8 images"):
+        ColmapSfm(min_views=8, **QUICK).reconstruct(scene, workspace)
+
+
+def test_control_points_give_the_world(photographs, workspace, tmp_path):
+    truth = read_scene(photographs).cameras
+    marks = {"A": [0, 0, 0.5], "B": [1, 0, 1], "C": [0, 1.5, 1], "D": [1, 1, 0], "check*": [1.2, 0, 0.4]}
+    lines = []
+    for name, point in marks.items():
+        for image in ("001.png", "003.png", "005.png"):
+            (pixel,), _ = truth[image].project(np.array([point], dtype=float))
+            assert (pixel > 0).all()
+            lines.append(f"{name} {' '.join(map(str, 10 * np.array(point)))} {image} {pixel[0]} {pixel[1]}")
+    (tmp_path / "control.txt").write_text("\n".join(lines))
+    scene = read_scene(photographs, cameras="none")
+    made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
+    assert made.gauge == "georeferenced"
+    assert "4 control points: rms" in " ".join(made.notes)
+    assert "1 check points: rms" in " ".join(made.notes)
+    assert np.median(corner.distances(made.cloud.points)) < 0.1  # the world is ten times as large
+    with pytest.raises(ValueError, match="control=FILE"):
+        ColmapSfm(align="control")
+
+
+def test_scale_masks_and_undistortion(photographs, tmp_path):
+    masked = tmp_path / "masked"
+    masked.mkdir()
+    mask = np.full((360, 480), 255, np.uint8)
+    mask[:, :240] = 0
+    for number in range(7):
+        Image.fromarray(mask).save(masked / f"{number:03}.png.png")
+    scene = read_scene(photographs, masks=masked, image_scale=0.75)
+    settings = {**QUICK, "undistort": True}
+    made = ColmapSfm(**settings).reconstruct(scene, tmp_path)
+    assert made.cameras["000.png"].intrinsics.width == 360
+    assert np.median(corner.distances(made.cloud.points)) < 0.01
+    # In every image that shows a point it is in the right half; no image shows it in the left half alone.
+    right = [scene.cameras[name].project(made.cloud.points)[0][:, 0] > 180 for name in scene.images]
+    assert np.sum(right, axis=0).min() >= 2
+    with Image.open(tmp_path / "undistorted/images/000.png") as image:
+        assert abs(image.width - 360) <= 2
+    assert len(read_scene(tmp_path / "undistorted", cameras=tmp_path / "undistorted/sparse").cameras) == 7
+
+
+def write_scene(folder, images):
+    folder.mkdir()
+    for name, pixels in images.items():
+        Image.fromarray(pixels).save(folder / name)
+    return read_scene(folder)
+
+
+def fails(scene, workspace, match, error=ReconstructionError, **settings):
+    workspace.mkdir(exist_ok=True)
+    with pytest.raises(error, match=match):
+        ColmapSfm(**{**QUICK, **settings}).reconstruct(scene, workspace)
+
+
+def test_failures_have_names(tmp_path):
+    blank = {f"{n}.png": np.full((240, 320, 3), 90 + n, np.uint8) for n in range(3)}
+    fails(write_scene(tmp_path / "blank", blank), tmp_path / "a", r"too few features: 3 of 3 images.*0.png: 0")
+    noise = {f"{n}.png": (255 * corner.texture(n, 320)).astype(np.uint8) for n in range(3)}
+    fails(write_scene(tmp_path / "noise", noise), tmp_path / "b", "no pair verified: 3 images have [0-9]+ features")
+    copies = dict.fromkeys(("0.png", "1.png", "2.png"), noise["0.png"])
+    fails(write_scene(tmp_path / "copies", copies), tmp_path / "c", "nothing registers")
+    one = write_scene(tmp_path / "one", {"0.png": noise["0.png"]})
+    fails(one, tmp_path / "d", "at least two images", InputError)
+    spaced = write_scene(tmp_path / "spaced", {"a b.png": noise["0.png"], "c.png": noise["1.png"]})
+    fails(spaced, tmp_path / "e", "without spaces, got 'a b.png'", InputError)
+
+
+def test_wrong_poses_are_said(photographs, tmp_path):
+    scene = read_scene(photographs)
+    names = list(scene.images)
+    # The cameras in the reverse order: each is a true one, of another image.
+    turned = {
+        name: replace(scene.cameras[other], name=name) for name, other in zip(names, reversed(names), strict=True)
+    }
+    fails(replace(scene, cameras=turned), tmp_path, "the given cameras do not fit the images: [0-9.]+% of")
+
+
+def test_the_largest_component_is_kept(photographs, tmp_path):
+    folder = tmp_path / "two"
+    folder.mkdir()
+    for number, camera in enumerate(corner.cameras(9, K)):
+        if number != 5:
+            seed = 0 if number < 5 else 50  # another corner altogether
+            Image.fromarray(corner.photograph(camera, seed)).save(folder / camera.name)
+    (tmp_path / "work").mkdir()
+    made = ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path / "work")
+    assert sorted(made.cameras) == ["000.png", "001.png", "002.png", "003.png", "004.png"]
+    assert "2 components (of 5, 3 images): the largest is kept" in made.notes
+    assert "3 of 8 images are not registered: 006.png, 007.png, 008.png" in made.notes
+
+
+def test_images_without_cameras_are_left_out_and_said(photographs, tmp_path):
+    scene = read_scene(photographs)
+    known = {name: camera for name, camera in scene.cameras.items() if name != "003.png"}
+    made = ColmapSfm(**QUICK).reconstruct(replace(scene, cameras=known), tmp_path)
+    assert "1 of 7 images without a camera are left out: 003.png" in made.notes
+    assert "003.png" not in made.cameras
+
+
+def test_it_is_an_installed_plugin():
+    plugin = find_plugin("sfm")
+    assert plugin.origin.startswith("pcbench ")
+    assert plugin.missing is None
+    with pytest.raises(InputError, match="at least 50 features"):
+        plugin.configure({"features": "3"})
+
+
+def test_fountain_small(tmp_path):
+    """A quarter of the size; the cameras of the set were measured by laser."""
+    scene = read_scene(data_folder("fountain"), image_scale=0.25)
+    made = ColmapSfm(poses="solve", refine="none").reconstruct(scene, tmp_path)
+    positions, angles = camera_errors(made.cameras, scene.cameras)
+    assert len(positions) == 11
+    assert np.median(positions) < 0.02  # metres, at 8 m: a pixel is 20 mm
+    assert angles.max() < 0.2
+
+
+@pytest.mark.slow
+def test_fountain(tmp_path):
+    scene = read_scene(data_folder("fountain"))
+    made = ColmapSfm(poses="solve").reconstruct(scene, tmp_path)
+    positions, angles = camera_errors(made.cameras, scene.cameras)
+    assert len(positions) == 11
+    assert np.median(positions) < 0.005
+    assert angles.max() < 0.1
+
+
+@pytest.mark.slow
+def test_fox(tmp_path):
+    scene = read_scene(data_folder("fox"), on_warning=lambda _: None)
+    given = ColmapSfm().reconstruct(scene, tmp_path)
+    assert given.gauge == "georeferenced"
+    assert len(given.cameras) == 50
+    assert len(given.cloud) > 5000
+    solved = ColmapSfm(poses="solve").reconstruct(scene, tmp_path)
+    positions, angles = camera_errors(solved.cameras, scene.cameras)
+    assert len(positions) == 50
+    # The given poses came from COLMAP too, out of more and larger images; the path is 7 units long.
+    assert np.median(positions) < 0.02
+    assert np.median(angles) < 0.2
+
+
+@pytest.mark.slow
+def test_brighton(tmp_path):
+    scene = read_scene(data_folder("brighton"))
+    made = ColmapSfm().reconstruct(scene, tmp_path)
+    assert (made.gauge, made.cloud.unit) == ("georeferenced", "m")
+    assert len(made.cameras) == 18
+    expected = enu_from_wgs84([scene.gps[name] for name in scene.images], scene.gps[scene.images[0]])
+    found = np.stack([made.cameras[name].position for name in scene.images])
+    # Consumer GPS is good to metres; along a flight it is better than that.
+    assert np.median(np.linalg.norm(found - expected, axis=1)) < 2
+    # The drone looks down: it is above what it sees.
+    assert np.median(made.cloud.points[:, 2]) < found[:, 2].min() - 20

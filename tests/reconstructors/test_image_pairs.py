@@ -1,0 +1,68 @@
+"""Which images are compared with which."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcbench.cameras import Camera, Intrinsics, look_at
+from pcbench.errors import InputError
+from pcbench.io.exif_gps import Gps
+from pcbench.scene import Scene
+from reconstructors.image_pairs import choose_pairs
+
+K = Intrinsics(40, 30, 35, 35, 20, 15)
+
+
+def scene(count, name="{:03}.png", **known):
+    names = tuple(name.format(number) for number in range(count))
+    return Scene(Path("photos"), names, dict.fromkeys(names, (40, 30)), **known)
+
+
+def posed(count):
+    made = scene(count)
+    angles = 2 * np.pi * np.arange(count) / count
+    cameras = {
+        name: Camera(name, K, look_at([np.cos(a), np.sin(a), 1], [0, 0, 0]))
+        for name, a in zip(made.images, angles, strict=True)
+    }
+    return scene(count, cameras=cameras)
+
+
+def test_few_images_are_all_compared():
+    how, pairs = choose_pairs(scene(5), "auto")
+    assert how == "exhaustive"
+    assert len(pairs) == len(set(pairs)) == 10
+
+
+def test_many_are_compared_with_the_next_ones():
+    how, pairs = choose_pairs(scene(60), "auto")
+    assert how == "sequential"
+    steps = {int(b[:3]) - int(a[:3]) for a, b in pairs}
+    assert steps == {*range(1, 11), 16, 32}
+    assert len(pairs) == sum(60 - step for step in steps)
+
+
+def test_many_without_numbers_are_all_compared():
+    assert choose_pairs(scene(40, "{:03}x.png"), "auto")[0] == "exhaustive"
+
+
+def test_posed_ones_are_compared_with_their_neighbours():
+    how, pairs = choose_pairs(posed(80), "auto")
+    assert how == "spatial"
+    gaps = [min((int(b[:3]) - int(a[:3])) % 80, (int(a[:3]) - int(b[:3])) % 80) for a, b in pairs]
+    assert len(pairs) == 80 * 10  # ten to either side; each pair once
+    assert max(gaps) == 10
+
+
+def test_gps_gives_neighbours_too():
+    made = scene(40, gps={f"{n:03}.png": Gps(48 + 1e-4 * n, 11.0, 500.0) for n in range(40)})
+    how, pairs = choose_pairs(made, "auto")
+    assert how == "spatial"
+    assert ("000.png", "020.png") in pairs
+    assert ("000.png", "021.png") not in pairs
+
+
+def test_spatial_needs_positions():
+    with pytest.raises(InputError, match="of every image"):
+        choose_pairs(scene(40), "spatial")

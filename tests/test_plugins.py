@@ -1,0 +1,285 @@
+"""The plugin door: lookup, settings, a process of its own, and failures that are results."""
+
+import os
+import re
+import subprocess
+import sys
+import textwrap
+import time
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcbench import Cloud, plugins, read_cloud
+from pcbench.cameras import Camera, Intrinsics, look_at
+from pcbench.errors import InputError, ReconstructionError
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.io.image_header import read_image_header
+from pcbench.plugins import Reconstruction, find_plugin
+from pcbench.reconstruct import Job, run
+from pcbench.stages import stage, stage_key
+
+POINTS = np.random.default_rng(0).normal(size=(30, 3))
+
+HEAD = """
+import os, sys, time, signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+import numpy as np
+from pcbench import Cloud
+from pcbench.errors import ReconstructionError
+from pcbench.plugins import Reconstruction
+from pcbench.stages import stage
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Three images with cameras and 30 sparse points."""
+    image = pytest.importorskip("PIL.Image")
+    folder = tmp_path / "photos"
+    (folder / "images").mkdir(parents=True)
+    cameras = []
+    for number in range(3):
+        image.new("RGB", (40, 30), (number, 0, 0)).save(folder / f"images/{number}.png")
+        cameras.append(Camera(f"{number}.png", Intrinsics(40, 30, 35, 35, 20, 15), look_at([number, 0, 5], [1, 1, 0])))
+    write_colmap_model(folder / "sparse", cameras, Cloud(POINTS))
+    return folder
+
+
+@pytest.fixture
+def plugin(tmp_path):
+    """A file with one reconstructor whose method has the given body: its spec."""
+
+    def write(body, fields="pass"):
+        method = textwrap.indent("def reconstruct(self, scene, workspace):\n" + textwrap.indent(body, "    "), "    ")
+        text = f"{HEAD}\n@dataclass(frozen=True)\nclass Mine:\n{textwrap.indent(fields, '    ')}\n{method}\n"
+        (tmp_path / "mine.py").write_text(text)
+        return f"{tmp_path / 'mine.py'}:Mine"
+
+    return write
+
+
+GOOD = 'return Reconstruction(scene.points, "georeferenced", scene.cameras, ["all well"])'
+
+
+def test_the_readmes_plugin_runs_as_it_is_written(scene, tmp_path):
+    """From a folder that is not the repository, by the command that stands below it."""
+    readme = (Path(__file__).parent.parent / "README.md").read_text()
+    code = re.search(r"```python\n(# mine.py\n.*?)```\n\n    (pcbench reconstruct [^\n]*)\n", readme, re.DOTALL)
+    (tmp_path / "mine.py").write_text(code[1])
+    command = code[2].split()
+    assert command[:4] == ["pcbench", "reconstruct", "mine.py:Thinned", "photos/"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pcbench.cli", *command[1:]], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "cloud.ply: 10 points, georeferenced, 3 cameras" in done.stdout
+    np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.ply").points, POINTS[::3])
+
+
+def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
+    spec = plugin("print('hello'); print(self.n, self.how, file=sys.stderr);" + GOOD, "n: int = 2\nhow: str = 'x'")
+    result = run(Job(spec, scene, {"n": "5"}, image_scale=0.5, images=("0.png", "2.png")), tmp_path / "work")
+    assert (result.status, result.message) == ("ok", "")
+    assert result.settings == {"n": "5", "how": "x"}
+    assert result.log.read_text() == "hello\n5 x\n"
+    made = result.required()
+    np.testing.assert_array_equal(made.cloud.points, POINTS)
+    assert (made.gauge, made.notes) == ("georeferenced", ("all well",))
+    assert list(made.cameras) == ["0.png", "2.png"]
+    assert made.cameras["2.png"].intrinsics.width == 20
+    assert result.cpu_s > 0
+    assert result.wall_s > 0
+    assert 10e6 < result.peak_rss_bytes < 10e9  # an interpreter with numpy is some 40 MB
+
+
+@pytest.mark.parametrize(
+    "body, status, message",
+    [
+        ("raise ReconstructionError('too few features in 2 images')", "failed", "too few features in 2 images"),
+        ("raise KeyError('a line of\\nmine')", "crashed", "KeyError: 'a line of\\\\nmine'"),
+        ("os.abort()", "crashed", "ended by SIGABRT"),
+        ("print('last words'); os.kill(os.getpid(), signal.SIGKILL)", "crashed", "SIGKILL.*last words"),
+        ("sys.exit(0)", "crashed", "ended with code 0 and without a result"),
+        ("np.zeros((10**7, 10**7))", "crashed", "MemoryError"),
+        ("return None", "garbage", "expected .* to return a Reconstruction, got NoneType"),
+        ("return scene.points", "garbage", "got Cloud"),
+        ("return Reconstruction(np.zeros((5, 3)), 'metric')", "failed", "expected a pcbench.Cloud"),
+        ("return Reconstruction(Cloud(np.full((5, 3), np.nan)), 'metric')", "failed", "finite coordinates"),
+        ("return Reconstruction(scene.points, 'feet')", "failed", "gauge"),
+    ],
+)
+def test_failures_are_results(scene, plugin, tmp_path, body, status, message):
+    result = run(Job(plugin(body), scene), tmp_path / "work")
+    assert result.status == status
+    assert re.search(message, result.message)
+    assert "\n" not in result.message
+    assert result.reconstruction is None
+    with pytest.raises(ReconstructionError, match=re.escape(f"{status}: ")) as raised:
+        result.required()
+    assert "log.txt" in str(raised.value)
+
+
+def test_a_hanging_plugin_ends_with_its_children(scene, plugin, tmp_path):
+    body = "import subprocess; p = subprocess.Popen(['sleep', '600']); print(p.pid); time.sleep(600)"
+    result = run(Job(plugin(body), scene), tmp_path / "work", time_limit_s=3)
+    assert result.status == "timeout"
+    assert "limit of 3 s" in result.message
+    assert result.wall_s < 60
+    child = int(result.log.read_text())
+    for _ in range(100):  # its new parent needs a moment
+        if not alive(child):
+            break
+        time.sleep(0.1)
+    assert not alive(child)
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    stat = Path(f"/proc/{pid}/stat")
+    try:
+        return stat.read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return not Path("/proc/self").exists()
+
+
+def test_an_old_result_is_not_taken_for_a_new_one(scene, plugin, tmp_path):
+    assert run(Job(plugin(GOOD), scene), tmp_path / "work").status == "ok"
+    result = run(Job(plugin("os.abort()"), scene), tmp_path / "work")
+    assert (result.status, result.reconstruction) == ("crashed", None)
+
+
+def test_user_mistakes_are_refused(scene, plugin, tmp_path):
+    spec = plugin(GOOD, "n: int = 2\nflag: bool = False\nhow: Literal['a', 'b'] = 'a'\nmaybe: float | None = None")
+
+    def refused(match, job):
+        result = run(job, tmp_path / "work")
+        assert result.status == "refused"
+        with pytest.raises(InputError, match=match):
+            result.required()
+
+    refused("no setting 'm': there are n, flag, how, maybe", Job(spec, scene, {"m": "1"}))
+    refused("expected n as int, got 'two'", Job(spec, scene, {"n": "two"}))
+    refused("expected how as a|b, got 'c'", Job(spec, scene, {"how": "c"}))
+    refused("there is no 'Yours' in it: it has Mine", Job(spec.replace(":Mine", ":Yours"), scene))
+    refused("no reconstructor 'nobody' is installed", Job("nobody", scene))
+    refused("expected a folder with images", Job(spec, tmp_path / "nowhere"))
+    (tmp_path / "broken.py").write_text("import numpy\n1 / 0\n")
+    refused(r"broken.py: cannot be imported: ZeroDivisionError.*line 2", Job(f"{tmp_path}/broken.py:A", scene))
+
+
+def test_settings_are_converted(plugin):
+    fields = "n: int = 2\nx: float = 1\nflag: bool = False\nhow: Literal['a', 'b'] = 'a'\nmaybe: float | None = None"
+    found = find_plugin(plugin(GOOD, fields + "\nwhere: Path = Path('.')"))
+    made = found.configure({"n": "5", "x": "1e-3", "flag": "yes", "how": "b", "maybe": "2", "where": "/tmp"})
+    assert (made.n, made.x, made.flag, made.how, made.maybe, made.where) == (5, 1e-3, True, "b", 2.0, Path("/tmp"))
+    assert found.configure({"maybe": "none"}).maybe is None
+    assert found.configure({"flag": "off"}).flag is False
+    assert [(s.name, s.type, s.default) for s in found.settings][2:5] == [
+        ("flag", "bool", "False"),
+        ("how", "a|b", "a"),
+        ("maybe", "float|none", "None"),
+    ]
+    for name, text in (("flag", "maybe"), ("n", "1.5"), ("maybe", "much")):
+        with pytest.raises(InputError, match=f"expected {name} as .*, got '{text}'"):
+            found.configure({name: text})
+
+
+def test_help_is_the_docstring(plugin):
+    assert find_plugin(plugin(GOOD)).help == ""  # not the signature that dataclasses put there
+    assert find_plugin(plugin(GOOD, '"""What it\n    does.\n\n    More."""')).help == "What it does."
+
+
+def test_what_must_be_given_is_said(plugin):
+    found = find_plugin(plugin(GOOD, "n: int"))
+    assert found.settings[0].default is None
+    with pytest.raises(InputError, match="--set n=VALUE"):
+        found.configure({})
+
+
+def test_no_reconstructors(tmp_path):
+    (tmp_path / "a.py").write_text("class A:\n    def reconstruct(self, scene, workspace): ...\nB = 3\n")
+    for name, match in (("A", "expected a dataclass"), ("B", "got a int"), ("C", "there is no 'C'.*it has A")):
+        with pytest.raises(InputError, match=match):
+            find_plugin(f"{tmp_path}/a.py:{name}")
+    with pytest.raises(InputError, match="no such file"):
+        find_plugin(f"{tmp_path}/b.py:A")
+    with pytest.raises(InputError, match="nowhere cannot be imported"):
+        find_plugin("nowhere:A")
+
+
+def test_entry_points(monkeypatch):
+    points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+    assert plugins.installed() == ("one", "two")
+    with pytest.raises(InputError, match=r"two reconstructors are named 'two', of a and b\.c"):
+        find_plugin("two")
+    with pytest.raises(InputError, match="there are one, two"):
+        find_plugin("three")
+
+
+def test_stages_are_made_once_for_each_input(tmp_path):
+    made = []
+
+    def make(folder):
+        made.append(folder)
+        (folder / "a.txt").write_text(str(len(made)))
+
+    first = stage(tmp_path, "features", {"n": 1}, make)
+    assert stage(tmp_path, "features", {"n": 1}, make) == first
+    assert len(made) == 1
+    assert (first / "a.txt").read_text() == "1"
+    key = stage_key(first)
+    stage(tmp_path, "features", {"n": 2}, make)
+    assert (first / "a.txt").read_text() == "2"
+    assert stage_key(first) != key
+    assert stage_key(tmp_path / "none") is None
+
+    def killed(folder):
+        (folder / "half.txt").write_text("")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stage(tmp_path, "features", {"n": 3}, killed)
+    assert stage_key(first) is None  # neither the old result nor half a new one
+    stage(tmp_path, "features", {"n": 3}, make)
+    assert sorted(p.name for p in first.iterdir()) == ["a.txt", "stage.json"]
+
+
+def test_a_killed_run_goes_on_where_it_stopped(scene, plugin, tmp_path):
+    body = """
+def slow(folder):
+    print("slow stage")
+    np.save(folder / "points.npy", scene.points.points)
+folder = stage(workspace, "slow", {"scene": scene.fingerprint()}, slow)
+if not (workspace / "again").exists():
+    (workspace / "again").touch()
+    os.kill(os.getpid(), signal.SIGKILL)
+return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
+"""
+    job = Job(plugin(body), scene)
+    first = run(job, tmp_path / "work")
+    assert (first.status, first.log.read_text()) == ("crashed", "slow stage\n")
+    second = run(job, tmp_path / "work")
+    assert (second.status, second.log.read_text()) == ("ok", "")
+    np.testing.assert_array_equal(second.required().cloud.points, POINTS)
+
+
+def test_reconstruction_is_checked():
+    cloud = Cloud(POINTS)
+    with pytest.raises(InputError, match="mapping from image names"):
+        Reconstruction(cloud, "metric", ["a"])
+    assert Reconstruction(cloud, "metric").cameras == {}
+
+
+def test_the_scene_in_the_child_has_its_images(scene, plugin, tmp_path):
+    result = run(Job(plugin("print(scene.read_image('2.png')[0, 0]);" + GOOD), scene), tmp_path / "work")
+    assert result.log.read_text() == "[2 0 0]\n"
+    assert read_image_header(scene / "images/2.png").width == 40
