@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import tempfile
@@ -17,6 +16,8 @@ from pcbench.cameras import Camera, Intrinsics
 from pcbench.cloud import FloatArray
 from pcbench.errors import InputError
 from pcbench.io import write_cloud
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.io.transforms_json import write_transforms
 from pcbench.mesh import Mesh, MeshIndex
 from pcbench.synthetic.plan import CitySettings
 from pcbench.synthetic.render import Optics, check_intrinsics, check_renderer, render
@@ -67,7 +68,7 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         step(f"taking {len(cameras)} images")
         render(city, cameras, folder / "images", optics=settings.optics, seed=settings.city.seed)
         write_transforms(folder / "transforms.json", cameras)
-        write_colmap_text(folder / "sparse" / "0", cameras)
+        write_colmap_model(folder / "sparse" / "0", cameras)
         if settings.gps is not None:
             positions = perturbed_positions(cameras, settings.gps, settings.city.seed)
             _write_positions(folder / "gps.txt", cameras, positions)
@@ -81,60 +82,6 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         step("sampling the surface")
         cloud = surface_cloud(city.plan, index, cameras, settings.points, settings.city.seed)
         write_cloud(folder / "truth" / "cloud.ply", cloud)
-
-
-def write_transforms(path: Path, cameras: Sequence[Camera]) -> None:
-    """transforms.json as nerfstudio reads it: one camera model for all, camera-to-world with OpenGL's axes."""
-    k = cameras[0].intrinsics
-    names = ("k1", "k2", "p1", "p2")
-    frames = []
-    for camera in cameras:
-        world_from_cam = camera.cam_from_world.inverse().matrix
-        world_from_cam[:3, 1:3] *= -1  # x right, y up, looking along -z
-        frames.append({"file_path": f"images/{camera.name}", "transform_matrix": world_from_cam.tolist()})
-    values = {
-        "camera_model": "OPENCV",
-        "w": k.width,
-        "h": k.height,
-        "fl_x": k.fx,
-        "fl_y": k.fy,
-        "cx": k.cx,
-        "cy": k.cy,
-        **dict(zip(names, k.distortion, strict=True)),
-        "frames": frames,
-    }
-    path.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-
-
-def write_colmap_text(folder: Path, cameras: Sequence[Camera]) -> None:
-    """A COLMAP model in text without points: cameras.txt, images.txt and a points3D.txt that holds none."""
-    folder.mkdir(parents=True)
-    k = cameras[0].intrinsics
-    pinhole = [k.fx, k.fy, k.cx, k.cy]
-    model, values = ("PINHOLE", pinhole) if k.is_pinhole else ("OPENCV", [*pinhole, *k.distortion])
-    lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", f"1 {model} {k.width} {k.height} {_words(values)}"]
-    (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    lines = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
-    for number, camera in enumerate(cameras, start=1):
-        pose = [*_quaternion(camera.cam_from_world.rotation), *camera.cam_from_world.translation]
-        lines += [f"{number} {_words(pose)} 1 {camera.name}", ""]
-    (folder / "images.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "points3D.txt").write_text("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n", encoding="utf-8")
-
-
-def _quaternion(rotation: FloatArray) -> FloatArray:
-    """wxyz of a rotation (3, 3), w >= 0: the largest eigenvector of Bar-Itzhack's matrix (2000), good for any angle."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    k = np.array(
-        [
-            [a + e + i, h - f, c - g, d - b],
-            [h - f, a - e - i, b + d, c + g],
-            [c - g, b + d, e - a - i, f + h],
-            [d - b, c + g, f + h, i - a - e],
-        ]
-    )
-    q: FloatArray = np.linalg.eigh(k)[1][:, -1]
-    return -q if q[0] < 0 else q
 
 
 def _words(values: Sequence[float] | FloatArray) -> str:
