@@ -254,7 +254,7 @@ class _Reference:
 
     @property
     def has_normals(self) -> bool:
-        return self.cloud.normals is not None or len(self.points) >= 3
+        return len(self.points) >= 3 or self.surface.is_complete
 
     def describe(self) -> dict[str, Any]:
         return {

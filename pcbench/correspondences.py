@@ -26,6 +26,7 @@ _TRIPLES = 1_000_000  # drawn; with 2 % of the pairs right, eight of them are
 _TOLERANCE = 2.0  # cells; means over differently placed cells of one surface stand that far apart at most
 _SHORTEST = 5.0  # cells; smaller triangles say little about the rotation
 _EVALUATIONS = 20_000_000  # poses times pairs: a second's work
+_MOST_POSES = 20_000  # few points make many triples, but no more different ones
 _PROBES = 50
 
 
@@ -48,7 +49,7 @@ def matched(clouds: list[Pairs]) -> list[Pairs]:
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder, "clouds.npz"), Path(folder, "pairs.npz")
         arrays = {f"{name}{k}": part for k, two in enumerate(clouds) for name, part in two._asdict().items()}
-        np.savez(source, allow_pickle=False, **arrays)
+        np.savez(source, **arrays)
         command = [sys.executable, "-P", kiss_child.__file__, str(source), str(target)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
@@ -76,7 +77,7 @@ def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similari
     alike &= np.abs(np.log(scales)) < np.log(RUNG)
     # Nearly straight triangles leave the turn about them open.
     alike &= (sides_p.sum(axis=1) - 2 * sides_p.max(axis=1)) > 0.02 * sides_p.sum(axis=1)
-    kept = np.flatnonzero(alike)[: _EVALUATIONS // len(p)]
+    kept = np.flatnonzero(alike)[: min(_EVALUATIONS // len(p), _MOST_POSES)]
     triples, scales = triples[kept], scales[kept]
     rotations = np.einsum("nij,nkj->nik", _frames(q[triples]), _frames(p[triples]))
     linear = scales[:, None, None] * rotations

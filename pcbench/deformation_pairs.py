@@ -143,7 +143,7 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         left = residuals - np.einsum("ni,ni->n", bend[near], normals)
         # Graduated: at first nearly everything within the gate counts.
         width = max(4.685 * 1.4826 * float(np.median(np.abs(left))), 0.0 if final else 0.5 * gate, 1e-300)
-        weights = np.square(np.clip(1 - np.square(left / width), 0, None))
+        weights = np.square(1 - np.square(np.clip(left / width, -1, 1)))
         asked_rows = rows[near] if final else rows[::step][near]
         quality = (
             _smoothness(surface.surface, feet[near])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.cloud import Cloud
 from pcbench.correspondences import RUNG, Pairs, apart, likely_poses, matched
-from pcbench.errors import RegistrationError
+from pcbench.errors import InputError, RegistrationError
 from pcbench.neighbors import FloatArray, Index
 from pcbench.normals import Surface, estimate_normals
 from pcbench.registration import Registration, Target, _given, _icp, recentring
@@ -53,6 +53,12 @@ def register_from_nothing(target: Target, points: FloatArray, origin: FloatArray
             f"expected at least {_FEWEST} points in each cloud to register from nothing, got {len(points)} and"
             f" {len(target.surface)}: use --register points:FILE, matrix:FILE or none"
         )
+    for name, some in (("reference", target.surface.points), ("candidate", points)):
+        if len(cells(some, robust_extent(some) / 1000 or 1.0).first) < _FEWEST:
+            raise RegistrationError(
+                f"expected the {name}'s points at {_FEWEST} places at least to register from nothing: use --register"
+                " points:FILE, matrix:FILE or none"
+            )
     kind = "similarity" if method == "global-similarity" else "icp"
     middle = recentring(Cloud(points))  # turning what is far away costs digits
     local = points - middle
@@ -189,7 +195,7 @@ class _Judge:
                 for reaches in (4.0, 2.0):
                     near = pose.apply(self.candidate.sample[self.meets(pose, self.candidate.sample, reaches)])
                     pose = _icp(self.reference.target, near, np.zeros(3), kind, may_be_far=False).T_local @ pose
-            except RegistrationError:
+            except (InputError, RegistrationError):  # nothing to fit there
                 continue
             results.append(pose)
         return self.best_first(results)

@@ -6,6 +6,7 @@ thread gives the same matches every time. Nothing of pcbench is imported.
 
 import os
 import sys
+from typing import Any
 
 
 def main(pairs: str, matches: str) -> None:
@@ -14,7 +15,7 @@ def main(pairs: str, matches: str) -> None:
     from kiss_matcher import KISSMatcher, KISSMatcherConfig
 
     clouds = np.load(pairs)
-    found = {}
+    found: dict[str, Any] = {}
     for k in range(len(clouds.files) // 2):
         # Lengths come in cells: the library's own bounds are made for cells of about one unit.
         matcher = KISSMatcher(KISSMatcherConfig(voxel_size=1.0, use_voxel_sampling=False))
@@ -22,7 +23,7 @@ def main(pairs: str, matches: str) -> None:
         candidate, reference = (np.array(part).reshape(-1, 3) for part in matcher.get_keypoints_from_faster_pfh())
         rows = np.array(matcher.get_initial_correspondences(), dtype=np.int64).reshape(-1, 2)
         found[f"candidate{k}"], found[f"reference{k}"] = candidate[rows[:, 0]], reference[rows[:, 1]]
-    np.savez(matches, allow_pickle=False, **found)
+    np.savez(matches, **found)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def area_weighted_mean(values: FloatArray, voxels: Cells) -> float:
 
 def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
     """10 log10(factor peak^2 / mse) in dB (MPEG: factor 3 for geometry); None where it does not exist."""
-    return float(10 * np.log10(factor * peak**2 / mse)) if mse > 0 and peak > 0 else None
+    return float(10 * np.log10(factor * peak**2 / mse)) if 0 < mse < np.inf and peak > 0 else None
 
 
 def _not_empty(distances: FloatArray) -> None:

@@ -182,6 +182,7 @@ class Index:
         """
         moved, found = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
         rows = np.ascontiguousarray(motion[:3], np.float64)
+        hint = None if hint is None else self._as_rows(hint, "hint")
         try:
             self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *found)
         except ValueError as error:

@@ -68,6 +68,11 @@ class Surface:
     def points(self) -> FloatArray:
         return self.index.points
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether the normals of all points are known already."""
+        return self._complete
+
     def normals(self, which: IntArray) -> FloatArray:
         """Unit normals (M, 3) at the indices `which` (M,).
 

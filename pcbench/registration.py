@@ -30,6 +30,8 @@ _START = 0.1  # of the extent: the first gate
 _FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
+_SMALLEST = 1e-150  # extent: squares of less are lost
+_TWINS = 8  # nearest points among which one is looked for that is no duplicate
 _INFORMANTS = 10_000  # pairs that are asked what the geometry fixes
 _TILES_ALONG = 8  # the scene: of the bootstrap
 _REPLICATES = 400
@@ -143,9 +145,10 @@ class Target:
         if len(index) < 2:
             return 0.0
         which = np.arange(0, len(index), max(1, len(index) // 20_000))
-        distances = index.query(index.points[which], k=2).distances[:, 1]
-        positive = distances[distances > 0]  # duplicates say nothing about spacing
-        return float(np.median(positive)) if len(positive) else 0.0
+        distances = index.query(index.points[which], k=min(_TWINS, len(index))).distances
+        other = np.where(distances > 0, distances, np.inf).min(axis=1)  # duplicates say nothing about spacing
+        found = other[np.isfinite(other)]
+        return float(np.median(found)) if len(found) else 0.0
 
     @cached_property
     def coarse_side(self) -> float:
@@ -199,7 +202,7 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str, *, m
     Robustness is annealed: a robust kernel from the start keeps only what already fits and shrinks the basin. A start
     that keeps all pairs and narrows slowly finds large motions, but slides clouds that overlap in part onto each other:
     it has its turn where the quick one leaves points beside the reference, if they `may_be_far` at all. Where the
-    geometry turns out not to fix some motion, all starts again with that motion held: noise must not move the pose.
+    geometry turns out not to fix some motion, the fit is made again with it held: noise must not move the pose.
     """
     surface = target.surface
     if len(points) < _FEWEST or len(surface) < _FEWEST:
@@ -208,12 +211,18 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str, *, m
             " --register points:FILE, matrix:FILE or none"
         )
     extent, spacing, coarse_side = target.extent, target.spacing, target.coarse_side
-    if extent == 0:
-        raise RegistrationError("expected a reference with an extent to register to, got points at one place")
+    if extent < _SMALLEST:
+        raise RegistrationError(f"expected a reference with an extent to register to, got one of {extent:.3g}")
     coarse_sample = Index(points[thin(points, coarse_side)])
     sample = Index(points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))])
     with_scale = kind == "similarity"
     quick = _Gate(_START * extent, 2 * coarse_side, narrowing=0.7, kept=0.9)
+    if min(len(coarse_sample), len(sample), len(target.coarse)) < _FEWEST:
+        raise RegistrationError(
+            f"expected points at {_FEWEST} places at least in each cloud for ICP, got"
+            f" {min(len(coarse_sample), len(sample))} in the candidate and {len(target.coarse)} in the reference"
+            f" (places {coarse_side:.3g} apart): use --register points:FILE, matrix:FILE or none"
+        )
     fine = quick._replace(first=1.5 * coarse_side, final=max(3 * spacing, 1e-9 * extent))
 
     def attempt(start: _Gate, held: FloatArray) -> _Fit:
@@ -238,7 +247,10 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str, *, m
         raise failures[0]
     fit = max(fits, key=lambda fit: fit.quality.overlap - fit.quality.beside)
     if fit.quality.unfixed.shape[1] and kind != "icp-point":
-        held = attempt(fit.start, fit.quality.unfixed)
+        try:
+            held = attempt(fit.start, fit.quality.unfixed)
+        except RegistrationError:  # then it is not to be held
+            held = fit
         # Held only where nothing speaks against it: a motion that the pairs do want is not noise.
         if held.quality.rmse <= 1.05 * fit.quality.rmse and held.quality.overlap >= 0.98 * fit.quality.overlap:
             fit = held
@@ -329,7 +341,7 @@ def _plane_step(target: Surface, pairs: _Pairs, held: FloatArray, *, with_scale:
     """One Gauss-Newton step of sum w (n . (dT p - q))^2 (Chen & Medioni 1992), about the pairs' centre."""
     hessian, gradient, center = np.empty((7, 7)), np.empty(7), np.empty(3)
     normals = target.with_normals_at(pairs.indices)
-    radius, _ = _core.plane_system(
+    radius = _core.plane_system(
         pairs.moved, normals, pairs.indices, pairs.residuals, pairs.weights, hessian, gradient, center
     )
     size = 7 if with_scale else 6
@@ -393,20 +405,19 @@ def _assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_s
     # A part that the reference does not have lies far from it; a wrong pose leaves points beside what they belong to.
     near = float(np.mean(distances <= max(_NEAR * target.extent, within)))
     beside = 1 - overlap / near if near > 0 else 1.0
-    pairs = _weigh(surface, moved, nearest, within, robust=True) if len(surface) >= 3 else None
-    if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST:
+    # What the geometry fixes is asked of all pairs that the fit may have used, where density varies of far more.
+    reach = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
+    gates = (within, reach) if len(surface) >= 3 and target.extent > _SMALLEST else ()
+    weighed = [_weigh(surface, moved, nearest, gate, robust=True) for gate in gates]
+    if not weighed or min(np.count_nonzero(pairs.weights) for pairs in weighed) < _FEWEST:
         rms = float(np.sqrt(np.mean(np.square(distances))))
         size = 7 if with_scale else 6
         return _Quality(
             rms, overlap, beside, (), None, np.zeros((size, 0)), ["too few points to say what the geometry fixes"]
         )
-    pairs = pairs.take(pairs.weights > 0)
-    errors = pairs.residuals if plane else pairs.distances
-    rmse = float(np.sqrt((pairs.weights * errors**2).sum() / pairs.weights.sum()))
-    # What the geometry fixes is asked of all pairs that the fit may have used, where density varies of far more.
-    reach = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
-    pairs = _weigh(surface, moved, nearest, reach, robust=True)
-    pairs = pairs.take(pairs.weights > 0)
+    on_it, pairs = (pairs.take(pairs.weights > 0) for pairs in weighed)
+    errors = on_it.residuals if plane else on_it.distances
+    rmse = float(np.sqrt((on_it.weights * errors**2).sum() / on_it.weights.sum()))
     typical = float(np.percentile(distances, 25))  # the quarter that fits best: partial overlap is no failure
     eigenvalues, weakest, unfixed, warnings = _information(surface, pairs, with_scale=with_scale)
     if overlap < 0.3:
@@ -485,7 +496,7 @@ def _information(
     if not with_scale:
         # Steps of Gauss and Newton: where a scale is missing, residuals are large, and the robust cost nearly flat.
         wanted, covariance = _bootstrap(step * with_growth, gradient)
-        if abs(wanted[6]) > max(_CLEAR * np.sqrt(covariance[6, 6]), 0.5 * residual):
+        if abs(wanted[6]) > max(_CLEAR * np.sqrt(covariance[6, 6]), 0.5 * residual, 1e-9 * arms.radius):
             factor = np.exp(wanted[6] / arms.radius)
             warnings.append(f"the pairs ask for a scale of about {factor:.5g}: --register similarity finds it")
     if weakest > 0.5 * residual:

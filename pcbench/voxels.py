@@ -28,11 +28,11 @@ class Cells(NamedTuple):
 def cells(points: FloatArray, side: float, lower: FloatArray | None = None) -> Cells:
     """The cubic cells of edge `side` that points (N, 3) lie in, counted from `lower` (default: their lowest corner).
 
-    Cells far outside (beyond 2^20 cells from the corner) share the outermost one.
+    Cells far outside (beyond 2^31 cells from the corner) share the outermost one.
     """
     if not side > 0:
         raise InputError(f"expected a positive cell side, got {side}")
-    points = np.ascontiguousarray(points)
+    points = np.ascontiguousarray(points, np.float64)
     corner = bounds(points)[0] if lower is None else np.ascontiguousarray(lower, np.float64)
     of_point = np.empty(len(points), np.int64)
     return Cells(of_point, *_core.group_by_cell(points, side, corner, of_point))

@@ -222,6 +222,14 @@ def test_tied_is_strict_to_the_last_bit(shape):
         assert index.nearest_of_with_ties(source, np.nextafter(slack, np.inf))[1].all()
 
 
+def test_ties_of_many_duplicates_are_no_more_work_than_matches():
+    """Points at one place, or all within the slack: one tie is enough, the others are not looked at."""
+    for points in (np.zeros((40_000, 3)), 3e-5 * np.random.default_rng(18).random((40_000, 3))):
+        matches, tied = Index(points).nearest_of_with_ties(Index(points.copy()), 1e-8)
+        assert tied.all()
+        assert not matches.distances.any()
+
+
 def test_tied_counts_every_point_but_the_match():
     points = grid(np.random.default_rng(17), 300)
     index = Index(points)

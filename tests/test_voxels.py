@@ -8,7 +8,7 @@ from pcbench.voxels import cell_means, cells, thin, thin_to
 
 
 def by_sorting(points, side, lower):
-    places = np.clip(np.floor((points - lower) / side), -(2**20), 2**20 - 1)
+    places = np.clip(np.floor((points - lower) / side), -(2**31), 2**31 - 1)
     _, first, inverse, counts = np.unique(places, axis=0, return_index=True, return_inverse=True, return_counts=True)
     order = np.argsort(first)  # cells are numbered as they first appear
     number = np.argsort(order)

@@ -69,9 +69,9 @@ def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet
     Residuals and weights (M,) of pairs, written in place; the number of pairs within the gate and their sigma.
     """
 
-def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64], rows: NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> tuple[float, float]:
+def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64], rows: NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> float:
     """
-    Normal equations of one point-to-plane step, written in place; the pairs' RMS radius and total weight.
+    Normal equations of one point-to-plane step, written in place; returns the pairs' RMS radius.
     """
 
 class MeshIndex:

@@ -8,22 +8,29 @@
 
 namespace pcbench {
 
-// Where a point's cell lies: 21 bits an axis; cells beyond 2^20 from the corner share the outermost one.
+// A cell's place: whole numbers along the axes.
+struct Cell {
+    int32_t x, y, z;
+    bool operator==(const Cell& other) const { return x == other.x && y == other.y && z == other.z; }
+    uint64_t hash() const {
+        const uint64_t xy = static_cast<uint64_t>(static_cast<uint32_t>(x)) << 32 | static_cast<uint32_t>(y);
+        return ((xy * 0x9E3779B97F4A7C15u) ^ (static_cast<uint32_t>(z) * 0xC2B2AE3D27D4EB4Fu)) * 0x165667B19E3779F9u;
+    }
+};
+
+// Where points' cells lie; those beyond 2^31 from the corner share the outermost one.
 class Grid {
 public:
     Grid(double side, const double* lower) : side_(side), lower_{lower[0], lower[1], lower[2]} {}
 
-    uint64_t key(const double* p) const {
-        constexpr double kHalf = 1 << 20;
-        uint64_t key = 0;
-        for (int a = 0; a < 3; ++a) {
-            const double cell = std::floor((p[a] - lower_[a]) / side_);
-            key = key << 21 | static_cast<uint64_t>(std::clamp(cell, -kHalf, kHalf - 1) + kHalf);
-        }
-        return key;
-    }
+    Cell cell(const double* p) const { return {along(p, 0), along(p, 1), along(p, 2)}; }
 
 private:
+    int32_t along(const double* p, int axis) const {
+        const double cell = std::floor((p[axis] - lower_[axis]) / side_);
+        return static_cast<int32_t>(std::clamp(cell, -2147483648.0, 2147483647.0));
+    }
+
     double side_, lower_[3];
 };
 
@@ -34,39 +41,39 @@ struct Occupied {
 // Writes each point's cell, numbered in the order in which cells first appear.
 inline Occupied group_by_cell(const double* points, size_t count, const Grid& grid, int64_t* labels) {
     struct Slot {
-        uint64_t key;  // keys have 63 bits
+        Cell cell;
         int64_t label;
     };
-    constexpr uint64_t kFree = UINT64_MAX;
+    constexpr Slot kFree = {{0, 0, 0}, -1};
     constexpr size_t kBatch = 64;  // slots are fetched together: each one alone would be a wait for memory
     unsigned bits = 10;
-    std::vector<Slot> table(size_t{1} << bits, Slot{kFree, 0});
+    std::vector<Slot> table(size_t{1} << bits, kFree);
     Occupied cells;
-    const auto slot_of = [&](uint64_t key) { return key * 0x9E3779B97F4A7C15u >> (64 - bits); };
-    const auto find = [&](uint64_t key) -> Slot& {
-        size_t at = slot_of(key);
-        while (table[at].key != key && table[at].key != kFree) at = (at + 1) & (table.size() - 1);
+    const auto slot_of = [&](const Cell& cell) { return cell.hash() >> (64 - bits); };
+    const auto find = [&](const Cell& cell) -> Slot& {
+        size_t at = slot_of(cell);
+        while (table[at].label >= 0 && !(table[at].cell == cell)) at = (at + 1) & (table.size() - 1);
         return table[at];
     };
     const auto grow = [&] {
-        std::vector<Slot> old(size_t{4} << bits, Slot{kFree, 0});
+        std::vector<Slot> old(size_t{4} << bits, kFree);
         old.swap(table);
         bits += 2;
         for (const Slot& slot : old)
-            if (slot.key != kFree) find(slot.key) = slot;
+            if (slot.label >= 0) find(slot.cell) = slot;
     };
     for (size_t start = 0; start < count; start += kBatch) {
         const size_t size = std::min(kBatch, count - start);
         while (2 * (cells.first.size() + size) > table.size()) grow();
-        uint64_t keys[kBatch];
+        Cell places[kBatch];
         for (size_t i = 0; i < size; ++i) {
-            keys[i] = grid.key(points + 3 * (start + i));
-            __builtin_prefetch(&table[slot_of(keys[i])], 1);
+            places[i] = grid.cell(points + 3 * (start + i));
+            __builtin_prefetch(&table[slot_of(places[i])], 1);
         }
         for (size_t i = 0; i < size; ++i) {
-            Slot& slot = find(keys[i]);
-            if (slot.key == kFree) {
-                slot = {keys[i], static_cast<int64_t>(cells.first.size())};
+            Slot& slot = find(places[i]);
+            if (slot.label < 0) {
+                slot = {places[i], static_cast<int64_t>(cells.first.size())};
                 cells.first.push_back(static_cast<int64_t>(start + i));
                 cells.counts.push_back(0);
             }

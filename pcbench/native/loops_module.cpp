@@ -4,7 +4,9 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 
+#include <algorithm>
 #include <optional>
+#include <vector>
 
 #include "cells.h"
 #include "normals.h"
@@ -102,7 +104,7 @@ nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Point
     return nb::make_tuple(found.near, found.sigma);
 }
 
-nb::tuple plane_system(Points moved, Points normals, Indices rows, Column residuals, Column weights,
+double plane_system(Points moved, Points normals, Indices rows, Column residuals, Column weights,
                        Out<double, nb::shape<7, 7>> hessian, Out<double, nb::shape<7>> gradient,
                        Out<double, nb::shape<3>> center) {
     const size_t count = moved.shape(0);
@@ -117,7 +119,7 @@ nb::tuple plane_system(Points moved, Points normals, Indices rows, Column residu
     std::copy_n(&system.hessian[0][0], 49, hessian.data());
     std::copy_n(system.gradient, 7, gradient.data());
     std::copy_n(system.center, 3, center.data());
-    return nb::make_tuple(system.radius, system.weight);
+    return system.radius;
 }
 
 }  // namespace
@@ -149,9 +151,9 @@ void bind_loops(nb::module_& m) {
     m.def("plane_system", &plane_system, nb::arg("moved").noconvert(), nb::arg("normals").noconvert(),
           nb::arg("rows").noconvert(), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
           nb::arg("hessian").noconvert(), nb::arg("gradient").noconvert(), nb::arg("center").noconvert(),
-          "Normal equations of one point-to-plane step, written in place; the pairs' RMS radius and total weight.",
+          "Normal equations of one point-to-plane step, written in place; returns the pairs' RMS radius.",
           nb::sig("def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64], rows: "
                   "NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: "
                   "NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> "
-                  "tuple[float, float]"));
+                  "float"));
 }

@@ -45,7 +45,7 @@ public:
     double bound() const { return bound_; }
 
     uint32_t last_tie() const {
-        if (kTies) return UINT32_MAX;
+        if (kTies && bits(untied())) return UINT32_MAX;
         double last = 0;
         for (int l = 0; l < kLanes; ++l)
             if (best_[l] == bound_ && row_[l] > last) last = row_[l];
@@ -73,7 +73,11 @@ public:
 
 private:
     // Squared distances that matter. Rounding is monotone: d - best < slack implies d <= best + slack, each rounded once.
-    Lanes limits() const { return kTies ? load(best_) + splat(slack_) : load(best_); }
+    // A lane with a tie needs only its answer: what is skipped from then on is no nearer than that tie.
+    Lanes limits() const {
+        return kTies ? select(untied(), load(best_) + splat(slack_), load(best_)) : load(best_);
+    }
+    Mask untied() const { return splat(slack_) <= load(second_) - load(best_); }
 
     // One point after the other, against eight queries.
     template <bool kOwnLeaf = false>
@@ -102,7 +106,7 @@ private:
         alignas(64) double squared[kLanes];
         const Lanes d = squared_length(splat(group_.x[lane]) - load(leaf.x), splat(group_.y[lane]) - load(leaf.y),
                                        splat(group_.z[lane]) - load(leaf.z));
-        unsigned near = bits(d <= splat(kTies ? best_[lane] + slack_ : best_[lane]));
+        unsigned near = bits(d <= splat(kTies && !tied(lane) ? best_[lane] + slack_ : best_[lane]));
         if (!near) return false;
         store(squared, d);
         bool improved = false;

@@ -51,8 +51,11 @@ inline void rounded_squares(size_t count, Rows queries, Rows feet, double* squar
 #pragma omp parallel for schedule(static) if (count > kWorthThreads)
     for (size_t i = 0; i < count; ++i) {
         const double *q = queries[i], *f = feet[i];
-        const double d[3] = {static_cast<float>(q[0] - f[0]), static_cast<float>(q[1] - f[1]),
-                             static_cast<float>(q[2] - f[2])};
+        double d[3];
+        for (int a = 0; a < 3; ++a) {
+            const double exact = q[a] - f[a];
+            d[a] = std::fabs(exact) > 3.4028234663852886e38 ? HUGE_VAL : static_cast<float>(exact);
+        }
         squares[i] = (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2];
     }
 }
@@ -107,7 +110,7 @@ inline Weighing weigh(size_t count, const double* moved, const double* distances
 // translation and the logarithm of a scale, all as displacements at the pairs' RMS radius.
 struct PlaneSystem {
     double hessian[7][7], gradient[7];
-    double center[3], radius, weight;
+    double center[3], radius;
 };
 
 inline PlaneSystem plane_system(size_t count, const double* moved, Rows normals, const double* residuals,
@@ -117,7 +120,6 @@ inline PlaneSystem plane_system(size_t count, const double* moved, Rows normals,
         for (int a = 0; a < 3; ++a) sum[a] += weights[i] * moved[3 * i + a];
         sum[3] += weights[i];
     });
-    out.weight = first[3];
     for (int a = 0; a < 3; ++a) out.center[a] = first[3] > 0 ? first[a] / first[3] : 0.0;
     const auto second = sum_in_blocks<36>(count, [&](size_t i, std::array<double, 36>& sum) {
         const double w = weights[i];

@@ -89,6 +89,7 @@ public:
                 yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
                 const Lanes candidate = splat(leaf.row[i]);
                 const Lanes other = select(candidate == load(own), splat(HUGE_VAL), squared(c));
+                // Its own row may stand here at infinity, until another one comes: there is one, as k >= 2.
                 const Mask better = (other < nearest) | ((other == nearest) & (candidate < nearest_row));
                 nearest = min(nearest, other);
                 nearest_row = select(better, candidate, nearest_row);
