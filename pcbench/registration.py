@@ -226,9 +226,10 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str, *, m
     fine = quick._replace(first=1.5 * coarse_side, final=max(3 * spacing, 1e-9 * extent))
 
     def attempt(start: _Gate, held: FloatArray) -> _Fit:
-        T, first, _ = _iterate(
-            target.coarse, coarse_sample, Similarity.identity(), kind, held, gate=start, extent=extent
-        )
+        # Strays make a wide gate shrink the candidate: its scale stands still at first, unless all pairs are kept.
+        still = with_scale and start.kept < 1 and not held.shape[1]
+        motions = ("icp", np.zeros((6, 0))) if still else (kind, held)
+        T, first, _ = _iterate(target.coarse, coarse_sample, Similarity.identity(), *motions, gate=start, extent=extent)
         T, second, converged = _iterate(surface, sample, T, kind, held, gate=fine, extent=extent)
         quality = _assess(target, sample, T, plane=kind != "icp-point", with_scale=with_scale)
         return _Fit(start, T, first + second, converged, quality)
