@@ -334,14 +334,14 @@ def speed(runs: int) -> None:
         import small_gicp
 
         threads = len(os.sched_getaffinity(0))
-        target, tree = small_gicp.preprocess_points(reference.points, VOXEL, num_threads=threads)
+        goal, tree = small_gicp.preprocess_points(reference.points, VOXEL, num_threads=threads)
         source, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
 
         def align(kind: str) -> None:
             T = np.eye(4)
             for gate in GATES:
                 T = small_gicp.align(
-                    target,
+                    goal,
                     source,
                     tree,
                     T,
