@@ -403,13 +403,15 @@ def _assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_s
     # One distance for every method: were it to follow the fit, the worse the fit, the more would count as overlap.
     within = _ON_REFERENCE * spacing
     overlap = float(np.mean(distances <= within))
-    # A part that the reference does not have lies far from it; a wrong pose leaves points beside what they belong to.
-    near = float(np.mean(distances <= max(_NEAR * target.extent, within)))
-    beside = 1 - overlap / near if near > 0 else 1.0
     # What the geometry fixes is asked of all pairs that the fit may have used, where density varies of far more.
     reach = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
     gates = (within, reach) if len(surface) >= 3 and target.extent > _SMALLEST else ()
     weighed = [_weigh(surface, moved, nearest, gate, robust=True) for gate in gates]
+    # A part that the reference does not have lies far from it; a wrong pose leaves points beside what they belong to.
+    # Tangent planes bridge what the reference samples thinly, such as the gaps between a scanner's lines.
+    near = distances <= max(_NEAR * target.extent, within)
+    on_surface = (np.abs(weighed[0].residuals) if weighed else distances) <= within
+    beside = 1 - float(np.mean(on_surface[near])) if near.any() else 1.0
     if not weighed or min(np.count_nonzero(pairs.weights) for pairs in weighed) < _FEWEST:
         rms = float(np.sqrt(np.mean(np.square(distances))))
         size = 7 if with_scale else 6

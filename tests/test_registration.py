@@ -202,6 +202,10 @@ def test_real_lidar_pair():
     # The file's transform is good to 2-8 cm itself.
     assert np.sqrt(np.mean(np.square(difference[near]).sum(axis=1))) < 0.1
     assert result.converged
+    # Far from the scanner its lines lie 100 spacings apart: that is no wrong alignment. A wrong one is said.
+    assert not any("wrong alignment" in warning for warning in result.warnings)
+    turned = candidate.transformed(Similarity(shapes.rotation([0, 0, 1], 90), np.array([3.0, 2.0, 0.0])))
+    assert any("wrong alignment" in warning for warning in register(reference, turned).warnings)
 
 
 def test_matrix_and_none(scene, tmp_path):
