@@ -84,24 +84,20 @@ class Index:
         """Memory of the tree in bytes, without the points."""
         return self._tree.bytes
 
-    def query(self, queries: ArrayLike, k: int = 1, *, hint: ArrayLike | None = None) -> Matches:
+    def query(self, queries: ArrayLike, k: int = 1) -> Matches:
         """Distances to the k nearest points, in the unit of the coordinates.
 
-        queries (M, 3); k = 1 gives arrays (M,), k > 1 gives (M, k) sorted by (distance, index). `hint` (M,) holds an
-        index near each answer, such as the answer before a small motion: it speeds up a search with k = 1 and never
-        changes its result. Raises InputError when k exceeds the number of points.
+        queries (M, 3); k = 1 gives arrays (M,), k > 1 gives (M, k) sorted by (distance, index). Raises InputError when
+        k exceeds the number of points.
         """
         wanted = _as_points(queries, "queries")
         if not 1 <= k <= len(self):
             raise InputError(f"k: expected 1 to {len(self)} (the number of points), got {k}")
-        hints = None if hint is None else self._as_rows(hint, "hint")
-        if hints is not None and len(hints) != len(wanted):
-            raise InputError(f"hint: expected one index for each of the {len(wanted)} queries, got {len(hints)}")
         shape = (len(wanted),) if k == 1 else (len(wanted), k)
         found = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
         try:
             if k == 1:
-                self._tree.nearest(wanted, hints, *found)
+                self._tree.nearest(wanted, *found)
             else:
                 self._tree.knearest(wanted, *found)
         except ValueError as error:
@@ -178,11 +174,14 @@ class Index:
     ) -> tuple[NDArray[np.float64], Matches]:
         """The points of another index after a motion (3, 4) or (4, 4), and the nearest point of each: one ICP step.
 
-        Points that were near each other still are, so nothing is sorted again. `hint`: see `query`.
+        Points that were near each other still are, so nothing is sorted again. `hint` (M,) holds an index near each
+        answer, such as the answer before a small motion: it never changes the result.
         """
         moved, found = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
         rows = np.ascontiguousarray(motion[:3], np.float64)
         hint = None if hint is None else self._as_rows(hint, "hint")
+        if hint is not None and len(hint) != len(queries):
+            raise InputError(f"hint: expected one index for each of the {len(queries)} queries, got {len(hint)}")
         try:
             self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *found)
         except ValueError as error:

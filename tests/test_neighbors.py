@@ -165,9 +165,9 @@ def test_a_hint_never_changes_the_result(shape):
     rng = np.random.default_rng(4)
     points = shape(rng, 700)
     queries = near_and_far_queries(rng, points, 100)
-    index, expected = Index(points), brute_nearest(queries, points)
-    assert_matches(index.query(queries, hint=expected[1]), expected)
-    assert_matches(index.query(queries, hint=rng.integers(0, 700, len(queries))), expected)
+    index, source, expected = Index(points), Index(queries), brute_nearest(queries, points)
+    for hint in (expected[1], rng.integers(0, 700, len(queries))):
+        assert_matches(index.nearest_of_moved(source, np.eye(4), hint)[1], expected)
 
 
 @pytest.mark.parametrize("n", [2, 8, 9, 65, 900])
@@ -337,6 +337,10 @@ def test_memory_is_at_most_40_bytes_a_point():
     assert Index(uniform(np.random.default_rng(10), 500_000)).nbytes <= 40 * 500_000
 
 
+def moved_with_hint(hint):
+    return Index(np.zeros((3, 3))).nearest_of_moved(Index(np.zeros((1, 3))), np.eye(4), hint)
+
+
 @pytest.mark.parametrize(
     "make, message",
     [
@@ -349,8 +353,8 @@ def test_memory_is_at_most_40_bytes_a_point():
         (lambda: Index(np.zeros((3, 3))).query([0, 0, 0]), "queries: expected real numbers"),
         (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 4), "k: expected 1 to 3 .* got 4"),
         (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 0), "k: expected 1 to 3 .* got 0"),
-        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[3]), "hint: expected indices from 0 to 2"),
-        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[0, 1]), "hint: expected one index for each"),
+        (lambda: moved_with_hint([3]), "hint: expected indices from 0 to 2"),
+        (lambda: moved_with_hint([0, 1]), "hint: expected one index for each"),
         (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0), "radius: expected a finite length"),
         (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan), "radius: expected a finite length"),
         (lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1), "unit vectors, got length 2"),

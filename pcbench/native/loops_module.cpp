@@ -1,33 +1,20 @@
 // Python's view of the loops over points that need no tree.
 #include "loops_module.h"
 
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 
 #include <algorithm>
 #include <optional>
 #include <vector>
 
+#include "arrays.h"
 #include "cells.h"
 #include "normals.h"
 #include "pairs.h"
 
-namespace nb = nanobind;
-
 namespace {
 
-template <typename T, typename... Shape>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
-template <typename T, typename... Shape>
-using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
-using Points = In<double, nb::shape<-1, 3>>;
-using Column = In<double, nb::shape<-1>>;
-using Indices = In<int64_t, nb::shape<-1>>;
 using OptionalIndices = std::optional<Indices>;
-
-void check(bool holds, const char* message) {
-    if (!holds) throw nb::value_error(message);
-}
 
 // `count` rows of an array, those that the list names if there is one.
 pcbench::Rows rows_of(Points array, const OptionalIndices& list, size_t count) {

@@ -1,22 +1,14 @@
 // Python's view of the triangle tree.
 #include "mesh_module.h"
 
-#include <nanobind/ndarray.h>
-
+#include "arrays.h"
 #include "mesh_index.h"
 
 using pcbench::mesh::MeshIndex;
 
 namespace {
 
-template <typename T, typename... Shape>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
-template <typename T, typename... Shape>
-using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
-using Rows = nb::shape<-1, 3>;
-using Column = nb::shape<-1>;
-
-void init(MeshIndex* self, In<double, Rows> vertices, In<int64_t, Rows> faces) {
+void init(MeshIndex* self, Points vertices, In<int64_t, nb::shape<-1, 3>> faces) {
     const size_t count = faces.shape(0);
     if (count == 0 || count >> 31) throw nb::value_error("MeshIndex: expected 1 to 2^31 - 1 faces");
     for (size_t i = 0; i < 3 * count; ++i)
@@ -26,8 +18,8 @@ void init(MeshIndex* self, In<double, Rows> vertices, In<int64_t, Rows> faces) {
     new (self) MeshIndex(vertices.data(), vertices.shape(0), faces.data(), count);
 }
 
-void query(const MeshIndex& self, In<double, Rows> points, Out<double, Column> distances, Out<double, Rows> feet,
-           Out<int64_t, Column> faces, Out<uint8_t, Column> features) {
+void query(const MeshIndex& self, Points points, Out<double, nb::shape<-1>> distances, Out<double, nb::shape<-1, 3>> feet,
+           Out<int64_t, nb::shape<-1>> faces, Out<uint8_t, nb::shape<-1>> features) {
     const size_t count = points.shape(0);
     if (distances.shape(0) != count || feet.shape(0) != count || faces.shape(0) != count || features.shape(0) != count)
         throw nb::value_error("MeshIndex: every output needs one row for each point");
@@ -41,16 +33,16 @@ void check_rays(size_t origins, size_t directions, size_t outputs) {
         throw nb::value_error("MeshIndex: every ray needs an origin, a direction and a row of each output");
 }
 
-void cast(const MeshIndex& self, In<double, Rows> origins, In<double, Rows> directions, double limit,
-          Out<double, Column> distances, Out<int64_t, Column> faces) {
+void cast(const MeshIndex& self, Points origins, Points directions, double limit,
+          Out<double, nb::shape<-1>> distances, Out<int64_t, nb::shape<-1>> faces) {
     check_rays(origins.shape(0), directions.shape(0), distances.shape(0));
     check_rays(origins.shape(0), directions.shape(0), faces.shape(0));
     nb::gil_scoped_release release;
     self.cast(origins.data(), directions.data(), origins.shape(0), limit, distances.data(), faces.data());
 }
 
-void blocked(const MeshIndex& self, In<double, Rows> origins, In<double, Rows> directions, double limit,
-             Out<bool, Column> blocked) {
+void blocked(const MeshIndex& self, Points origins, Points directions, double limit,
+             Out<bool, nb::shape<-1>> blocked) {
     check_rays(origins.shape(0), directions.shape(0), blocked.shape(0));
     nb::gil_scoped_release release;
     self.blocked(origins.data(), directions.data(), origins.shape(0), limit, blocked.data());

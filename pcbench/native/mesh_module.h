@@ -2,6 +2,4 @@
 #pragma once
 #include <nanobind/nanobind.h>
 
-namespace nb = nanobind;
-
-void bind_mesh(nb::module_& m);
+void bind_mesh(nanobind::module_& m);

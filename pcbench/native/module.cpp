@@ -1,6 +1,4 @@
 // The compiled core: loops over points that numpy cannot fuse. No Python objects inside the loops, the GIL released.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 
 #include <algorithm>
@@ -11,20 +9,13 @@
 
 #include <omp.h>
 
+#include "arrays.h"
 #include "index.h"
 #include "loops_module.h"
 #include "mesh_module.h"
 
-namespace nb = nanobind;
-
 namespace {
 
-template <typename T, typename... Shape>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu, Shape...>;
-template <typename T, typename... Shape>
-using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu, Shape...>;
-using Points = In<double, nb::shape<-1, 3>>;
-using Indices = In<int64_t, nb::shape<-1>>;
 using Flags = Out<bool, nb::shape<-1>>;
 
 constexpr const char* kBadCoordinate = "a coordinate is not finite or beyond 1e100";
@@ -49,10 +40,6 @@ void interruptible(Loop loop) {
 // Queries are sorted in parts of this many, which bounds the memory.
 constexpr size_t kQueryPart = size_t{1} << 20;
 
-void check(bool holds, const char* message) {
-    if (!holds) throw nb::value_error(message);
-}
-
 // Hands the memory to numpy.
 auto to_numpy(pcbench::Block<int64_t> block, size_t count) {
     int64_t* data = block.release();
@@ -74,18 +61,12 @@ public:
     const pcbench::Tree& tree() const { return index_->tree(); }
     size_t bytes() const { return index_->bytes(); }
 
-    void nearest(Points queries, std::optional<Indices> hints, Out<double, nb::shape<-1>> distances,
-                 Out<int64_t, nb::shape<-1>> indices) const {
+    void nearest(Points queries, Out<double, nb::shape<-1>> distances, Out<int64_t, nb::shape<-1>> indices) const {
         const size_t count = queries.shape(0);
         check(distances.shape(0) == count && indices.shape(0) == count, "nearest: one row for each query");
-        if (hints) {
-            check(hints->shape(0) == count, "nearest: one hint for each query");
-            check_rows(*hints, "nearest: a hint lies outside the points");
-        }
         in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
-            pcbench::kernels().nearest(tree(), part.leaves.get(), part.leaf_count,
-                                       hints ? hints->data() + offset : nullptr, false, distances.data() + offset,
-                                       indices.data() + offset, {}, interrupt);
+            pcbench::kernels().nearest(tree(), part.leaves.get(), part.leaf_count, nullptr, false,
+                                       distances.data() + offset, indices.data() + offset, {}, interrupt);
         });
     }
 
@@ -264,8 +245,8 @@ NB_MODULE(_core, m) {
     nb::class_<PointIndex>(m, "PointIndex", "A tree over points; results are written into the arrays given.")
         .def(nb::init<Points>(), nb::arg("points").noconvert())
         .def_prop_ro("bytes", &PointIndex::bytes, "Memory held beyond the points.")
-        .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("hints").noconvert().none(),
-             nb::arg("distances").noconvert(), nb::arg("indices").noconvert())
+        .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
+             nb::arg("indices").noconvert())
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), nb::arg("slack") = 0.0, nb::arg("tied").noconvert().none() = nb::none(),
              "Queries are another index's points, or its own: then no point is its own neighbour. tied: whether another"
