@@ -9,11 +9,12 @@ from typing import Any
 
 from pcbench.cloud import Cloud
 from pcbench.comparison import Comparison, Settings, compare
-from pcbench.errors import InputError, PcbenchError
+from pcbench.errors import InputError
 from pcbench.io import FILTERED, read_cloud
 from pcbench.io.files import atomic_write, check_output, digest
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.mesh import Mesh
+from pcbench.plot import draw_if_possible
 from pcbench.report import Inputs, document, report_folder, to_json, write_report
 from pcbench.report.folder import check_name, read_settings
 
@@ -82,7 +83,7 @@ def compare_files(job: Job, outputs: Outputs, step: Callable[[str], None]) -> Ou
             write_report(folder, outcome.comparison, outcome.document, files)
             if outputs.figures:
                 step("drawing the pictures")
-                outcome = replace(outcome, without_figures=_draw(folder))
+                outcome = replace(outcome, without_figures=draw_if_possible(folder))
     if outputs.json_file is not None:
         with atomic_write(outputs.json_file) as file:
             file.write(to_json(outcome.document).encode())
@@ -134,17 +135,6 @@ def _read(path: Path, settings: Settings, warnings: list[str], *, may_be_mesh: b
     if path.suffix.lower() in FILTERED:  # a LAS reference may be filtered though the candidates are of another kind
         filters = {"classes": settings.classes, "returns": settings.returns}
     return read_cloud(path, on_warning=warnings.append, **filters)
-
-
-def _draw(folder: Path) -> str | None:
-    """Draw a report's pictures; what stands in the way is returned, because the numbers are delivered all the same."""
-    from pcbench.plot import draw
-
-    try:
-        draw(folder)
-    except PcbenchError as error:
-        return str(error)
-    return None
 
 
 def _names_file(text: str) -> bool:

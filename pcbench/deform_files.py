@@ -12,10 +12,11 @@ from pcbench.cloud import Cloud
 from pcbench.crop import parse_region
 from pcbench.deformation import Deformation
 from pcbench.deformation_pairs import Side, residual_deformation
-from pcbench.errors import InputError, PcbenchError
+from pcbench.errors import InputError
 from pcbench.io import read_cloud
 from pcbench.neighbors import Index
 from pcbench.normals import Surface
+from pcbench.plot import draw_if_possible
 from pcbench.registration import Registration, Target, recentring, register
 from pcbench.report import report_folder, write_deformation
 from pcbench.voxels import robust_extent, thin_to
@@ -102,16 +103,5 @@ def deform_files(
             write_deformation(folder, deformation, aligned, transform, truth.crs, truth.unit)
             if figures:
                 step("drawing the pictures")
-                without_figures = _draw(folder)
+                without_figures = draw_if_possible(folder)
     return Outcome(found, deformation, (*warnings, *found.warnings), truth.unit, without_figures)
-
-
-def _draw(folder: Path) -> str | None:
-    """Draw the pictures; what stands in the way is returned, because the numbers are delivered all the same."""
-    from pcbench.plot import draw
-
-    try:
-        draw(folder)
-    except PcbenchError as error:
-        return str(error)
-    return None

@@ -52,6 +52,15 @@ def draw(report: Path, names: tuple[str, ...] = ()) -> list[Path]:
     return [report / line for line in lines]
 
 
+def draw_if_possible(report: Path) -> str | None:
+    """Draw a report's pictures; what stands in the way is returned, because the numbers are delivered all the same."""
+    try:
+        draw(report)
+    except PcbenchError as error:
+        return str(error)
+    return None
+
+
 def check_libraries() -> None:
     """Say what is missing before VTK is loaded: it does not raise, it crashes.
 
