@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pcbench.cloud import Cloud
 from pcbench.crs import euclidean_offsets
 from pcbench.deformation import Deformation, Displacement, TileSums, judge, share_of
-from pcbench.neighbors import FloatArray, Index, IntArray
+from pcbench.neighbors import FloatArray, IntArray
 from pcbench.normals import Surface
 from pcbench.registration import Registration
 from pcbench.voxels import cells, thin_to
@@ -118,7 +118,7 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
     rows = rows[thin_to(asking.surface.points[rows], 3 * _PAIRS, start=1e-3 * _extent(asking.surface.points[rows]))]
     sign = -1.0 if swapped else 1.0  # a point that asks less the surface's, times it: candidate less reference
     index = surface.surface.index
-    spacing = _spacing(index)
+    spacing = surface.surface.spacing
     # The nearest tenth lies on the surface however little the clouds overlap, and bends are a few times as far. Even
     # thinning leaves strays, which fill space, more than their share: what is far off is dropped before it is counted.
     first = index.query(asking.surface.points[rows]).distances
@@ -241,11 +241,3 @@ def _extent(points: FloatArray) -> float:
     """Longest side of the box that holds the inner 98 % along each axis."""
     lower, upper = np.percentile(points, [1, 99], axis=0)
     return float((upper - lower).max())
-
-
-def _spacing(index: Index) -> float:
-    """Median distance to the nearest other point, from an even sample."""
-    some = index.points[:: max(1, len(index) // 5_000)]
-    distances = index.query(some, 2).distances[:, 1]
-    positive = distances[distances > 0]
-    return float(np.median(positive)) if len(positive) else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.native import _core
 from pcbench.neighbors import FloatArray, Index, IntArray, LocalPlanes, Matches
+
+_ASKED = 20_000  # points that the spacing is taken from
+_TWINS = 8  # nearest points among which one is looked for that is no duplicate
 
 
 class Normals(NamedTuple):
@@ -106,6 +110,17 @@ class Surface:
         if len(missing):
             self._variation[missing] = self._planes(missing).variation
         return self._variation[which].astype(np.float64)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Median distance to the nearest other point, of an even sample, duplicates left out; 0 where there is none."""
+        if len(self) < 2:
+            return 0.0
+        which = np.arange(0, len(self), max(1, len(self) // _ASKED))
+        distances = self.index.query(self.points[which], k=min(_TWINS, len(self))).distances
+        other = np.where(distances > 0, distances, np.inf).min(axis=1)
+        found = other[np.isfinite(other)]
+        return float(np.median(found)) if len(found) else 0.0
 
     def nearest_other(self) -> Matches:
         """See `Index.nearest_other`."""

@@ -31,7 +31,6 @@ _FEWEST = 10  # points that ICP wants of either cloud
 _SCALE_RANGE = (0.5, 2.0)  # a refinement that leaves it has collapsed
 _NORMAL_NEIGHBORS = 20
 _SMALLEST = 1e-150  # extent: squares of less are lost
-_TWINS = 8  # nearest points among which one is looked for that is no duplicate
 _INFORMANTS = 10_000  # pairs that are asked what the geometry fixes
 _TILES_ALONG = 8  # the scene: of the bootstrap
 _REPLICATES = 400
@@ -138,17 +137,9 @@ class Target:
     def extent(self) -> float:
         return robust_extent(self.surface.points)
 
-    @cached_property
+    @property
     def spacing(self) -> float:
-        """Median distance to the nearest other point, from an even sample."""
-        index = self.surface.index
-        if len(index) < 2:
-            return 0.0
-        which = np.arange(0, len(index), max(1, len(index) // 20_000))
-        distances = index.query(index.points[which], k=min(_TWINS, len(index))).distances
-        other = np.where(distances > 0, distances, np.inf).min(axis=1)  # duplicates say nothing about spacing
-        found = other[np.isfinite(other)]
-        return float(np.median(found)) if len(found) else 0.0
+        return self.surface.spacing
 
     @cached_property
     def coarse_side(self) -> float:

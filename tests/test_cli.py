@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcbench import Cloud, cli, read_cloud, write_cloud
+from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.transform import read_matrix
 
 REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json"}
@@ -28,25 +28,6 @@ def files(tmp_path, monkeypatch):
         points = shapes.city(count, seed=count)[0]
         write_cloud(f"{name}.ply", Cloud(points + rng.normal(0, noise, points.shape) + [0.05, 0.02, 0]))
     return tmp_path
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Call the command line in this process: (exit code, stdout, stderr)."""
-
-    def call(*arguments, figures=False):
-        if arguments[0] == "compare" and not figures:
-            arguments = (*arguments, "--no-figures")
-        monkeypatch.setattr(sys, "argv", ["pcbench", *map(str, arguments)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 def doc(folder):

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from oracles import first_hits
 
-from pcbench import cli, read_cloud
+from pcbench import read_cloud
 from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError, MissingExtra
 from pcbench.io.meshes import read_mesh
@@ -31,23 +30,6 @@ LENS = (-0.08, 0.01, 0.002, -0.001)
 @pytest.fixture(scope="module")
 def city():
     return build_city(SMALL, texel=0.5)
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Call the command line in this process: (exit code, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pcbench", *map(str, arguments)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 @pytest.fixture

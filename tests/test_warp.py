@@ -1,13 +1,13 @@
 """Known deformations: their size, what is recorded of them, and that the record does them again."""
 
 import json
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pcbench import Cloud, cli, read_cloud, write_cloud
+from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.errors import InputError
 from pcbench.synthetic.warp import KINDS, Warp, turn, warp_of
 from pcbench.transform import Affine, Similarity
@@ -113,21 +113,10 @@ def test_what_has_no_height_cannot_be_sheared_by_height():
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(run, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     write_cloud("in.ply", hills())
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pcbench", "synth", "warp", *arguments])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
+    return partial(run, "synth", "warp")
 
 
 def test_the_command_and_its_record(run):
