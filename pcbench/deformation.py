@@ -55,7 +55,7 @@ _REPLICATES = 999
 _FOLDS = 10
 _SEEN = 0.02  # information of a field against a field seen along its direction everywhere: below is noise of normals
 _HARDLY_SEEN = 1e-4
-_HELD = 1e-3  # information that holds back a field while pairs are found
+_HELD = 0.01  # half of a field that has so little information is followed while pairs are found
 _RIDGE = 1e-12
 _PLACE_NOISE = 100 / _SEEN  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
@@ -66,6 +66,7 @@ _SURE_NOISE, _SURE_TILES = 1e-5, 5e-3
 _DOUBT = 1e-3  # of either test alone
 _SMALL = 0.1  # of the noise: a bend that is surely less is not worth a doubt
 _FDR = 0.05
+_LEAST_TESTED, _SMOOTH_TESTED = 3.0, 0.1  # weight of smooth surface in a cell and a pair: bushes change by themselves
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,19 +189,22 @@ class Displacement(NamedTuple):
         field: FloatArray = np.einsum("an,ak->nk", monomials(self._inside(places)), self.coefficients)
         return field
 
-    def refined(self, places: FloatArray, normals: FloatArray, left: FloatArray, weights: FloatArray) -> Displacement:
-        """The field with what explains (N,) residuals along normals that it has left, by weighted least squares.
+    def fitted(self, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray) -> Displacement:
+        """The field that explains (N,) residuals along normals, by weighted least squares.
 
-        A ridge holds back what the geometry does not fix; what it takes from the rest comes with the next refinement.
+        What the pairs hardly show is left out, by information against the field's size at all places, whatever they
+        weigh: a field that is free where a forest weighs nothing finds pairs there that bear it out.
         """
         x = self._inside(places)
-        moments, scores = normal_equations(x, normals, weights, left)
-        squares = gram(moments)
-        to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares / squares[0, 0] + _RIDGE * np.eye(len(squares))))
+        moments, scores = normal_equations(x, normals, weights, residuals)
+        values = monomials(x)
+        squares = np.einsum("an,bn->ab", values, values, optimize=False) / len(x)
+        to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
         basis = np.kron(to_orthonormal, np.eye(3))
-        matrix = basis @ normal_matrix(moments) @ basis.T + _HELD * squares[0, 0] * np.eye(len(basis))
-        found = np.linalg.solve(matrix, basis @ scores.ravel())
-        return self._replace(coefficients=self.coefficients + (basis.T @ found).reshape(-1, 3))
+        information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())
+        along = fields.T @ (basis @ scores.ravel()) / weights.sum()
+        found = fields @ (information / (np.square(information) + _HELD**2) * along)
+        return self._replace(coefficients=(basis.T @ found).reshape(-1, 3))
 
     def _inside(self, places: FloatArray) -> FloatArray:
         inside: FloatArray = np.clip((places - self.center) / self.radius, -1, 1)
@@ -877,7 +881,8 @@ class _Measured:
         The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
         discoveries are limited as in Benjamini & Hochberg 1995.
         """
-        tested = sums.counts >= 20
+        weight = np.trace(sums.spread, axis1=1, axis2=2)
+        tested = (weight >= _LEAST_TESTED) & (weight >= _SMOOTH_TESTED * sums.counts)
         correlated = np.diag(self._geometry.mixture(self._noise))
         values, vectors = np.linalg.eigh(sums.spread)
         fixed = values >= np.maximum(0.05 * values.sum(axis=1, keepdims=True), 1.0)

@@ -153,7 +153,7 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         weights *= quality
         if not weights.any():
             return None
-        field = field.refined(asked[near], normals, left, weights)
+        field = field.fitted(asked[near], normals, residuals, weights)
         noise = 4 * 1.4826 * float(np.median(np.abs(left)))
         gate = max(0.6 * gate if number < _ROUNDS - 4 else 0.0, last, min(noise, gate))
     feet, asked = feet[near], asked[near]
