@@ -139,15 +139,14 @@ class TileSums:
         sure = clipped[v[:, 0] >= np.median(v)]
         sigma = 1.4826 * float(np.median(np.abs(sure)))
         clipped = np.clip(clipped, -3 * sigma, 3 * sigma)
-        cells_of = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(order)], strict=True)]
-        sums = [normal_equations(x[s], n[s], w[s], r[s]) for s in cells_of]
+        moments, scores = normal_equations(x, n, w, r, starts)
         return cls(
             center=center,
             radius=radius,
             side=side,
             cells=cells[order[starts]],
-            moments=np.stack([moments for moments, _ in sums]),
-            scores=np.stack([scores for _, scores in sums]),
+            moments=moments,
+            scores=scores,
             energy=np.add.reduceat(w * r * r, starts),
             counts=np.diff([*starts, len(order)]),
             dyadic=dyadic_moments(places, normals, left, weights, lower, side),
@@ -189,14 +188,16 @@ class Displacement(NamedTuple):
         field: FloatArray = np.einsum("an,ak->nk", monomials(self._inside(places)), self.coefficients)
         return field
 
-    def fitted(self, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray) -> Displacement:
+    def fitted(
+        self, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray
+    ) -> Displacement:
         """The field that explains (N,) residuals along normals, by weighted least squares.
 
         What the pairs hardly show is left out, by information against the field's size at all places, whatever they
         weigh: a field that is free where a forest weighs nothing finds pairs there that bear it out.
         """
         x = self._inside(places)
-        moments, scores = normal_equations(x, normals, weights, residuals)
+        moments, scores = (sums[0] for sums in normal_equations(x, normals, weights, residuals))
         values = monomials(x)
         squares = np.einsum("an,bn->ab", values, values, optimize=False) / len(x)
         to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
@@ -303,7 +304,7 @@ class Geometry:
         self.lengths = sums.side * np.array(_LENGTHS)
         self.cell_matrices = self.basis @ normal_matrix(sums.moments) @ self.basis.T
         self.tiles = [_merged(sums.cells, factor) for factor in _FACTORS]
-        self.tile_matrices = [_added(self.cell_matrices, tile) for tile in self.tiles]
+        self.tile_matrices = _added(self.cell_matrices, self.tiles[_TILE])  # of the reported size
         self._steps: dict[tuple[str, str], _Step] = {}
         self._halves: dict[str, FloatArray] = {}
 
@@ -673,7 +674,7 @@ def decide(
 
     bent = weigh("affine", "cubic")
     same = [(p <= _SURE_TILES) == (bent.p_tiles[_TILE] <= _SURE_TILES) for p in bent.p_tiles]
-    tiles = len(geometry.tile_matrices[_TILE])
+    tiles = len(geometry.tile_matrices)
     warnings = []
     if bent.modes == 0:
         warnings.append("no bend can be seen here: the surfaces show no direction well enough")
@@ -716,7 +717,7 @@ def decide(
 def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[dict[str, Any]]:
     """Each model's cross-validated mean square residual (whole tiles are left out) and its BIC with n_eff."""
     tile = geometry.tiles[_TILE]
-    matrices, rows = geometry.tile_matrices[_TILE], _added(scores.cells, tile)
+    matrices, rows = geometry.tile_matrices, _added(scores.cells, tile)
     energy, weight = _added(scores.energy, tile), np.maximum(_added(_traces(geometry), tile), 1e-300)
     fold = np.random.default_rng(seed).permutation(len(matrices)) % _FOLDS
     effective = effective_count(geometry, noise)

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 
+from pcbench.native import _core
 from pcbench.neighbors import FloatArray, IntArray
 
 MODELS = ("rigid", "similarity", "affine", "quadratic", "cubic")
@@ -34,38 +35,35 @@ _STEPS = [
     for axis in [next(k for k in range(3) if powers[k])]
 ]
 _PRODUCT = np.array([[_PLACE[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])  # (20, 20) -> 84
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # entries of a symmetric 3x3 matrix
-_ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6
+_ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
+_ALL = np.zeros(1, dtype=np.int64)  # one group
 
 
-def monomials(places: FloatArray, *, products: bool = False) -> FloatArray:
-    """(20, N) values of the monomials at places (N, 3); with `products` (84, N), those of all products of two."""
-    count = len(_PRODUCTS) if products else len(EXPONENTS)
-    values = np.empty((count, len(places)))
+def monomials(places: FloatArray) -> FloatArray:
+    """(20, N) values of the monomials at places (N, 3)."""
+    values = np.empty((len(EXPONENTS), len(places)))
     values[0] = 1.0
     coordinates = np.ascontiguousarray(places.T)
-    for row, (earlier, axis) in enumerate(_STEPS[: count - 1], 1):
+    for row, (earlier, axis) in enumerate(_STEPS[: len(EXPONENTS) - 1], 1):
         np.multiply(values[earlier], coordinates[axis], out=values[row])
     return values
 
 
 def normal_equations(
-    places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray
+    places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray, starts: IntArray = _ALL
 ) -> tuple[FloatArray, FloatArray]:
-    """(84, 6) sums of w phi_a phi_b n n', all that the normal equations of a cubic field hold, and (20, 3) sums of
-    w phi n r, their right side.
+    """All that the normal equations of a cubic field hold, for each group of pairs; `starts` (G,) are their first rows.
 
     The residual's derivative by the coefficients is phi (x) n, so each entry of the (60, 60) normal matrix is the sum
     of a monomial of degree up to six times an entry of n n': 504 numbers instead of 1830.
+
+    Returns:
+        Moments (G, 84, 6), sums of w phi_a phi_b n n', and scores (G, 20, 3), sums of w phi n r, their right side.
     """
-    pairs = np.stack([weights * normals[:, i] * normals[:, j] for i, j in _PAIRS], axis=1)
-    # Row by row and without BLAS: the same bits at any number of threads.
-    values = monomials(places, products=True)
-    moments: FloatArray = np.einsum("an,nk->ak", values, pairs, optimize=False)
-    # Products are sorted by degree: the monomials themselves come first.
-    scores: FloatArray = np.einsum(
-        "an,nk->ak", values[: len(EXPONENTS)], normals * (weights * residuals)[:, None], optimize=False
-    )
+    moments = np.empty((len(starts), len(_PRODUCTS), 6))
+    scores = np.empty((len(starts), len(EXPONENTS), 3))
+    arrays = (np.ascontiguousarray(values, dtype=np.float64) for values in (places, normals, weights, residuals))
+    _core.normal_equations(*arrays, starts, np.array(_STEPS), moments, scores)
     return moments, scores
 
 

@@ -44,11 +44,20 @@ def test_moments_hold_the_normal_equations_of_a_cubic_field():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     weights, residuals = rng.random(50), rng.normal(size=50)
     design = np.einsum("an,nk->nak", monomials(places), normals).reshape(50, 60)
-    moments, scores = normal_equations(places, normals, weights, residuals)
-    matrix = normal_matrix(moments)
-    # Sums of fifty terms of size one.
-    np.testing.assert_allclose(matrix, design.T @ (weights[:, None] * design), atol=1e-12)
-    np.testing.assert_allclose(scores.ravel(), design.T @ (weights * residuals), atol=1e-12)
+    starts = np.array([0, 20, 20])  # a group of twenty pairs, an empty one, the rest
+    moments, scores = normal_equations(places, normals, weights, residuals, starts)
+    for group, rows in enumerate((slice(0, 20), slice(20, 20), slice(20, 50))):
+        matrix = design[rows].T @ (weights[rows, None] * design[rows])
+        # Sums of fifty terms of size one.
+        np.testing.assert_allclose(normal_matrix(moments[group]), matrix, atol=1e-12)
+        np.testing.assert_allclose(scores[group].ravel(), design[rows].T @ (weights * residuals)[rows], atol=1e-12)
+
+
+def test_sums_over_groups_that_are_none_are_refused():
+    one, places = np.ones(4), np.zeros((4, 3))
+    for starts in ([2, 1], [0, 5], [-1]):
+        with pytest.raises(ValueError, match="ascending"):
+            normal_equations(places, places, one, one, np.array(starts))
 
 
 @pytest.mark.parametrize(

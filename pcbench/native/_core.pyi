@@ -74,6 +74,12 @@ def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64],
     Normal equations of one point-to-plane step, written in place; returns the pairs' RMS radius.
     """
 
+def normal_equations(places: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], residuals: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], steps: Annotated[NDArray[numpy.int64], dict(shape=(83, 2), order='C', device='cpu', writable=False)], moments: Annotated[NDArray[numpy.float64], dict(shape=(None, 84, 6), order='C', device='cpu')], scores: Annotated[NDArray[numpy.float64], dict(shape=(None, 20, 3), order='C', device='cpu')]) -> None:
+    """
+    Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of
+    w phi n r, for the monomials that the steps (83, 2) build: an earlier one and the coordinate it is multiplied by.
+    """
+
 class MeshIndex:
     """
     A box tree over triangles; the caller has checked that vertices are finite.

@@ -4,6 +4,7 @@
 #include <nanobind/stl/optional.h>
 
 #include <algorithm>
+#include <array>
 #include <optional>
 #include <vector>
 
@@ -11,6 +12,7 @@
 #include "cells.h"
 #include "normals.h"
 #include "pairs.h"
+#include "polynomials.h"
 
 namespace {
 
@@ -109,6 +111,31 @@ double plane_system(Points moved, Points normals, Indices rows, Column residuals
     return system.radius;
 }
 
+void normal_equations(Points places, Points normals, Column weights, Column residuals, Indices starts,
+                      In<int64_t, nb::shape<pcbench::kProducts - 1, 2>> steps,
+                      Out<double, nb::shape<-1, pcbench::kProducts, 6>> moments,
+                      Out<double, nb::shape<-1, pcbench::kMonomials, 3>> scores) {
+    const size_t count = places.shape(0), groups = starts.shape(0);
+    check(normals.shape(0) == count && weights.shape(0) == count && residuals.shape(0) == count,
+          "normal_equations: every argument needs one row for each pair");
+    check(moments.shape(0) == groups && scores.shape(0) == groups, "normal_equations: one result for each group");
+    std::array<pcbench::Step, pcbench::kProducts - 1> step;
+    for (size_t a = 0; a < step.size(); ++a) {
+        step[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
+        check(0 <= step[a].earlier && step[a].earlier <= static_cast<int64_t>(a) && 0 <= step[a].axis && step[a].axis < 3,
+              "normal_equations: a monomial is an earlier one times a coordinate");
+    }
+    std::vector<size_t> bounds(starts.data(), starts.data() + groups);
+    bounds.push_back(count);
+    check(std::is_sorted(bounds.begin(), bounds.end()), "normal_equations: expected ascending starts of groups");
+    nb::gil_scoped_release release;
+#pragma omp parallel for schedule(dynamic) if (groups > 1 && count > pcbench::kWorthThreads / 8)
+    for (size_t g = 0; g < groups; ++g)
+        pcbench::normal_equations(bounds[g], bounds[g + 1], places.data(), normals.data(), weights.data(), residuals.data(),
+                                  step.data(), moments.data() + g * pcbench::kProducts * 6,
+                                  scores.data() + g * pcbench::kMonomials * 3);
+}
+
 }  // namespace
 
 void bind_loops(nb::module_& m) {
@@ -143,4 +170,9 @@ void bind_loops(nb::module_& m) {
                   "NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: "
                   "NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> "
                   "float"));
+    m.def("normal_equations", &normal_equations, nb::arg("places").noconvert(), nb::arg("normals").noconvert(),
+          nb::arg("weights").noconvert(), nb::arg("residuals").noconvert(), nb::arg("starts").noconvert(),
+          nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
+          "Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
+          "w phi n r, for the monomials that the steps (83, 2) build: an earlier one and the coordinate it is multiplied by.");
 }

@@ -54,7 +54,7 @@ def null(scenes: dict[int, Scene], runs: int) -> None:
         waves = scene.waves(cell)
         rows = [scene.judge(scene.noise(cell, waves, 1000 + run)) for run in range(runs)]
         others = [rivals(scene, row, cell.points) for row in rows]
-        tiles = len(scene.geometry.tile_matrices[1])
+        tiles = len(scene.geometry.tile_matrices)
         verdicts = [row.finding.verdict for row in rows]
         share = {v: verdicts.count(v) / runs for v in ("none", "undecided", "affine", "similarity", "non-affine")}
         bent = [np.mean([other[k] in ("quadratic", "cubic") for other in others]) for k in (0, 1)]
@@ -70,7 +70,7 @@ def p_noise(judged: Judged) -> float:
 
 
 def power(scene: Scene, runs: int) -> None:
-    tiles = len(scene.geometry.tile_matrices[1])
+    tiles = len(scene.geometry.tile_matrices)
     dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
     print(f"\na dome, {runs} runs a row; its RMS along the normals beyond affine, times the total noise")
     print(f"{HEAD}{'tiles':>6}{'RMS':>6}{'found':>8}{'undecided':>10}  {'ROC: at 1 % false':>18}{'5 %':>7}{'area':>7}")
