@@ -18,8 +18,7 @@ from pcbench import intervals, metrics, presets
 from pcbench.cloud import Cloud, as_cloud, bounds
 from pcbench.crop import Region, parse_region
 from pcbench.crs import crs_name, same_crs
-from pcbench.deformation import Deformation
-from pcbench.deformation_pairs import Side, residual_deformation
+from pcbench.deformation import Deformation, Side, residual_deformation
 from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError, RegistrationError
 from pcbench.measure import Direction, Floor, measure, value_of

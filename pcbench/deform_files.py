@@ -10,8 +10,7 @@ import numpy as np
 
 from pcbench.cloud import Cloud
 from pcbench.crop import parse_region
-from pcbench.deformation import Deformation
-from pcbench.deformation_pairs import Side, residual_deformation
+from pcbench.deformation import Deformation, Side, residual_deformation
 from pcbench.errors import InputError
 from pcbench.io import read_cloud
 from pcbench.neighbors import Index

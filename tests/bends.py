@@ -7,13 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench import deformation as d
-from pcbench.polynomials import monomials
+from pcbench import Cloud
+from pcbench.deformation import Deformation, Side, TileSums
+from pcbench.deformation.model import CELLS_ALONG, SEEN, Geometry, Noise, Scores, estimate_noise
+from pcbench.deformation.pairs import Pairs, find_pairs, judge_pairs, tile_sums
+from pcbench.deformation.polynomials import monomials
+from pcbench.deformation.sums import dyadic_moments, groups
+from pcbench.deformation.verdict import Finding, bootstrap_signs, decide
+from pcbench.neighbors import Index
+from pcbench.normals import Surface
+from pcbench.registration import Target, recentring, register
 from pcbench.synthetic import city
 
 SIGMA = 0.02  # m, of the white noise
 SIZE = 200.0  # m, L
 POINTS = 15_000
+HARDLY_SHOWN = np.sqrt(SEEN)
 
 
 @dataclass(frozen=True)
@@ -39,9 +48,9 @@ class Cell:
 
 
 class Judged(NamedTuple):
-    finding: d.Finding
-    scores: d.Scores
-    noise: d.Noise
+    finding: Finding
+    scores: Scores
+    noise: Noise
 
 
 class Scene:
@@ -63,9 +72,9 @@ class Scene:
             places = np.concatenate([places, x[kept]])[:points]
             normals = np.concatenate([normals, (n / np.linalg.norm(n, axis=1, keepdims=True))[kept]])[:points]
         self.places, self.normals = places, normals
-        self.lower, self.side = places.min(axis=0), SIZE / d.CELLS_ALONG
+        self.lower, self.side = places.min(axis=0), SIZE / CELLS_ALONG
         zero, one = np.zeros(points), np.ones(points)
-        self.sums = d.TileSums.of(
+        self.sums = TileSums.of(
             places,
             normals,
             zero,
@@ -77,10 +86,10 @@ class Scene:
             center=np.zeros(3),
             radius=SIZE / 2,
         )
-        self.geometry = d.Geometry(self.sums)
-        self.signs = d.bootstrap_signs(self.geometry, 0)
+        self.geometry = Geometry(self.sums)
+        self.signs = bootstrap_signs(self.geometry, 0)
         cells = np.floor((places - self.lower) / self.side).astype(np.int64)
-        self.order, self.starts = d._groups(cells)
+        self.order, self.starts = groups(cells)
         basis = monomials(places / (SIZE / 2))
         self.columns = np.einsum("an,nk->nak", basis, normals)  # (N, 20, 3)
         self.cubic = np.einsum("ab,nbk->nak", self.geometry.to_orthonormal, self.columns).reshape(points, -1)
@@ -116,15 +125,97 @@ class Scene:
         energy = np.add.reduceat(np.square(residuals)[self.order], self.starts)
         total = np.einsum("ab,bk->ak", g.to_orthonormal, sums.sum(axis=0)).ravel()
         left = residuals - self.cubic @ g.fit("cubic", total)
-        dyadic = d.dyadic_moments(self.places, self.normals, left, np.ones(len(left)), self.lower, self.side)
-        scores = d.Scores(g, sums, energy, dyadic)
-        noise = d.estimate_noise(g, scores)
-        return Judged(d.decide(g, scores, noise, self.signs), scores, noise)
+        dyadic = dyadic_moments(self.places, self.normals, left, np.ones(len(left)), self.lower, self.side)
+        scores = Scores(g, sums, energy, dyadic)
+        noise = estimate_noise(g, scores)
+        return Judged(decide(g, scores, noise, self.signs), scores, noise)
 
     def fitted(self, judged: Judged) -> np.ndarray:
         """(N,) what the chosen model shows along the normals beyond an affine field."""
         step = self.geometry.step("affine", judged.finding.model)
         return self.cubic @ (step.modes @ (step.modes.T @ judged.scores.total))
+
+
+class Halves:
+    """Two disjoint random halves of a cloud, each with noise of its own, white and correlated: real surfaces.
+
+    Args:
+        cloud: with classes.
+        noise: standard deviation of either kind along each axis, of each half; the correlated one reaches over a
+            sixtieth of the scene.
+        seed: of the halves and their noise.
+    """
+
+    def __init__(self, cloud: Cloud, noise: float, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        first = rng.random(len(cloud)) < 0.5
+        points = cloud.points - cloud.points.mean(axis=0)
+        self.size = float(np.ptp(points[:, :2], axis=0).max())
+        sides = []
+        for _ in range(2):
+            frequencies, phases = rng.normal(size=(60, 3)) / (self.size / 60), rng.uniform(0, 2 * np.pi, 60)
+            waves = np.cos(points @ frequencies.T + phases) @ rng.normal(0, np.sqrt(2 / 60), (60, 3))
+            sides.append(points + noise * waves + rng.normal(0, noise, points.shape))
+        self.noise = 2 * noise  # along a normal: two kinds, two halves
+        self._reference = self._half(cloud, sides[0], first)
+        self._candidate = self._half(cloud, sides[1], ~first)
+        self._origin = recentring(self._reference)
+        self._surface = Surface(Index(self._reference.points - self._origin))
+        _, self._pairs = self._judge(np.zeros_like(self._candidate.points))
+
+    @staticmethod
+    def _half(cloud: Cloud, points: np.ndarray, which: np.ndarray) -> Cloud:
+        classes = cloud.attributes["classification"]
+        return Cloud(points[which], unit=cloud.unit, attributes={"classification": classes[which]})
+
+    def judge(self, kind: str | None, times: float) -> tuple[Deformation, float]:
+        """The answer where the candidate is bent, and the error of the field that comes back as a share of its RMS:
+        along normals, beyond an affine field, which is `times` the noise. Of a bend that normals hardly show all of it
+        has that size: nobody could find it.
+        """
+        if kind is None:
+            return self._judge(np.zeros_like(self._candidate.points))[0], 0.0
+        seen, whole = self.shown(kind)
+        scale = times * self.noise / (seen if seen >= HARDLY_SHOWN * whole else whole)
+        found, pairs = self._judge(scale * bends(self._candidate.points, self.size)[kind])
+        truth = self._beyond_affine(pairs, scale * bends(pairs.places + self._origin, self.size)[kind])
+        sums = tile_sums(pairs)
+        geometry = Geometry(sums)
+        step = geometry.step("affine", found.model if found.model in ("quadratic", "cubic") else "cubic")
+        coefficients = step.modes @ (step.modes.T @ Scores(geometry, sums.scores, sums.energy, sums.dyadic).total)
+        values = geometry.to_orthonormal @ monomials((pairs.places - geometry.center) / geometry.radius)
+        fitted = np.einsum("an,ak,nk->n", values, coefficients.reshape(-1, 3), pairs.normals)
+        error = np.average(np.square(fitted - truth), weights=pairs.weights)
+        return found, float(np.sqrt(error)) / (times * self.noise)
+
+    def shown(self, kind: str) -> tuple[float, float]:
+        """RMS of a bend beyond an affine field: along the normals of the undeformed halves' pairs, and all of it."""
+        field, weights = bends(self._pairs.places + self._origin, self.size)[kind], self._pairs.weights
+        affine, root = monomials(self._pairs.places)[:4].T, np.sqrt(weights)[:, None]
+        bent = field - affine @ np.linalg.lstsq(affine * root, field * root, rcond=None)[0]
+        squares = np.square(self._beyond_affine(self._pairs, field)), np.square(bent).sum(axis=1)
+        seen, whole = (float(np.sqrt(np.average(square, weights=weights))) for square in squares)
+        return seen, whole
+
+    def _judge(self, field: np.ndarray) -> tuple[Deformation, Pairs]:
+        """As `deform` does, with the pairs."""
+        cloud = Cloud(self._candidate.points + field, unit=self._candidate.unit, attributes=self._candidate.attributes)
+        registration = register(self._reference, cloud, target=Target(self._surface))
+        moved = registration.T_local.apply(cloud.points - self._origin)
+        sides = [
+            Side(surface, np.ones(len(surface), dtype=bool), side)
+            for surface, side in ((self._surface, self._reference), (Surface(Index(moved)), cloud))
+        ]
+        pairs = find_pairs(*sides)
+        assert pairs is not None
+        return judge_pairs(pairs), pairs
+
+    @staticmethod
+    def _beyond_affine(pairs: Pairs, field: np.ndarray) -> np.ndarray:
+        affine = np.einsum("an,nk->nak", monomials(pairs.places / np.abs(pairs.places).max())[:4], pairs.normals)
+        root = np.sqrt(pairs.weights)
+        columns, seen = affine.reshape(len(field), -1), (field * pairs.normals).sum(axis=1)
+        return seen - columns @ np.linalg.lstsq(columns * root[:, None], seen * root, rcond=None)[0]
 
 
 def bends(places: np.ndarray, size: float) -> dict[str, np.ndarray]:

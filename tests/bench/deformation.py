@@ -17,9 +17,12 @@ from measure import limit_threads, setting
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from bends import POINTS, SIZE, Cell, Judged, Scene, bends
+from bends import HARDLY_SHOWN, POINTS, SIZE, Cell, Halves, Judged, Scene, bends
+from data_folder import data_folder
 
-from pcbench import deformation as d
+from pcbench import read_cloud
+from pcbench.deformation.polynomials import PARAMETERS
+from pcbench.deformation.verdict import climb
 
 NULL = (
     Cell("gauss", 0),
@@ -38,9 +41,9 @@ def rivals(scene: Scene, judged: Judged, count: int) -> tuple[str, str]:
     g, scores = scene.geometry, judged.scores
     bic = {
         m: count * np.log(scores.energy.sum() - scores.total @ g.fit(m, scores.total)) + p * np.log(count)
-        for m, p in d.PARAMETERS.items()
+        for m, p in PARAMETERS.items()
     }
-    rungs = d.climb(g, scores, judged.noise, 0)
+    rungs = climb(g, scores, judged.noise, 0)
     return min(bic, key=lambda m: bic[m]), str(min(rungs, key=lambda rung: rung["cv_score"])["model"])
 
 
@@ -90,9 +93,34 @@ def power(scene: Scene, runs: int) -> None:
             )
 
 
+def halves(runs: int) -> None:
+    """Real geometry: a verdict on halves of a LiDAR cloud, undeformed and with each bend."""
+    cloud = read_cloud(data_folder("autzen") / "autzen_trim.las")
+    print(
+        f"\nhalves of autzen_trim.las ({len(cloud):,} points, feet), {runs} runs a row; error of the field over its RMS"
+    )
+    print("shown: share of the bend's RMS along normals; where that is little, RMS is of all of it, and none is right")
+    print(
+        f"{'bend':24}{'shown':>6}{'RMS':>6}{'found':>8}{'undecided':>10}{'affine':>8}{'none':>8}{'error':>8}{'largest':>9}"
+    )
+    scenes = [Halves(cloud, 0.1, 100 + run) for run in range(runs)]
+    for kind in (None, *bends(np.zeros((1, 3)), SIZE)):
+        shown = np.divide(*scenes[0].shown(kind)) if kind else 0.0
+        for size in (1.0, 2.0, 5.0) if kind else (0.0,):
+            rows = [scene.judge(kind, size) for scene in scenes]
+            verdicts = [found.verdict for found, _ in rows]
+            shares = [verdicts.count(v) / runs for v in ("non-affine", "undecided", "affine", "none")]
+            errors = [error for found, error in rows if found.verdict == "non-affine" and shown >= HARDLY_SHOWN]
+            print(
+                f"{kind or 'none':24}{shown:6.2f}{size:6.1f}{shares[0]:8.2f}{shares[1]:10.2f}{shares[2]:8.2f}{shares[3]:8.2f}"
+                + (f"{np.median(errors):8.2f}{max(errors):9.2f}" if errors else ""),
+                flush=True,
+            )
+
+
 def times(sizes: list[int]) -> None:
     """Seconds for two whole clouds that are registered and indexed, and whose normals are known, as in `compare`."""
-    from pcbench.deformation_pairs import Side, residual_deformation
+    from pcbench.deformation import Side, residual_deformation
     from pcbench.neighbors import Index
     from pcbench.normals import Surface
     from pcbench.registration import Target, recentring, register
@@ -122,10 +150,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=500)
     parser.add_argument("--power-runs", type=int, default=100)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--times", action="store_true")
+    parser.add_argument("--times", action="store_true", help="nothing but seconds for whole clouds")
+    parser.add_argument("--halves", type=int, metavar="RUNS", help="nothing but halves of a LiDAR cloud")
     options = parser.parse_args()
     limit_threads(options.threads)
     print(setting())
+    if options.halves:
+        return halves(options.halves)
     if options.times:
         return times([100_000, 1_270_820, 5_000_000])
     scenes = {POINTS: Scene(POINTS)}

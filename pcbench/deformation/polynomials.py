@@ -62,8 +62,8 @@ def normal_equations(
     """
     moments = np.empty((len(starts), len(_PRODUCTS), 6))
     scores = np.empty((len(starts), len(EXPONENTS), 3))
-    arrays = (np.ascontiguousarray(values, dtype=np.float64) for values in (places, normals, weights, residuals))
-    _core.normal_equations(*arrays, starts, np.array(_STEPS), moments, scores)
+    places, normals, weights, residuals = map(np.ascontiguousarray, (places, normals, weights, residuals))
+    _core.normal_equations(places, normals, weights, residuals, starts, np.array(_STEPS), moments, scores)
     return moments, scores
 
 

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from pcbench.cloud import Cloud
 from pcbench.crs import euclidean_offsets
-from pcbench.deformation import Deformation, Displacement, TileSums, judge, share_of
+from pcbench.deformation.answer import Deformation, judge
+from pcbench.deformation.displacement import Displacement, share_of
+from pcbench.deformation.sums import TileSums
 from pcbench.neighbors import FloatArray, IntArray
 from pcbench.normals import Surface
 from pcbench.registration import Registration
@@ -95,14 +97,18 @@ def residual_deformation(
         return Deformation.unanswered(f"{count} pairs of points: too few to tell a bend from noise")
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and registration.method.partition(":")[0] != "similarity"
-    sums = _tile_sums(pairs)
+    return judge_pairs(pairs, metric=metric, seed=seed).shifted(origin).with_warnings(notes)
+
+
+def judge_pairs(pairs: Pairs, *, metric: bool = True, seed: int = 0) -> Deformation:
+    """The verdict on pairs, see `judge`; what changed locally is left out: a house that moved does not bend a scene."""
+    sums = tile_sums(pairs)
     resolution = _RESOLUTION * pairs.spacing
     found = judge(sums, metric=metric, resolution=resolution, seed=seed)
-    if found.changed_share and found.changed_share <= _FEW_CHANGES:
-        # A house that moved is no bend of the scene: where something changed locally is left out of the verdict.
-        kept = sums.without(found.changed)
-        found = judge(kept, metric=metric, resolution=resolution, seed=seed).with_changes(found)
-    return found.shifted(origin).with_warnings(notes)
+    if not 0 < found.changed_share <= _FEW_CHANGES:
+        return found
+    kept = sums.without(found.changed)
+    return judge(kept, metric=metric, resolution=resolution, seed=seed).with_changes(found)
 
 
 def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
@@ -164,7 +170,7 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
     return Pairs(places, normals, residuals, weights, left, quality, spacing)
 
 
-def _tile_sums(pairs: Pairs) -> TileSums:
+def tile_sums(pairs: Pairs) -> TileSums:
     """Sums over cells that are as large as the scene allows: about 60 tiles of two cells' edge."""
     counted = pairs.places[pairs.weights > 0]
     lower, upper = np.percentile(counted, [1, 99], axis=0)

@@ -1,0 +1,70 @@
+"""Displacement fields that are fitted while pairs are found, and a known one that is looked for."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.deformation.polynomials import EXPONENTS, monomials, normal_equations, normal_matrix
+from pcbench.neighbors import FloatArray
+
+_HELD = 0.01  # half of a field that has so little information is followed while pairs are found
+_RIDGE = 1e-12
+
+
+class Displacement(NamedTuple):
+    """A cubic displacement field (N, 3) at places (N, 3), held constant beyond `radius` from the centre."""
+
+    coefficients: FloatArray  # (20, 3)
+    center: FloatArray
+    radius: float
+
+    @classmethod
+    def nothing(cls, center: FloatArray, radius: float) -> Displacement:
+        return cls(np.zeros((len(EXPONENTS), 3)), center, radius)
+
+    def __call__(self, places: FloatArray) -> FloatArray:
+        field: FloatArray = np.einsum("an,ak->nk", monomials(self._inside(places)), self.coefficients)
+        return field
+
+    def fitted(
+        self, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray
+    ) -> Displacement:
+        """The field that explains (N,) residuals along normals, by weighted least squares.
+
+        What the pairs hardly show is left out, by information against the field's size at all places, whatever they
+        weigh: a field that is free where a forest weighs nothing finds pairs there that bear it out.
+        """
+        x = self._inside(places)
+        moments, scores = (sums[0] for sums in normal_equations(x, normals, weights, residuals))
+        values = monomials(x)
+        squares = np.einsum("an,bn->ab", values, values, optimize=False) / len(x)
+        to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
+        basis = np.kron(to_orthonormal, np.eye(3))
+        information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())
+        along = fields.T @ (basis @ scores.ravel()) / weights.sum()
+        found = fields @ (information / (np.square(information) + _HELD**2) * along)
+        return self._replace(coefficients=(basis.T @ found).reshape(-1, 3))
+
+    def _inside(self, places: FloatArray) -> FloatArray:
+        inside: FloatArray = np.clip((places - self.center) / self.radius, -1, 1)
+        return inside
+
+
+def share_of(
+    places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray, bend: FloatArray, gauge: str
+) -> tuple[float, float]:
+    """How much of a known bend (N,) along the normals is in the residuals beyond a motion of the gauge, and the bend's
+    RMS beyond it.
+    """
+    x = places - np.average(places, axis=0, weights=weights)
+    columns = [*normals.T, *np.cross(x, normals).T]
+    if gauge == "similarity":
+        columns.append(np.einsum("ni,ni->n", x, normals))
+    matrix = np.stack(columns, axis=1) * np.sqrt(weights)[:, None]
+    known, seen = bend * np.sqrt(weights), residuals * np.sqrt(weights)
+    known = known - matrix @ np.linalg.lstsq(matrix, known, rcond=1e-6)[0]
+    power = float(known @ known)
+    return float(known @ seen) / max(power, 1e-300), math.sqrt(power / float(weights.sum()))

@@ -1,0 +1,136 @@
+"""What single cells say: displacements, their noise, and where something changed by itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.deformation.chi_squares import chi_squares_tail
+from pcbench.deformation.model import SEEN, Geometry, Noise, Scores
+from pcbench.deformation.polynomials import monomials
+from pcbench.deformation.sums import TileSums
+from pcbench.neighbors import FloatArray, IntArray
+
+FDR = 0.05
+_LEAST_TESTED, _SMOOTH_TESTED = 3.0, 0.1  # weight of smooth surface in a cell and a pair: bushes change by themselves
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """The deformation on the cells, one row each (M,): what the table `NAME_deformation.csv` holds.
+
+    Attributes:
+        places: (M, 3) mean places of the pairs.
+        displacements: (M, 3) of the candidate against the reference by the chosen model, beyond the rigid motion; only
+            along directions that the surface in the cell shows.
+        vertical: measured mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN where no
+            surface there shows it.
+        sigma: standard deviation of `vertical` under the noise.
+        local: length of what the largest model leaves of the cell's displacement.
+        changed: whether that is more than noise, at a false discovery rate of 5 %.
+        counts: pairs.
+    """
+
+    places: FloatArray
+    displacements: FloatArray
+    vertical: FloatArray
+    sigma: FloatArray
+    local: FloatArray
+    changed: NDArray[np.bool_]
+    counts: IntArray
+
+
+class Measured:
+    """What single cells say: vertical displacements, their noise, and where something changed."""
+
+    def __init__(self, geometry: Geometry, scores: Scores, noise: Noise, sums: TileSums) -> None:
+        self._geometry, self._scores, self._noise = geometry, scores, noise
+        rigid = geometry.fit("rigid", scores.total)
+        left = scores.translations - np.einsum("cik,i->ck", geometry.translations, rigid)
+        information = geometry.information[:, 2, 2]
+        seen = (information > 0.1 * geometry.weights) & (sums.counts >= 5)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self.vertical = np.where(seen, left[:, 2] / information, np.nan)
+        self._seen = np.flatnonzero(seen)
+        self._weights = information[seen]
+        covariance = geometry.mixture(noise)[np.ix_(self._seen, self._seen)]
+        self._covariance = covariance + np.diag(noise.white / self._weights)
+        self.sigma = np.full(len(seen), np.nan)
+        self.sigma[self._seen] = np.sqrt(np.diag(self._covariance))
+        middle = np.average(geometry.means, axis=0, weights=geometry.weights)
+        self.distance = np.hypot(*(geometry.means - middle)[:, :2].T)
+        self.height = geometry.means[:, 2] - geometry.means[:, 2].min()
+
+    def growth(self, along: FloatArray) -> dict[str, Any] | None:
+        """Slope of the vertical displacement, its 95 % interval, and a profile in up to eight bins of equal weight."""
+        x, y, w = along[self._seen], self.vertical[self._seen], self._weights
+        if len(x) < 3 or np.ptp(x) == 0:
+            return None
+        centred = x - np.average(x, weights=w)
+        a = w * centred / float(w @ np.square(centred))
+        slope, sigma = float(a @ y), math.sqrt(float(a @ self._covariance @ a))
+        rank = np.argsort(x, kind="stable")
+        bins = np.empty(len(x), dtype=np.int64)
+        share = (np.cumsum(w[rank]) - 0.5 * w[rank]) / w.sum()
+        bins[rank] = np.minimum((8 * share).astype(np.int64), 7)
+        profile = []
+        for number in np.unique(bins):
+            within = np.where(bins == number, w, 0.0) / w[bins == number].sum()
+            mean = float(within @ y)
+            error = math.sqrt(float(np.square(within) @ np.square(y - mean)))
+            profile.append(
+                {
+                    "at": float(within @ x),
+                    "mean": mean,
+                    "ci": [mean - 1.96 * error, mean + 1.96 * error],
+                    "null": 1.96 * math.sqrt(float(within @ self._covariance @ within)),
+                }
+            )
+        return {"slope": slope, "ci": [slope - 1.96 * sigma, slope + 1.96 * sigma], "profile": profile}
+
+    def displacements(self, model: str) -> FloatArray:
+        """(C, 3) of a model beyond the rigid motion, along the directions that the cells' surfaces show."""
+        geometry = self._geometry
+        coefficients = geometry.fit(model, self._scores.total) - geometry.fit("rigid", self._scores.total)
+        values = geometry.to_orthonormal @ monomials((geometry.means - geometry.center) / geometry.radius)  # (20, C)
+        fields = values.T @ coefficients.reshape(-1, 3)
+        share, directions = np.linalg.eigh(geometry.information / np.maximum(geometry.weights, 1e-300)[:, None, None])
+        along = np.einsum("cik,ci->ck", directions, fields) * (share >= SEEN)
+        seen: FloatArray = np.einsum("cik,ck->ci", directions, along)
+        return seen
+
+    def changes(self, sums: TileSums, resolution: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray]:
+        """Cells that changed by more than the resolution, those tested, and the length left in them, (C,) each.
+
+        The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
+        discoveries are limited as in Benjamini & Hochberg 1995.
+        """
+        weight = np.trace(sums.spread, axis1=1, axis2=2)
+        tested = (weight >= _LEAST_TESTED) & (weight >= _SMOOTH_TESTED * sums.counts)
+        correlated = np.diag(self._geometry.mixture(self._noise))
+        values, vectors = np.linalg.eigh(sums.spread)
+        fixed = values >= np.maximum(0.05 * values.sum(axis=1, keepdims=True), 1.0)
+        along = np.einsum("cik,ci->ck", vectors, sums.local)
+        safe = np.where(fixed, values, 1.0)
+        squares = np.where(fixed, along**2 / (self._noise.white * safe + correlated[:, None] * safe**2 + 1e-300), 0.0)
+        statistic, freedom = squares.sum(axis=1), np.maximum(fixed.sum(axis=1), 1)
+        ratio = statistic / (freedom * (1 - 2 / (9 * freedom)) ** 3)
+        scale = max(float(np.median(ratio[tested])), 0.25) if tested.any() else 1.0
+        p = np.array(
+            [
+                chi_squares_tail(float(s) / scale, np.ones(k)) if t else 1.0
+                for s, k, t in zip(statistic, freedom, tested, strict=True)
+            ]
+        )
+        order = np.argsort(p, kind="stable")
+        limits = FDR * np.arange(1, len(p) + 1) / max(1, int(tested.sum()))
+        passed = np.flatnonzero(p[order] <= limits)
+        changed = np.zeros(len(p), dtype=bool)
+        if len(passed):
+            changed[order[: passed[-1] + 1]] = True
+        length = np.sqrt((np.where(fixed, along / safe, 0.0) ** 2).sum(axis=1))
+        return changed & tested & (length > resolution), tested, length

@@ -1,0 +1,286 @@
+"""How fields and noise show in the sums: models, what can be seen of them, and the noise's covariance."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.deformation.polynomials import (
+    EXPONENTS,
+    MODELS,
+    PARAMETERS,
+    derivative_squares,
+    gram,
+    mean_and_spread,
+    model_columns,
+    normal_matrix,
+    translation_columns,
+)
+from pcbench.deformation.sums import TileSums, added, merged
+from pcbench.neighbors import FloatArray
+
+CELLS_ALONG = 16  # of the scene's extent: the finest tiles
+FACTORS = (1, 2, 3)  # sizes of tiles, in cells
+TILE = 1  # the one of them that is reported
+SEEN = 0.02  # information of a field against a field seen along its direction everywhere: below is noise of normals
+_HARDLY_SEEN = 1e-4
+_RIDGE = 1e-12
+_PLACE_NOISE = 100 / SEEN  # a coordinate has to vary by ten standard deviations of the noise
+_LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
+_LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
+
+
+class Noise(NamedTuple):
+    """Variances of the residuals: white, and of each kernel's component (lengths in the clouds' unit)."""
+
+    white: float
+    components: FloatArray  # (J,)
+    lengths: FloatArray  # (J,)
+
+    @property
+    def correlated(self) -> float:
+        return float(self.components.sum())
+
+    @property
+    def correlation_length(self) -> float:
+        """The Gaussian kernel exp(-d^2 / 2 l^2) that covers the same area as the mixture: 2 pi l^2."""
+        if self.correlated == 0:
+            return 0.0
+        return math.sqrt(float(self.components @ np.square(self.lengths)) / self.correlated)
+
+
+class Step:
+    """What a model explains beyond a smaller one: orthonormal modes of the information that the smaller leaves."""
+
+    def __init__(self, geometry: Geometry, smaller: str, larger: str) -> None:
+        large, matrix = geometry.columns[larger], geometry.matrix
+        self.smaller = geometry.half(smaller)
+        taken = matrix @ self.smaller @ self.smaller.T
+        values, vectors = geometry.seen(large.T @ (matrix - taken @ matrix) @ large, SEEN)
+        # Scores (60,) to modes (K,): variance sigma^2 each for white noise. Coefficients of a mode: the same columns.
+        self.modes = (np.eye(len(matrix)) - taken).T @ large @ (vectors / np.sqrt(values))
+        self._geometry = geometry
+        self._known: tuple[Noise, FloatArray] | None = None
+
+    def covariance(self, noise: Noise) -> FloatArray:
+        """(K, K) of the modes under a noise: sums over pairs of cells of responses times the cells' correlation."""
+        if self._known is None or self._known[0] is not noise:
+            size = self.modes.shape[1]
+            response = np.einsum("ik,cij->cjk", self.modes, self._geometry.translations, optimize=True)  # (C, 3, K)
+            spread = self._geometry.mixture(noise) @ response.reshape(len(response), -1)
+            correlated = response.reshape(-1, size).T @ spread.reshape(-1, size)
+            self._known = noise, noise.white * np.eye(size) + correlated
+        return self._known[1]
+
+
+class Geometry:
+    """All that does not depend on the residuals: models, what can be seen, and how noise of each kernel would show."""
+
+    def __init__(self, sums: TileSums) -> None:
+        total = sums.moments.sum(axis=0)
+        squares = gram(total)
+        self.total = float(squares[0, 0])  # weight of all pairs
+        # Polynomials that are orthonormal over the pairs, but for those that the noise of the places could make up:
+        # their size is held down, so that they count as unseen. A plane's third coordinate is its noise, and noise
+        # that is in places and residuals alike looks like a slope.
+        squares = squares / self.total
+        _, power, weight = sums.dyadic[0]
+        doubt = _PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
+        factor = np.linalg.cholesky(squares + np.diag(doubt + _RIDGE))
+        self.to_orthonormal = np.linalg.inv(factor)  # (20, 20)
+        self.basis = np.kron(self.to_orthonormal, np.eye(3))
+        self.matrix = self.basis @ normal_matrix(total) @ self.basis.T
+        coefficients = np.kron(factor.T, np.eye(3))
+        self.dome = coefficients @ _dome()
+        self.columns = {model: np.linalg.qr(coefficients @ model_columns(model))[0] for model in MODELS}
+        self.translations = np.einsum("ij,cjk->cik", self.basis, translation_columns(sums.moments), optimize=True)
+        self.information = translation_columns(sums.moments)[:, :3]  # (C, 3, 3) sums of w n n'
+        self.weights: FloatArray = np.trace(self.information, axis1=1, axis2=2)  # (C,) of the pairs in each
+        self.side, self.radius, self.center = sums.side, sums.radius, sums.center
+        mean, spread = mean_and_spread(sums.moments)
+        self.means = mean * sums.radius + sums.center  # (C, 3)
+        # Across a surface patch in a cell: two directions, each spread like an interval of at most the cell's edge.
+        within = np.minimum(spread * sums.radius**2 / 2, sums.side**2 / 12)
+        self._apart = _squared_distances(self.means)
+        self._within = within[:, None] + within[None]
+        self.lengths = sums.side * np.array(_LENGTHS)
+        self.cell_matrices = self.basis @ normal_matrix(sums.moments) @ self.basis.T
+        self.tiles = [merged(sums.cells, factor) for factor in FACTORS]
+        self.tile_matrices = added(self.cell_matrices, self.tiles[TILE])  # of the reported size
+        self._steps: dict[tuple[str, str], Step] = {}
+        self._halves: dict[str, FloatArray] = {}
+
+    @cached_property
+    def kernels(self) -> list[FloatArray]:
+        """(C, C) correlation of each kernel between the means of cells: averaged over the patches in them."""
+        found = []
+        for length in self.lengths:
+            squared = length**2 + self._within
+            found.append(length**2 / squared * np.exp(-self._apart / (2 * squared)))
+        return found
+
+    def mixture(self, noise: Noise) -> FloatArray:
+        """(C, C) covariance of the correlated noise between the means of cells."""
+        total = np.zeros_like(self._apart)
+        for variance, kernel in zip(noise.components, self.kernels, strict=True):
+            if variance > 0:
+                total += variance * kernel
+        return total
+
+    def step(self, smaller: str, larger: str) -> Step:
+        if (smaller, larger) not in self._steps:
+            self._steps[smaller, larger] = Step(self, smaller, larger)
+        return self._steps[smaller, larger]
+
+    def seen(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues and vectors of a part of the normal matrix, of those with at least a share of information."""
+        values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+        fixed = values > least * self.total
+        return values[fixed], vectors[:, fixed]
+
+    def half(self, model: str) -> FloatArray:
+        """(60, K) fields of a model that the geometry fixes, with unit information each and none in common.
+
+        Of an affine field and less, all that is fixed in the least: what is there and not modelled would look bent.
+        """
+        if model not in self._halves:
+            if PARAMETERS[model] > PARAMETERS["affine"]:
+                self._halves[model] = np.hstack([self.half("affine"), self.step("affine", model).modes])
+            else:
+                columns = self.columns[model]
+                values, vectors = self.seen(columns.T @ self.matrix @ columns, _HARDLY_SEEN)
+                self._halves[model] = columns @ (vectors / np.sqrt(values))
+        return self._halves[model]
+
+    def fit(self, model: str, scores: FloatArray) -> FloatArray:
+        """(60,) coefficients of a model, of what the geometry fixes, by least squares."""
+        half = self.half(model)
+        coefficients: FloatArray = half @ (half.T @ scores)
+        return coefficients
+
+    def explained(self, scores: Scores, model: str) -> float:
+        """Sum of w (n . u)^2 of what a model fits."""
+        return float(scores.total @ self.fit(model, scores.total))
+
+    @cached_property
+    def noise_design(self) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+        """Expected moments of the largest model's residuals by white noise and by each kernel.
+
+        A residual vector of a cell is h_c = sum w n r less what the fit explains, M u with M = G - Z' A^+ Z. Its
+        expected products over a class D of pairs of cells, sum_D h_c . h_d, are tr (M' D M kernel).
+
+        Returns:
+            (lags, 1 + J) expectations for unit variances, the (C, C) masks, and (J,) the share of each kernel's
+            power within cells that the fit leaves.
+        """
+        count = len(self.information)
+        inverse = self.half("cubic") @ self.half("cubic").T
+        z = self.translations.transpose(0, 2, 1)  # (C, 3, 60)
+        q = (z.reshape(-1, z.shape[2]) @ inverse).reshape(z.shape)
+        g = self.information
+        gg = g.reshape(count, 9) @ g.reshape(count, 9).T
+        apart = np.sqrt(self._apart) / self.side
+        np.fill_diagonal(apart, 0.0)
+        rows, masks = [], []
+        kept = np.ones(len(self.lengths))
+        for low, high in pairwise(_LAGS):
+            mask = ((apart > low) & (apart <= high)).astype(np.float64)
+            dz = (mask @ z.reshape(count, -1)).reshape(z.shape)
+            inner = z.reshape(-1, z.shape[2]).T @ dz.reshape(-1, z.shape[2])
+            half = np.einsum("cij,cje->cie", g, dz) - 0.5 * q @ inner
+            taken = half.reshape(count, -1) @ q.reshape(count, -1).T
+            product = mask * gg - taken - taken.T
+            white = float(np.diag(mask) @ np.trace(g, axis1=1, axis2=2) - 2 * (dz * q).sum() + (inner * inverse).sum())
+            rows.append([white, *(float((product * kernel).sum()) for kernel in self.kernels)])
+            if low < 0:
+                kept = np.array(rows[0][1:]) / [float((mask * gg * kernel).sum()) for kernel in self.kernels]
+            masks.append(mask)
+        return np.array(rows), masks, kept
+
+
+class Scores:
+    """The residuals' part of the sums, in the geometry's coordinates."""
+
+    def __init__(self, geometry: Geometry, scores: FloatArray, energy: FloatArray, dyadic: FloatArray) -> None:
+        rows = np.einsum("ab,cbk->cak", geometry.to_orthonormal, scores)
+        self.cells: FloatArray = rows.reshape(len(scores), -1)  # (C, 60)
+        self.total: FloatArray = self.cells.sum(axis=0)
+        self.translations: FloatArray = scores[:, 0]  # (C, 3) sums of w n r
+        self.energy = energy  # (C,)
+        self.dyadic = dyadic
+
+
+def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
+    """Variances of white noise and of the kernels, by least squares on moments of the largest model's residuals."""
+    expected, masks, kept = geometry.noise_design
+    coefficients = geometry.fit("cubic", scores.total)
+    left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
+    products = left @ left.T
+    power = np.square(left).sum(axis=1)
+    rows, values, sigmas = [], [], []
+    for row, mask in zip(expected, masks, strict=True):
+        rows.append(row)
+        values.append(float((mask * products).sum()))
+        # Products of independent vectors scatter by the product of their lengths.
+        sigmas.append(math.sqrt(2 * float(power @ mask @ power) / 3))
+    _, _, squares = scores.dyadic[0]
+    for edge, moment, information in scores.dyadic:
+        if edge == 0:
+            rows.append(np.array([squares, *(squares * kept)]))
+        else:
+            # Like the kernels between cells, for two places in one square patch; a pair is at no distance from itself.
+            shape = np.square(geometry.lengths) / (np.square(geometry.lengths) + edge**2 / 6)
+            rows.append(np.array([squares, *((squares + (information - squares) * shape) * kept)]))
+        values.append(moment)
+        sigmas.append(0.05 * moment)  # thousands of sub-cells, but noise of long range is the same in many of them
+    scale = 1 / np.maximum(sigmas, 1e-300)
+    found = _nonnegative_least_squares(np.array(rows) * scale[:, None], np.array(values) * scale)
+    return Noise(float(found[0]), found[1:], geometry.lengths)
+
+
+def _nonnegative_least_squares(matrix: FloatArray, values: FloatArray) -> FloatArray:
+    """argmin |matrix x - values| over x >= 0 (Lawson & Hanson 1974, chapter 23)."""
+    size = matrix.shape[1]
+    x = np.zeros(size)
+    free = np.zeros(size, dtype=bool)
+    scale = np.abs(matrix.T @ values).max() or 1.0
+    for _ in range(3 * size):
+        gradient = matrix.T @ (values - matrix @ x)
+        gradient[free] = -np.inf
+        best = int(np.argmax(gradient))
+        if free.all() or gradient[best] <= 1e-10 * scale:
+            break
+        free[best] = True
+        while True:
+            trial = np.zeros(size)
+            trial[free] = np.linalg.lstsq(matrix[:, free], values, rcond=None)[0]
+            if (trial[free] > 0).all():
+                break
+            falling = free & (trial <= 0)
+            ratio = float(np.min(x[falling] / np.maximum(x[falling] - trial[falling], 1e-300)))
+            x += ratio * (trial - x)
+            free &= x > 1e-12 * np.abs(x).max()
+            x[~free] = 0.0
+            if not free.any():
+                return x
+        x = trial
+    return x
+
+
+def _dome() -> FloatArray:
+    """(60,) coefficients of the vertical displacement x^2 + y^2."""
+    coefficients = np.zeros((len(EXPONENTS), 3))
+    for powers in ([2, 0, 0], [0, 2, 0]):
+        coefficients[EXPONENTS.tolist().index(powers), 2] = 1.0
+    return coefficients.ravel()
+
+
+def _squared_distances(points: FloatArray) -> FloatArray:
+    total = np.zeros((len(points), len(points)))
+    for axis in range(3):
+        total += np.square(points[:, axis, None] - points[None, :, axis])
+    return total
