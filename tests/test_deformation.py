@@ -404,6 +404,6 @@ def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
 def test_bent_halves_of_a_lidar_cloud(lidar, kind):
     found, error = Halves(lidar, 0.1, 16).judge(kind, 2.0)
     assert found.verdict == "non-affine", found.values["warnings"]
-    low, high = found.values["amplitude"]["ci"]
-    assert low < 0.4 < high
+    # Noise of 0.2 that is the same over 20 feet adds a bend of its own.
+    assert found.values["amplitude"]["rms"] == pytest.approx(0.4, rel=0.15)
     assert error <= 0.25

@@ -47,10 +47,10 @@ def rivals(scene: Scene, judged: Judged, count: int) -> tuple[str, str]:
     return min(bic, key=lambda m: bic[m]), str(min(rungs, key=lambda rung: rung["cv_score"])["model"])
 
 
-def null(scenes: dict[int, Scene], runs: int) -> None:
+def null(scenes: dict[int, Scene], runs: int, which: list[int] | None) -> None:
     print(f"\nundeformed, {runs} runs a row: share of verdicts; wrong is any non-affine one")
     print(f"{HEAD}{'tiles':>6}{'none':>8}{'undecided':>10}{'affine':>8}{'wrong':>8}  {'naive BIC':>10}{'min CV':>8}")
-    for cell in NULL:
+    for cell in NULL if which is None else [NULL[number] for number in which]:
         if cell.points not in scenes:
             scenes[cell.points] = Scene(cell.points)
         scene = scenes[cell.points]
@@ -112,8 +112,8 @@ def halves(runs: int) -> None:
             shares = [verdicts.count(v) / runs for v in ("non-affine", "undecided", "affine", "none")]
             errors = [error for found, error in rows if found.verdict == "non-affine" and shown >= HARDLY_SHOWN]
             print(
-                f"{kind or 'none':24}{shown:6.2f}{size:6.1f}{shares[0]:8.2f}{shares[1]:10.2f}{shares[2]:8.2f}{shares[3]:8.2f}"
-                + (f"{np.median(errors):8.2f}{max(errors):9.2f}" if errors else ""),
+                f"{kind or 'none':24}{shown:6.2f}{size:6.1f}{shares[0]:8.2f}{shares[1]:10.2f}"
+                f"{shares[2]:8.2f}{shares[3]:8.2f}" + (f"{np.median(errors):8.2f}{max(errors):9.2f}" if errors else ""),
                 flush=True,
             )
 
@@ -148,6 +148,7 @@ def times(sizes: list[int]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=500)
+    parser.add_argument("--cells", type=int, nargs="*", help="which rows of the undeformed, from 0 (default: all)")
     parser.add_argument("--power-runs", type=int, default=100)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--times", action="store_true", help="nothing but seconds for whole clouds")
@@ -163,7 +164,7 @@ def main() -> None:
     if options.power_runs:
         power(scenes[POINTS], options.power_runs)
     if options.runs:
-        null(scenes, options.runs)
+        null(scenes, options.runs, options.cells)
 
 
 if __name__ == "__main__":
