@@ -204,7 +204,6 @@ class _Reference:
         if len(surface) >= 3:
             surface.with_normals_at(rows)  # all that D2 needs: registration takes what it wants from them
         nearest_other = surface.nearest_other() if len(surface) > 1 else None
-        spacing = 0.0 if nearest_other is None else float(np.median(nearest_other.distances))
         return cls(
             cloud=cloud,
             origin=origin,
@@ -213,7 +212,8 @@ class _Reference:
             inside=inside,
             rows=rows,
             nearest_other=nearest_other,
-            spacing=spacing,
+            # Of a cloud that was merged with itself the nearest other points are twins: those do not count then.
+            spacing=0.0 if nearest_other is None else float(np.median(nearest_other.distances)) or surface.spacing,
             blocks=intervals.partition(points, settings.seed),
             voxel=robust_extent(points if rows is None else points[rows]) / _VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
@@ -346,7 +346,7 @@ def _deviation_map(
         scalars[name] = mesh.query(forth.points, signed=mesh.has_inside).distances
     along_normals = None
     if "m3c2" in settings.maps and truth.has_normals:
-        radius = _CYLINDER_RADIUS * max(truth.spacing, _median_spacing(candidate))
+        radius = _CYLINDER_RADIUS * max(truth.spacing, Surface(candidate).spacing)
         rows = np.flatnonzero(truth.inside)
         rows = rows[thin_to(truth.points[rows], _CORES, start=radius / 2)]
         error = registration.weakest_sigma
@@ -432,10 +432,6 @@ def _differences(results: list[Candidate], replicates: list[dict[str, FloatArray
                 ci = intervals.interval(of_a[metric] - of_b[metric])
                 rows.append({"a": a.name, "b": b.name, "metric": metric, "difference": difference, "ci": ci})
     return rows
-
-
-def _median_spacing(index: Index) -> float:
-    return float(np.median(index.nearest_other().distances)) if len(index) > 1 else 0.0
 
 
 def _crs_warnings(reference: Cloud, candidate: Cloud) -> Iterator[str]:

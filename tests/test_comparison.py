@@ -297,3 +297,12 @@ def test_a_mesh_as_the_reference():
     np.testing.assert_allclose(scalars["mesh_distance"], 0.1, rtol=1e-12)
     np.testing.assert_allclose(scalars["plane_distance"], 0.1, rtol=1e-12)
     assert comparison.candidates[0].metrics["d2_mse"][FORTH] == pytest.approx(0.01)
+
+
+def test_a_cloud_that_was_merged_with_itself_keeps_its_spacing():
+    points, _ = shapes.fibonacci_sphere(2000)
+    settings = Settings(register="none", maps=("m3c2",))
+    once, doubled = (compare(Cloud(p), Cloud(p + 1e-3), settings) for p in (points, np.repeat(points, 2, axis=0)))
+    assert doubled.reference["spacing_median"] == once.reference["spacing_median"] > 0
+    maps = [comparison.candidates[0].deviation.m3c2 for comparison in (once, doubled)]
+    assert maps[0].radius == maps[1].radius > 0
