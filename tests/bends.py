@@ -153,8 +153,11 @@ class Halves:
         self.size = float(np.ptp(points[:, :2], axis=0).max())
         sides = []
         for _ in range(2):
-            frequencies, phases = rng.normal(size=(60, 3)) / (self.size / 60), rng.uniform(0, 2 * np.pi, 60)
-            waves = np.cos(points @ frequencies.T + phases) @ rng.normal(0, np.sqrt(2 / 60), (60, 3))
+            waves = np.zeros_like(points)
+            # So many that none stands out: a few long waves would be a bend indeed.
+            for _ in range(10):
+                frequencies, phases = rng.normal(size=(50, 3)) / (self.size / 60), rng.uniform(0, 2 * np.pi, 50)
+                waves += np.cos(points @ frequencies.T + phases) @ rng.normal(0, np.sqrt(2 / 500), (50, 3))
             sides.append(points + noise * waves + rng.normal(0, noise, points.shape))
         self.noise = 2 * noise  # along a normal: two kinds, two halves
         self._reference = self._half(cloud, sides[0], first)
