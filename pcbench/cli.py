@@ -97,6 +97,7 @@ def compare(
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
     """
+    _multiply_on_one_thread()
     from pcbench.compare_files import Job
     from pcbench.comparison import Settings
 
@@ -263,6 +264,7 @@ def deform(
     \b
     Example: pcbench deform ref.ply a.ply --out bend/
     """
+    _multiply_on_one_thread()
     from pcbench.deform_files import deform_files
     from pcbench.report import deformation_words
 
@@ -673,6 +675,11 @@ def _steps(quiet: bool) -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("starting", total=None)
         yield lambda text: progress.update(task, description=escape(text))
+
+
+def _multiply_on_one_thread() -> None:
+    """Before numpy is imported: matrices here are small, and waking threads for them costs more than it saves."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def main() -> None:

@@ -1,6 +1,10 @@
 """What several test files use."""
 
+import os
 import sys
+
+# Before numpy is imported. Workers share the cores, and the matrices are small: threads would wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 
