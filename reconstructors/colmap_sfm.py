@@ -7,7 +7,7 @@ random choice has a seed, and what is not associative in floating point runs on 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,12 +24,13 @@ from pcbench.scene import Scene
 from pcbench.stages import stage, stage_key
 from pcbench.transform import Similarity, fit_similarity
 from reconstructors.alignment import ControlPoint, camera_errors, moved, read_control, robust_similarity, triangulate
+from reconstructors.epipolar import share_on_epipolar_lines
 from reconstructors.image_pairs import Matching, choose_pairs
 
 _FEW_INLIERS = 15  # COLMAP's default: a pair with fewer is not used
 _FEW_FEATURES = 50  # below it hardly any pair has that many after ratio test and RANSAC
 # With true cameras nearly all verified matches agree; with those of other images a few do by chance.
-_LEAST_EXPLAINED = 0.1
+_LEAST_AGREEING = 0.2
 _DATABASE = "database.db"
 
 
@@ -85,10 +86,10 @@ class ColmapSfm:
         gauge: Gauge
         features = self._features(scene, workspace)
         counts = _check_features(features, scene, notes)
-        matches = self._matches(scene, workspace, features, notes)
-        verified = _check_pairs(matches, len(scene), counts)
+        matches = self._verified(scene, workspace, self._matches(scene, workspace, features, notes))
+        _check_pairs(matches, len(scene), counts)
         if given:
-            model = self._triangulate(scene, workspace, matches, verified, notes)
+            model = self._triangulate(scene, workspace, matches, notes)
             gauge, in_metres = "georeferenced", scene.origin is not None
         else:
             model = self._map(scene, workspace, matches, notes)
@@ -105,21 +106,16 @@ class ColmapSfm:
         """SIFT features of every image, in a database."""
         import pycolmap
 
-        groups = _groups(scene)
+        groups = [names for _, names in _groups(scene)]
 
         def make(folder: Path) -> None:
             images, database = _images(scene, workspace), folder / _DATABASE
             masks = _write_masks(scene, folder)
             pycolmap.Database.open(database).close()
             # Importing first fixes the images' numbers: extraction on several threads would shuffle them.
-            for lens, names in groups:
-                reader = pycolmap.ImageReaderOptions()
-                if lens is not None:
-                    reader.camera_model = "OPENCV"
-                    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion)
-                    reader.camera_params = ", ".join(repr(float(v)) for v in numbers)
+            for names in groups:
                 pycolmap.import_images(
-                    database, images, camera_mode=pycolmap.CameraMode.SINGLE, image_names=list(names), options=reader
+                    database, images, camera_mode=pycolmap.CameraMode.SINGLE, image_names=list(names)
                 )
             reader = pycolmap.ImageReaderOptions()
             if masks is not None:
@@ -139,14 +135,14 @@ class ColmapSfm:
         inputs = {
             "pycolmap": pycolmap.__version__,
             "scene": scene.fingerprint(cameras=False),
-            "lenses": repr(groups),
+            "sharing a lens": groups,
             "features": self.features,
             "upsample": self.upsample,
         }
         return stage(workspace, "features", inputs, make)
 
     def _matches(self, scene: Scene, workspace: Path, features: Path, notes: list[str]) -> Path:
-        """Verified matches of the chosen pairs, in a copy of the database."""
+        """Matches of the chosen pairs, in a copy of the database."""
         import pycolmap
 
         how, pairs = choose_pairs(scene, self.matching)
@@ -154,20 +150,37 @@ class ColmapSfm:
 
         def make(folder: Path) -> None:
             shutil.copyfile(features / _DATABASE, folder / _DATABASE)
-            (folder / "pairs.txt").write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
+            names = _rename(folder / _DATABASE, {})
+            numbers = {name: number for number, name in names.items()}
+            # COLMAP's list of pairs is cut at spaces: it gets the images' numbers for names.
+            lines = [f"{numbers[a]} {numbers[b]}\n" for a, b in pairs]
+            (folder / "pairs.txt").write_text("".join(lines), encoding="utf-8")
             pairing = pycolmap.ImportedPairingOptions()
             pairing.match_list_path = str(folder / "pairs.txt")
-            verification = pycolmap.TwoViewGeometryOptions()
-            verification.ransac.random_seed = self.seed
+            options = pycolmap.FeatureMatchingOptions()
+            options.skip_geometric_verification = True
             pycolmap.match_image_pairs(
-                folder / _DATABASE,
-                pairing_options=pairing,
-                verification_options=verification,
-                device=pycolmap.Device.cpu,
+                folder / _DATABASE, matching_options=options, pairing_options=pairing, device=pycolmap.Device.cpu
             )
+            _rename(folder / _DATABASE, names)
 
-        inputs = {"features": stage_key(features), "pairs": pairs, "seed": self.seed}
-        return stage(workspace, "matches", inputs, make)
+        return stage(workspace, "matches", {"features": stage_key(features), "pairs": pairs}, make)
+
+    def _verified(self, scene: Scene, workspace: Path, matches: Path) -> Path:
+        """The matches that agree on a geometry, through the scene's lenses where they are known."""
+        import pycolmap
+
+        groups = _groups(scene)
+
+        def make(folder: Path) -> None:
+            shutil.copyfile(matches / _DATABASE, folder / _DATABASE)
+            _set_lenses(folder / _DATABASE, groups)
+            options = pycolmap.TwoViewGeometryOptions()
+            options.ransac.random_seed = self.seed
+            pycolmap.geometric_verification(folder / _DATABASE, two_view_geometry_options=options)
+
+        inputs = {"matches": stage_key(matches), "lenses": repr(groups), "seed": self.seed}
+        return stage(workspace, "verified", inputs, make)
 
     def _incremental_options(self) -> Any:
         import pycolmap
@@ -231,9 +244,16 @@ class ColmapSfm:
         notes.append(_quality(largest))
         return largest
 
-    def _triangulate(self, scene: Scene, workspace: Path, matches: Path, verified: int, notes: list[str]) -> Any:
+    def _triangulate(self, scene: Scene, workspace: Path, matches: Path, notes: list[str]) -> Any:
         """Points of the given cameras, in their frame."""
         import pycolmap
+
+        share = share_on_epipolar_lines(matches / _DATABASE, scene.cameras)
+        if share < _LEAST_AGREEING:
+            raise ReconstructionError(
+                f"the given cameras do not fit the images: {share:.1%} of the verified matches agree with them;"
+                " check them (pcbench scene SCENE --figure cameras.png), or solve them (--set poses=solve)"
+            )
 
         def make(folder: Path) -> None:
             model = _posed_model(matches / _DATABASE, scene)
@@ -246,14 +266,6 @@ class ColmapSfm:
 
         inputs = {"matches": stage_key(matches), "scene": scene.fingerprint(), "seed": self.seed}
         model = pycolmap.Reconstruction(stage(workspace, "triangulation", inputs, make) / "0")
-        # A point that n images show explains a match of each two of them.
-        explained = sum(n * (n - 1) // 2 for n in map(_views, model.points3D.values()))
-        share = min(1.0, explained / verified)
-        if share < _LEAST_EXPLAINED:
-            raise ReconstructionError(
-                f"the given cameras do not fit the images: {share:.1%} of {verified} verified matches agree with them;"
-                " check them (pcbench scene SCENE --figure cameras.png), or solve them (--set poses=solve)"
-            )
         notes.append(f"{share:.0%} of the verified matches agree with the given cameras; {_quality(model)}")
         return model
 
@@ -317,10 +329,8 @@ def _usable(scene: Scene, given: bool, notes: list[str]) -> Scene:
     """The images that can take part.
 
     Raises:
-        InputError: they are fewer than two, or a name has a space: COLMAP's list of pairs could not be read.
+        InputError: they are fewer than two, or have no cameras though `given` says so.
     """
-    if spaced := [name for name in scene.images if any(c.isspace() for c in name)]:
-        raise InputError(f"expected names of images without spaces, got {spaced[0]!r}: rename it")
     if given:
         if not scene.cameras:
             raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
@@ -339,6 +349,41 @@ def _groups(scene: Scene) -> list[tuple[Intrinsics | None, tuple[str, ...]]]:
         camera = scene.cameras.get(name)
         found.setdefault(camera.intrinsics if camera else scene.size(name), []).append(name)
     return [(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
+
+
+def _set_lenses(database_file: Path, groups: Sequence[tuple[Intrinsics | None, tuple[str, ...]]]) -> None:
+    """Give the known lenses to their images in a database."""
+    import pycolmap
+
+    known = {name: lens for lens, names in groups for name in names}
+    database = pycolmap.Database.open(database_file)
+    for number, name in sorted({image.camera_id: image.name for image in database.read_all_images()}.items()):
+        if (k := known[name]) is not None:
+            database.update_camera(
+                pycolmap.Camera(
+                    camera_id=number,
+                    model="OPENCV",
+                    width=k.width,
+                    height=k.height,
+                    params=[k.fx, k.fy, k.cx, k.cy, *k.distortion],
+                    has_prior_focal_length=True,
+                )
+            )
+    database.close()
+
+
+def _rename(database_file: Path, names: Mapping[int, str]) -> dict[int, str]:
+    """Give images in a database names by their numbers, where there is none the number itself; the names before."""
+    import pycolmap
+
+    database = pycolmap.Database.open(database_file)
+    before = {}
+    for image in database.read_all_images():
+        before[int(image.image_id)] = str(image.name)
+        image.name = names.get(int(image.image_id), str(image.image_id))
+        database.update_image(image)
+    database.close()
+    return before
 
 
 def _images(scene: Scene, workspace: Path) -> Path:
@@ -383,9 +428,8 @@ def _check_features(features: Path, scene: Scene, notes: list[str]) -> dict[str,
     return counts
 
 
-def _check_pairs(matches: Path, images: int, counts: Mapping[str, int]) -> int:
-    """The number of verified matches.
-
+def _check_pairs(matches: Path, images: int, counts: Mapping[str, int]) -> None:
+    """
     Raises:
         ReconstructionError: no pair of images shows the same scene.
     """
@@ -399,7 +443,6 @@ def _check_pairs(matches: Path, images: int, counts: Mapping[str, int]) -> int:
             f"no pair verified: {images} images have {int(np.median(list(counts.values())))} features (median), but no"
             " two agree on a geometry: they show different things, or the overlap is too small"
         )
-    return sum(n for n in inliers if n >= _FEW_INLIERS)
 
 
 def _posed_model(database_file: Path, scene: Scene) -> Any:
