@@ -16,14 +16,15 @@ from typing import Any, Literal
 import numpy as np
 
 from pcbench.cameras import Camera, Intrinsics
-from pcbench.cloud import Cloud, FloatArray
+from pcbench.cloud import Cloud
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.io.colmap_model import intrinsics_from_colmap
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.scene import Scene
 from pcbench.stages import stage, stage_key
 from pcbench.transform import Similarity, fit_similarity
-from reconstructors.alignment import ControlPoint, camera_errors, moved, read_control, robust_similarity, triangulate
+from reconstructors.alignment import camera_errors, moved, robust_similarity
+from reconstructors.control import ControlPoint, adjust, describe, measure, read_control
 from reconstructors.epipolar import share_on_epipolar_lines
 from reconstructors.image_pairs import Matching, choose_pairs
 
@@ -43,8 +44,9 @@ class ColmapSfm:
     mapping: of solved poses. matching: which pairs; `auto` by the number of images and what is known of them.
     features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
     the time. refine: which intrinsics are solved for: `all`, `focal` length alone, or `none`.
-    align: solved poses onto the scene's cameras, control points or GPS; `auto` takes the first there is. control: their
-    file, lines of name, x y z, image, pixel x y. min_views: points that fewer images show are left out; one of two
+    align: solved poses onto control points, the scene's cameras or GPS; `auto` takes the first there is. control: their
+    file, lines of name, x y z, image, pixel x y; they are held fast in a last adjustment, where those whose names end
+    in * are checks only. min_views: points that fewer images show are left out; one of two
     images may be anywhere along their common plane. undistort: leave undistorted images and model in the workspace.
     """
 
@@ -93,7 +95,7 @@ class ColmapSfm:
             gauge, in_metres = "georeferenced", scene.origin is not None
         else:
             model = self._map(scene, workspace, matches, notes)
-            gauge, in_metres = self._align(model, scene, control, notes)
+            model, gauge, in_metres = self._align(model, scene, control, notes)
         result = workspace / "model"
         shutil.rmtree(result, ignore_errors=True)
         result.mkdir()
@@ -271,14 +273,14 @@ class ColmapSfm:
 
     def _align(
         self, model: Any, scene: Scene, control: tuple[ControlPoint, ...], notes: list[str]
-    ) -> tuple[Gauge, bool]:
-        """Bring the model into the world of cameras, control points or GPS, in this order or as asked for: its gauge
-        then, and whether that is in metres.
+    ) -> tuple[Any, Gauge, bool]:
+        """The model in the world of cameras, control points or GPS, in this order or as asked for; its gauge then, and
+        whether that is in metres. Control points are held fast while everything is adjusted once more.
         """
         registered = _cameras(model)
         ways: dict[str, Callable[[], tuple[Similarity, str]]] = {
-            "cameras": lambda: _onto_cameras(registered, scene.cameras),
             "control": lambda: _onto_control(registered, control, scene.image_scale),
+            "cameras": lambda: _onto_cameras(registered, scene.cameras),
             "gps": lambda: _onto_gps(registered, scene),
         }
         there = {
@@ -288,7 +290,7 @@ class ColmapSfm:
         }
         chosen = next((way for way in ways if there[way]), "none") if self.align == "auto" else self.align
         if chosen == "none":
-            return "arbitrary", False
+            return model, "arbitrary", False
         if not there[chosen]:
             raise InputError(f"align={chosen} needs {'three positions' if chosen == 'gps' else chosen} in the scene")
         try:
@@ -297,10 +299,15 @@ class ColmapSfm:
             if self.align != "auto":
                 raise ReconstructionError(f"cannot be aligned to {chosen}: {error}") from error
             notes.append(f"not aligned to {chosen}: {error}")
-            return "arbitrary", False
+            return model, "arbitrary", False
         _transform(model, transform)
         notes.append(note)
-        return "georeferenced", chosen == "gps" or (chosen == "cameras" and scene.origin is not None)
+        if chosen == "control":
+            held = [point for point in control if not point.is_check]
+            model = adjust(model, held, scene.image_scale, self.refine)
+            after = describe(measure(_cameras(model), control, scene.image_scale))
+            notes.append(f"adjusted with the control points held fast: {after}; {_quality(model)}")
+        return model, "georeferenced", chosen == "gps" or (chosen == "cameras" and scene.origin is not None)
 
     def _cloud(self, model: Any, unit: str | None, notes: list[str]) -> Cloud:
         """The points that enough images show, in the order of their numbers."""
@@ -491,34 +498,13 @@ def _onto_control(
     found: Mapping[str, Camera], control: tuple[ControlPoint, ...], scale: float
 ) -> tuple[Similarity, str]:
     """By the control points that two or more registered images show; check points are measured alone."""
-    points: list[tuple[ControlPoint, FloatArray]] = []
-    for point in control:
-        seen = [o for o in point.observations if o.image in found]
-        if len({o.image for o in seen}) < 2:
-            continue
-        rays = [_ray(found[o.image], scale * o.x, scale * o.y) for o in seen]
-        points.append((point, triangulate(np.stack(rays), np.stack([found[o.image].position for o in seen]))))
-    used = [(point.position, at) for point, at in points if not point.is_check]
+    measured = measure(found, control, scale)
+    used = [m for m in measured if not m.point.is_check]
     if len(used) < 3:
         raise InputError(f"expected three control points in two registered images each, got {len(used)}")
-    fit = fit_similarity(np.stack([at for _, at in used]), np.stack([position for position, _ in used]))
-    note = []
-    for what, is_check in (("control", False), ("check", True)):
-        errors = [fit.apply(at[None])[0] - p.position for p, at in points if p.is_check == is_check]
-        if errors:
-            note.append(f"{len(errors)} {what} points: rms {np.sqrt(np.mean(np.square(errors).sum(axis=1))):.3g}")
-    return fit, f"aligned to {', '.join(note)}"
-
-
-def _ray(camera: Camera, x: float, y: float) -> FloatArray:
-    """The unit direction (3,) in the world of a pixel, through the lens's distortion."""
-    import pycolmap
-
-    k = camera.intrinsics
-    numbers = [k.fx, k.fy, k.cx, k.cy, *k.distortion]
-    lens = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=numbers)
-    direction: FloatArray = camera.cam_from_world.rotation.T @ [*lens.cam_from_img(np.array([x, y])), 1.0]
-    return direction / np.linalg.norm(direction)
+    fit = fit_similarity(np.stack([m.at for m in used]), np.stack([m.point.position for m in used]))
+    moved_there = [m._replace(at=fit.apply(m.at[None])[0]) for m in measured]
+    return fit, f"aligned to {describe(moved_there)}"
 
 
 def _transform(model: Any, transform: Similarity) -> None:

@@ -171,6 +171,11 @@ def test_control_points_give_the_world(photographs, workspace, tmp_path):
     assert made.gauge == "georeferenced"
     assert "4 control points: rms" in " ".join(made.notes)
     assert "1 check points: rms" in " ".join(made.notes)
+    control, check = re.search(
+        r"held fast: 4 control points: rms (\S+), 1 check points: rms ([^;]+);", " ".join(made.notes)
+    ).groups()
+    assert float(control) < 0.03  # a pixel is 0.12 of this world
+    assert float(check) < 0.1
     assert np.median(corner.distances(made.cloud.points)) < 0.1  # the world is ten times as large
     with pytest.raises(ValueError, match="control=FILE"):
         ColmapSfm(align="control")
