@@ -24,7 +24,7 @@ from pcbench.scene import Scene
 from pcbench.stages import stage, stage_key
 from pcbench.transform import Similarity, fit_similarity
 from reconstructors.alignment import camera_errors, moved, robust_similarity
-from reconstructors.control import ControlPoint, adjust, describe, measure, read_control
+from reconstructors.control import ControlPoint, Refine, adjust, describe, measure, read_control
 from reconstructors.epipolar import share_on_epipolar_lines
 from reconstructors.image_pairs import Matching, choose_pairs
 
@@ -43,7 +43,8 @@ class ColmapSfm:
     poses: `given` takes the scene's cameras as they are, `solve` finds them; `auto` is given where there are some.
     mapping: of solved poses. matching: which pairs; `auto` by the number of images and what is known of them.
     features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
-    the time. refine: which intrinsics are solved for: `all`, `focal` length alone, or `none`.
+    the time. refine: which intrinsics are solved for: `all`, `focal` length, `distortion`, or `none`; the rest stays as
+    the scene's cameras say, or as guessed (1.2 image widths, no distortion) where EXIF has no focal length.
     align: solved poses onto control points, the scene's cameras or GPS; `auto` takes the first there is. control: their
     file, lines of name, x y z, image, pixel x y; they are held fast in a last adjustment, where those whose names end
     in * are checks only. min_views: points that fewer images show are left out; one of two
@@ -55,7 +56,7 @@ class ColmapSfm:
     matching: Matching = "auto"
     features: int = 8192
     upsample: bool = True
-    refine: Literal["all", "focal", "none"] = "all"
+    refine: Refine = "all"
     align: Literal["auto", "cameras", "control", "gps", "none"] = "auto"
     control: Path | None = None
     min_views: int = 3
@@ -191,10 +192,10 @@ class ColmapSfm:
         options.num_threads = options.mapper.num_threads = 1
         options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = self.seed
         options.min_model_size = 3
-        options.ba_refine_focal_length = self.refine != "none"
-        options.ba_refine_extra_params = self.refine == "all"
-        options.mapper.abs_pose_refine_focal_length = self.refine != "none"
-        options.mapper.abs_pose_refine_extra_params = self.refine == "all"
+        options.ba_refine_focal_length = self.refine in ("all", "focal")
+        options.ba_refine_extra_params = self.refine in ("all", "distortion")
+        options.mapper.abs_pose_refine_focal_length = self.refine in ("all", "focal")
+        options.mapper.abs_pose_refine_extra_params = self.refine in ("all", "distortion")
         return options
 
     def _global_options(self) -> Any:
@@ -206,8 +207,8 @@ class ColmapSfm:
         for part in (options, options.mapper, options.mapper.rotation_averaging, options.mapper.global_positioning,
                      options.mapper.retriangulation):  # fmt: skip
             part.random_seed = self.seed
-        options.mapper.bundle_adjustment.refine_focal_length = self.refine != "none"
-        options.mapper.bundle_adjustment.refine_extra_params = self.refine == "all"
+        options.mapper.bundle_adjustment.refine_focal_length = self.refine in ("all", "focal")
+        options.mapper.bundle_adjustment.refine_extra_params = self.refine in ("all", "distortion")
         return options
 
     def _map(self, scene: Scene, workspace: Path, matches: Path, notes: list[str]) -> Any:
@@ -366,16 +367,14 @@ def _set_lenses(database_file: Path, groups: Sequence[tuple[Intrinsics | None, t
     database = pycolmap.Database.open(database_file)
     for number, name in sorted({image.camera_id: image.name for image in database.read_all_images()}.items()):
         if (k := known[name]) is not None:
-            database.update_camera(
-                pycolmap.Camera(
-                    camera_id=number,
-                    model="OPENCV",
-                    width=k.width,
-                    height=k.height,
-                    params=[k.fx, k.fy, k.cx, k.cy, *k.distortion],
-                    has_prior_focal_length=True,
-                )
-            )
+            # What is solved for later should be no more than lenses have: pixels are square where they were.
+            radial = k.fx == k.fy and not any(k.distortion[2:])
+            model, numbers = "OPENCV", [k.fx, k.fy, k.cx, k.cy, *k.distortion]
+            if radial:
+                model, numbers = "RADIAL", [k.fx, k.cx, k.cy, *k.distortion[:2]]
+            lens = pycolmap.Camera(camera_id=number, model=model, width=k.width, height=k.height, params=numbers)
+            lens.has_prior_focal_length = True
+            database.update_camera(lens)
     database.close()
 
 

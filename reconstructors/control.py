@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from pcbench.cameras import Camera
 from pcbench.cloud import FloatArray
 from pcbench.errors import InputError, ReconstructionError
+
+Refine = Literal["all", "focal", "distortion", "none"]  # intrinsics that are solved for
 
 # COLMAP's filters of points, in pixels and degrees.
 _LARGEST_ERROR, _LEAST_ANGLE = 4.0, 1.5
@@ -112,7 +114,7 @@ def triangulate(rays: FloatArray, centres: FloatArray) -> FloatArray:
     return point
 
 
-def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: str) -> Any:
+def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: Refine) -> Any:
     """The model after a bundle adjustment in which control points stay where they were surveyed.
 
     A mark in an image counts as much as a feature. Positions and images decide together: an alignment alone moves the
@@ -121,7 +123,7 @@ def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: st
     Args:
         model: a pycolmap.Reconstruction in the control points' world; three of them fix it.
         scale: of the working images against those that the points were marked in.
-        refine: which intrinsics are solved for: all, focal or none.
+        refine: which intrinsics are solved for.
 
     Raises:
         ReconstructionError: the adjustment fails.
@@ -139,8 +141,8 @@ def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: st
         config.add_constant_point(point)
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
-    options.refine_focal_length = refine != "none"
-    options.refine_extra_params = refine == "all"
+    options.refine_focal_length = refine in ("all", "focal")
+    options.refine_extra_params = refine in ("all", "distortion")
     options.ceres.solver_options.num_threads = 1  # sums in one order
     summary = pycolmap.create_default_bundle_adjuster(options, config, marked).solve()
     if not summary.is_solution_usable():
