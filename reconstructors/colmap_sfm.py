@@ -32,6 +32,7 @@ _FEW_INLIERS = 15  # COLMAP's default: a pair with fewer is not used
 _FEW_FEATURES = 50  # below it hardly any pair has that many after ratio test and RANSAC
 # With true cameras nearly all verified matches agree; with those of other images a few do by chance.
 _LEAST_AGREEING = 0.2
+_PARALLEL_DEG = 12.0  # of a survey's images from their mean: a flight is unsteady by a few
 _DATABASE = "database.db"
 
 
@@ -96,6 +97,12 @@ class ColmapSfm:
             gauge, in_metres = "georeferenced", scene.origin is not None
         else:
             model = self._map(scene, workspace, matches, notes)
+            if self.refine != "none" and (angle := _largest_angle(_cameras(model))) < _PARALLEL_DEG:
+                notes.append(
+                    f"all images look the same way within {angle:.0f} degrees: they hardly fix the lens, and with a"
+                    " wrong one the cloud is stretched or bent; add oblique images or control points, or give the lens"
+                    " (--set refine=none)"
+                )
             model, gauge, in_metres = self._align(model, scene, control, notes)
         result = workspace / "model"
         shutil.rmtree(result, ignore_errors=True)
@@ -525,6 +532,14 @@ def _cameras(model: Any) -> dict[str, Camera]:
             motion = Similarity(pose.rotation.matrix(), np.array(pose.translation))
             cameras[str(image.name)] = Camera(str(image.name), intrinsics, motion)
     return cameras
+
+
+def _largest_angle(cameras: Mapping[str, Camera]) -> float:
+    """Degrees between any camera's direction and the mean of them."""
+    directions = np.stack([camera.direction for camera in cameras.values()])
+    mean = directions.mean(axis=0)
+    cosines = directions @ mean / max(float(np.linalg.norm(mean)), 1e-12)
+    return float(np.degrees(np.arccos(np.clip(cosines.min(), -1, 1))))
 
 
 def _views(point: Any) -> int:

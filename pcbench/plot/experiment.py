@@ -13,7 +13,7 @@ from pcbench.io.files import atomic_write
 
 _COLORS = ("#000000", "#0072b2", "#d55e00", "#e69f00", "#009e73", "#56b4e9", "#cc79a7", "#7a5195", "#8c564b", "#999999")
 _GREY = "#777777"
-_COLUMNS = 5  # of maps
+_COLUMNS = 6  # of maps
 
 
 def draw_bend(document: Mapping[str, Any], path: Path) -> None:
@@ -36,9 +36,9 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
     rows = [row for row in document["rows"] if row["cells"]]
     colors = {row["name"]: _COLORS[k % len(_COLORS)] for k, row in enumerate(rows)}
     below = -(-len(rows) // _COLUMNS)
-    figure = Figure(figsize=(15, 5.8 + 2.9 * below), dpi=110, layout="constrained")
+    figure = Figure(figsize=(15, 5.8 + 2.7 * below), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.9 * below, 0.1)])
+    parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * below, 0.1)])
     upper, lower = parts
     grown, sized = upper.subplots(1, 2, width_ratios=[1.35, 1])
     _growth(grown, rows, colors, unit)
@@ -99,7 +99,7 @@ def _sizes(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], 
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlabel("error of the lens beyond its focal length, RMS over the image [px]")
+    axis.set_xlabel("error of the lens beyond its focal length, RMS over the image [px] (none: at the left)")
     axis.set_ylabel(f"bend beyond affine, RMS [{unit}]")
     axis.set_title(
         "What goes with it: filled is a verdict of a bend, squares have control points", fontsize=10, loc="left"

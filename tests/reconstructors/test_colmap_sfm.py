@@ -86,6 +86,7 @@ def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
     made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
     assert made.gauge == "arbitrary"
     assert made.cloud.unit is None
+    assert "look the same way" not in " ".join(made.notes)
     assert len(made.cameras) == 7
     with pytest.raises(InputError, match="poses=given needs cameras"):
         ColmapSfm(poses="given", **QUICK).reconstruct(scene, workspace)

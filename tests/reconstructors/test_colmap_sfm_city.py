@@ -51,6 +51,11 @@ def test_a_small_city(tmp_path):
     assert positions.max() < pixel
     assert angles.max() < 0.2  # a tilt of 0.1 degrees and a step of a pixel look nearly the same from above
     assert np.median(surface.query(solved.cloud.points).distances) < 0.6 * pixel
+    # Vertical images do not fix a lens (James & Robson 2014): that is said where one is solved for.
+    warning = "all images look the same way within"
+    assert warning not in " ".join(solved.notes)
+    free = ColmapSfm(upsample=False, poses="solve").reconstruct(scene, work)
+    assert warning in " ".join(free.notes)
 
 
 @pytest.mark.slow
