@@ -38,7 +38,7 @@ def solution(name, *factors, bend=None, seed=1, lens=LENS):
     points = sample(8000, seed, 0.03)
     if bend:
         points = warp_of("dome", points, bend).apply(points)
-    cloud = Cloud(points, attributes={"reprojection_error": np.full(len(points), 0.5)}, unit="m")
+    cloud = Cloud(points, attributes={"reprojection_error": np.full(len(points), 0.5)})
     return Solution(Variant(name, *factors), 12, 12, cloud, lens)
 
 

@@ -309,4 +309,4 @@ def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, 
         residuals = np.linalg.norm(fit.apply(points) - goals, axis=1)
         weights = 1 / np.maximum(residuals, max(float(np.median(residuals)), 1e-9))
     kept = {k: v for k, v in cloud.attributes.items() if k == "reprojection_error"}
-    return replace(cloud.transformed(fit), attributes=kept, unit="m")
+    return replace(cloud.transformed(fit), attributes=kept)

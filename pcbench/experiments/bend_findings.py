@@ -58,7 +58,8 @@ class Solution:
 
     Args:
         given, registered: images.
-        cloud: in the truth's coordinates but for a similarity; perhaps with the attribute `reprojection_error`.
+        cloud: in the truth's coordinates, without a unit: its scale was fitted, and another one is no deformation.
+            Perhaps with the attribute `reprojection_error`.
         failure: one line where there is no cloud.
     """
 
@@ -206,8 +207,9 @@ def lens_values(lens: Intrinsics) -> dict[str, Any]:
 
 
 def _deformation(reference: Cloud, candidate: Cloud, seed: int) -> Deformation:
+    # All are in the truth's world already. Closest points would mistake a dome of metres for another scale.
     try:
-        return deform(reference, candidate, "similarity", seed=seed)[1]
+        return deform(reference, candidate, "none", seed=seed)[1]
     except PcbenchError as error:
         return Deformation.unanswered(str(error))
 
