@@ -288,16 +288,13 @@ def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, 
     names = sorted(set(found) & set(truth))
     middle = [0.5 * truth[names[0]].intrinsics.width, 0.5 * truth[names[0]].intrinsics.height]
     # Each point through the camera that has it nearest to its middle, where lenses differ least.
-    off, pixels = np.full(len(cloud), np.inf), np.zeros((len(cloud), 2))
-    eyes, rays = np.zeros((len(cloud), 3)), np.zeros((len(cloud), 3))
+    off, eyes, rays = np.full(len(cloud), min(middle)), np.zeros((len(cloud), 3)), np.zeros((len(cloud), 3))
     for name in names:
         at, depth = found[name].project(cloud.points)
         distance = np.where(depth > 0, np.linalg.norm(at - middle, axis=1), np.inf)
-        better = distance < off
-        off[better], pixels[better], eyes[better] = distance[better], at[better], truth[name].position
-        camera = truth[name]
-        if better.any():
-            rays[better] = camera.intrinsics.directions(pixels[better]) @ camera.cam_from_world.rotation
+        better, camera = distance < off, truth[name]
+        off[better], eyes[better] = distance[better], camera.position
+        rays[better] = camera.intrinsics.directions(at[better]) @ camera.cam_from_world.rotation
     seen = np.flatnonzero(off < min(middle))
     hits = surface.cast(eyes[seen], rays[seen])
     met = hits.faces >= 0

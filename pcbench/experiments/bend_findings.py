@@ -86,7 +86,7 @@ def findings(
         lens: the true one.
         seed: of the bootstrap.
     """
-    first = next((s for s in solutions if s.cloud is not None), None)
+    first: Cloud | None = None
     rows = []
     for solution in solutions:
         step(f"measuring {solution.variant.name}")
@@ -106,12 +106,15 @@ def findings(
             if (k := solution.lens) is not None:
                 row["lens"] = lens_values(k)
                 row["lens_error_px"] = lens_error(k, lens)
-            found = _deformation(truth, solution.cloud, seed)
+            found, placed = _deformation(truth, solution.cloud, "similarity", seed)
             row["truth"] = _summary(found)
             if found.field is not None:
                 row["cells"] = np.column_stack([found.field.places, found.field.vertical, found.field.sigma]).tolist()
-            if first is not None and first.cloud is not None and solution is not first:
-                row["mutual"] = _summary(_deformation(first.cloud, solution.cloud, seed))
+            if first is None:
+                first = placed
+            else:
+                # Sparse points that a dome moves by metres have no neighbours to register them by anew.
+                row["mutual"] = _summary(_deformation(first, placed, "none", seed)[0])
         rows.append(row)
     return {"rows": rows, "sentences": list(explain(rows, truth.unit or ""))}
 
@@ -206,12 +209,13 @@ def lens_values(lens: Intrinsics) -> dict[str, Any]:
     return {"fx": lens.fx, "fy": lens.fy, "distortion": list(lens.distortion), "size": [lens.width, lens.height]}
 
 
-def _deformation(reference: Cloud, candidate: Cloud, seed: int) -> Deformation:
-    # All are in the truth's world already. Closest points would mistake a dome of metres for another scale.
+def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
+    """The verdict, and the candidate as it was registered."""
     try:
-        return deform(reference, candidate, "none", seed=seed)[1]
+        registration, found = deform(reference, candidate, method, seed=seed)
     except PcbenchError as error:
-        return Deformation.unanswered(str(error))
+        return Deformation.unanswered(str(error)), candidate
+    return found, candidate.transformed(registration.T_reference_candidate)
 
 
 def _summary(found: Deformation) -> dict[str, Any]:

@@ -248,15 +248,16 @@ def print_columns(rows: Iterable[Sequence[str]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(markup=False, emoji=False, highlight=False)
-    header, *lines = rows
+    header, *lines = ([*row] for row in rows)
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     for number, title in enumerate(header):
         table.add_column(title, no_wrap=True, justify="right" if number else "left")
     for line in lines:
         table.add_row(*line)
+    console = Console(markup=False, emoji=False, highlight=False)
     # Wider than a narrow terminal rather than cut.
-    console.width = max(console.width, console.measure(table).maximum)
+    widths = [max(len(line[k]) for line in [header, *lines]) for k in range(len(header))]
+    console.width = max(console.width, sum(widths) + 2 * len(widths))
     console.print(table)
 
 
