@@ -11,9 +11,22 @@ import numpy as np
 from pcbench.errors import MissingExtra
 from pcbench.io.files import atomic_write
 
-_COLORS = ("#000000", "#0072b2", "#d55e00", "#e69f00", "#009e73", "#56b4e9", "#cc79a7", "#7a5195", "#8c564b", "#999999")
+_COLORS = (
+    "#000000",
+    "#0072b2",
+    "#d55e00",
+    "#e69f00",
+    "#009e73",
+    "#56b4e9",
+    "#cc79a7",
+    "#7a5195",
+    "#8c564b",
+    "#999999",
+    "#b5a000",
+)
 _GREY = "#777777"
 _COLUMNS = 6  # of maps
+_SMALL = 0.1
 
 
 def draw_bend(document: Mapping[str, Any], path: Path) -> None:
@@ -40,15 +53,18 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
     FigureCanvasAgg(figure)
     parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * below, 0.1)])
     upper, lower = parts
-    grown, sized = upper.subplots(1, 2, width_ratios=[1.35, 1])
-    _growth(grown, rows, colors, unit)
+    grown, nearer, sized = upper.subplots(1, 3)
+    largest = max((row["truth"]["rms"] or 0.0 for row in rows), default=0.0)
+    _growth(grown, rows, colors, unit, "Growth: means over rings; shaded, what noise would do")
+    small = [row for row in rows if (row["truth"]["rms"] or 0.0) <= _SMALL * largest]
+    _growth(nearer, small, colors, unit, f"Nearer: bends below {100 * _SMALL:.0f} % of the largest")
     _sizes(sized, rows, colors, unit)
     if rows:
-        heights = [np.array(row["cells"])[:, 3] for row in rows]
+        heights = [np.array(row["cells"], dtype=np.float64)[:, 3] for row in rows]
         limit = max(float(np.nanpercentile(np.abs(z), 95)) for z in heights)
         axes = np.atleast_1d(lower.subplots(below, _COLUMNS, sharex=True, sharey=True)).ravel()
         for axis, row, z in zip(axes, rows, heights, strict=False):
-            cells = np.array(row["cells"])
+            cells = np.array(row["cells"], dtype=np.float64)
             order = np.argsort(np.abs(z))
             axis.scatter(*cells[order, :2].T, c=z[order], cmap="coolwarm", vmin=-limit, vmax=limit, s=26, marker="s")
             axis.set_title(row["name"], fontsize=9, color=colors[row["name"]])
@@ -66,7 +82,7 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
         figure.savefig(file, format="png")
 
 
-def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str) -> None:
+def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str, title: str) -> None:
     axis.axhline(0, color=_GREY, linewidth=0.8)
     for row in rows:
         growth = (row["truth"]["growth"] or {}).get("with_distance")
@@ -78,10 +94,11 @@ def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str],
         axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=row["name"])
     axis.set_xlabel(f"horizontal distance from the centre [{unit}]")
     axis.set_ylabel(f"vertical displacement against the truth [{unit}]")
-    axis.set_title("How it grows: means over rings; shaded, what noise alone would do (95 %)", fontsize=10, loc="left")
+    axis.set_title(title, fontsize=10, loc="left")
     axis.grid(alpha=0.25)
     axis.spines[["top", "right"]].set_visible(False)
-    axis.legend(framealpha=0.9, edgecolor="none", fontsize=8)
+    if rows:
+        axis.legend(framealpha=0.9, edgecolor="none", fontsize=8)
 
 
 def _sizes(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str) -> None:
@@ -99,10 +116,8 @@ def _sizes(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], 
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlabel("error of the lens beyond its focal length, RMS over the image [px] (none: at the left)")
+    axis.set_xlabel("error of the lens beyond its focal length, RMS [px]; none: left")
     axis.set_ylabel(f"bend beyond affine, RMS [{unit}]")
-    axis.set_title(
-        "What goes with it: filled is a verdict of a bend, squares have control points", fontsize=10, loc="left"
-    )
+    axis.set_title("Against the lens (filled: a verdict; squares: control)", fontsize=10, loc="left")
     axis.grid(alpha=0.25, which="both")
     axis.spines[["top", "right"]].set_visible(False)
