@@ -442,9 +442,10 @@ def _check_features(features: Path, scene: Scene, notes: list[str]) -> dict[str,
 
 
 def _check_pairs(matches: Path, images: int, counts: Mapping[str, int]) -> None:
-    """
+    """Say that no two images show the same scene.
+
     Raises:
-        ReconstructionError: no pair of images shows the same scene.
+        ReconstructionError: no pair has enough verified matches.
     """
     import pycolmap
 
