@@ -62,7 +62,7 @@ types: $(VENV)/.all
 bench: $(VENV)/.all
 	$(BIN)/python tests/bench/compare.py
 
-gallery: $(VENV)/.demo
+gallery: $(VENV)/.all
 	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/python docs/gallery.py
 
 clean:

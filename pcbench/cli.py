@@ -342,7 +342,7 @@ def synth() -> None:
 @click.option("--images", default=40, show_default=True, type=click.IntRange(1, 9999), help="How many.")
 @click.option("--size", default="960x540", show_default=True, metavar="WxH", help="Of an image, in pixels.")
 @click.option("--fov", default=40.0, show_default=True, type=click.FloatRange(1, 120), help="Vertical, in degrees.")
-@click.option("--rig", default="circles", show_default=True, help="circles, grid, oblique or orbit.")
+@click.option("--rig", default="circles", show_default=True, help="circles, grid, oblique, drone or orbit.")
 @click.option("--distortion", default="0,0,0,0", show_default=True, metavar="K1,K2,P1,P2", help="Of the lens.")
 @click.option("--gps", type=click.FloatRange(min=0), help="Write gps.txt with errors of so many metres.")
 @click.option("--extent", default=400.0, show_default=True, help="Side of the city in metres.")
@@ -387,13 +387,9 @@ def city(
     from pcbench.synthetic.files import SceneSettings, write_scene
     from pcbench.synthetic.plan import CitySettings
 
-    pixels, lens = _numbers("--size", size.lower().replace("x", ","), int), _numbers("--distortion", distortion, float)
-    if pixels is None or len(pixels) != 2:
-        raise InputError(f"expected --size as WIDTHxHEIGHT, such as 960x540, got {size!r}")
+    pixels, lens = _size(size), _numbers("--distortion", distortion, float)
     if lens is None or len(lens) != 4:
         raise InputError(f"expected --distortion as four numbers k1,k2,p1,p2, got {distortion!r}")
-    if min(pixels) < 1:
-        raise InputError(f"expected an image of at least one pixel, got {size!r}")
     intrinsics = replace(Intrinsics.from_fov(*pixels, fov), distortion=lens)
     town = CitySettings(extent, density, height, relief, texture, water, repeated, symmetric, seed)
     town = town.hard() if hard else town
@@ -597,6 +593,67 @@ def reconstruct(
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
         click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")
+
+
+@app.group(short_help="Questions answered on scenes whose truth is known.")
+def experiment() -> None:
+    """Answer a question on a scene whose truth is known."""
+
+
+@experiment.command(short_help="Solve the same images in several ways: what bends the cloud?")
+@click.argument("scene", type=_FILE, required=False)
+@click.option("--out", type=_FILE, required=True, help="Folder for results; a later run goes on from what is there.")
+@click.option(
+    "--images", default=42, show_default=True, type=click.IntRange(12, 9999), help="Of the scene that is made."
+)
+@click.option("--size", default="800x600", show_default=True, metavar="WxH", help="Of an image, in pixels.")
+@click.option("--no-figures", is_flag=True, help="Leave the picture out.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of everything.")
+@quiet_option
+@click.pass_context
+def bend(
+    context: click.Context,
+    scene: Path | None,
+    out: Path,
+    images: int,
+    size: str,
+    no_figures: bool,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Solve the same images with the reconstructor sfm and different settings (which images; focal length and
+    distortion known, solved for or ignored; control points), and measure how the clouds are bent against the truth
+    and against each other. SCENE is a folder as pcbench synth city makes it; without one, a drone's survey of a city
+    is made.
+
+    \b
+    Example: pcbench experiment bend --out bend/
+    """
+    from pcbench.experiments.bend import Experiment, run_bend
+    from pcbench.experiments.bend_findings import table
+    from pcbench.report import print_columns
+
+    if scene is not None and any(_given(context, name) for name in ("images", "size")):
+        raise click.UsageError("--images and --size are those of the scene that is made where none is given")
+    settings = Experiment(images, *_size(size), seed)
+    with _steps(quiet) as step:
+        document, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
+    if not quiet:
+        print_columns(table(document))
+        for sentence in document["sentences"]:
+            click.echo(sentence)
+        click.echo(f"report: {out}")
+    if without_figures:
+        _warn(without_figures)
+
+
+def _size(text: str) -> tuple[int, int]:
+    pixels = _numbers("--size", text.lower().replace("x", ","), int)
+    if pixels is None or len(pixels) != 2:
+        raise InputError(f"expected --size as WIDTHxHEIGHT, such as 960x540, got {text!r}")
+    if min(pixels) < 1:
+        raise InputError(f"expected an image of at least one pixel, got {text!r}")
+    return pixels[0], pixels[1]
 
 
 def _key_value(text: str) -> tuple[str, str]:

@@ -7,7 +7,7 @@ random choice has a seed, and what is not associative in floating point runs on 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,20 +16,23 @@ from typing import Any, Literal
 import numpy as np
 
 from pcbench.cameras import Camera, Intrinsics
-from pcbench.cloud import Cloud, FloatArray
+from pcbench.cloud import Cloud
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.io.colmap_model import intrinsics_from_colmap
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.scene import Scene
 from pcbench.stages import stage, stage_key
 from pcbench.transform import Similarity, fit_similarity
-from reconstructors.alignment import ControlPoint, camera_errors, moved, read_control, robust_similarity, triangulate
+from reconstructors.alignment import camera_errors, moved, robust_similarity
+from reconstructors.control import ControlPoint, Refine, adjust, describe, measure, read_control
+from reconstructors.epipolar import share_on_epipolar_lines
 from reconstructors.image_pairs import Matching, choose_pairs
 
 _FEW_INLIERS = 15  # COLMAP's default: a pair with fewer is not used
 _FEW_FEATURES = 50  # below it hardly any pair has that many after ratio test and RANSAC
 # With true cameras nearly all verified matches agree; with those of other images a few do by chance.
-_LEAST_EXPLAINED = 0.1
+_LEAST_AGREEING = 0.2
+_PARALLEL_DEG = 12.0  # of a survey's images from their mean: a flight is unsteady by a few
 _DATABASE = "database.db"
 
 
@@ -41,9 +44,11 @@ class ColmapSfm:
     poses: `given` takes the scene's cameras as they are, `solve` finds them; `auto` is given where there are some.
     mapping: of solved poses. matching: which pairs; `auto` by the number of images and what is known of them.
     features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
-    the time. refine: which intrinsics are solved for: `all`, `focal` length alone, or `none`.
-    align: solved poses onto the scene's cameras, control points or GPS; `auto` takes the first there is. control: their
-    file, lines of name, x y z, image, pixel x y. min_views: points that fewer images show are left out; one of two
+    the time. refine: which intrinsics are solved for: `all`, `focal` length, `distortion`, or `none`; the rest stays as
+    the scene's cameras say, or as guessed (1.2 image widths, no distortion) where EXIF has no focal length.
+    align: solved poses onto control points, the scene's cameras or GPS; `auto` takes the first there is. control: their
+    file, lines of name, x y z, image, pixel x y; they are held fast in a last adjustment, where those whose names end
+    in * are checks only. min_views: points that fewer images show are left out; one of two
     images may be anywhere along their common plane. undistort: leave undistorted images and model in the workspace.
     """
 
@@ -52,7 +57,7 @@ class ColmapSfm:
     matching: Matching = "auto"
     features: int = 8192
     upsample: bool = True
-    refine: Literal["all", "focal", "none"] = "all"
+    refine: Refine = "all"
     align: Literal["auto", "cameras", "control", "gps", "none"] = "auto"
     control: Path | None = None
     min_views: int = 3
@@ -85,14 +90,20 @@ class ColmapSfm:
         gauge: Gauge
         features = self._features(scene, workspace)
         counts = _check_features(features, scene, notes)
-        matches = self._matches(scene, workspace, features, notes)
-        verified = _check_pairs(matches, len(scene), counts)
+        matches = self._verified(scene, workspace, self._matches(scene, workspace, features, notes))
+        _check_pairs(matches, len(scene), counts)
         if given:
-            model = self._triangulate(scene, workspace, matches, verified, notes)
+            model = self._triangulate(scene, workspace, matches, notes)
             gauge, in_metres = "georeferenced", scene.origin is not None
         else:
             model = self._map(scene, workspace, matches, notes)
-            gauge, in_metres = self._align(model, scene, control, notes)
+            if self.refine != "none" and (angle := _largest_angle(_cameras(model))) < _PARALLEL_DEG:
+                notes.append(
+                    f"all images look the same way within {angle:.0f} degrees: they hardly fix the lens, and with a"
+                    " wrong one the cloud is stretched or bent; add oblique images or control points, or give the lens"
+                    " (--set refine=none)"
+                )
+            model, gauge, in_metres = self._align(model, scene, control, notes)
         result = workspace / "model"
         shutil.rmtree(result, ignore_errors=True)
         result.mkdir()
@@ -105,21 +116,16 @@ class ColmapSfm:
         """SIFT features of every image, in a database."""
         import pycolmap
 
-        groups = _groups(scene)
+        groups = [names for _, names in _groups(scene)]
 
         def make(folder: Path) -> None:
             images, database = _images(scene, workspace), folder / _DATABASE
             masks = _write_masks(scene, folder)
             pycolmap.Database.open(database).close()
             # Importing first fixes the images' numbers: extraction on several threads would shuffle them.
-            for lens, names in groups:
-                reader = pycolmap.ImageReaderOptions()
-                if lens is not None:
-                    reader.camera_model = "OPENCV"
-                    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion)
-                    reader.camera_params = ", ".join(repr(float(v)) for v in numbers)
+            for names in groups:
                 pycolmap.import_images(
-                    database, images, camera_mode=pycolmap.CameraMode.SINGLE, image_names=list(names), options=reader
+                    database, images, camera_mode=pycolmap.CameraMode.SINGLE, image_names=list(names)
                 )
             reader = pycolmap.ImageReaderOptions()
             if masks is not None:
@@ -139,14 +145,14 @@ class ColmapSfm:
         inputs = {
             "pycolmap": pycolmap.__version__,
             "scene": scene.fingerprint(cameras=False),
-            "lenses": repr(groups),
+            "sharing a lens": groups,
             "features": self.features,
             "upsample": self.upsample,
         }
         return stage(workspace, "features", inputs, make)
 
     def _matches(self, scene: Scene, workspace: Path, features: Path, notes: list[str]) -> Path:
-        """Verified matches of the chosen pairs, in a copy of the database."""
+        """Matches of the chosen pairs, in a copy of the database."""
         import pycolmap
 
         how, pairs = choose_pairs(scene, self.matching)
@@ -154,20 +160,37 @@ class ColmapSfm:
 
         def make(folder: Path) -> None:
             shutil.copyfile(features / _DATABASE, folder / _DATABASE)
-            (folder / "pairs.txt").write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
+            names = _rename(folder / _DATABASE, {})
+            numbers = {name: number for number, name in names.items()}
+            # COLMAP's list of pairs is cut at spaces: it gets the images' numbers for names.
+            lines = [f"{numbers[a]} {numbers[b]}\n" for a, b in pairs]
+            (folder / "pairs.txt").write_text("".join(lines), encoding="utf-8")
             pairing = pycolmap.ImportedPairingOptions()
             pairing.match_list_path = str(folder / "pairs.txt")
-            verification = pycolmap.TwoViewGeometryOptions()
-            verification.ransac.random_seed = self.seed
+            options = pycolmap.FeatureMatchingOptions()
+            options.skip_geometric_verification = True
             pycolmap.match_image_pairs(
-                folder / _DATABASE,
-                pairing_options=pairing,
-                verification_options=verification,
-                device=pycolmap.Device.cpu,
+                folder / _DATABASE, matching_options=options, pairing_options=pairing, device=pycolmap.Device.cpu
             )
+            _rename(folder / _DATABASE, names)
 
-        inputs = {"features": stage_key(features), "pairs": pairs, "seed": self.seed}
-        return stage(workspace, "matches", inputs, make)
+        return stage(workspace, "matches", {"features": stage_key(features), "pairs": pairs}, make)
+
+    def _verified(self, scene: Scene, workspace: Path, matches: Path) -> Path:
+        """The matches that agree on a geometry, through the scene's lenses where they are known."""
+        import pycolmap
+
+        groups = _groups(scene)
+
+        def make(folder: Path) -> None:
+            shutil.copyfile(matches / _DATABASE, folder / _DATABASE)
+            _set_lenses(folder / _DATABASE, groups)
+            options = pycolmap.TwoViewGeometryOptions()
+            options.ransac.random_seed = self.seed
+            pycolmap.geometric_verification(folder / _DATABASE, two_view_geometry_options=options)
+
+        inputs = {"matches": stage_key(matches), "lenses": repr(groups), "seed": self.seed}
+        return stage(workspace, "verified", inputs, make)
 
     def _incremental_options(self) -> Any:
         import pycolmap
@@ -176,10 +199,10 @@ class ColmapSfm:
         options.num_threads = options.mapper.num_threads = 1
         options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = self.seed
         options.min_model_size = 3
-        options.ba_refine_focal_length = self.refine != "none"
-        options.ba_refine_extra_params = self.refine == "all"
-        options.mapper.abs_pose_refine_focal_length = self.refine != "none"
-        options.mapper.abs_pose_refine_extra_params = self.refine == "all"
+        options.ba_refine_focal_length = self.refine in ("all", "focal")
+        options.ba_refine_extra_params = self.refine in ("all", "distortion")
+        options.mapper.abs_pose_refine_focal_length = self.refine in ("all", "focal")
+        options.mapper.abs_pose_refine_extra_params = self.refine in ("all", "distortion")
         return options
 
     def _global_options(self) -> Any:
@@ -191,8 +214,8 @@ class ColmapSfm:
         for part in (options, options.mapper, options.mapper.rotation_averaging, options.mapper.global_positioning,
                      options.mapper.retriangulation):  # fmt: skip
             part.random_seed = self.seed
-        options.mapper.bundle_adjustment.refine_focal_length = self.refine != "none"
-        options.mapper.bundle_adjustment.refine_extra_params = self.refine == "all"
+        options.mapper.bundle_adjustment.refine_focal_length = self.refine in ("all", "focal")
+        options.mapper.bundle_adjustment.refine_extra_params = self.refine in ("all", "distortion")
         return options
 
     def _map(self, scene: Scene, workspace: Path, matches: Path, notes: list[str]) -> Any:
@@ -231,9 +254,16 @@ class ColmapSfm:
         notes.append(_quality(largest))
         return largest
 
-    def _triangulate(self, scene: Scene, workspace: Path, matches: Path, verified: int, notes: list[str]) -> Any:
+    def _triangulate(self, scene: Scene, workspace: Path, matches: Path, notes: list[str]) -> Any:
         """Points of the given cameras, in their frame."""
         import pycolmap
+
+        share = share_on_epipolar_lines(matches / _DATABASE, scene.cameras)
+        if share < _LEAST_AGREEING:
+            raise ReconstructionError(
+                f"the given cameras do not fit the images: {share:.1%} of the verified matches agree with them;"
+                " check them (pcbench scene SCENE --figure cameras.png), or solve them (--set poses=solve)"
+            )
 
         def make(folder: Path) -> None:
             model = _posed_model(matches / _DATABASE, scene)
@@ -246,27 +276,19 @@ class ColmapSfm:
 
         inputs = {"matches": stage_key(matches), "scene": scene.fingerprint(), "seed": self.seed}
         model = pycolmap.Reconstruction(stage(workspace, "triangulation", inputs, make) / "0")
-        # A point that n images show explains a match of each two of them.
-        explained = sum(n * (n - 1) // 2 for n in map(_views, model.points3D.values()))
-        share = min(1.0, explained / verified)
-        if share < _LEAST_EXPLAINED:
-            raise ReconstructionError(
-                f"the given cameras do not fit the images: {share:.1%} of {verified} verified matches agree with them;"
-                " check them (pcbench scene SCENE --figure cameras.png), or solve them (--set poses=solve)"
-            )
         notes.append(f"{share:.0%} of the verified matches agree with the given cameras; {_quality(model)}")
         return model
 
     def _align(
         self, model: Any, scene: Scene, control: tuple[ControlPoint, ...], notes: list[str]
-    ) -> tuple[Gauge, bool]:
-        """Bring the model into the world of cameras, control points or GPS, in this order or as asked for: its gauge
-        then, and whether that is in metres.
+    ) -> tuple[Any, Gauge, bool]:
+        """The model in the world of cameras, control points or GPS, in this order or as asked for; its gauge then, and
+        whether that is in metres. Control points are held fast while everything is adjusted once more.
         """
         registered = _cameras(model)
         ways: dict[str, Callable[[], tuple[Similarity, str]]] = {
-            "cameras": lambda: _onto_cameras(registered, scene.cameras),
             "control": lambda: _onto_control(registered, control, scene.image_scale),
+            "cameras": lambda: _onto_cameras(registered, scene.cameras),
             "gps": lambda: _onto_gps(registered, scene),
         }
         there = {
@@ -276,7 +298,7 @@ class ColmapSfm:
         }
         chosen = next((way for way in ways if there[way]), "none") if self.align == "auto" else self.align
         if chosen == "none":
-            return "arbitrary", False
+            return model, "arbitrary", False
         if not there[chosen]:
             raise InputError(f"align={chosen} needs {'three positions' if chosen == 'gps' else chosen} in the scene")
         try:
@@ -285,10 +307,15 @@ class ColmapSfm:
             if self.align != "auto":
                 raise ReconstructionError(f"cannot be aligned to {chosen}: {error}") from error
             notes.append(f"not aligned to {chosen}: {error}")
-            return "arbitrary", False
+            return model, "arbitrary", False
         _transform(model, transform)
         notes.append(note)
-        return "georeferenced", chosen == "gps" or (chosen == "cameras" and scene.origin is not None)
+        if chosen == "control":
+            held = [point for point in control if not point.is_check]
+            model = adjust(model, held, scene.image_scale, self.refine)
+            after = describe(measure(_cameras(model), control, scene.image_scale))
+            notes.append(f"adjusted with the control points held fast: {after}; {_quality(model)}")
+        return model, "georeferenced", chosen == "gps" or (chosen == "cameras" and scene.origin is not None)
 
     def _cloud(self, model: Any, unit: str | None, notes: list[str]) -> Cloud:
         """The points that enough images show, in the order of their numbers."""
@@ -317,10 +344,8 @@ def _usable(scene: Scene, given: bool, notes: list[str]) -> Scene:
     """The images that can take part.
 
     Raises:
-        InputError: they are fewer than two, or a name has a space: COLMAP's list of pairs could not be read.
+        InputError: they are fewer than two, or have no cameras though `given` says so.
     """
-    if spaced := [name for name in scene.images if any(c.isspace() for c in name)]:
-        raise InputError(f"expected names of images without spaces, got {spaced[0]!r}: rename it")
     if given:
         if not scene.cameras:
             raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
@@ -339,6 +364,39 @@ def _groups(scene: Scene) -> list[tuple[Intrinsics | None, tuple[str, ...]]]:
         camera = scene.cameras.get(name)
         found.setdefault(camera.intrinsics if camera else scene.size(name), []).append(name)
     return [(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
+
+
+def _set_lenses(database_file: Path, groups: Sequence[tuple[Intrinsics | None, tuple[str, ...]]]) -> None:
+    """Give the known lenses to their images in a database."""
+    import pycolmap
+
+    known = {name: lens for lens, names in groups for name in names}
+    database = pycolmap.Database.open(database_file)
+    for number, name in sorted({image.camera_id: image.name for image in database.read_all_images()}.items()):
+        if (k := known[name]) is not None:
+            # What is solved for later should be no more than lenses have: pixels are square where they were.
+            radial = k.fx == k.fy and not any(k.distortion[2:])
+            model, numbers = "OPENCV", [k.fx, k.fy, k.cx, k.cy, *k.distortion]
+            if radial:
+                model, numbers = "RADIAL", [k.fx, k.cx, k.cy, *k.distortion[:2]]
+            lens = pycolmap.Camera(camera_id=number, model=model, width=k.width, height=k.height, params=numbers)
+            lens.has_prior_focal_length = True
+            database.update_camera(lens)
+    database.close()
+
+
+def _rename(database_file: Path, names: Mapping[int, str]) -> dict[int, str]:
+    """Give images in a database names by their numbers, where there is none the number itself; the names before."""
+    import pycolmap
+
+    database = pycolmap.Database.open(database_file)
+    before = {}
+    for image in database.read_all_images():
+        before[int(image.image_id)] = str(image.name)
+        image.name = names.get(int(image.image_id), str(image.image_id))
+        database.update_image(image)
+    database.close()
+    return before
 
 
 def _images(scene: Scene, workspace: Path) -> Path:
@@ -383,11 +441,11 @@ def _check_features(features: Path, scene: Scene, notes: list[str]) -> dict[str,
     return counts
 
 
-def _check_pairs(matches: Path, images: int, counts: Mapping[str, int]) -> int:
-    """The number of verified matches.
+def _check_pairs(matches: Path, images: int, counts: Mapping[str, int]) -> None:
+    """Say that no two images show the same scene.
 
     Raises:
-        ReconstructionError: no pair of images shows the same scene.
+        ReconstructionError: no pair has enough verified matches.
     """
     import pycolmap
 
@@ -399,7 +457,6 @@ def _check_pairs(matches: Path, images: int, counts: Mapping[str, int]) -> int:
             f"no pair verified: {images} images have {int(np.median(list(counts.values())))} features (median), but no"
             " two agree on a geometry: they show different things, or the overlap is too small"
         )
-    return sum(n for n in inliers if n >= _FEW_INLIERS)
 
 
 def _posed_model(database_file: Path, scene: Scene) -> Any:
@@ -448,34 +505,13 @@ def _onto_control(
     found: Mapping[str, Camera], control: tuple[ControlPoint, ...], scale: float
 ) -> tuple[Similarity, str]:
     """By the control points that two or more registered images show; check points are measured alone."""
-    points: list[tuple[ControlPoint, FloatArray]] = []
-    for point in control:
-        seen = [o for o in point.observations if o.image in found]
-        if len({o.image for o in seen}) < 2:
-            continue
-        rays = [_ray(found[o.image], scale * o.x, scale * o.y) for o in seen]
-        points.append((point, triangulate(np.stack(rays), np.stack([found[o.image].position for o in seen]))))
-    used = [(point.position, at) for point, at in points if not point.is_check]
+    measured = measure(found, control, scale)
+    used = [m for m in measured if not m.point.is_check]
     if len(used) < 3:
         raise InputError(f"expected three control points in two registered images each, got {len(used)}")
-    fit = fit_similarity(np.stack([at for _, at in used]), np.stack([position for position, _ in used]))
-    note = []
-    for what, is_check in (("control", False), ("check", True)):
-        errors = [fit.apply(at[None])[0] - p.position for p, at in points if p.is_check == is_check]
-        if errors:
-            note.append(f"{len(errors)} {what} points: rms {np.sqrt(np.mean(np.square(errors).sum(axis=1))):.3g}")
-    return fit, f"aligned to {', '.join(note)}"
-
-
-def _ray(camera: Camera, x: float, y: float) -> FloatArray:
-    """The unit direction (3,) in the world of a pixel, through the lens's distortion."""
-    import pycolmap
-
-    k = camera.intrinsics
-    numbers = [k.fx, k.fy, k.cx, k.cy, *k.distortion]
-    lens = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=numbers)
-    direction: FloatArray = camera.cam_from_world.rotation.T @ [*lens.cam_from_img(np.array([x, y])), 1.0]
-    return direction / np.linalg.norm(direction)
+    fit = fit_similarity(np.stack([m.at for m in used]), np.stack([m.point.position for m in used]))
+    moved_there = [m._replace(at=fit.apply(m.at[None])[0]) for m in measured]
+    return fit, f"aligned to {describe(moved_there)}"
 
 
 def _transform(model: Any, transform: Similarity) -> None:
@@ -497,6 +533,14 @@ def _cameras(model: Any) -> dict[str, Camera]:
             motion = Similarity(pose.rotation.matrix(), np.array(pose.translation))
             cameras[str(image.name)] = Camera(str(image.name), intrinsics, motion)
     return cameras
+
+
+def _largest_angle(cameras: Mapping[str, Camera]) -> float:
+    """Degrees between any camera's direction and the mean of them."""
+    directions = np.stack([camera.direction for camera in cameras.values()])
+    mean = directions.mean(axis=0)
+    cosines = directions @ mean / max(float(np.linalg.norm(mean)), 1e-12)
+    return float(np.degrees(np.arccos(np.clip(cosines.min(), -1, 1))))
 
 
 def _views(point: Any) -> int:

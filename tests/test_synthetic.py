@@ -161,8 +161,16 @@ def test_surveys():
     np.testing.assert_allclose(tilts, 40, atol=1e-9)
     sides = {tuple(np.sign(c.direction[:2].round(6)).astype(int)) for c in oblique}
     assert sides == {(0, 1), (1, 0), (0, -1), (-1, 0)}
+    drone = rig("drone", 42, site, k)
+    tilts = np.degrees(np.arccos([-c.direction[2] for c in drone]))
+    assert (tilts[:35] < 7).all()
+    assert np.median(tilts[:35]) > 1  # Rayleigh's distribution of 1.5 degrees a side has 1.8
+    np.testing.assert_allclose(tilts[35:], 25, atol=1e-6)
+    northward = np.array([-c.cam_from_world.rotation[1, 1] for c in drone[:35]])
+    assert (np.abs(northward) > 0.97).all()
+    assert 5 < (northward < 0).sum() < 30  # every second strip
     assert len(rig("orbit", 5, site, k)) == 5
-    with pytest.raises(InputError, match="circles, grid, oblique, orbit"):
+    with pytest.raises(InputError, match="circles, grid, oblique, drone, orbit"):
         rig("spiral", 5, site, k)
 
 

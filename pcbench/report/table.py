@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from pcbench.measure import BACK, FORTH
@@ -241,6 +241,24 @@ def print_table(doc: dict[str, Any]) -> None:
         console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     for sentence in (*bends(doc), *verdicts(doc)):
         console.print(sentence, soft_wrap=True)
+
+
+def print_columns(rows: Iterable[Sequence[str]]) -> None:
+    """A table on the terminal: the first row is its header, the first column its labels."""
+    from rich.console import Console
+    from rich.table import Table
+
+    header, *lines = ([*row] for row in rows)
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
+    for number, title in enumerate(header):
+        table.add_column(title, no_wrap=True, justify="right" if number else "left")
+    for line in lines:
+        table.add_row(*line)
+    console = Console(markup=False, emoji=False, highlight=False)
+    # Wider than a narrow terminal rather than cut.
+    widths = [max(len(line[k]) for line in [header, *lines]) for k in range(len(header))]
+    console.width = max(console.width, sum(widths) + 2 * len(widths))
+    console.print(table)
 
 
 def markdown(doc: dict[str, Any]) -> str:

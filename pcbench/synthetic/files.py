@@ -33,7 +33,7 @@ class SceneSettings:
     Args:
         images: how many.
         intrinsics: of all of them.
-        rig: circles, grid, oblique or orbit (`pcbench.synthetic.rigs`).
+        rig: circles, grid, oblique, drone or orbit (`pcbench.synthetic.rigs`).
         points: of the true cloud.
         gps: standard deviation in metres of the positions in gps.txt; None writes no such file.
     """

@@ -1,4 +1,4 @@
-"""Where cameras stand: concentric circles, a drone's grid from above, the same tilted, one orbit."""
+"""Where cameras stand: concentric circles, a drone's grid from above, the same tilted, both, one orbit."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from pcbench.transform import Similarity
 # evenly here: the paper names the ends.
 _PAPER_RADII = np.linspace(500, 7250, 7)
 _PAPER_ALTITUDES = np.linspace(475, 3690, 7)
+_UNSTEADY_DEG = 1.5  # standard deviation of a drone's tilt about either axis
 _CLEARANCE = 20.0  # metres between the highest roof and the lowest flight
 
 
@@ -36,7 +37,9 @@ def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camer
 
     Args:
         name: circles (seven, as in Gao et al., scaled to the site), grid (a nadir survey with 75 % overlap), oblique
-            (the same, tilted by 40 degrees to four sides in turn) or orbit (one circle).
+            (the same, tilted by 40 degrees to four sides in turn), drone (a grid as it is flown, unsteady by
+            1.5 degrees and 2 % of its height; after it a sixth of the images, tilted by 25 degrees) or orbit (one
+            circle).
 
     Raises:
         InputError: there is no such rig, or no image is wanted.
@@ -100,14 +103,33 @@ def _oblique(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]
     return _survey(count, site, intrinsics, tilt_deg=40.0)
 
 
-def _survey(count: int, site: Site, intrinsics: Intrinsics, tilt_deg: float) -> list[Similarity]:
-    """Strips from west to east and back; images 75 % over each other at the ground, in both directions."""
+def _drone(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
+    """A nadir survey as it is flown, unsteady and turned round after every strip; then the oblique images."""
+    rng = np.random.default_rng(0)  # the same flight over every city
+    steady = _survey(count - count // 6, site, intrinsics, tilt_deg=0.0)
+    positions = np.array([-pose.rotation.T @ pose.translation for pose in steady])
+    height = float(positions[0, 2]) - site.ground
+    strip = np.cumsum(np.diff(positions[:, 1], prepend=positions[0, 1]) != 0)
+    nadir = []
+    for position, heading in zip(positions, np.where(strip % 2, 180.0, 0.0), strict=True):
+        tilt, yaw = np.tan(np.radians(rng.normal(0, _UNSTEADY_DEG, 2))), np.radians(heading + rng.normal(0, 3))
+        eye = position + [0, 0, 0.02 * height * rng.normal()]
+        nadir.append(look_at(eye, eye + [*tilt, -1], up=[np.sin(yaw), np.cos(yaw), 0]))
+    return [*nadir, *_survey(count // 6, site, intrinsics, tilt_deg=25.0, height=height)]
+
+
+def _survey(
+    count: int, site: Site, intrinsics: Intrinsics, tilt_deg: float, height: float | None = None
+) -> list[Similarity]:
+    """Strips from west to east and back; images 75 % over each other at the ground, in both directions, unless the
+    height above it is given.
+    """
     shape = intrinsics.width / intrinsics.height
     columns = max(1, round(np.sqrt(count / shape)))
     rows = -(-count // columns)
     lanes = [np.linspace(-0.5, 0.5, n + 2)[1:-1] * site.extent * (n + 1) / (n + 0.5) for n in (columns, rows)]
     step = site.extent / np.array([columns, rows])
-    height = max(
+    height = height or max(
         4 * step[0] * intrinsics.fx / intrinsics.width,
         4 * step[1] * intrinsics.fy / intrinsics.height,
         site.top - site.ground + _CLEARANCE,
@@ -125,4 +147,4 @@ def _survey(count: int, site: Site, intrinsics: Intrinsics, tilt_deg: float) -> 
     return poses
 
 
-RIGS = {"circles": _paper, "grid": _grid, "oblique": _oblique, "orbit": _orbit}
+RIGS = {"circles": _paper, "grid": _grid, "oblique": _oblique, "drone": _drone, "orbit": _orbit}

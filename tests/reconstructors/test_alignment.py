@@ -1,12 +1,11 @@
-"""Alignment to cameras, GPS and control points."""
+"""Alignment to cameras and positions."""
 
 import numpy as np
 import pytest
 
 from pcbench.cameras import Camera, Intrinsics, look_at
-from pcbench.errors import InputError
 from pcbench.transform import Similarity
-from reconstructors.alignment import camera_errors, moved, read_control, robust_similarity, triangulate
+from reconstructors.alignment import camera_errors, moved, robust_similarity
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 
@@ -46,29 +45,3 @@ def test_camera_errors_are_distances_and_angles():
     assert angles == pytest.approx([np.degrees(0.01)])
     half = Camera("a", K, Similarity(np.diag([-1.0, -1, 1]), np.zeros(3)) @ a.cam_from_world)
     assert camera_errors({"a": a}, {"a": half})[1] == pytest.approx([180])
-
-
-def test_lines_meet_in_their_point():
-    point, centres = np.array([1.0, 2, 3]), np.random.default_rng(0).normal(size=(4, 3))
-    rays = (point - centres) / np.linalg.norm(point - centres, axis=1)[:, None]
-    np.testing.assert_allclose(triangulate(rays, centres), point, atol=1e-12)
-
-
-def test_control_files(tmp_path):
-    path = tmp_path / "control.txt"
-    path.write_text("# survey\nA 1 2 3 a.jpg 10.5 20\nA 1 2 3 b.jpg 11 21\nB* 4 5 6 a.jpg 1 2\nB* 4 5 6 b.jpg 3 4\n")
-    a, b = read_control(path)
-    assert (a.name, a.is_check, b.is_check) == ("A", False, True)
-    np.testing.assert_array_equal(b.position, [4, 5, 6])
-    assert a.observations[0] == ("a.jpg", 10.5, 20)
-    for text, match in (
-        ("A 1 2 3 a.jpg 10", "line 1: expected name, x y z, image"),
-        ("A 1 2 3 a.jpg 1 nan", "finite"),
-        ("A 1 2 3 a.jpg 1 2\nA 1 2 4 b.jpg 1 2", "line 2: A has another position"),
-        ("A 1 2 3 a.jpg 1 2", "in one image only"),
-    ):
-        path.write_text(text)
-        with pytest.raises(InputError, match=match):
-            read_control(path)
-    with pytest.raises(InputError, match="cannot read control points"):
-        read_control(tmp_path / "none.txt")

@@ -1,0 +1,309 @@
+"""`pcbench experiment bend`: the same images solved with different settings, and what bends the result.
+
+The classic case (James & Robson 2014): a drone's images, all looking straight down, through a lens whose distortion is
+not what the solution takes it for. Images and shape can then be wrong together: the scene bends into a dome or a bowl,
+and the reprojection errors stay small. Here the truth is known, so it can be said which setting did it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcbench.cameras import Camera, Intrinsics
+from pcbench.cloud import Cloud
+from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.experiments.bend_findings import Solution, Variant, csv_text, findings, lens_values
+from pcbench.io import read_cloud, write_cloud
+from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
+from pcbench.io.files import atomic_write
+from pcbench.io.meshes import read_mesh
+from pcbench.mesh import MeshIndex
+from pcbench.plugins import find_plugin
+from pcbench.reconstruct import Job, run
+from pcbench.report import to_json
+from pcbench.report.document import provenance
+from pcbench.scene import Scene, read_scene
+from pcbench.stages import stage
+from pcbench.transform import Similarity, fit_similarity
+
+SCHEMA = "pcbench.experiment.bend/1"
+PLUGIN = "sfm"
+DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # of the lens that synthetic scenes are photographed with
+_FOV = 60.0  # degrees, vertically: a drone's
+_POINTS = 400_000  # of the synthetic truth
+_NADIR = 10.0  # degrees from the vertical: an image that looks straight down
+_FEWEST = 6  # images
+_MARK = 0.5  # pixels, standard deviation of a control point's mark
+_SURVEY = 0.01  # in the truth's unit, of its position
+_ROUNDS = 20  # of reweighting
+_LIFT = 1e-4  # off the surface, to where lines of sight start
+# SIFT at the images' own size: a third of the time, and points enough.
+_COMMON = {"poses": "solve", "upsample": "false", "matching": "exhaustive"}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to make where no scene is given."""
+
+    images: int = 42
+    width: int = 800
+    height: int = 600
+    seed: int = 0
+
+
+def run_bend(
+    out: Path,
+    scene: Path | None,
+    settings: Experiment,
+    *,
+    figures: bool = True,
+    step: Callable[[str], None] = lambda _: None,
+) -> tuple[dict[str, Any], str | None]:
+    """Run the experiment into the folder `out`: experiment.json, experiment.csv, bend.png and the clouds; and what was
+    made on the way (scene/, runs/, work/), which a later run with the same settings uses again.
+
+    Args:
+        scene: a folder as `pcbench synth city` writes it, with truth/mesh.ply and truth/cloud.ply; None makes one.
+
+    Returns:
+        What experiment.json holds, and why there is no picture where there should be one.
+
+    Raises:
+        InputError: the scene has no truth, or too few images or cameras; `out` is no folder.
+        PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder, got a file")
+    if missing := find_plugin(PLUGIN).missing:
+        raise InputError(missing)
+    out.mkdir(parents=True, exist_ok=True)
+    folder = _synthetic(out, settings, step) if scene is None else scene
+    data = read_scene(folder)
+    plan = list(variants(data))
+    truth = read_cloud(_truth(folder, "cloud.ply"))
+    surface = MeshIndex(read_mesh(_truth(folder, "mesh.ply")))
+    inputs = _Inputs(out, folder, data, settings.seed)
+    inputs.write(surface, truth)
+    solutions = []
+    for number, variant in enumerate(plan, 1):
+        step(f"solving {number} of {len(plan)}: {variant.name}")
+        solutions.append(_solve(inputs, variant, surface))
+    lens = data.cameras[data.images[0]].intrinsics
+    document = {
+        "schema": SCHEMA,
+        "scene": {"path": str(folder), "images": len(data), "lens": lens_values(lens), "unit": truth.unit},
+        "plugin": PLUGIN,
+        **findings(solutions, truth, lens, settings.seed, step),
+        "provenance": provenance(settings.seed),
+    }
+    for solution in solutions:
+        if solution.cloud is not None:
+            write_cloud(out / f"{slug(solution.variant.name)}.ply", solution.cloud)
+    for name, text in (("experiment.json", to_json(document)), ("experiment.csv", csv_text(document))):
+        with atomic_write(out / name) as file:
+            file.write(text.encode())
+    without_figures = None
+    if figures:
+        from pcbench.plot.experiment import draw_bend
+
+        step("drawing the picture")
+        try:
+            draw_bend(document, out / "bend.png")
+        except MissingExtra as error:
+            without_figures = str(error)
+    return document, without_figures
+
+
+def variants(scene: Scene) -> Iterator[Variant]:
+    """What is solved: one thing is changed at a time, from what is known best to what is known least."""
+    nadir, oblique = _looking_down(scene)
+    down = "nadir" if oblique else "all"
+    yield Variant("true lens", down, "true", "true", control=False)
+    yield Variant("no distortion", down, "true", "zero", control=False)
+    yield Variant("no distortion, focal length free", down, "free", "zero", control=False)
+    yield Variant("no distortion, control points", down, "true", "zero", control=True)
+    yield Variant("distortion free", down, "true", "free", control=False)
+    yield Variant("lens free", down, "free", "free", control=False)
+    yield Variant("lens free, control points", down, "free", "free", control=True)
+    yield Variant("lens unknown", down, "guessed", "free", control=False)
+    if len(nadir) >= 2 * _FEWEST:
+        yield Variant("lens free, every second image", "half", "free", "free", control=False)
+    if oblique:
+        yield Variant("no distortion, oblique images too", "oblique", "true", "zero", control=False)
+        yield Variant("lens free, oblique images too", "oblique", "free", "free", control=False)
+
+
+def slug(name: str) -> str:
+    """A variant's name as a file's."""
+    return "-".join("".join(c if c.isalnum() else " " for c in name).split())
+
+
+def _synthetic(out: Path, settings: Experiment, step: Callable[[str], None]) -> Path:
+    """A city under a drone's nadir images and some oblique ones, through a lens with distortion."""
+    from pcbench.synthetic.files import SceneSettings, write_scene
+    from pcbench.synthetic.plan import CitySettings
+
+    lens = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV), distortion=DISTORTION)
+    town = CitySettings(seed=settings.seed)
+    made = SceneSettings(town, settings.images, lens, "drone", points=_POINTS)
+    if settings.images < 2 * _FEWEST:
+        raise InputError(f"expected at least {2 * _FEWEST} images, got {settings.images}")
+    return stage(out, "scene", {"settings": repr(made)}, lambda folder: write_scene(folder, made, step))
+
+
+def _truth(folder: Path, name: str) -> Path:
+    path = folder / "truth" / name
+    if not path.is_file():
+        raise InputError(
+            f"{path}: no such file: the experiment needs a scene with truth, as pcbench synth city makes it"
+        )
+    return path
+
+
+def _looking_down(scene: Scene) -> tuple[list[str], list[str]]:
+    """Names of the nadir images and of the others; all are of one kind where hardly any looks straight down.
+
+    Raises:
+        InputError: an image has no camera, they do not share one lens, or they are too few.
+    """
+    if bare := [name for name in scene.images if name not in scene.cameras]:
+        raise InputError(f"{scene.folder}: {bare[0]} has no camera: the experiment needs the true ones")
+    if len({camera.intrinsics for camera in scene.cameras.values()}) > 1:
+        raise InputError(f"{scene.folder}: expected images of one lens")
+    if len(scene) < _FEWEST:
+        raise InputError(f"{scene.folder}: expected at least {_FEWEST} images, got {len(scene)}")
+    down = [name for name in scene.images if -scene.cameras[name].direction[2] >= np.cos(np.radians(_NADIR))]
+    if len(down) < _FEWEST:
+        return list(scene.images), []
+    return down, [name for name in scene.images if name not in set(down)]
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What the solutions share: the scene, its lens as the variants are told it, and control points."""
+
+    out: Path
+    folder: Path
+    scene: Scene
+    seed: int
+
+    def images(self, variant: Variant) -> list[str]:
+        nadir, oblique = _looking_down(self.scene)
+        return {"oblique": [*nadir, *oblique], "half": nadir[::2]}.get(variant.images, nadir)
+
+    def cameras(self, variant: Variant) -> str:
+        """The argument `cameras` of a job: nothing, or the true poses (which are not used) with a lens."""
+        if variant.focal == "guessed":
+            return "none"
+        return str(self.out / "lenses" / ("true" if variant.distortion == "true" else "undistorted"))
+
+    def settings(self, variant: Variant) -> dict[str, str]:
+        focal, distortion = variant.focal != "true", variant.distortion == "free"
+        refine = {(True, True): "all", (True, False): "focal", (False, True): "distortion"}.get((focal, distortion))
+        values = {**_COMMON, "refine": refine or "none", "seed": str(self.seed)}
+        control = str((self.out / "control.txt").absolute())
+        return {**values, "control": control} if variant.control else {**values, "align": "none"}
+
+    def write(self, mesh: MeshIndex, truth: Cloud) -> None:
+        """The lenses and the control points as files."""
+        cameras = [self.scene.cameras[name] for name in self.scene.images]
+        plain = [replace(c, intrinsics=replace(c.intrinsics, distortion=(0.0, 0.0, 0.0, 0.0))) for c in cameras]
+        write_colmap_model(self.out / "lenses" / "true", cameras)
+        write_colmap_model(self.out / "lenses" / "undistorted", plain)
+        lines = list(_control_lines(cameras, mesh, truth, self.seed))
+        with atomic_write(self.out / "control.txt") as file:
+            file.write("\n".join(["# NAME X Y Z IMAGE U V", *lines, ""]).encode())
+
+
+def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, seed: int) -> Iterator[str]:
+    """Nine points on level ground or roofs, spread over what the images show, as a surveyor and a click give them."""
+    from pcbench.synthetic.truth import in_frame
+
+    if truth.normals is None:
+        raise InputError("expected normals in truth/cloud.ply: control points are chosen on level ground")
+    rng = np.random.default_rng([seed, 21])
+    positions = np.array([camera.position for camera in cameras])[:, :2]
+    middle, reach = (positions.min(axis=0) + positions.max(axis=0)) / 2, 0.4 * np.ptp(positions, axis=0)
+    level = truth.select(np.flatnonzero(truth.normals[:, 2] > 0.95))
+    assert level.normals is not None
+    for number in range(9):
+        goal = middle + reach * (np.array(divmod(number, 3)) - 1)
+        near = np.argsort(np.square(level.points[:, :2] - goal).sum(axis=1))[:50]
+        points, starts = level.points[near], level.points[near] + _LIFT * level.normals[near]
+        seen = np.stack(
+            [in_frame(c, points) & ~mesh.blocked(starts, c.position - starts, limit=1.0) for c in cameras], axis=1
+        )
+        best = int(seen.sum(axis=1).argmax())
+        if seen[best].sum() < 3:
+            continue
+        place = " ".join(repr(float(x)) for x in points[best] + rng.normal(0, _SURVEY, 3))
+        for index in np.flatnonzero(seen[best]).tolist():
+            u, v = cameras[index].project(points[best : best + 1])[0][0] + rng.normal(0, _MARK, 2)
+            yield f"P{number + 1} {place} {cameras[index].name} {float(u)!r} {float(v)!r}"
+
+
+def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
+    """One variant's cloud in the world of the truth, and its lens; the reconstruction is kept for the next run."""
+    images = inputs.images(variant)
+    cameras_from = inputs.cameras(variant)
+    job = Job(PLUGIN, inputs.folder, inputs.settings(variant), cameras=cameras_from, images=tuple(images))
+    control = (inputs.out / "control.txt").read_text(encoding="utf-8") if variant.control else ""
+    key = {"job": job.to_json(), "scene": inputs.scene.fingerprint(), "control": control}
+    runs = inputs.out / "runs"
+    runs.mkdir(exist_ok=True)
+
+    def make(folder: Path) -> None:
+        # Variants with the same images share features and matches.
+        made = run(job, inputs.out / "work" / variant.images).required()
+        write_cloud(folder / "cloud.ply", made.cloud)
+        write_colmap_model(folder / "cameras", list(made.cameras.values()))
+        (folder / "notes.json").write_text(json.dumps(list(made.notes)), encoding="utf-8")
+
+    try:
+        folder = stage(runs, slug(variant.name), key, make)
+        cameras = {camera.name: camera for camera in read_colmap_cameras(folder / "cameras")}
+        cloud = in_the_world(read_cloud(folder / "cloud.ply"), cameras, inputs.scene.cameras, surface)
+    except PcbenchError as error:
+        return Solution(variant, len(images), failure=str(error))
+    notes = json.loads((folder / "notes.json").read_text(encoding="utf-8"))
+    lens = next(iter(cameras.values())).intrinsics
+    return Solution(variant, len(images), len(cameras), cloud, lens, tuple(notes))
+
+
+def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, Camera], surface: MeshIndex) -> Cloud:
+    """The cloud where the true cameras see its points on the true surface, as near as a similarity brings it.
+
+    The cameras' positions would not do: those of a survey lie in one plane, and with a wrong focal length the ground is
+    nearer to it, or further.
+
+    Raises:
+        InputError: hardly any point is seen.
+    """
+    names = sorted(set(found) & set(truth))
+    middle = [0.5 * truth[names[0]].intrinsics.width, 0.5 * truth[names[0]].intrinsics.height]
+    # Each point through the camera that has it nearest to its middle, where lenses differ least.
+    off, eyes, rays = np.full(len(cloud), min(middle)), np.zeros((len(cloud), 3)), np.zeros((len(cloud), 3))
+    for name in names:
+        at, depth = found[name].project(cloud.points)
+        distance = np.where(depth > 0, np.linalg.norm(at - middle, axis=1), np.inf)
+        better, camera = distance < off, truth[name]
+        off[better], eyes[better] = distance[better], camera.position
+        rays[better] = camera.intrinsics.directions(at[better]) @ camera.cam_from_world.rotation
+    seen = np.flatnonzero(off < min(middle))
+    hits = surface.cast(eyes[seen], rays[seen])
+    met = hits.faces >= 0
+    points = cloud.points[seen[met]]
+    goals = eyes[seen[met]] + hits.distances[met, None] * rays[seen[met]]
+    fit, weights = Similarity.identity(), np.ones(len(points))
+    for _ in range(_ROUNDS):  # what stands in front of a point, or beside it, is none of its own
+        fit = fit_similarity(points, goals, weights=weights)
+        residuals = np.linalg.norm(fit.apply(points) - goals, axis=1)
+        weights = 1 / np.maximum(residuals, max(float(np.median(residuals)), 1e-9))
+    kept = {k: v for k, v in cloud.attributes.items() if k == "reprojection_error"}
+    return replace(cloud.transformed(fit), attributes=kept)

@@ -1,0 +1,123 @@
+"""The picture of `pcbench experiment bend`: how each solution rises and sinks, what goes with it, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcbench.errors import MissingExtra
+from pcbench.io.files import atomic_write
+
+_COLORS = (
+    "#000000",
+    "#0072b2",
+    "#d55e00",
+    "#e69f00",
+    "#009e73",
+    "#56b4e9",
+    "#cc79a7",
+    "#7a5195",
+    "#8c564b",
+    "#999999",
+    "#b5a000",
+)
+_GREY = "#777777"
+_COLUMNS = 6  # of maps
+_SMALL = 0.1
+
+
+def draw_bend(document: Mapping[str, Any], path: Path) -> None:
+    """Draw the document of an experiment as a PNG: vertical displacement against distance with the band that noise
+    alone would fill, the bend's size against the error of the lens, and a map a solution.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+        OSError: the file cannot be written.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtra("matplotlib", "plot", str(error)) from error
+
+    unit = document["scene"]["unit"] or "units"
+    rows = [row for row in document["rows"] if row["cells"]]
+    colors = {row["name"]: _COLORS[k % len(_COLORS)] for k, row in enumerate(rows)}
+    below = -(-len(rows) // _COLUMNS)
+    figure = Figure(figsize=(15, 5.8 + 2.7 * below), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * below, 0.1)])
+    upper, lower = parts
+    grown, nearer, sized = upper.subplots(1, 3)
+    largest = max((row["truth"]["rms"] or 0.0 for row in rows), default=0.0)
+    _growth(grown, rows, colors, unit, "Growth: means over rings; shaded, what noise would do")
+    small = [row for row in rows if (row["truth"]["rms"] or 0.0) <= _SMALL * largest]
+    _growth(nearer, small, colors, unit, f"Nearer: bends below {100 * _SMALL:.0f} % of the largest")
+    _sizes(sized, rows, colors, unit)
+    if rows:
+        heights = [np.array(row["cells"], dtype=np.float64)[:, 3] for row in rows]
+        limit = max(float(np.nanpercentile(np.abs(z), 95)) for z in heights)
+        axes = np.atleast_1d(lower.subplots(below, _COLUMNS, sharex=True, sharey=True)).ravel()
+        for axis, row, z in zip(axes, rows, heights, strict=False):
+            cells = np.array(row["cells"], dtype=np.float64)
+            order = np.argsort(np.abs(z))
+            axis.scatter(*cells[order, :2].T, c=z[order], cmap="coolwarm", vmin=-limit, vmax=limit, s=26, marker="s")
+            axis.set_title(row["name"], fontsize=9, color=colors[row["name"]])
+            axis.set_aspect("equal")
+            axis.tick_params(labelsize=7)
+            axis.spines[["top", "right"]].set_visible(False)
+        for axis in axes[len(rows) :]:
+            axis.axis("off")
+        scale = ScalarMappable(Normalize(-limit, limit), "coolwarm")
+        bar = lower.colorbar(scale, ax=list(axes), extend="both", aspect=30, pad=0.01)
+        bar.set_label(f"vertical displacement [{unit}]")
+        lower.supxlabel(f"x [{unit}]", fontsize=9)
+        lower.supylabel(f"y [{unit}]", fontsize=9)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str, title: str) -> None:
+    axis.axhline(0, color=_GREY, linewidth=0.8)
+    for row in rows:
+        growth = (row["truth"]["growth"] or {}).get("with_distance")
+        if growth is None:
+            continue
+        at, mean, null = (np.array([p[key] for p in growth["profile"]]) for key in ("at", "mean", "null"))
+        color = colors[row["name"]]
+        axis.fill_between(at, -null, null, color=color, alpha=0.12, linewidth=0)
+        axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=row["name"])
+    axis.set_xlabel(f"horizontal distance from the centre [{unit}]")
+    axis.set_ylabel(f"vertical displacement against the truth [{unit}]")
+    axis.set_title(title, fontsize=10, loc="left")
+    axis.grid(alpha=0.25)
+    axis.spines[["top", "right"]].set_visible(False)
+    if rows:
+        axis.legend(framealpha=0.9, edgecolor="none", fontsize=8)
+
+
+def _sizes(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str) -> None:
+    """Bend against the error of the lens, both logarithmic, with intervals; hollow where there is no verdict of one."""
+    shown = [r for r in rows if r["lens_error_px"] is not None and r["truth"]["rms"]]
+    least = 0.5 * min((r["lens_error_px"] for r in shown if r["lens_error_px"] > 1e-3), default=0.01)
+    for row in shown:
+        truth, x = row["truth"], max(row["lens_error_px"], least)
+        low, high = truth["ci"]
+        filled = truth["verdict"] == "non-affine"
+        axis.errorbar(
+            x, truth["rms"], [[truth["rms"] - max(low, 0.05 * truth["rms"])], [high - truth["rms"]]],
+            color=colors[row["name"]], marker="s" if row["factors"]["control"] == "True" else "o", markersize=8,
+            markerfacecolor=None if filled else "white", capsize=3,
+        )  # fmt: skip
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel("error of the lens beyond its focal length, RMS [px]; none: left")
+    axis.set_ylabel(f"bend beyond affine, RMS [{unit}]")
+    axis.set_title("Against the lens (filled: a verdict; squares: control)", fontsize=10, loc="left")
+    axis.grid(alpha=0.25, which="both")
+    axis.spines[["top", "right"]].set_visible(False)

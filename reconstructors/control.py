@@ -1,0 +1,200 @@
+"""Control points: read from a file, measured in a model, and held fast while the model is adjusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from pcbench.cameras import Camera
+from pcbench.cloud import FloatArray
+from pcbench.errors import InputError, ReconstructionError
+
+Refine = Literal["all", "focal", "distortion", "none"]  # intrinsics that are solved for
+
+# COLMAP's filters of points, in pixels and degrees.
+_LARGEST_ERROR, _LEAST_ANGLE = 4.0, 1.5
+
+
+class Observation(NamedTuple):
+    """A control point in an image: pixels with the first one's centre at (0.5, 0.5)."""
+
+    image: str
+    x: float
+    y: float
+
+
+class ControlPoint(NamedTuple):
+    """A point that was surveyed and marked in images. Check points are measured, not used."""
+
+    name: str
+    position: FloatArray
+    observations: tuple[Observation, ...]
+
+    @property
+    def is_check(self) -> bool:
+        return self.name.endswith("*")
+
+
+def read_control(path: Path) -> tuple[ControlPoint, ...]:
+    """Control points: lines of name, x y z, image, and the point's pixel in it; one line an observation. Lines that
+    start with # are comments; names that end in * are check points.
+
+    Raises:
+        InputError: a line is something else, a point has two positions, or fewer than two observations.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        what = getattr(error, "strerror", None) or "not a text file"
+        raise InputError(f"{path}: cannot read control points: {what}") from error
+    positions: dict[str, FloatArray] = {}
+    observations: dict[str, list[Observation]] = {}
+    for number, line in enumerate(lines, 1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        try:
+            name, x, y, z, image, u, v = words
+            position, pixel = np.array([float(x), float(y), float(z)]), (float(u), float(v))
+        except ValueError:
+            raise InputError(
+                f"{path}: line {number}: expected name, x y z, image, pixel x y; got {line.strip()[:60]!r}"
+            ) from None
+        if not (np.isfinite(position).all() and np.isfinite(pixel).all()):
+            raise InputError(f"{path}: line {number}: expected finite numbers, got {line.strip()[:60]!r}")
+        if not np.array_equal(positions.setdefault(name, position), position):
+            raise InputError(f"{path}: line {number}: {name} has another position here than above")
+        observations.setdefault(name, []).append(Observation(image, *pixel))
+    for name, seen in observations.items():
+        if len({o.image for o in seen}) < 2:
+            raise InputError(f"{path}: {name} is marked in one image only: expected two or more")
+    return tuple(ControlPoint(name, positions[name], tuple(seen)) for name, seen in observations.items())
+
+
+class Measured(NamedTuple):
+    """A control point and where a model has it (3,)."""
+
+    point: ControlPoint
+    at: FloatArray
+
+
+def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scale: float) -> list[Measured]:
+    """The control points that two or more of the cameras show, as their rays meet.
+
+    Args:
+        scale: of the working images against those that the points were marked in.
+    """
+    measured = []
+    for point in control:
+        seen = [o for o in point.observations if o.image in cameras]
+        if len({o.image for o in seen}) >= 2:
+            rays = [_ray(cameras[o.image], scale * o.x, scale * o.y) for o in seen]
+            centres = [cameras[o.image].position for o in seen]
+            measured.append(Measured(point, triangulate(np.stack(rays), np.stack(centres))))
+    return measured
+
+
+def describe(measured: Sequence[Measured]) -> str:
+    """How far control and check points are from where they were surveyed."""
+    words = []
+    for what, is_check in (("control", False), ("check", True)):
+        errors = [m.at - m.point.position for m in measured if m.point.is_check == is_check]
+        if errors:
+            words.append(f"{len(errors)} {what} points: rms {np.sqrt(np.mean(np.square(errors).sum(axis=1))):.3g}")
+    return ", ".join(words)
+
+
+def triangulate(rays: FloatArray, centres: FloatArray) -> FloatArray:
+    """The point (3,) nearest to lines through centres (N, 3) along unit rays (N, 3), in least squares."""
+    planes = np.eye(3) - np.einsum("ni,nj->nij", rays, rays)
+    point: FloatArray = np.linalg.solve(planes.sum(axis=0), np.einsum("nij,nj->i", planes, centres))
+    return point
+
+
+def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: Refine) -> Any:
+    """The model after a bundle adjustment in which control points stay where they were surveyed.
+
+    A mark in an image counts as much as a feature. Positions and images decide together: an alignment alone moves the
+    model as a whole, and leaves it as bent as it was.
+
+    Args:
+        model: a pycolmap.Reconstruction in the control points' world; three of them fix it.
+        scale: of the working images against those that the points were marked in.
+        refine: which intrinsics are solved for.
+
+    Raises:
+        ReconstructionError: the adjustment fails.
+    """
+    import pycolmap
+
+    # Map coordinates are large: about their middle nothing is lost.
+    middle = np.mean([point.position for point in control], axis=0)
+    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), -middle))
+    marked, fixed = _with_marks(model, control, scale, middle)
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in marked.images.values():
+        config.add_image(image.image_id)
+    for point in fixed:
+        config.add_constant_point(point)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.refine_focal_length = refine in ("all", "focal")
+    options.refine_extra_params = refine in ("all", "distortion")
+    options.ceres.solver_options.num_threads = 1  # sums in one order
+    summary = pycolmap.create_default_bundle_adjuster(options, config, marked).solve()
+    if not summary.is_solution_usable():
+        raise ReconstructionError(f"the adjustment to control points fails: {summary.brief_report()}")
+    for point in fixed:
+        marked.delete_point3D(point)
+    pycolmap.ObservationManager(marked).filter_all_points3D(_LARGEST_ERROR, _LEAST_ANGLE)
+    marked.update_point_3d_errors()
+    marked.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), middle))
+    return marked
+
+
+def _with_marks(model: Any, control: Sequence[ControlPoint], scale: float, origin: FloatArray) -> tuple[Any, list[int]]:
+    """A copy of a model with the control points and their marks, and the points' numbers: an image's features cannot
+    be changed in place.
+    """
+    import pycolmap
+
+    images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: int(image.image_id))
+    features = {str(image.name): [point.xy for point in image.points2D] for image in images}
+    numbers = {str(image.name): int(image.image_id) for image in images}
+    tracks = []
+    for point in control:
+        track = pycolmap.Track()
+        for mark in point.observations:
+            if mark.image in numbers:
+                track.add_element(numbers[mark.image], len(features[mark.image]))
+                features[mark.image].append(scale * np.array([mark.x, mark.y]))
+        tracks.append(track)
+    copy = pycolmap.Reconstruction()
+    for camera in model.cameras.values():
+        copy.add_camera_with_trivial_rig(camera)
+    for image in images:
+        same = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+        same.points2D = pycolmap.Point2DList([pycolmap.Point2D(xy) for xy in features[str(image.name)]])
+        copy.add_image_with_trivial_frame(same, image.cam_from_world())
+    for _, point in sorted(model.points3D.items()):
+        copy.add_point3D(point.xyz, point.track, point.color)
+    fixed = [
+        int(copy.add_point3D(point.position - origin, track))
+        for point, track in zip(control, tracks, strict=True)
+        if track.length() >= 2
+    ]
+    return copy, fixed
+
+
+def _ray(camera: Camera, x: float, y: float) -> FloatArray:
+    """The unit direction (3,) in the world of a pixel, through the lens's distortion."""
+    import pycolmap
+
+    k = camera.intrinsics
+    numbers = [k.fx, k.fy, k.cx, k.cy, *k.distortion]
+    lens = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=numbers)
+    direction: FloatArray = camera.cam_from_world.rotation.T @ [*lens.cam_from_img(np.array([x, y])), 1.0]
+    return direction / np.linalg.norm(direction)

@@ -1,0 +1,86 @@
+"""Sparse structure from motion on the synthetic city, whose cameras and surface are known exactly."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcbench.cameras import Intrinsics
+from pcbench.errors import MissingExtra
+from pcbench.io.meshes import read_mesh
+from pcbench.mesh import MeshIndex
+from pcbench.plot import NoFiguresError
+from pcbench.scene import read_scene
+from pcbench.synthetic.files import SceneSettings, write_scene
+from pcbench.synthetic.plan import CitySettings
+from pcbench.synthetic.render import check_renderer
+from pcbench.transform import fit_similarity
+from reconstructors.alignment import camera_errors, moved
+from reconstructors.colmap_sfm import ColmapSfm
+
+pytest.importorskip("pycolmap")
+
+
+def photographed(folder: Path, settings: SceneSettings):
+    try:
+        check_renderer()
+    except (NoFiguresError, MissingExtra) as error:
+        pytest.skip(str(error))
+    write_scene(folder, settings)
+    return read_scene(folder), MeshIndex(read_mesh(folder / "truth/mesh.ply"))
+
+
+def test_a_small_city(tmp_path):
+    lens = Intrinsics(480, 360, 400.0, 400.0, 240.0, 180.0, (-0.05, 0.01, 0.0, 0.0))
+    settings = SceneSettings(CitySettings(extent=100.0, seed=3), 12, lens, "grid", points=1000)
+    scene, surface = photographed(tmp_path / "city", settings)
+    work = tmp_path / "work"
+    work.mkdir()
+    given = ColmapSfm(upsample=False).reconstruct(scene, work)
+    assert int(re.search(r"(\d+)% of the verified matches agree", " ".join(given.notes))[1]) >= 98
+    assert len(given.cloud) > 1000
+    # A pixel at the ground is the flying height over the focal length, 0.2 to 0.3 m here.
+    height = scene.cameras["0001.png"].position[2]
+    pixel = height / lens.fx
+    # Points are found to a third of a pixel; their depths, over a base of a quarter of it, to more.
+    assert np.median(surface.query(given.cloud.points).distances) < 0.5 * pixel
+    solved = ColmapSfm(upsample=False, poses="solve", refine="none").reconstruct(scene, work)
+    positions, angles = camera_errors(solved.cameras, scene.cameras)
+    assert len(positions) == 12
+    assert positions.max() < pixel
+    assert angles.max() < 0.2  # a tilt of 0.1 degrees and a step of a pixel look nearly the same from above
+    assert np.median(surface.query(solved.cloud.points).distances) < 0.6 * pixel
+    # Vertical images do not fix a lens (James & Robson 2014): that is said where one is solved for.
+    warning = "all images look the same way within"
+    assert warning not in " ".join(solved.notes)
+    free = ColmapSfm(upsample=False, poses="solve").reconstruct(scene, work)
+    assert warning in " ".join(free.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_city(tmp_path, seed):
+    """The command of the README: all 40 images register, with and without what is known of the cameras."""
+    settings = SceneSettings(CitySettings(seed=seed), points=1000)
+    scene, surface = photographed(tmp_path / "city", settings)
+    work = tmp_path / "work"
+    work.mkdir()
+    truth = scene.cameras
+    for scene_, poses, share in (
+        (scene, "given", 0.98),
+        (scene, "solve", None),
+        (read_scene(tmp_path / "city", cameras="none"), "solve", None),
+    ):
+        made = ColmapSfm(poses=poses).reconstruct(scene_, work)
+        fit = fit_similarity(*(np.array([c[n].position for n in truth]) for c in (made.cameras, truth)))
+        positions, angles = camera_errors({n: moved(c, fit) for n, c in made.cameras.items()}, truth)
+        assert len(positions) == 40
+        # A pixel is 0.1 to 0.7 m on the ground.
+        assert np.median(positions) < 0.2
+        assert np.median(angles) < 0.05
+        assert np.median(surface.query(fit.apply(made.cloud.points)).distances) < 0.3
+        assert len(made.cloud) > 10_000
+        if share is not None:
+            agree = int(re.search(r"(\d+)% of the verified matches agree", " ".join(made.notes))[1])
+            assert agree >= 100 * share

@@ -1,0 +1,114 @@
+"""Control points: reading, measuring, and a model that is adjusted with them."""
+
+import numpy as np
+import pytest
+
+from pcbench.cameras import Camera, Intrinsics, look_at
+from pcbench.errors import InputError
+from reconstructors.alignment import camera_errors
+from reconstructors.colmap_sfm import _cameras
+from reconstructors.control import ControlPoint, Observation, adjust, describe, measure, read_control, triangulate
+
+LENS = Intrinsics(400, 300, 350, 350, 200, 150, (-0.05, 0.0, 0.0, 0.0))
+OFFSET = np.array([450_000.0, 5_400_000.0, 300.0])  # a map's coordinates
+
+
+def test_lines_meet_in_their_point():
+    point, centres = np.array([1.0, 2, 3]), np.random.default_rng(0).normal(size=(4, 3))
+    rays = (point - centres) / np.linalg.norm(point - centres, axis=1)[:, None]
+    np.testing.assert_allclose(triangulate(rays, centres), point, atol=1e-12)
+
+
+def test_control_files(tmp_path):
+    path = tmp_path / "control.txt"
+    path.write_text("# survey\nA 1 2 3 a.jpg 10.5 20\nA 1 2 3 b.jpg 11 21\nB* 4 5 6 a.jpg 1 2\nB* 4 5 6 b.jpg 3 4\n")
+    a, b = read_control(path)
+    assert (a.name, a.is_check, b.is_check) == ("A", False, True)
+    np.testing.assert_array_equal(b.position, [4, 5, 6])
+    assert a.observations[0] == ("a.jpg", 10.5, 20)
+    for text, match in (
+        ("A 1 2 3 a.jpg 10", "line 1: expected name, x y z, image"),
+        ("A 1 2 3 a.jpg 1 nan", "finite"),
+        ("A 1 2 3 a.jpg 1 2\nA 1 2 4 b.jpg 1 2", "line 2: A has another position"),
+        ("A 1 2 3 a.jpg 1 2", "in one image only"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=match):
+            read_control(path)
+    with pytest.raises(InputError, match="cannot read control points"):
+        read_control(tmp_path / "none.txt")
+
+
+def survey():
+    """Fifteen vertical images over 300 points of a gentle relief, without an error."""
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.uniform(-60, 60, (300, 2)), rng.uniform(-3, 3, 300)])
+    cameras = [
+        Camera(f"{n}.png", LENS, look_at([x, y, 100.0], [x, y, 0.0]))
+        for n, (x, y) in enumerate((x, y) for x in np.linspace(-50, 50, 5) for y in (-30.0, 0.0, 30.0))
+    ]
+    return cameras, points
+
+
+def model_of(cameras, points, lens, bend):
+    """What COLMAP would hold of it, with another lens, and bent by z += bend (1 - r^2 / 60^2)."""
+    import pycolmap
+
+    def bent(at):
+        return at + OFFSET + np.column_stack([0 * at[:, :2], bend * (1 - np.square(at[:, :2] / 60).sum(axis=1))])
+
+    model = pycolmap.Reconstruction()
+    numbers = [lens.fx, lens.cx, lens.cy, lens.distortion[0]]
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=400, height=300, params=numbers)
+    )
+    tracks = [pycolmap.Track() for _ in points]
+    for number, camera in enumerate(cameras, 1):
+        pixels, _ = camera.project(points)
+        seen = np.flatnonzero(((pixels > 0) & (pixels < [400, 300])).all(axis=1))
+        image = pycolmap.Image(name=camera.name, camera_id=1, image_id=number)
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(pixels[k]) for k in seen])
+        rotation, position = camera.cam_from_world.rotation, bent(camera.position[None])[0]
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ position))
+        for place, k in enumerate(seen):
+            tracks[k].add_element(number, place)
+    for at, track in zip(bent(points), tracks, strict=True):
+        if track.length() >= 2:
+            model.add_point3D(at, track)
+    return model
+
+
+def marks(cameras, points):
+    control = []
+    for name, k in zip("ABCDE", np.argsort(np.abs(np.abs(points[:, :2]) - 45).sum(axis=1))[:5], strict=True):
+        seen = []
+        for camera in cameras:
+            (pixel,), _ = camera.project(points[k : k + 1])
+            if (pixel > 0).all() and (pixel < [400, 300]).all():
+                seen.append(Observation(camera.name, 2 * pixel[0], 2 * pixel[1]))  # in images of twice the size
+        control.append(ControlPoint(name, points[k] + OFFSET, tuple(seen)))
+    return control
+
+
+@pytest.mark.parametrize(("refine", "lens"), [("none", LENS), ("all", Intrinsics(400, 300, 345, 345, 200, 150))])
+def test_a_bent_model_is_straight_again(refine, lens):
+    pytest.importorskip("pycolmap")
+    cameras, points = survey()
+    control = marks(cameras, points)
+    model = model_of(cameras, points, lens, bend=2.0)
+    before = measure(_cameras(model), control, 0.5)
+    made = adjust(model, control, 0.5, refine)
+    found = _cameras(made)
+    positions = np.array([np.linalg.norm(found[c.name].position - OFFSET - c.position) for c in cameras])
+    # There is no error in the images: what is left is the solver's tolerance, and digits of 5.4e6 metres.
+    assert positions.max() < 1e-3
+    assert found["0.png"].intrinsics.distortion[0] == pytest.approx(-0.05, abs=1e-4)
+    after = measure(found, control, 0.5)
+    errors = [max(np.linalg.norm(m.at - m.point.position) for m in measured) for measured in (before, after)]
+    assert errors[0] > 0.1
+    assert errors[1] < 1e-3
+    assert describe(after).startswith("5 control points: rms ")
+    # The control points are no points of the cloud.
+    assert len(made.points3D) == sum(p.track.length() >= 2 for p in model.points3D.values())
+    _, angles = camera_errors(found, {c.name: c for c in cameras})
+    assert angles.max() < 1e-3

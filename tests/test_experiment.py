@@ -1,0 +1,186 @@
+"""`pcbench experiment bend`: what it says of clouds whose bend is known, and the whole of it on a small scene."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcbench.cameras import Intrinsics
+from pcbench.cloud import Cloud
+from pcbench.errors import MissingExtra
+from pcbench.experiments.bend import in_the_world
+from pcbench.experiments.bend_findings import Solution, Variant, csv_text, explain, findings, lens_error, table
+from pcbench.mesh import MeshIndex
+from pcbench.plot import NoFiguresError
+from pcbench.scene import read_scene
+from pcbench.synthetic import city
+from pcbench.synthetic.plan import CitySettings
+from pcbench.synthetic.render import check_renderer
+from pcbench.synthetic.rigs import Site, rig
+from pcbench.synthetic.surface import build_city
+from pcbench.synthetic.truth import surface_cloud
+from pcbench.synthetic.warp import turn, warp_of
+from reconstructors.alignment import moved
+
+LENS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
+PLAIN = replace(LENS, distortion=(0.0, 0.0, 0.0, 0.0))
+
+
+def sample(count, seed, noise):
+    rng = np.random.default_rng(seed)
+    points, _ = city(0).sample(count, rng)
+    return points + rng.normal(0, noise, points.shape)
+
+
+def solution(name, *factors, bend=None, seed=1, lens=LENS):
+    points = sample(8000, seed, 0.03)
+    if bend:
+        points = warp_of("dome", points, bend).apply(points)
+    cloud = Cloud(points, attributes={"reprojection_error": np.full(len(points), 0.5)})
+    return Solution(Variant(name, *factors), 12, 12, cloud, lens)
+
+
+@pytest.fixture(scope="module")
+def document():
+    """Three solutions, one of them a dome because its lens is wrong, one that failed."""
+    solutions = [
+        solution("true lens", "nadir", "true", "true", False),
+        solution("no distortion", "nadir", "true", "zero", False, bend=0.4, seed=2, lens=PLAIN),
+        solution("no distortion, control points", "nadir", "true", "zero", True, bend=0.35, seed=3, lens=PLAIN),
+        Solution(Variant("every second", "half", "true", "true", False), 6, failure="nothing registers"),
+    ]
+    rows = findings(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), LENS)
+    return {"scene": {"unit": "m"}, **rows}
+
+
+def test_bends_are_found_against_the_truth_and_each_other(document):
+    straight, bent, held, failed = document["rows"]
+    assert (straight["truth"]["verdict"], straight["mutual"]) == ("none", None)
+    for row, size in ((bent, 0.4), (held, 0.35)):
+        assert row["truth"]["verdict"] == "non-affine"
+        # Along the normals: what walls show of a vertical bend is nothing.
+        assert 0.6 * size < row["truth"]["rms"] < size
+        assert row["mutual"]["verdict"] == "non-affine"
+    assert failed["truth"] is None
+    assert bent["reprojection_error"] == 0.5
+
+
+def test_the_cause_is_the_setting_that_changes_the_bend(document):
+    sentences = document["sentences"]
+    assert sentences[0].startswith("The cause is the lens distortion: left at zero, the cloud is bent by 0.3")
+    assert "('no distortion' against 'true lens')" in sentences[0]
+    assert any(s.startswith("Changing control points alone changes the bend by at most 0.0") for s in sentences)
+    assert any(s.startswith("It is a dome: ") and "below" in s for s in sentences)
+    assert any("Solutions of the same images differ by" in s and "0.5 and 0.5 px" in s for s in sentences)
+
+
+def test_the_cause_follows_the_numbers(document):
+    """The same rows with the bend in another place: nothing about the cause is fixed."""
+    rows = json.loads(json.dumps(document["rows"][:3]))
+    rows[1]["factors"], rows[2]["factors"] = ({**rows[0]["factors"], "images": "half"}, rows[0]["factors"])
+    assert next(explain(rows[:2], "m")).startswith("The cause is the choice of images: every second, the cloud")
+    for row in rows:
+        row["truth"]["verdict"] = "none"
+    assert list(explain(rows, "m")) == ["No solution is bent beyond what noise would do."]
+    for row in rows:
+        row["truth"] |= {"verdict": "non-affine", "ci": [0.0, 1.0]}
+    assert next(explain(rows[:2], "m")).startswith("Solutions are bent, but no two that differ in one setting")
+
+
+def test_table_and_csv(document):
+    header, *lines = table(document)
+    assert len(header) == len(lines[0]) == len(lines[3])
+    assert lines[1][0] == "no distortion"
+    assert lines[1][1:3] == ["12/12", "8,000"]
+    assert lines[1][5] == "non-affine"
+    assert lines[3][5] == "failed: nothing registers"
+    read = list(csv.DictReader(csv_text(document).splitlines()))
+    assert [row["name"] for row in read] == [line[0] for line in lines]
+    assert float(read[1]["truth_rms"]) == pytest.approx(document["rows"][1]["truth"]["rms"])
+    assert float(read[1]["truth_low"]) < float(read[1]["truth_rms"]) < float(read[1]["truth_high"])
+    assert read[3]["failure"] == "nothing registers"
+
+
+def test_the_error_of_a_lens_leaves_its_focal_length_out():
+    assert lens_error(LENS, LENS) == pytest.approx(0, abs=1e-9)
+    # Half the focal length and a distortion that goes with it: the same images of a flat scene from half the height.
+    half = replace(LENS, fx=175.0, fy=175.0, distortion=(-0.05 / 4, 0.0, 0.0, 0.0))
+    assert lens_error(half, LENS) == pytest.approx(0, abs=1e-9)
+    # k1 r^3 f less its best multiple of r, over the image, by hand: r up to 0.71.
+    u, v = np.meshgrid(np.linspace(-200, 200, 400) / 350, np.linspace(-150, 150, 300) / 350)
+    r = np.hypot(u, v)
+    off = 0.05 * r**3
+    off = off - r * (off * r).sum() / (r * r).sum()
+    # The true rays are a little further out than their pixels say.
+    assert lens_error(PLAIN, LENS) == pytest.approx(350 * np.sqrt(np.mean(off**2)), rel=0.1)
+
+
+def test_clouds_come_into_the_world_by_what_cameras_see():
+    """Whatever frame a solution has; a wrong focal length moves the ground, but only along the rays."""
+    town = build_city(CitySettings(extent=120.0, seed=3), texel=0.5)
+    surface = MeshIndex(town.mesh)
+    cameras = {c.name: c for c in rig("drone", 18, Site(120.0, 0.0, town.plan.top), LENS)}
+    points = surface_cloud(town.plan, surface, list(cameras.values()), 3000).points
+    frame = turn((20, 30, 40), (5, 6, 7), 0.1)
+    found = {name: moved(camera, frame) for name, camera in cameras.items()}
+    cloud = Cloud(
+        frame.apply(points), attributes={"reprojection_error": np.ones(len(points)), "other": np.ones(len(points))}
+    )
+    back = in_the_world(cloud, found, cameras, surface)
+    error = np.linalg.norm(back.points - points, axis=1)
+    assert error.max() < 0.01  # points that are hidden from their camera are strays among the pairs
+    assert set(back.attributes) == {"reprojection_error"}
+
+
+def test_the_picture(document, tmp_path):
+    pytest.importorskip("matplotlib")
+    from PIL import Image
+
+    from pcbench.plot.experiment import draw_bend
+
+    draw_bend(document, tmp_path / "bend.png")
+    with Image.open(tmp_path / "bend.png") as image:
+        assert image.width > 1000
+        assert np.asarray(image.convert("L")).std() > 10
+
+
+def test_what_is_no_scene_with_truth_is_refused(run, tmp_path):
+    from PIL import Image
+
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "a.png")
+    for arguments, message in (
+        ((tmp_path,), "has no camera: the experiment needs the true ones"),
+        ((tmp_path, "--images", "20"), "of the scene that is made where none is given"),
+        (("--size", "20"), "expected --size as WIDTHxHEIGHT"),
+    ):
+        code, _, err = run("experiment", "bend", *arguments, "--out", tmp_path / "out")
+        assert code == 2
+        assert message in err
+
+
+@pytest.mark.slow
+def test_a_small_experiment(run, tmp_path):
+    pytest.importorskip("pycolmap")
+    try:
+        check_renderer()
+    except (NoFiguresError, MissingExtra) as error:
+        pytest.skip(str(error))
+    code, out, err = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
+    assert code == 0, err
+    assert "report: " in out
+    document = json.loads((tmp_path / "bend/experiment.json").read_text())
+    rows = {row["name"]: row for row in document["rows"]}
+    assert all(row["failure"] is None for row in rows.values())
+    assert rows["no distortion"]["truth"]["rms"] > 3 * rows["true lens"]["truth"]["rms"]
+    assert document["sentences"][0].startswith("The cause is the lens distortion")
+    assert rows["true lens"]["lens_error_px"] < 1e-6 < 1 < rows["no distortion"]["lens_error_px"]
+    assert len(read_scene(tmp_path / "bend/scene")) == 18
+    before = (tmp_path / "bend/true-lens.ply").read_bytes()
+    stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "bend/runs").glob("*/stage.json")}
+    assert len(stamps) == len(rows)
+    code, again, _ = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
+    assert (code, again) == (0, out)
+    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
+    assert (tmp_path / "bend/true-lens.ply").read_bytes() == before
