@@ -22,8 +22,8 @@ from pcbench.io.colmap_model import intrinsics_from_colmap
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.scene import Scene
 from pcbench.stages import stage, stage_key
-from pcbench.transform import Similarity, fit_similarity
-from reconstructors.alignment import ControlPoint, camera_errors, moved, read_control, robust_similarity, triangulate
+from pcbench.transform import Similarity, fit_similarity, robust_similarity
+from reconstructors.alignment import ControlPoint, camera_errors, moved, read_control, triangulate
 from reconstructors.image_pairs import Matching, choose_pairs
 
 _FEW_INLIERS = 15  # COLMAP's default: a pair with fewer is not used

@@ -5,8 +5,8 @@ import pytest
 
 from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError
-from pcbench.transform import Similarity
-from reconstructors.alignment import camera_errors, moved, read_control, robust_similarity, triangulate
+from pcbench.transform import Similarity, robust_similarity
+from reconstructors.alignment import camera_errors, moved, read_control, triangulate
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 
