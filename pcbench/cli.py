@@ -18,6 +18,7 @@ from pcbench import __version__
 from pcbench.errors import InputError, PcbenchError
 
 if TYPE_CHECKING:
+    from pcbench.bench.runs import BenchJob
     from pcbench.cloud import Cloud
     from pcbench.compare_files import Job
     from pcbench.comparison import Comparison
@@ -595,6 +596,100 @@ def reconstruct(
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
         click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")
+
+
+@app.command(short_help="Run reconstructors side by side: time and memory against accuracy.")
+@click.argument("scene", type=_FILE)
+@click.option("--reference", type=_FILE, required=True, help="Cloud or mesh in the frame of the scene's cameras.")
+@click.option("--method", "methods", multiple=True, metavar="NAME", help="A reconstructor, as for `reconstruct`.")
+@click.option(
+    "--sweep", "sweeps", multiple=True, metavar="[METHOD.]KEY=V,V,...", help="Run with each value; several: all pairs."
+)
+@click.option("--set", "settings", multiple=True, metavar="[METHOD.]KEY=VALUE", help="Set for all that have it.")
+@click.option(
+    "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Runs of each with seeds 0 to N-1."
+)
+@click.option("--out", type=_FILE, required=True, help="Folder for the bench; runs that are in it are kept.")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop a run after this."
+)
+@click.option(
+    "--cameras",
+    default="auto",
+    show_default=True,
+    metavar="WHICH",
+    help="What methods get: auto, none, or a file or folder. With none, those of the scene still register clouds.",
+)
+@masks_option
+@click.option("--truth-mesh", type=_FILE, help="Of the reference's surface: says what the cameras saw of it.")
+@click.option(
+    "--register", default="gauge", show_default=True, metavar="HOW", help="By each cloud's gauge, or as for `compare`."
+)
+@click.option("--crop", default="none", show_default=True, metavar="REGION", help=_CROP_HELP)
+@click.option(
+    "--threshold",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Of the F-score.  [default: 5 x the reference's spacing]",
+)
+@click.option("--no-figures", is_flag=True, help="Leave the charts out.")
+@quiet_option
+def bench(
+    scene: Path,
+    reference: Path,
+    methods: tuple[str, ...],
+    sweeps: tuple[str, ...],
+    settings: tuple[str, ...],
+    seeds: int,
+    out: Path,
+    time_limit: float | None,
+    cameras: str,
+    masks: Path | None,
+    truth_mesh: Path | None,
+    register: str,
+    crop: str,
+    threshold: float | None,
+    no_figures: bool,
+    quiet: bool,
+) -> None:
+    """Make clouds of SCENE with every method at every budget, each in a process of its own, and compare them with the
+    reference. KEY is image_scale or a setting of the methods. What a method does wrong is a row; what is done is kept,
+    so the same command goes on where it was stopped.
+
+    \b
+    Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
+             --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
+    """
+    from pcbench.bench.plan import Axis
+    from pcbench.bench.runs import BenchJob
+    from pcbench.bench.score import Rules
+
+    axes = [*map(Axis.fixed, settings), *map(Axis.sweep, sweeps)]
+    rules = Rules(register, crop, threshold)
+    job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
+    _bench(job, out, figures=not no_figures, quiet=quiet)
+
+
+def _bench(job: BenchJob, out: Path, *, figures: bool, quiet: bool) -> None:
+    from pcbench.bench.runs import Done
+    from pcbench.bench.runs import bench as run_bench
+    from pcbench.plot import draw_if_possible
+    from pcbench.report.bench_table import print_bench
+
+    def say(done: Done) -> None:
+        if not quiet:
+            click.echo(f"{done.number}/{done.of} {done.words}")
+
+    with _steps(quiet) as step:
+        doc = run_bench(job, out, on_row=say, on_step=step, on_warning=(lambda _: None) if quiet else _warn)
+        if figures:
+            step("drawing the charts")
+            without = draw_if_possible(out)
+    if not quiet:
+        click.echo()
+        print_bench(doc)
+        click.echo(f"bench: {out}")
+    if figures and without:
+        _warn(without)
 
 
 def _key_value(text: str) -> tuple[str, str]:

@@ -38,7 +38,7 @@ def document(comparison: Comparison, files: dict[str, dict[str, Any]] | None = N
         "schema": SCHEMA,
         "reference": {**unread, **files.get("reference", {}), **comparison.reference},
         "settings": asdict(comparison.settings),
-        "provenance": _provenance(comparison.settings.seed),
+        "provenance": provenance(comparison.settings.seed),
         "candidates": [
             _candidate(candidate, {**unread, **files.get(candidate.name, {})}) for candidate in comparison.candidates
         ],
@@ -124,7 +124,8 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _provenance(seed: int) -> dict[str, Any]:
+def provenance(seed: int) -> dict[str, Any]:
+    """Version, commit, seed, machine, command and time of a result."""
     return {
         "version": pcbench.__version__,
         "commit": _commit(),
