@@ -123,7 +123,7 @@ def compare(
     _compare(job, out, json_file, figures=not no_figures, quiet=quiet)
 
 
-@app.command(short_help="Make a small city with exact truth and compare two clouds of it.")
+@app.command(short_help="Make small cities with exact truth, compare clouds of one and bench SfM on the other.")
 @click.option("--out", type=_FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
 @click.option(
     "--points",
@@ -132,12 +132,14 @@ def compare(
     type=click.IntRange(20_000, 100_000_000),
     help="Of the reference; candidates in proportion.",
 )
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the city and its noise.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the cities and their noise.")
 @click.option("--no-figures", is_flag=True, help="Leave the pictures out.")
+@click.option("--no-bench", is_flag=True, help="Compare only.")
 @quiet_option
-def demo(out: Path, points: int, seed: int, no_figures: bool, quiet: bool) -> None:
+def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
     """Make a small city whose geometry is known exactly, a dense reference of it, a sparse and a densified candidate
-    with noise, outliers and a rigid offset (the second also gently bent), and compare them.
+    with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
+    city and bench sparse SfM on it, at two image scales with finer and coarser features (needs the extras plot, sfm).
     """
     from pcbench.compare_files import Job
     from pcbench.comparison import Settings
@@ -167,6 +169,22 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, quiet: bool) -> No
             note = f" (it is bent by {1000 * bend:.0f} mm RMS, which no rigid motion undoes)" if bend else ""
             click.echo(f"truth: {candidate.name} was registered to {1000 * error:.1f} mm RMS{note}")
         click.echo(f"again: pcbench compare {reference} {' '.join(str(p) for p in paths.values())} --out REPORT")
+    if not no_bench:
+        _demo_bench(out, seed, figures=not no_figures, quiet=quiet)
+
+
+def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
+    from pcbench.bench.demo import demo_job, why_not
+
+    if reason := why_not():
+        if not quiet:
+            click.echo(f"bench skipped: {reason}")
+        return
+    with _steps(quiet) as step:
+        bench_job = demo_job(out / "city", seed, step)
+    if not quiet:
+        click.echo(f"\nbench: sparse SfM on {out / 'city'}, whose truth is known")
+    _bench(bench_job, out / "bench", figures=figures, quiet=quiet)
 
 
 @app.command(short_help="Cut a cloud to a region.")

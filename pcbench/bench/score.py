@@ -184,7 +184,7 @@ def score(truth: Truth, made: Reconstruction, rules: Rules, folder: Path) -> dic
         "recall": at["recall"],
         "fscore": at["fscore"],
         "recall_visible": _recall_visible(truth, made.cloud, result.registration, at["threshold"], rules.crop),
-        "notes": [*chosen.notes, *whole["warnings"], *whole["registration"]["warnings"]],
+        "notes": [*chosen.notes, *whole["warnings"], *_of_registration(result.registration)],
         "comparison": whole,
     }
 
@@ -202,6 +202,12 @@ def _recall_visible(
     origin = recentring(truth.cloud)
     aligned = Index(registration.T_local.apply(cloud.points - origin))
     return float(np.mean(aligned.query(truth.cloud.points[counted] - origin).distances <= threshold))
+
+
+def _of_registration(registration: Registration) -> list[str]:
+    """Its warnings. What the geometry does not fix is none where the pose is not from the geometry."""
+    given = registration.converged is None
+    return [text for text in registration.warnings if not (given and text.startswith("the geometry"))]
 
 
 def _write(path: Path, transform: Similarity) -> None:

@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.bench.pareto import Configuration, configurations, front_of
+from pcbench.bench.plan import IMAGE_SCALE
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")  # Okabe and Ito
 _SHAPES = ("o", "s", "^", "D", "v", "P", "X")
 _BEATEN = "#d9dbde"
 _FRONT = "#3c4148"
-_SMALLEST, _LARGEST = 40.0, 420.0  # points squared: a marker's area grows with memory between them
+_SMALLEST, _LARGEST = 40.0, 380.0  # points squared: a marker's area grows with memory between them
+_WIDE = 10  # times the smallest length, from which on lengths are drawn on a logarithmic scale
 
 
 class _Quantity(NamedTuple):
@@ -38,12 +40,12 @@ _SPLIT = (
 
 def speed(document: dict[str, Any], path: Path) -> bool:
     """Time against F-score and Chamfer distance."""
-    return _draw(document, path, _SPEED, columns=2)
+    return _draw(document, path, _SPEED)
 
 
 def split(document: dict[str, Any], path: Path) -> bool:
     """Time against both directions of each; the recall also of what the cameras saw."""
-    return _draw(document, path, _SPLIT, columns=2)
+    return _draw(document, path, _SPLIT)
 
 
 class _Look(NamedTuple):
@@ -52,21 +54,28 @@ class _Look(NamedTuple):
     found: list[Configuration]
     color: dict[str, str]  # by method
     shape: dict[str, str]
-    varied: tuple[str, ...]  # settings that have more than one value: the markers' labels
     most_memory: float
     unit: str
     threshold: str
     limits: tuple[float, float]  # of the time
 
     def area(self, configuration: Configuration) -> float:
-        memory = configuration.median("peak_rss_bytes")
-        return self.area_of(memory) if memory is not None else _SMALLEST
+        return self.area_of(configuration.median("peak_rss_bytes") or 0.0)
 
     def area_of(self, memory: float) -> float:
         return _SMALLEST + (_LARGEST - _SMALLEST) * memory / self.most_memory
 
+    def label(self, configuration: Configuration) -> str:
+        """The settings that vary among the runs of its method."""
+        others = [c.choices for c in self.found if c.method == configuration.method]
+        words = []
+        for key, value in configuration.choices.items():
+            if len({choices.get(key) for choices in others}) > 1:
+                words.append(f"×{value}" if key == IMAGE_SCALE else f"{key}={value}")
+        return " ".join(words)
 
-def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity], columns: int) -> bool:
+
+def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity]) -> bool:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -75,25 +84,28 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity],
         return False
     look = _look(document, found)
     failed = [row for row in document["rows"] if row["status"] != "ok"]
-    rows = -(-len(quantities) // columns)
+    rows = -(-len(quantities) // 2)
     strip = [0.13] if failed else []
-    figure = Figure(figsize=(12.5, 1.1 + 4.4 * rows + (0.6 if failed else 0)), dpi=120, layout="constrained")
+    figure = Figure(figsize=(12.5, 0.8 + 4.5 * rows + (0.6 if failed else 0)), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     # A strip for failures below the last row of panels.
-    grid = figure.add_gridspec(rows + len(strip), columns, height_ratios=[1.0] * rows + strip)
-    for number, quantity in enumerate(quantities):
-        _panel(figure.add_subplot(grid[number // columns, number % columns]), look, quantity)
-    for column in range(columns if failed else 0):
+    grid = figure.add_gridspec(rows + len(strip), 2, height_ratios=[1.0] * rows + strip)
+    panels = [figure.add_subplot(grid[number // 2, number % 2]) for number in range(len(quantities))]
+    for axis, quantity in zip(panels, quantities, strict=True):
+        _panel(axis, look, quantity)
+    for column in range(2 if failed else 0):
         _strip(figure.add_subplot(grid[rows, column]), look, failed)
-    _legend(figure, look, bool(failed))
+    _legend(figure, look, quantities, bool(failed))
+    figure.draw_without_rendering()  # labels are placed where the layout has put the markers
+    figure.set_layout_engine("none")
+    for axis, quantity in zip(panels, quantities, strict=True):
+        _labels(axis, look, quantity)
     figure.savefig(path)
     return True
 
 
 def _look(document: dict[str, Any], found: list[Configuration]) -> _Look:
     methods = list(dict.fromkeys(c.method for c in found))
-    keys = dict.fromkeys(key for c in found for key in c.choices)
-    varied = tuple(key for key in keys if len({c.choices.get(key) for c in found if key in c.choices}) > 1)
     times = np.array([row["wall_s"] for row in document["rows"]])
     threshold = next((row["threshold"] for row in document["rows"] if row.get("threshold")), 0.0)
     unit = document["reference"].get("unit") or "units of the file"
@@ -101,69 +113,116 @@ def _look(document: dict[str, Any], found: list[Configuration]) -> _Look:
         found,
         {method: _COLORS[number % len(_COLORS)] for number, method in enumerate(methods)},
         {method: _SHAPES[number % len(_SHAPES)] for number, method in enumerate(methods)},
-        varied,
         max((c.median("peak_rss_bytes") or 1.0 for c in found), default=1.0),
         unit,
         f"{threshold:.3g} {unit}",
-        (float(times.min()) / 1.5, float(times.max()) * 1.7),
+        (float(times.min()) / 1.6, float(times.max()) * 1.9),
     )
 
 
 def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
-    from matplotlib.ticker import StrMethodFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     front = front_of(look.found, quantity.column, high=quantity.high)
+    measured = [c for c in look.found if c.median(quantity.column) is not None]
     if front:
         x = [_value(c, "wall_s") for c in front]
         y = [_value(c, quantity.column) for c in front]
         # Until the next one is done, the last one is the best there is.
         axis.step([*x, look.limits[1]], [*y, y[-1]], where="post", color=_FRONT, linewidth=1.3, zorder=1)
-    for c in look.found:
-        if c.median(quantity.column) is not None:
-            _marker(axis, look, quantity, c, on_front=any(c is other for other in front))
+    for c in measured:
+        _marker(axis, look, quantity, c, on_front=any(c is other for other in front))
     axis.set_xscale("log")
     axis.set_xlim(*look.limits)
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_xlabel("wall time [s]")
     axis.set_ylabel(quantity.label.format(unit=look.unit, threshold=look.threshold))
     axis.set_title(f"{quantity.title} ({'higher' if quantity.high else 'lower'} is better)", fontsize=11)
-    low, high = axis.get_ylim()
+    values = [value for c in measured for value in c.values(quantity.column)]
+    values += [value for c in measured for value in c.values("recall_visible") if quantity.column == "recall"]
     if quantity.high:
-        axis.set_ylim(0, min(1.03, max(high + 0.12 * (high - low), 1.25 * high)))
+        axis.set_ylim(0, min(1.09, 1.25 * max(values, default=1.0) or 1.0))
+    elif min(values, default=1.0) > 0 and max(values, default=1.0) > _WIDE * min(values, default=1.0):
+        axis.set_yscale("log")
+        axis.set_ylim(min(values) / 1.5, max(values) * 1.5)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
     else:
-        axis.set_ylim(0, high + 0.12 * (high - low))
+        axis.set_ylim(0, 1.2 * max(values, default=1.0) or 1.0)
     axis.grid(True, which="major", alpha=0.3)
     axis.spines[["top", "right"]].set_visible(False)
 
 
 def _marker(axis: Any, look: _Look, quantity: _Quantity, c: Configuration, *, on_front: bool) -> None:
     x, y = _value(c, "wall_s"), _value(c, quantity.column)
-    color, area = look.color[c.method], look.area(c)
+    color, area, shape = look.color[c.method], look.area(c), look.shape[c.method]
     spread = [[[at - min(v)], [max(v) - at]] for at, v in ((x, c.values("wall_s")), (y, c.values(quantity.column)))]
     if len(c.done) > 1:
-        axis.errorbar(x, y, yerr=spread[1], xerr=spread[0], color=color, linewidth=1, capsize=3, zorder=2)
-    face = color if on_front else _BEATEN
-    axis.scatter(x, y, s=area, marker=look.shape[c.method], color=face, edgecolor=color, linewidth=1.2, zorder=3)
+        axis.errorbar(x, y, yerr=spread[1], xerr=spread[0], color=color, linewidth=1, capsize=3, zorder=4)
     seen = c.median("recall_visible") if quantity.column == "recall" else None
     if seen is not None:
-        axis.plot([x, x], [y, seen], color=color, linewidth=1, linestyle=":", zorder=2)
-        axis.scatter(x, seen, s=area, marker=look.shape[c.method], facecolor="white", edgecolor=color, zorder=3)
-    words = " ".join(c.choices[key] for key in look.varied if key in c.choices)
-    if words:
-        top = max(y, seen or y)
-        reach = 0.5 * area**0.5 + 4
-        axis.annotate(
-            words, (x, top), (0, reach), textcoords="offset points", ha="center", fontsize=8.5, color=_FRONT, zorder=4
+        axis.plot([x, x], [y, seen], color=color, linewidth=1, zorder=2)
+        axis.scatter(x, seen, s=0.4 * area, marker=shape, facecolor="white", edgecolor=color, zorder=2.5)
+    face = color if on_front else _BEATEN
+    axis.scatter(x, y, s=area, marker=shape, color=face, edgecolor=color, linewidth=1.2, zorder=3, clip_on=False)
+
+
+def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
+    """Each marker's settings beside it, where nothing else is; nowhere if there is no such place."""
+    from matplotlib.transforms import Bbox
+
+    scale = axis.figure.dpi / 72
+    taken, wanted = [], []
+    for c in look.found:
+        if c.median(quantity.column) is None:
+            continue
+        heights = [_value(c, quantity.column)]
+        if quantity.column == "recall" and c.median("recall_visible") is not None:
+            heights.append(_value(c, "recall_visible"))
+        places = [axis.transData.transform((_value(c, "wall_s"), y)) for y in heights]
+        half = 0.5 * scale * look.area(c) ** 0.5
+        low, high = np.min(places, axis=0) - half, np.max(places, axis=0) + half
+        taken.append(Bbox([low, high]))
+        wanted.append((c, low, high))
+    for c, low, high in wanted:
+        (x, y), gap = 0.5 * (low + high), 3 * scale
+        above, below = (x, high[1] + gap, "center", "bottom"), (x, low[1] - gap, "center", "top")
+        spots = (
+            *((above, below) if quantity.high else (below, above)),  # the front comes from the other side
+            (high[0] + gap, y, "left", "center"),
+            (low[0] - gap, y, "right", "center"),
+            (high[0], high[1], "left", "bottom"),
+            (low[0], low[1], "right", "top"),
+            (high[0], low[1], "left", "top"),
+            (low[0], high[1], "right", "bottom"),
         )
+        for at_x, at_y, across, up in spots:
+            text = axis.text(
+                at_x, at_y, look.label(c), ha=across, va=up, fontsize=8.5, color=_FRONT, transform=None, zorder=5
+            )
+            box = text.get_window_extent()
+            inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 and axis.bbox.y0 <= box.y0 < axis.bbox.y1
+            if inside and not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                break
+            text.remove()
 
 
 def _strip(axis: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> None:
-    """Crosses at the time when they failed, the last of one place on top."""
+    """Crosses at the times when runs failed."""
     for number, row in enumerate(failed):
-        place = 0.5 + 0.25 * ((number % 3) - 1)
+        place = 0.5 if len(failed) == 1 else (0.75, 0.5, 0.25)[number % 3]
         axis.plot(row["wall_s"], place, marker="x", markersize=8, markeredgewidth=2, color=look.color[row["method"]])
+        left = row["wall_s"] > (look.limits[0] * look.limits[1]) ** 0.5  # its word would leave the strip
         axis.annotate(
-            row["status"], (row["wall_s"], place), (7, 0), textcoords="offset points", va="center", fontsize=8
+            row["status"],
+            (row["wall_s"], place),
+            (-8 if left else 8, 0),
+            textcoords="offset points",
+            ha="right" if left else "left",
+            va="center",
+            fontsize=8,
         )
     axis.set_xscale("log")
     axis.set_xlim(*look.limits)
@@ -175,40 +234,37 @@ def _strip(axis: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> None:
     axis.spines[:].set_visible(False)
 
 
-def _legend(figure: Any, look: _Look, failures: bool) -> None:
+def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures: bool) -> None:
     from matplotlib.lines import Line2D
 
     def dot(shape: str, face: str, edge: str, area: float, label: str) -> Line2D:
-        return Line2D(
-            [],
-            [],
-            linestyle="",
-            marker=shape,
-            markerfacecolor=face,
-            markeredgecolor=edge,
-            markersize=area**0.5,
-            label=label,
-        )
+        style = {"markerfacecolor": face, "markeredgecolor": edge, "markersize": area**0.5}
+        return Line2D([], [], linestyle="", marker=shape, label=label, **style)
 
     handles = [dot(look.shape[m], look.color[m], look.color[m], 80, m) for m in look.color]
     handles.append(Line2D([], [], color=_FRONT, linewidth=1.3, label="Pareto front"))
-    if any(len(front_of(look.found, q.column, high=q.high)) < len(look.found) for q in _SPEED + _SPLIT):
-        handles.append(dot("o", _BEATEN, "#8a8f96", 80, "beaten"))
-    if any(c.median("recall_visible") is not None for c in look.found):
-        handles.append(dot("o", "white", _FRONT, 80, "recall of what cameras saw"))
+    if any(len(front_of(look.found, q.column, high=q.high)) < len(look.found) for q in quantities):
+        handles.append(dot("o", _BEATEN, "#8a8f96", 80, "beaten in time and score"))
+    with_seen = any(q.column == "recall" for q in quantities)
+    if with_seen and any(c.median("recall_visible") is not None for c in look.found):
+        handles.append(dot("o", "white", _FRONT, 40, "recall of what the cameras saw"))
     if failures:
         handles.append(Line2D([], [], linestyle="", marker="x", markeredgewidth=2, color=_FRONT, label="failed"))
-    memory = look.most_memory
-    handles += [
-        dot("o", "none", "#8a8f96", look.area_of(share * memory), f"{share * memory / 2**20:.3g} MiB")
-        for share in (0.25, 1.0)
-    ]
+    for memory in (_round(0.25 * look.most_memory), _round(look.most_memory)):
+        handles.append(dot("o", "none", "#8a8f96", look.area_of(memory), f"{memory / 2**20:g} MiB peak"))
     if any(len(c.done) > 1 for c in look.found):
-        handles.append(Line2D([], [], color="#8a8f96", marker="|", label="median and range over seeds"))
-    title = f"labels: {', '.join(look.varied)}" if look.varied else None
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=min(len(handles), 7), frameon=False, fontsize=9, title=title
-    )
+        handles.append(Line2D([], [], color="#8a8f96", marker="|", label="median, range over seeds"))
+    if any("×" in look.label(c) for c in look.found):
+        handles.append(Line2D([], [], linestyle="", label="× image scale"))
+    columns = -(-len(handles) // 2) if len(handles) > 7 else len(handles)
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+
+
+def _round(memory: float) -> float:
+    """The largest 1, 2 or 5 times a power of ten MiB that is not more."""
+    mib = memory / 2**20
+    power = 10.0 ** np.floor(np.log10(mib))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= mib) * 2**20)
 
 
 def _value(c: Configuration, column: str) -> float:
