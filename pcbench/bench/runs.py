@@ -24,7 +24,7 @@ import numpy as np
 import pcbench
 from pcbench.bench.pareto import choice_words, mark_front
 from pcbench.bench.plan import Axis, Method, Trial, labels, trials
-from pcbench.bench.score import Rules, Truth, read_truth, score
+from pcbench.bench.score import Rules, Truth, check_rules, read_truth, score
 from pcbench.errors import InputError, PcbenchError
 from pcbench.io.files import atomic_write, digest
 from pcbench.reconstruct import CLOUD, PLUGIN, Job, describe, read_reconstruction, run
@@ -140,6 +140,7 @@ def bench(
     if job.cameras == "none":
         cameras = read_scene(job.scene, masks=job.masks, on_warning=lambda _: None).cameras
     truth = read_truth(job.reference, job.mesh, cameras, on_warning)
+    check_rules(job.rules, truth)
     if truth.visible is None:
         notes.append(f"no recall_visible: {truth.visibility}")
     inputs = _Inputs.of(job, scene, truth)

@@ -23,9 +23,9 @@ from pcbench.measure import BACK, FORTH
 from pcbench.mesh import Mesh, MeshIndex
 from pcbench.neighbors import Index
 from pcbench.plugins import Reconstruction
-from pcbench.registration import Registration, recentring
+from pcbench.registration import METHODS, Registration, recentring
 from pcbench.report import document
-from pcbench.transform import Similarity, format_matrix, robust_similarity
+from pcbench.transform import Similarity, format_matrix, read_matrix, robust_similarity
 from pcbench.visibility import SEEN_BY, views
 
 BY_GAUGE = "gauge"
@@ -149,6 +149,24 @@ class Rules:
     register: str = BY_GAUGE
     crop: str = "none"
     threshold: float | None = None
+
+
+def check_rules(rules: Rules, truth: Truth) -> None:
+    """Say before anything runs that no cloud could be measured like this.
+
+    Raises:
+        InputError: there is no such registration or region, or it leaves nothing of the reference.
+    """
+    kind, _, path = rules.register.partition(":")
+    names_file = path and kind in ("points", "matrix")
+    if not names_file and rules.register not in (BY_GAUGE, *METHODS):
+        expected = ", ".join((BY_GAUGE, *METHODS))
+        raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
+    if kind == "matrix":
+        read_matrix(path)
+    region = parse_region(rules.crop, truth.cloud)
+    if region is not None and not region.contains(truth.cloud.points).any():
+        raise InputError(f"the crop {rules.crop!r} leaves none of the reference's {len(truth.cloud)} points")
 
 
 def score(truth: Truth, made: Reconstruction, rules: Rules, folder: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -121,8 +122,6 @@ def _look(document: dict[str, Any], found: list[Configuration]) -> _Look:
 
 
 def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     front = front_of(look.found, quantity.column, high=quantity.high)
     measured = [c for c in look.found if c.median(quantity.column) is not None]
     if front:
@@ -134,7 +133,7 @@ def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
         _marker(axis, look, quantity, c, on_front=any(c is other for other in front))
     axis.set_xscale("log")
     axis.set_xlim(*look.limits)
-    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    _plain_log(axis.xaxis)
     axis.set_xlabel("wall time [s]")
     axis.set_ylabel(quantity.label.format(unit=look.unit, threshold=look.threshold))
     axis.set_title(f"{quantity.title} ({'higher' if quantity.high else 'lower'} is better)", fontsize=11)
@@ -145,13 +144,20 @@ def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
     elif min(values, default=1.0) > 0 and max(values, default=1.0) > _WIDE * min(values, default=1.0):
         axis.set_yscale("log")
         axis.set_ylim(min(values) / 1.5, max(values) * 1.5)
-        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.yaxis.set_minor_formatter(NullFormatter())
+        _plain_log(axis.yaxis)
     else:
         axis.set_ylim(0, 1.2 * max(values, default=1.0) or 1.0)
     axis.grid(True, which="major", alpha=0.3)
     axis.spines[["top", "right"]].set_visible(False)
+
+
+def _plain_log(axis: Any) -> None:
+    """Ticks at 1, 2 and 5, written as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _marker(axis: Any, look: _Look, quantity: _Quantity, c: Configuration, *, on_front: bool) -> None:
@@ -173,7 +179,15 @@ def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
     from matplotlib.transforms import Bbox
 
     scale = axis.figure.dpi / 72
-    taken, wanted = [], []
+    wanted: list[tuple[Configuration, Any, Any]] = []
+    steps = [
+        (_value(c, "wall_s"), _value(c, quantity.column))
+        for c in front_of(look.found, quantity.column, high=quantity.high)
+    ]
+    corners = [axis.transData.transform(at) for at in steps]
+    corners.append(np.array([axis.bbox.x1, corners[-1][1]]))
+    taken = [Bbox([[a[0], a[1] - 1], [b[0], a[1] + 1]]) for a, b in pairwise(corners)]
+    taken += [Bbox([[b[0] - 1, min(a[1], b[1])], [b[0] + 1, max(a[1], b[1])]]) for a, b in pairwise(corners)]
     for c in look.found:
         if c.median(quantity.column) is None:
             continue
@@ -192,10 +206,10 @@ def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
             *((above, below) if quantity.high else (below, above)),  # the front comes from the other side
             (high[0] + gap, y, "left", "center"),
             (low[0] - gap, y, "right", "center"),
-            (high[0], high[1], "left", "bottom"),
-            (low[0], low[1], "right", "top"),
-            (high[0], low[1], "left", "top"),
-            (low[0], high[1], "right", "bottom"),
+            (high[0] + 1, high[1] + 1, "left", "bottom"),
+            (low[0] - 1, low[1] - 1, "right", "top"),
+            (high[0] + 1, low[1] - 1, "left", "top"),
+            (low[0] - 1, high[1] + 1, "right", "bottom"),
         )
         for at_x, at_y, across, up in spots:
             text = axis.text(
@@ -255,7 +269,7 @@ def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures:
     if any(len(c.done) > 1 for c in look.found):
         handles.append(Line2D([], [], color="#8a8f96", marker="|", label="median, range over seeds"))
     if any("×" in look.label(c) for c in look.found):
-        handles.append(Line2D([], [], linestyle="", label="× image scale"))
+        handles.append(Line2D([], [], linestyle="", label="×: image scale"))
     columns = -(-len(handles) // 2) if len(handles) > 7 else len(handles)
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
