@@ -17,10 +17,9 @@ BUDGETS = (
 SHOWN = ("reference", "sparse_plane_distance", "densified_plane_distance", "distribution")
 
 
-def pcbench(command: str, **paths: Path) -> None:
-    """Run a command as it would be typed, with {names} of paths in it."""
-    words = [word.format(**paths) for word in command.split()]
-    run(["pcbench", *words], check=True)
+def pcbench(command: str, folder: Path) -> None:
+    """Run a command as it would be typed, FOLDER standing for the folder."""
+    run(["pcbench", *(word.replace("FOLDER", str(folder)) for word in command.split())], check=True)
 
 
 def small(picture: Path, name: str) -> None:
@@ -29,13 +28,13 @@ def small(picture: Path, name: str) -> None:
 
 
 def demo(folder: Path) -> None:
-    pcbench("demo --out {folder} --no-bench --quiet", folder=folder)
+    pcbench("demo --out FOLDER --no-bench --quiet", folder)
     for name in SHOWN:
         small(folder / "report" / "figures" / f"{name}.png", name)
 
 
 def city(folder: Path) -> None:
-    pcbench("synth city --out {folder} --points 1000 --quiet", folder=folder)
+    pcbench("synth city --out FOLDER --points 1000 --quiet", folder)
     photographs = [Image.open(folder / "images" / name).resize((720, 405)) for name in CITY]
     strip = Image.new("RGB", (1440, 405))
     for number, photograph in enumerate(photographs):
@@ -45,10 +44,8 @@ def city(folder: Path) -> None:
 
 def bench(folder: Path) -> None:
     """Prints the table that goes with the charts."""
-    pcbench("synth city --out {folder}/city --quiet" + BENCHED, folder=folder)
-    pcbench(
-        "bench {folder}/city --reference {folder}/city/truth/cloud.ply --out {folder}/bench" + BUDGETS, folder=folder
-    )
+    pcbench("synth city --out FOLDER/city --quiet" + BENCHED, folder)
+    pcbench("bench FOLDER/city --reference FOLDER/city/truth/cloud.ply --out FOLDER/bench" + BUDGETS, folder)
     small(folder / "bench" / "figures" / "speed.png", "bench")
     small(folder / "bench" / "figures" / "accuracy_completeness.png", "bench_directions")
 

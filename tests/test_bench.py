@@ -179,7 +179,7 @@ def test_whatever_methods_do_is_a_row(here, run):
     doc = json.loads(Path("out/bench.json").read_text())
     assert doc["schema"] == "pcbench.bench/1"
     assert len(doc["rows"]) == 11
-    assert doc["scene"]["scene"]
+    assert doc["scene"]["sha256"]
     assert doc["reference"]["sha256"]
     assert {"pcbench", "numpy"} <= set(doc["provenance"]["versions"])
     first = doc["rows"][0]

@@ -25,6 +25,7 @@ import pcbench
 from pcbench.bench.pareto import choice_words, mark_front
 from pcbench.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.bench.score import Rules, Truth, check_rules, read_truth, score
+from pcbench.cameras import Camera
 from pcbench.errors import InputError, PcbenchError
 from pcbench.io.files import atomic_write, digest
 from pcbench.reconstruct import CLOUD, PLUGIN, Job, describe, read_reconstruction, run
@@ -136,10 +137,7 @@ def bench(
     methods = [Method(label, spec, describe(spec, limit)) for label, spec in specs]
     todo, notes = trials(methods, job.axes, job.seeds)
     on_step("reading the reference")
-    cameras = scene.cameras
-    if job.cameras == "none":
-        cameras = read_scene(job.scene, masks=job.masks, on_warning=lambda _: None).cameras
-    truth = read_truth(job.reference, job.mesh, cameras, on_warning)
+    truth = read_truth(job.reference, job.mesh, _true_cameras(job, scene, on_warning), on_warning)
     check_rules(job.rules, truth)
     if truth.visible is None:
         notes.append(f"no recall_visible: {truth.visibility}")
@@ -160,6 +158,17 @@ def bench(
             doc = _document(job, inputs, truth, methods, rows, notes)
             _write(out, doc)
     return doc
+
+
+def _true_cameras(job: BenchJob, scene: Scene, warn: Callable[[str], None]) -> Mapping[str, Camera]:
+    """Those of the scene; where they are withheld from the methods, those that lie there."""
+    if job.cameras != "none":
+        return scene.cameras
+    try:
+        return read_scene(job.scene, masks=job.masks, on_warning=lambda _: None).cameras
+    except InputError as error:
+        warn(f"no true cameras to register clouds by: {error}")
+        return {}
 
 
 @dataclass(frozen=True)
@@ -335,7 +344,7 @@ def _document(
 ) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
-        "scene": {"path": str(job.scene), **{k: inputs.run[k] for k in ("scene", "sparse_points")}},
+        "scene": {"path": str(job.scene), "sha256": inputs.run["scene"]},
         "reference": {
             "path": str(job.reference),
             "sha256": inputs.score["reference"],
@@ -354,7 +363,7 @@ def _document(
             "time_limit_s": job.time_limit_s,
             **asdict(job.rules),
         },
-        "provenance": {**provenance(0), "versions": inputs.run["versions"]},
+        "provenance": {**provenance(None), "versions": inputs.run["versions"]},
         "notes": list(notes),
         "rows": list(rows),
     }
