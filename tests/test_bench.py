@@ -448,7 +448,7 @@ def test_best_and_second_are_marked():
     assert "_0.7_" in lines["c"]
     assert "*" not in lines["c"].replace("_0.7_", "")
     assert "0 ok, failed" in lines["d"]
-    assert "d seed 0: failed: no" in bench_markdown(doc)
+    assert "d, seed 0: failed: no" in bench_markdown(doc)
 
 
 # ---- gauges ----

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,10 +50,12 @@ def split(document: dict[str, Any], path: Path) -> bool:
 
 
 class _Look(NamedTuple):
-    """What all panels share."""
+    """What all panels share. A series is a method with its settings that are words; numbers label its markers."""
 
     found: list[Configuration]
-    color: dict[str, str]  # by method
+    numbers: frozenset[str]  # settings that vary and are numbers
+    words: frozenset[str]  # those that vary and are not
+    color: dict[str, str]  # by series
     shape: dict[str, str]
     most_memory: float
     unit: str
@@ -66,14 +68,18 @@ class _Look(NamedTuple):
     def area_of(self, memory: float) -> float:
         return _SMALLEST + (_LARGEST - _SMALLEST) * memory / self.most_memory
 
-    def label(self, configuration: Configuration) -> str:
-        """The settings that vary among the runs of its method."""
-        others = [c.choices for c in self.found if c.method == configuration.method]
-        words = []
-        for key, value in configuration.choices.items():
-            if len({choices.get(key) for choices in others}) > 1:
-                words.append(f"×{value}" if key == IMAGE_SCALE else f"{key}={value}")
-        return " ".join(words)
+    def series(self, method: str, choices: Mapping[str, str]) -> str:
+        return _series(method, choices, self.words)
+
+    def label(self, c: Configuration) -> str:
+        """The numbers that vary among the configurations of its method."""
+        others = [other.choices for other in self.found if other.method == c.method]
+        varied = [key for key in c.choices if key in self.numbers and len({o.get(key) for o in others}) > 1]
+        return " ".join(f"×{c.choices[key]}" if key == IMAGE_SCALE else f"{key}={c.choices[key]}" for key in varied)
+
+
+def _series(method: str, choices: Mapping[str, str], words: frozenset[str]) -> str:
+    return " ".join((method, *(f"{key}={value}" for key, value in choices.items() if key in words)))
 
 
 def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity]) -> bool:
@@ -106,19 +112,36 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
 
 
 def _look(document: dict[str, Any], found: list[Configuration]) -> _Look:
-    methods = list(dict.fromkeys(c.method for c in found))
+    values: dict[str, dict[str, None]] = {}
+    for c in found:
+        for key, value in c.choices.items():
+            values.setdefault(key, {})[value] = None
+    varied = {key for key, of in values.items() if len(of) > 1}
+    numbers = frozenset(key for key in varied if all(map(_is_number, values[key])))
+    words = frozenset(varied - numbers)
+    series = list(dict.fromkeys(_series(c.method, c.choices, words) for c in found))
     times = np.array([row["wall_s"] for row in document["rows"]])
     threshold = next((row["threshold"] for row in document["rows"] if row.get("threshold")), 0.0)
     unit = document["reference"].get("unit") or "units of the file"
     return _Look(
         found,
-        {method: _COLORS[number % len(_COLORS)] for number, method in enumerate(methods)},
-        {method: _SHAPES[number % len(_SHAPES)] for number, method in enumerate(methods)},
+        numbers,
+        words,
+        {name: _COLORS[number % len(_COLORS)] for number, name in enumerate(series)},
+        {name: _SHAPES[number % len(_SHAPES)] for number, name in enumerate(series)},
         max((c.median("peak_rss_bytes") or 1.0 for c in found), default=1.0),
         unit,
         f"{threshold:.3g} {unit}",
         (float(times.min()) / 1.6, float(times.max()) * 1.9),
     )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
@@ -129,6 +152,13 @@ def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
         y = [_value(c, quantity.column) for c in front]
         # Until the next one is done, the last one is the best there is.
         axis.step([*x, look.limits[1]], [*y, y[-1]], where="post", color=_FRONT, linewidth=1.3, zorder=1)
+    for name, color in look.color.items():  # what a series buys with more time
+        places = [
+            (_value(c, "wall_s"), _value(c, quantity.column))
+            for c in measured
+            if name == look.series(c.method, c.choices)
+        ]
+        axis.plot(*np.array(sorted(places)).reshape(-1, 2).T, color=color, linewidth=1, alpha=0.4, zorder=1)
     for c in measured:
         _marker(axis, look, quantity, c, on_front=any(c is other for other in front))
     axis.set_xscale("log")
@@ -162,10 +192,12 @@ def _plain_log(axis: Any) -> None:
 
 def _marker(axis: Any, look: _Look, quantity: _Quantity, c: Configuration, *, on_front: bool) -> None:
     x, y = _value(c, "wall_s"), _value(c, quantity.column)
-    color, area, shape = look.color[c.method], look.area(c), look.shape[c.method]
-    spread = [[[at - min(v)], [max(v) - at]] for at, v in ((x, c.values("wall_s")), (y, c.values(quantity.column)))]
-    if len(c.done) > 1:
-        axis.errorbar(x, y, yerr=spread[1], xerr=spread[0], color=color, linewidth=1, capsize=3, zorder=4)
+    series = look.series(c.method, c.choices)
+    color, area, shape = look.color[series], look.area(c), look.shape[series]
+    for way, at, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
+        if max(values) > min(values):
+            spread = [[at - min(values)], [max(values) - at]]
+            axis.errorbar(x, y, **{way: spread}, color=_FRONT, linewidth=0.9, capsize=2, zorder=4)
     seen = c.median("recall_visible") if quantity.column == "recall" else None
     if seen is not None:
         axis.plot([x, x], [y, seen], color=color, linewidth=1, zorder=2)
@@ -211,10 +243,9 @@ def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
             (high[0] + 1, low[1] - 1, "left", "top"),
             (low[0] - 1, high[1] + 1, "right", "bottom"),
         )
+        style = {"fontsize": 9, "color": look.color[look.series(c.method, c.choices)], "zorder": 5}
         for at_x, at_y, across, up in spots:
-            text = axis.text(
-                at_x, at_y, look.label(c), ha=across, va=up, fontsize=8.5, color=_FRONT, transform=None, zorder=5
-            )
+            text = axis.text(at_x, at_y, look.label(c), ha=across, va=up, transform=None, **style)
             box = text.get_window_extent()
             inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 and axis.bbox.y0 <= box.y0 < axis.bbox.y1
             if inside and not any(box.overlaps(other) for other in taken):
@@ -226,8 +257,9 @@ def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
 def _strip(axis: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> None:
     """Crosses at the times when runs failed."""
     for number, row in enumerate(failed):
+        color = look.color[look.series(row["method"], row["choices"])]
         place = 0.5 if len(failed) == 1 else (0.75, 0.5, 0.25)[number % 3]
-        axis.plot(row["wall_s"], place, marker="x", markersize=8, markeredgewidth=2, color=look.color[row["method"]])
+        axis.plot(row["wall_s"], place, marker="x", markersize=8, markeredgewidth=2, color=color)
         left = row["wall_s"] > (look.limits[0] * look.limits[1]) ** 0.5  # its word would leave the strip
         axis.annotate(
             row["status"],
@@ -255,7 +287,7 @@ def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures:
         style = {"markerfacecolor": face, "markeredgecolor": edge, "markersize": area**0.5}
         return Line2D([], [], linestyle="", marker=shape, label=label, **style)
 
-    handles = [dot(look.shape[m], look.color[m], look.color[m], 80, m) for m in look.color]
+    handles = [dot(look.shape[name], look.color[name], look.color[name], 80, name) for name in look.color]
     handles.append(Line2D([], [], color=_FRONT, linewidth=1.3, label="Pareto front"))
     if any(len(front_of(look.found, q.column, high=q.high)) < len(look.found) for q in quantities):
         handles.append(dot("o", _BEATEN, "#8a8f96", 80, "beaten in time and score"))
@@ -267,8 +299,8 @@ def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures:
     for memory in (_round(0.25 * look.most_memory), _round(look.most_memory)):
         handles.append(dot("o", "none", "#8a8f96", look.area_of(memory), f"{memory / 2**20:g} MiB peak"))
     if any(len(c.done) > 1 for c in look.found):
-        handles.append(Line2D([], [], color="#8a8f96", marker="|", label="median, range over seeds"))
-    if any("×" in look.label(c) for c in look.found):
+        handles.append(Line2D([], [], color=_FRONT, linewidth=0.9, marker="|", label="median, range over seeds"))
+    if IMAGE_SCALE in look.numbers:
         handles.append(Line2D([], [], linestyle="", label="×: image scale"))
     columns = -(-len(handles) // 2) if len(handles) > 7 else len(handles)
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)

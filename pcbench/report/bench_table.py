@@ -122,14 +122,16 @@ def _sentences(doc: dict[str, Any]) -> Iterator[str]:
         if doc["reference"]["visible_share"] is not None:
             share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]
             yield f"of seen: recall over the {share:.1%} of the reference that cameras saw ({how})"
-    for row in doc["rows"]:
-        if row["status"] != "ok":
-            yield f"{row_words(row)}: {row['status']}: {row['message']}"
     for note in doc["notes"]:
         yield f"note: {note}"
+    said: dict[tuple[str, str], list[str]] = {}  # of seeds that say the same, one line
     for row in doc["rows"]:
-        for note in row.get("notes") or ():
-            yield f"note: {row_words(row)}: {note}"
+        of = " ".join(filter(None, (row["method"], choice_words(row["choices"]))))
+        texts = [] if row["status"] == "ok" else [f"{row['status']}: {row['message']}"]
+        for text in (*texts, *(f"note: {note}" for note in row.get("notes") or ())):
+            said.setdefault((of, text), []).append(str(row["seed"]))
+    for (of, text), seeds in said.items():
+        yield f"{of}: {text}" if seeds == ["None"] else f"{of}, seed {', '.join(seeds)}: {text}"
 
 
 def row_words(row: Mapping[str, Any]) -> str:
