@@ -318,7 +318,7 @@ def deform(
 @quiet_option
 def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
-    a_distance, a_plane_distance). Needs no display.
+    a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
     """
     from pcbench.plot import draw
 

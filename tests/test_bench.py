@@ -271,26 +271,34 @@ def test_a_timeout_stands_for_shorter_limits_and_a_refusal_for_none(here):
     assert bench(job("Missing"), Path("other"))["rows"][0]["status"] == "ok"
 
 
-def test_a_killed_bench_leaves_nothing_running(here):
-    command = [sys.executable, "-m", "pcbench.cli", "bench", "photos", "--reference", "truth.ply"]
-    process = subprocess.Popen([*command, "--method", "methods.py:Hang", "--out", "out"], stdout=subprocess.DEVNULL)
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
+    command = [sys.executable, "-m", "pcbench.cli", "bench", "photos", "--reference", "truth.ply", "--out", "out"]
+    command += ["--method", "methods.py:Good", "--method", "methods.py:Hang"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     for _ in range(600):
         if Path("pid.txt").exists() and Path("pid.txt").read_text():
             break
         time.sleep(0.1)
     child = int(Path("pid.txt").read_text())
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    for _ in range(100):
-        try:
-            os.kill(child, 0)
-            state = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0]
-        except (ProcessLookupError, FileNotFoundError):
-            return
-        if state == "Z":
-            return
+    process.send_signal(how)
+    _, err = process.communicate()
+    if how == signal.SIGINT:
+        assert (process.returncode, err.strip()) == (130, "interrupted")
+    assert len(Path("out/bench.csv").read_text().splitlines()) == 2
+    for _ in range(100):  # its new parent needs a moment
+        if not alive(child):
+            break
         time.sleep(0.1)
-    pytest.fail("the reconstructor is still running")
+    assert not alive(child)
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False
 
 
 def test_one_bench_a_folder(here):

@@ -302,7 +302,7 @@ def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures:
         handles.append(Line2D([], [], color=_FRONT, linewidth=0.9, marker="|", label="median, range over seeds"))
     if IMAGE_SCALE in look.numbers:
         handles.append(Line2D([], [], linestyle="", label="×: image scale"))
-    columns = -(-len(handles) // 2) if len(handles) > 7 else len(handles)
+    columns = min(len(handles), 7 if max(map(len, look.color)) < 12 else 5)
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
