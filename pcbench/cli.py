@@ -621,7 +621,11 @@ def reconstruct(
 @click.option("--reference", type=_FILE, required=True, help="Cloud or mesh in the frame of the scene's cameras.")
 @click.option("--method", "methods", multiple=True, metavar="NAME", help="A reconstructor, as for `reconstruct`.")
 @click.option(
-    "--sweep", "sweeps", multiple=True, metavar="[METHOD.]KEY=V,V,...", help="Run with each value; several: all pairs."
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="[METHOD.]KEY=V,V,...",
+    help="Run with each value; of several, all combinations.",
 )
 @click.option("--set", "settings", multiple=True, metavar="[METHOD.]KEY=VALUE", help="Set for all that have it.")
 @click.option(

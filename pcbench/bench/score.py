@@ -17,7 +17,7 @@ from pcbench.comparison import Settings, compare
 from pcbench.crop import parse_region
 from pcbench.errors import InputError
 from pcbench.io import read_cloud
-from pcbench.io.files import atomic_write
+from pcbench.io.files import Warn, atomic_write
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure import BACK, FORTH
 from pcbench.mesh import Mesh, MeshIndex
@@ -50,12 +50,14 @@ class Truth:
     visibility: str
 
 
-def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera], warn: Any) -> Truth:
+def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera], warn: Warn) -> Truth:
     """The reference and what the cameras saw of it: by its attribute `visible`, else by rays against a mesh.
 
     Args:
         reference: a cloud or a mesh, which is sampled by area.
         mesh: of the same surface, its faces anticlockwise seen from outside.
+        cameras: the true ones by image name.
+        warn: called with one line for each thing left out.
 
     Raises:
         InputError: a file is not usable.
@@ -126,7 +128,8 @@ def alignment(made: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
             notes = (f"not registered by cameras: {error}",)
         else:
             errors = np.linalg.norm(fit.apply(found) - true, axis=1)
-            note = f"by {len(names)} cameras: errors {np.median(errors):.3g} (median), {errors.max():.3g} (largest)"
+            spread = f"{np.median(errors):.3g} (median), {errors.max():.3g} (largest)"
+            note = f"registered by {len(names)} cameras, with errors of {spread}"
             return Alignment("cameras", fit, (note,))
     fine = "similarity" if free_scale else "icp"
     if find_spec("kiss_matcher") is None:
