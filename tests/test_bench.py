@@ -276,13 +276,16 @@ def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
     command = [sys.executable, "-m", "pcbench.cli", "bench", "photos", "--reference", "truth.ply", "--out", "out"]
     command += ["--method", "methods.py:Good", "--method", "methods.py:Hang"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    for _ in range(600):
-        if Path("pid.txt").exists() and Path("pid.txt").read_text():
-            break
-        time.sleep(0.1)
-    child = int(Path("pid.txt").read_text())
-    process.send_signal(how)
-    _, err = process.communicate()
+    try:
+        for _ in range(600):
+            if Path("pid.txt").exists() and Path("pid.txt").read_text():
+                break
+            time.sleep(0.1)
+        child = int(Path("pid.txt").read_text())
+        process.send_signal(how)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
     if how == signal.SIGINT:
         assert (process.returncode, err.strip()) == (130, "interrupted")
     assert len(Path("out/bench.csv").read_text().splitlines()) == 2
