@@ -16,7 +16,7 @@ $(BIN)/python:
 
 # An editable install does not rebuild C++ by itself: the stamps depend on the native sources.
 $(VENV)/.demo: $(BIN)/python $(NATIVE)
-	$(PIP) --editable '.[plot]'
+	$(PIP) --editable '.[plot,sfm]'
 	@touch $@
 
 $(VENV)/.all: $(BIN)/python $(NATIVE)

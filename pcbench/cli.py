@@ -18,6 +18,7 @@ from pcbench import __version__
 from pcbench.errors import InputError, PcbenchError
 
 if TYPE_CHECKING:
+    from pcbench.bench.runs import BenchJob
     from pcbench.cloud import Cloud
     from pcbench.compare_files import Job
     from pcbench.comparison import Comparison
@@ -123,7 +124,7 @@ def compare(
     _compare(job, out, json_file, figures=not no_figures, quiet=quiet)
 
 
-@app.command(short_help="Make a small city with exact truth and compare two clouds of it.")
+@app.command(short_help="Make small cities with exact truth, compare clouds of one and bench SfM on the other.")
 @click.option("--out", type=_FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
 @click.option(
     "--points",
@@ -132,12 +133,14 @@ def compare(
     type=click.IntRange(20_000, 100_000_000),
     help="Of the reference; candidates in proportion.",
 )
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the city and its noise.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the cities and their noise.")
 @click.option("--no-figures", is_flag=True, help="Leave the pictures out.")
+@click.option("--no-bench", is_flag=True, help="Compare only.")
 @quiet_option
-def demo(out: Path, points: int, seed: int, no_figures: bool, quiet: bool) -> None:
+def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
     """Make a small city whose geometry is known exactly, a dense reference of it, a sparse and a densified candidate
-    with noise, outliers and a rigid offset (the second also gently bent), and compare them.
+    with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
+    city and bench sparse SfM on it, at two image scales with finer and coarser features (needs the extras plot, sfm).
     """
     from pcbench.compare_files import Job
     from pcbench.comparison import Settings
@@ -167,6 +170,22 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, quiet: bool) -> No
             note = f" (it is bent by {1000 * bend:.0f} mm RMS, which no rigid motion undoes)" if bend else ""
             click.echo(f"truth: {candidate.name} was registered to {1000 * error:.1f} mm RMS{note}")
         click.echo(f"again: pcbench compare {reference} {' '.join(str(p) for p in paths.values())} --out REPORT")
+    if not no_bench:
+        _demo_bench(out, seed, figures=not no_figures, quiet=quiet)
+
+
+def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
+    from pcbench.bench.demo import demo_job, why_not
+
+    if reason := why_not():
+        if not quiet:
+            click.echo(f"bench skipped: {reason}")
+        return
+    with _steps(quiet) as step:
+        bench_job = demo_job(out / "city", seed, step)
+    if not quiet:
+        click.echo(f"\nbench: sparse SfM on {out / 'city'}, whose truth is known")
+    _bench(bench_job, out / "bench", figures=figures, quiet=quiet)
 
 
 @app.command(short_help="Cut a cloud to a region.")
@@ -301,7 +320,7 @@ def deform(
 @quiet_option
 def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
-    a_distance, a_plane_distance). Needs no display.
+    a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
     """
     from pcbench.plot import draw
 
@@ -593,6 +612,104 @@ def reconstruct(
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
         click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")
+
+
+@app.command(short_help="Run reconstructors side by side: time and memory against accuracy.")
+@click.argument("scene", type=_FILE)
+@click.option("--reference", type=_FILE, required=True, help="Cloud or mesh in the frame of the scene's cameras.")
+@click.option("--method", "methods", multiple=True, metavar="NAME", help="A reconstructor, as for `reconstruct`.")
+@click.option(
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="[METHOD.]KEY=V,V,...",
+    help="Run with each value; of several, all combinations.",
+)
+@click.option("--set", "settings", multiple=True, metavar="[METHOD.]KEY=VALUE", help="Set for all that have it.")
+@click.option(
+    "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Runs of each with seeds 0 to N-1."
+)
+@click.option("--out", type=_FILE, required=True, help="Folder for the bench; runs that are in it are kept.")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop a run after this."
+)
+@click.option(
+    "--cameras",
+    default="auto",
+    show_default=True,
+    metavar="WHICH",
+    help="What methods get: auto, none, or a file or folder. With none, those of the scene still register clouds.",
+)
+@masks_option
+@click.option("--truth-mesh", type=_FILE, help="Of the reference's surface: says what the cameras saw of it.")
+@click.option(
+    "--register", default="gauge", show_default=True, metavar="HOW", help="By each cloud's gauge, or as for `compare`."
+)
+@click.option("--crop", default="none", show_default=True, metavar="REGION", help=_CROP_HELP)
+@click.option(
+    "--threshold",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Of the F-score.  [default: 5 x the reference's spacing]",
+)
+@click.option("--no-figures", is_flag=True, help="Leave the charts out.")
+@quiet_option
+def bench(
+    scene: Path,
+    reference: Path,
+    methods: tuple[str, ...],
+    sweeps: tuple[str, ...],
+    settings: tuple[str, ...],
+    seeds: int,
+    out: Path,
+    time_limit: float | None,
+    cameras: str,
+    masks: Path | None,
+    truth_mesh: Path | None,
+    register: str,
+    crop: str,
+    threshold: float | None,
+    no_figures: bool,
+    quiet: bool,
+) -> None:
+    """Make clouds of SCENE with every method at every budget, each in a process of its own, and compare them with the
+    reference. KEY is image_scale or a setting of the methods. What a method does wrong is a row; what is done is kept,
+    so the same command goes on where it was stopped.
+
+    \b
+    Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
+             --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
+    """
+    from pcbench.bench.plan import Axis
+    from pcbench.bench.runs import BenchJob
+    from pcbench.bench.score import Rules
+
+    axes = [*map(Axis.fixed, settings), *map(Axis.sweep, sweeps)]
+    rules = Rules(register, crop, threshold)
+    job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
+    _bench(job, out, figures=not no_figures, quiet=quiet)
+
+
+def _bench(job: BenchJob, out: Path, *, figures: bool, quiet: bool) -> None:
+    from pcbench.bench.runs import Done
+    from pcbench.bench.runs import bench as run_bench
+    from pcbench.plot import draw_if_possible
+    from pcbench.report.bench_table import print_bench
+
+    def say(done: Done) -> None:
+        if not quiet:
+            click.echo(f"{done.number}/{done.of} {done.words}")
+
+    with _steps(quiet) as step:
+        doc = run_bench(job, out, on_row=say, on_step=step, on_warning=(lambda _: None) if quiet else _warn)
+        if figures:
+            step("drawing the charts")
+            without = draw_if_possible(out)
+    if not quiet:
+        click.echo()
+        print_bench(doc)
+        click.echo(f"bench: {out}")
+    if figures and without:
+        _warn(without)
 
 
 @app.group(short_help="Questions answered on scenes whose truth is known.")

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -41,12 +42,10 @@ class Job:
     images: tuple[str, ...] | None = None
 
     def to_json(self) -> str:
-        left, colon, name = self.plugin.rpartition(":")
         # The process runs elsewhere: every path is made absolute.
-        plugin = f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else self.plugin
         cameras = self.cameras if self.cameras in ("auto", "none") else str(Path(self.cameras).absolute())
         values = {
-            "plugin": plugin,
+            "plugin": _absolute(self.plugin),
             "settings": dict(self.settings),
             "scene": str(self.scene.absolute()),
             "cameras": cameras,
@@ -67,6 +66,7 @@ class Run:
         message: one line for every status but "ok".
         wall_s, cpu_s: seconds of the process and its children, from its start to its end.
         peak_rss_bytes: the most memory it had at a time; None where it did not live to say so.
+        gpu_bytes: the most memory that torch held on CUDA devices; None where it used none, or did not live to say so.
         log: what it printed.
         settings: all of the reconstructor's settings as text, defaults included; empty if it was refused.
         warnings: what was left out of the scene.
@@ -77,6 +77,7 @@ class Run:
     wall_s: float
     cpu_s: float
     peak_rss_bytes: int | None
+    gpu_bytes: int | None
     log: Path
     settings: Mapping[str, str]
     warnings: tuple[str, ...]
@@ -111,8 +112,6 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
     (workspace / OUTCOME).unlink(missing_ok=True)
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
-    # The process must find this very package; -P: and not what lies in the current folder.
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")]))
     command = [sys.executable, "-P", "-m", "pcbench.reconstruct_child", str(workspace.absolute())]
     start = time.perf_counter()
     with (workspace / LOG).open("wb") as log:
@@ -121,7 +120,7 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"},
+            env=_environment(),
             start_new_session=True,  # its children can be ended with it
         )
         code, cpu_s = _wait(process, time_limit_s)
@@ -139,10 +138,11 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
         wall_s=wall_s,
         cpu_s=cpu_s,
         peak_rss_bytes=outcome.get("peak_rss_bytes"),
+        gpu_bytes=outcome.get("gpu_bytes"),
         log=workspace / LOG,
         settings=outcome.get("settings", {}),
         warnings=tuple(outcome.get("warnings", ())),
-        reconstruction=_read(workspace, outcome) if status == "ok" else None,
+        reconstruction=read_reconstruction(workspace) if status == "ok" else None,
     )
 
 
@@ -182,7 +182,63 @@ def _how_it_ended(code: int | None, log: Path) -> str:
     return f"the process ended with code {code} and without a result; its last line: {last[:200]}"
 
 
-def _read(workspace: Path, outcome: Mapping[str, Any]) -> Reconstruction:
+def read_reconstruction(workspace: Path) -> Reconstruction:
+    """What the last run in a workspace made, if it went well.
+
+    Raises:
+        InputError, OSError: its files are not there.
+    """
+    outcome: dict[str, Any] = json.loads((workspace / OUTCOME).read_text(encoding="utf-8"))
     cameras = read_colmap_cameras(workspace / CAMERAS) if outcome["cameras"] else ()
     cloud = read_cloud(workspace / CLOUD)
     return Reconstruction(cloud, outcome["gauge"], {c.name: c for c in cameras}, tuple(outcome["notes"]))
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a reconstructor is, before it runs.
+
+    Args:
+        settings: the names of its settings.
+        origin: its package with version, or its file.
+        sha256: of the file that its class is in; None where there is none.
+        problem: why nothing is known of it; None where all is well.
+    """
+
+    settings: tuple[str, ...] = ()
+    origin: str = ""
+    sha256: str | None = None
+    problem: str | None = None
+
+
+def describe(plugin: str, time_limit_s: float = 120.0) -> Description:
+    """Look at a reconstructor in a process of its own: importing one can do anything."""
+    with tempfile.TemporaryDirectory(prefix="pcbench-describe-") as folder:
+        file = Path(folder) / "description.json"
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "pcbench.describe_child", _absolute(plugin), str(file)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=_environment(),
+            start_new_session=True,
+        )
+        code, _ = _wait(process, time_limit_s)
+        if code is None:
+            return Description(problem=f"importing it takes longer than {time_limit_s:g} s")
+        try:
+            outcome = json.loads(file.read_text(encoding="utf-8"))
+        except (FileNotFoundError, ValueError):
+            return Description(problem="the process ends when it is imported")
+    return Description(**{**outcome, "settings": tuple(outcome.get("settings", ()))})
+
+
+def _absolute(plugin: str) -> str:
+    left, colon, name = plugin.rpartition(":")
+    return f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else plugin
+
+
+def _environment() -> dict[str, str]:
+    # The process must find this very package; -P: and not what lies in the current folder.
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}

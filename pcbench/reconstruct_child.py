@@ -4,9 +4,11 @@ of it: outcome.json, and where it went well cloud.ply and cameras.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import resource
 import shutil
+import signal
 import sys
 import traceback
 from dataclasses import fields
@@ -21,8 +23,11 @@ from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
 from pcbench.reconstruct import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
 from pcbench.scene import Scene, read_scene
 
+_PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
+
 
 def main(workspace: Path) -> None:
+    _end_with_parent()
     job = json.loads((workspace / JOB).read_text(encoding="utf-8"))
     warnings: list[str] = []
     outcome: dict[str, Any] = {"warnings": warnings}
@@ -33,7 +38,7 @@ def main(workspace: Path) -> None:
     else:
         outcome["settings"] = {f.name: str(getattr(reconstructor, f.name)) for f in fields(plugin.cls) if f.init}
         outcome |= _reconstruct(plugin, reconstructor, scene, workspace)
-    outcome["peak_rss_bytes"] = _peak_rss_bytes()
+    outcome |= {"peak_rss_bytes": _peak_rss_bytes(), "gpu_bytes": _peak_gpu_bytes()}
     with atomic_write(workspace / OUTCOME) as file:
         file.write(json.dumps(outcome, indent=1).encode() + b"\n")
 
@@ -73,6 +78,12 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
     return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes}
 
 
+def _end_with_parent() -> None:
+    """Where the process that waits for this one is killed, nobody would stop it: it would be in the way of the next."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def _peak_rss_bytes() -> int:
     """Of this process or of its largest child.
 
@@ -86,6 +97,14 @@ def _peak_rss_bytes() -> int:
         own = int(line.split()[1]) if line else own
     unit = 1 if sys.platform == "darwin" else 1024
     return max(own, children) * unit
+
+
+def _peak_gpu_bytes() -> int | None:
+    """The most that torch's allocator held at a time, over all devices; None where CUDA was not used by it."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
+        return None
+    return sum(int(torch.cuda.max_memory_reserved(device)) for device in range(torch.cuda.device_count()))
 
 
 if __name__ == "__main__":

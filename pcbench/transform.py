@@ -13,6 +13,8 @@ from pcbench.errors import InputError
 
 FloatArray = NDArray[np.float64]
 
+_REWEIGHTED = 30  # times at most
+
 
 @dataclass(frozen=True, eq=False)
 class Affine:
@@ -194,6 +196,25 @@ def fit_similarity(
     rotation = (u * sign) @ vt
     scale = float((singular * sign).sum() / variances.sum()) if with_scale else 1.0
     return Similarity(rotation, mean_r - scale * rotation @ mean_c, scale)
+
+
+def robust_similarity(candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True) -> Similarity:
+    """The similarity (or rigid motion) that brings candidate (N, 3) to reference (N, 3) points, some perhaps wrong.
+
+    Least squares, weighted anew by 1 / max(residual, median residual): beyond the median an error counts by its length
+    and not by its square (Huber 1964 with a scale from the data), so no threshold in metres is needed.
+
+    Raises:
+        InputError: fewer than three pairs, or points on one line.
+    """
+    fit = fit_similarity(candidate, reference, with_scale=with_scale)
+    for _ in range(_REWEIGHTED):
+        residuals = np.linalg.norm(fit.apply(candidate) - reference, axis=1)
+        scale = float(np.median(residuals))
+        if scale <= 1e-12 * float(np.abs(reference).max(initial=1)):  # exact but for rounding
+            break
+        fit = fit_similarity(candidate, reference, with_scale=with_scale, weights=1 / np.maximum(residuals, scale))
+    return fit
 
 
 def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:

@@ -8,28 +8,7 @@ import numpy as np
 
 from pcbench.cameras import Camera
 from pcbench.cloud import FloatArray
-from pcbench.transform import Similarity, fit_similarity
-
-_ITERATIONS = 30
-
-
-def robust_similarity(candidate: FloatArray, reference: FloatArray) -> Similarity:
-    """The similarity that brings candidate (N, 3) to reference (N, 3) points, some of which may be wrong.
-
-    Least squares, weighted anew by 1 / max(residual, median residual): beyond the median an error counts by its length
-    and not by its square (Huber 1964 with a scale from the data), so no threshold in metres is needed.
-
-    Raises:
-        InputError: fewer than three pairs, or points on one line.
-    """
-    fit = fit_similarity(candidate, reference)
-    for _ in range(_ITERATIONS):
-        residuals = np.linalg.norm(fit.apply(candidate) - reference, axis=1)
-        scale = float(np.median(residuals))
-        if scale <= 1e-12 * float(np.abs(reference).max(initial=1)):  # exact but for rounding
-            break
-        fit = fit_similarity(candidate, reference, weights=1 / np.maximum(residuals, scale))
-    return fit
+from pcbench.transform import Similarity
 
 
 def moved(camera: Camera, transform: Similarity) -> Camera:

@@ -22,8 +22,8 @@ from pcbench.io.colmap_model import intrinsics_from_colmap
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.scene import Scene
 from pcbench.stages import stage, stage_key
-from pcbench.transform import Similarity, fit_similarity
-from reconstructors.alignment import camera_errors, moved, robust_similarity
+from pcbench.transform import Similarity, fit_similarity, robust_similarity
+from reconstructors.alignment import camera_errors, moved
 from reconstructors.control import ControlPoint, Refine, adjust, describe, measure, read_control
 from reconstructors.epipolar import share_on_epipolar_lines
 from reconstructors.image_pairs import Matching, choose_pairs

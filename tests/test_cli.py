@@ -274,7 +274,7 @@ def test_crop_register_and_info(files, run):
 
 
 def test_demo_at_a_small_size(tmp_path, run):
-    code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo", "--no-figures")
+    code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo", "--no-figures", "--no-bench")
     assert code == 0
     assert "was registered to" in out
     assert {p.name for p in (tmp_path / "demo/report").iterdir()} >= REPORT

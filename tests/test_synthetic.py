@@ -21,7 +21,8 @@ from pcbench.synthetic.plan import CitySettings, lay_out
 from pcbench.synthetic.render import Optics, check_renderer, render
 from pcbench.synthetic.rigs import Site, perturbed_positions, rig
 from pcbench.synthetic.surface import CitySurface, build_city
-from pcbench.synthetic.truth import depth_map, views
+from pcbench.synthetic.truth import depth_map
+from pcbench.visibility import views
 
 SMALL = CitySettings(extent=120.0, seed=3)
 LENS = (-0.08, 0.01, 0.002, -0.001)

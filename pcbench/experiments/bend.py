@@ -223,7 +223,7 @@ class _Inputs:
 
 def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, seed: int) -> Iterator[str]:
     """Nine points on level ground or roofs, spread over what the images show, as a surveyor and a click give them."""
-    from pcbench.synthetic.truth import in_frame
+    from pcbench.visibility import in_frame
 
     if truth.normals is None:
         raise InputError("expected normals in truth/cloud.ply: control points are chosen on level ground")

@@ -1,4 +1,4 @@
-"""Pictures of a report: deviation maps (pyvista) and distributions (matplotlib).
+"""Pictures of a report: deviation maps (pyvista), distributions and the charts of a bench (matplotlib).
 
 They are drawn from a report folder, in a process of their own: VTK ends the process where no OpenGL library can be
 loaded, and the numbers must be delivered all the same.
@@ -33,9 +33,12 @@ def draw(report: Path, names: tuple[str, ...] = ()) -> list[Path]:
         InputError: the folder holds no report, or no picture has that name.
         NoFiguresError, MissingExtra: a library is missing or fails.
     """
-    if not any((report / name).is_file() for name in ("comparison.json", "deformation.json")):
-        raise InputError(f"{report}: expected a report folder (with comparison.json)")
-    check_libraries()
+    if not any((report / name).is_file() for name in ("comparison.json", "deformation.json", "bench.json")):
+        raise InputError(f"{report}: expected a report folder (with comparison.json) or a bench's (with bench.json)")
+    if (report / "bench.json").is_file():
+        _check_library("matplotlib")
+    else:
+        check_libraries()
     command = [sys.executable, "-m", "pcbench.plot.worker", str(report.absolute()), *names]
     try:
         done = subprocess.run(
@@ -69,12 +72,16 @@ def check_libraries() -> None:
         NoFiguresError: neither a display nor EGL nor OSMesa is there.
     """
     for library in ("pyvista", "matplotlib"):
-        if find_spec(library) is None:
-            raise MissingExtra(library, "plot", "pictures")
+        _check_library(library)
     try:
         check_opengl()
     except NoFiguresError as error:
         raise NoFiguresError(f"{error}, then run: pcbench plot REPORT") from None
+
+
+def _check_library(name: str) -> None:
+    if find_spec(name) is None:
+        raise MissingExtra(name, "plot", "pictures")
 
 
 def check_opengl() -> None:

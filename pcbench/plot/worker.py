@@ -15,7 +15,7 @@ from pcbench.cloud import Cloud
 from pcbench.errors import PcbenchError
 from pcbench.io import read_cloud
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.plot import bends, charts, maps
+from pcbench.plot import bench, bends, charts, maps
 
 _MESH_SAMPLES = 500_000
 
@@ -58,8 +58,12 @@ def read_report(folder: Path) -> Report:
 
 
 def draw(folder: Path, wanted: list[str]) -> list[Path]:
-    of_comparison = (folder / "comparison.json").is_file()
-    pictures = _pictures_of_comparison(folder) if of_comparison else _pictures_of_deformation(folder)
+    kinds = {
+        "comparison.json": _pictures_of_comparison,
+        "deformation.json": _pictures_of_deformation,
+        "bench.json": _pictures_of_bench,
+    }
+    pictures = next(kinds[name](folder) for name in kinds if (folder / name).is_file())
     if unknown := [name for name in wanted if name not in pictures]:
         raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}")
     (folder / "figures").mkdir(exist_ok=True)
@@ -69,9 +73,19 @@ def draw(folder: Path, wanted: list[str]) -> list[Path]:
         if pictures[name](path):
             written.append(path.relative_to(folder))
         elif name in wanted:
-            why = "the reference's file has gone" if name == "reference" else "the chosen model moves nothing"
+            why = {"reference": "the reference's file has gone", "speed": "no run was measured"}.get(
+                name, "the chosen model moves nothing"
+            )
             raise PcbenchError(f"no picture {name!r}: {why}")
     return written
+
+
+def _pictures_of_bench(folder: Path) -> dict[str, Callable[[Path], bool]]:
+    values = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
+    return {
+        "speed": lambda path: bench.speed(values, path),
+        "accuracy_completeness": lambda path: bench.split(values, path),
+    }
 
 
 def _pictures_of_deformation(folder: Path) -> dict[str, Callable[[Path], bool]]:

@@ -124,7 +124,8 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def provenance(seed: int) -> dict[str, Any]:
+def provenance(seed: int | None) -> dict[str, Any]:
+    """Version, commit, seed, machine, command and time of a result."""
     return {
         "version": pcbench.__version__,
         "commit": _commit(),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pcbench.cameras import Camera, Intrinsics, look_at
-from pcbench.transform import Similarity
-from reconstructors.alignment import camera_errors, moved, robust_similarity
+from pcbench.transform import Similarity, robust_similarity
+from reconstructors.alignment import camera_errors, moved
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 

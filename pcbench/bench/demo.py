@@ -1,0 +1,50 @@
+"""The bench that ends `pcbench demo`: sparse SfM on a small photographed city, at four budgets."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+from pcbench.bench.plan import Axis
+from pcbench.bench.runs import BenchJob
+from pcbench.bench.score import Rules
+from pcbench.cameras import Intrinsics
+from pcbench.errors import PcbenchError
+from pcbench.synthetic.files import SceneSettings, write_scene
+from pcbench.synthetic.plan import CitySettings
+from pcbench.synthetic.render import check_renderer
+
+_SIDE = 120.0  # metres: the smallest city with streets between blocks
+
+
+def why_not() -> str | None:
+    """What keeps the demo's bench from running here, one line."""
+    if find_spec("pycolmap") is None:
+        return "pycolmap is needed for the bench: pip install 'pcbench[plot,sfm]'"
+    try:
+        check_renderer()
+    except PcbenchError as error:
+        return str(error)
+    return None
+
+
+def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:
+    """Make the scene in `folder` (anew: it is the demo's own), and what is to be benched on it.
+
+    Raises:
+        PcbenchError: no pictures can be taken.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    city = CitySettings(extent=_SIDE, seed=seed)
+    camera = Intrinsics.from_fov(640, 360, 40.0)
+    write_scene(folder, SceneSettings(city, 20, camera, "oblique", points=200_000), step)
+    half = _SIDE / 2  # the fields around it are in few images
+    return BenchJob(
+        folder,
+        folder / "truth" / "cloud.ply",
+        ["sfm"],
+        [Axis.sweep("image_scale=0.5,1"), Axis.sweep("upsample=false,true")],
+        rules=Rules(crop=f"box:{-half:g},{-half:g},-100,{half:g},{half:g},200"),
+    )

@@ -1,0 +1,396 @@
+"""The bench: run, measure, write; one run after the other, each kept as soon as it is done."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import io
+import json
+import os
+import platform
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pcbench
+from pcbench.bench.pareto import choice_words, mark_front
+from pcbench.bench.plan import Axis, Method, Trial, labels, trials
+from pcbench.bench.score import Rules, Truth, check_rules, read_truth, score
+from pcbench.cameras import Camera
+from pcbench.errors import InputError, PcbenchError
+from pcbench.io.files import atomic_write, digest
+from pcbench.reconstruct import CLOUD, PLUGIN, Job, describe, read_reconstruction, run
+from pcbench.report.bench_table import bench_markdown, row_words
+from pcbench.report.document import provenance, to_json
+from pcbench.scene import Scene, read_scene
+
+SCHEMA = "pcbench.bench/1"
+COLUMNS = (
+    "method",
+    "settings",
+    "seed",
+    "status",
+    "wall_s",
+    "cpu_s",
+    "peak_rss_bytes",
+    "gpu_bytes",
+    "points",
+    "registration",
+    "d1_c2r",
+    "d1_r2c",
+    "chamfer",
+    "hausdorff",
+    "threshold",
+    "precision",
+    "recall",
+    "fscore",
+    "recall_visible",
+    "pareto",
+    "message",
+)
+_RUNS, _RUN, _SCORE, _LOCK = "runs", "run.json", "score.json", ".lock"
+_LIBRARIES = ("pycolmap", "torch", "open3d")  # whose version decides what reconstructors do
+
+
+@dataclass(frozen=True)
+class BenchJob:
+    """What to bench.
+
+    Args:
+        scene: the folder of photographs.
+        reference: a cloud or a mesh in the frame of the scene's cameras.
+        methods: specs as `pcbench.plugins.find_plugin` takes them.
+        axes: settings that vary or are set.
+        seeds: how many runs of each method that has a setting `seed`.
+        cameras: what methods get, as `read_scene` takes it; with `none` clouds are still registered by those that the
+            scene has.
+        mesh: of the reference's surface, to say what the cameras saw.
+        time_limit_s: of a run.
+    """
+
+    scene: Path
+    reference: Path
+    methods: Sequence[str]
+    axes: Sequence[Axis] = ()
+    seeds: int = 1
+    cameras: str = "auto"
+    masks: Path | None = None
+    mesh: Path | None = None
+    time_limit_s: float | None = None
+    rules: Rules = field(default_factory=Rules)
+
+
+@dataclass(frozen=True)
+class Done:
+    """One row that is done: `kept` if it was before."""
+
+    row: Mapping[str, Any]
+    number: int
+    of: int
+    kept: bool
+
+    @property
+    def words(self) -> str:
+        """How it went, one line."""
+        row = self.row
+        end = f"F-score {row['fscore']:.4g}" if row["status"] == "ok" else f"{row['status']}: {row['message']}"
+        points = "" if row["points"] is None else f"{row['points']:,} points, "
+        kept = " (done before)" if self.kept else ""
+        return f"{row_words(row)}: {row['wall_s']:.1f} s, {points}{end}{kept}"
+
+
+def bench(
+    job: BenchJob,
+    out: Path,
+    *,
+    on_row: Callable[[Done], None] = lambda _: None,
+    on_step: Callable[[str], None] = lambda _: None,
+    on_warning: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Run every method at every budget and measure what it makes. Whatever a method does is a row.
+
+    `bench.csv`, `bench.md` and `bench.json` are written after each run. A run whose inputs (images, cameras, method,
+    settings, versions, machine) are those of one in the folder is not made again; nor is its cloud measured again for
+    the same reference.
+
+    Returns:
+        The document of bench.json.
+
+    Raises:
+        InputError: the scene, the reference or an option is not usable, or the folder is not a bench's.
+        OSError: the folder cannot be written.
+    """
+    on_step("reading the scene")
+    scene = read_scene(job.scene, cameras=job.cameras, masks=job.masks, on_warning=on_warning)
+    on_step("looking at the methods")
+    limit = min(120.0, job.time_limit_s or 120.0)
+    specs = zip(labels(job.methods), job.methods, strict=True)
+    methods = [Method(label, spec, describe(spec, limit)) for label, spec in specs]
+    todo, notes = trials(methods, job.axes, job.seeds)
+    on_step("reading the reference")
+    truth = read_truth(job.reference, job.mesh, _true_cameras(job, scene, on_warning), on_warning)
+    check_rules(job.rules, truth)
+    if truth.visible is None:
+        notes.append(f"no recall_visible: {truth.visibility}")
+    inputs = _Inputs.of(job, scene, truth)
+    with _bench_folder(out):
+        rows: list[dict[str, Any]] = []
+        for number, trial in enumerate(todo, 1):
+            on_step(f"{number} of {len(todo)}: {trial.words}")
+            row, kept = _row(job, trial, inputs, truth, out)
+            rows.append(row)
+            mark_front(rows)
+            doc = _document(job, inputs, truth, methods, rows, notes)
+            _write(out, doc)
+            on_row(Done(row, number, len(todo), kept))
+        stale = {p.name for p in (out / _RUNS).iterdir()} - {_folder_name(trial) for trial in todo}
+        if stale:
+            notes.append(f"{len(stale)} runs in {out / _RUNS} are of other settings: they are not in the tables")
+            doc = _document(job, inputs, truth, methods, rows, notes)
+            _write(out, doc)
+    return doc
+
+
+def _true_cameras(job: BenchJob, scene: Scene, warn: Callable[[str], None]) -> Mapping[str, Camera]:
+    """Those of the scene; where they are withheld from the methods, those that lie there."""
+    if job.cameras != "none":
+        return scene.cameras
+    try:
+        return read_scene(job.scene, masks=job.masks, on_warning=lambda _: None).cameras
+    except InputError as error:
+        warn(f"no true cameras to register clouds by: {error}")
+        return {}
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What decides whether a run is still the same: of reconstructions, and of their scores."""
+
+    run: Mapping[str, Any]
+    score: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, job: BenchJob, scene: Scene, truth: Truth) -> _Inputs:
+        points = scene.points.points.tobytes() if scene.points is not None else b""
+        true = b"".join(truth.cameras[name].cam_from_world.matrix.tobytes() for name in sorted(truth.cameras))
+        run = {
+            "scene": scene.fingerprint(),
+            "sparse_points": hashlib.sha256(points).hexdigest(),
+            "versions": _versions(),
+            "machine": f"{platform.node()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores",
+        }
+        measured = {
+            "reference": digest(job.reference),
+            "mesh": None if job.mesh is None else digest(job.mesh),
+            "cameras": hashlib.sha256(true).hexdigest(),
+            "rules": asdict(job.rules),
+            "named_files": [digest(path) for path in _named_files(job.rules)],
+            "global": find_spec("kiss_matcher") is not None,
+        }
+        return cls(run, measured)
+
+
+def _named_files(rules: Rules) -> list[Path]:
+    """Of matrices, pairs of points and polygons."""
+    paths = [Path(text.partition(":")[2]) for text in (rules.register, rules.crop)]
+    return [path for path in paths if path.is_file()]
+
+
+def _versions() -> dict[str, str]:
+    found = {"pcbench": pcbench.__version__, "numpy": np.__version__}
+    for library in _LIBRARIES:
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _row(job: BenchJob, trial: Trial, inputs: _Inputs, truth: Truth, out: Path) -> tuple[dict[str, Any], bool]:
+    """The row of a trial, and whether it was there already."""
+    folder = out / _RUNS / _folder_name(trial)
+    record, kept = _reconstruct(job, trial, inputs, folder)
+    row = {
+        "method": trial.method.label,
+        "choices": dict(trial.choices),
+        "seed": trial.seed,
+        **{key: value for key, value in record.items() if key != "key"},
+        "folder": str(folder.relative_to(out)),
+    }
+    if record["status"] != "ok":
+        return row, kept
+    measured, as_before = _measure(inputs, job.rules, truth, folder, record["id"])
+    return {**row, **{key: value for key, value in measured.items() if key != "key"}}, kept and as_before
+
+
+def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any], bool]:
+    key = {
+        **inputs.run,
+        "plugin": trial.method.spec,
+        "plugin_sha256": trial.method.described.sha256,
+        "origin": trial.method.described.origin,
+        "image_scale": trial.image_scale,
+        "settings": trial.settings,
+    }
+    old = _read(folder / _RUN)
+    if old is not None and old.get("key") == key and _still_stands(old, job.time_limit_s, folder):
+        return old, True
+    # From nothing: the time of a run that goes on where another stopped says nothing.
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    scene = Job(
+        trial.method.spec,
+        job.scene,
+        trial.settings,
+        cameras=job.cameras,
+        masks=job.masks,
+        image_scale=trial.image_scale,
+    )
+    result = run(scene, folder, job.time_limit_s)
+    made = result.reconstruction
+    record = {
+        "key": key,
+        "id": os.urandom(8).hex(),
+        "status": result.status,
+        "message": result.message,
+        "wall_s": result.wall_s,
+        "cpu_s": result.cpu_s,
+        "peak_rss_bytes": result.peak_rss_bytes,
+        "gpu_bytes": result.gpu_bytes,
+        "time_limit_s": job.time_limit_s,
+        "settings": dict(result.settings),
+        "points": None if made is None else len(made.cloud),
+        "gauge": None if made is None else made.gauge,
+        "cameras": None if made is None else len(made.cameras),
+        "reconstruction_notes": [*result.warnings, *(() if made is None else made.notes)],
+    }
+    if made is not None:
+        shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes that nobody asks for again
+    _keep(folder / _RUN, record)
+    return record, False
+
+
+def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
+    """Whether a run with the same inputs would end as the recorded one did."""
+    if record["status"] == "refused":  # something is missing here, which may have been installed since
+        return False
+    if record["status"] == "timeout":
+        return limit is not None and limit <= record["time_limit_s"]
+    if limit is not None and limit != record["time_limit_s"] and record["wall_s"] > limit:
+        return False
+    return record["status"] != "ok" or (folder / CLOUD).is_file()
+
+
+def _measure(inputs: _Inputs, rules: Rules, truth: Truth, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
+    key = {"run": identity, **inputs.score}
+    old = _read(folder / _SCORE)
+    if old is not None and old.get("key") == json.loads(json.dumps(key)):
+        return old, True
+    try:
+        values = score(truth, read_reconstruction(folder), rules, folder)
+    except PcbenchError as error:
+        values = {"status": "unmeasured", "message": str(error)}
+    except (ValueError, ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:  # nonsense has many forms
+        values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(str(error).split())}"}
+    _keep(folder / _SCORE, {"key": key, **values})
+    return values, False
+
+
+def _folder_name(trial: Trial) -> str:
+    """Readable, and another one for each trial."""
+    identity = json.dumps([trial.method.spec, dict(trial.choices), trial.seed])
+    words = re.sub(r"[^\w.=+-]+", "_", trial.words)[:80].strip("_.")
+    return f"{words}_{hashlib.sha256(identity.encode()).hexdigest()[:6]}"
+
+
+@contextmanager
+def _bench_folder(out: Path) -> Iterator[None]:
+    """The folder, for one bench at a time.
+
+    Raises:
+        InputError: it is a file, holds something else, or another bench writes into it.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder to write the bench to, got a file")
+    if out.is_dir() and any(out.iterdir()) and not (out / _RUNS).is_dir():
+        raise InputError(f"{out}: the folder is not empty and holds no bench: choose another one, or empty it")
+    (out / _RUNS).mkdir(parents=True, exist_ok=True)
+    with (out / _LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise InputError(
+                f"{out}: another bench is at work in this folder: wait for it, or choose another"
+            ) from None
+        yield
+
+
+def _document(
+    job: BenchJob,
+    inputs: _Inputs,
+    truth: Truth,
+    methods: Sequence[Method],
+    rows: Sequence[Mapping[str, Any]],
+    notes: Sequence[str],
+) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "scene": {"path": str(job.scene), "sha256": inputs.run["scene"]},
+        "reference": {
+            "path": str(job.reference),
+            "sha256": inputs.score["reference"],
+            "points": len(truth.cloud),
+            "unit": truth.cloud.unit,
+            "mesh": None if job.mesh is None else {"path": str(job.mesh), "sha256": inputs.score["mesh"]},
+            "visible_share": None if truth.visible is None else float(truth.visible.mean()),
+            "visibility": truth.visibility,
+        },
+        "methods": [{"method": m.label, "spec": m.spec, **asdict(m.described)} for m in methods],
+        "settings": {
+            "axes": [asdict(axis) for axis in job.axes],
+            "seeds": job.seeds,
+            "cameras": job.cameras,
+            "masks": None if job.masks is None else str(job.masks),
+            "time_limit_s": job.time_limit_s,
+            **asdict(job.rules),
+        },
+        "provenance": {**provenance(None), "versions": inputs.run["versions"]},
+        "notes": list(notes),
+        "rows": list(rows),
+    }
+
+
+def _write(out: Path, doc: dict[str, Any]) -> None:
+    text = io.StringIO()
+    table = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    table.writeheader()
+    for row in doc["rows"]:
+        table.writerow({**row, "settings": choice_words(row["choices"])})
+    with atomic_write(out / "bench.csv") as file:
+        file.write(text.getvalue().encode(errors="backslashreplace"))
+    with atomic_write(out / "bench.md") as file:
+        file.write(bench_markdown(doc).encode(errors="backslashreplace"))
+    with atomic_write(out / "bench.json") as file:
+        file.write(to_json(doc).encode())
+
+
+def _keep(path: Path, values: dict[str, Any]) -> None:
+    with atomic_write(path) as file:
+        file.write(to_json(values).encode())
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return None
+    return values

@@ -1,0 +1,236 @@
+"""What a bench says of one cloud: brought onto the reference as its gauge allows, then the whole comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.cameras import Camera
+from pcbench.cloud import Cloud
+from pcbench.comparison import Settings, compare
+from pcbench.crop import parse_region
+from pcbench.errors import InputError
+from pcbench.io import read_cloud
+from pcbench.io.files import Warn, atomic_write
+from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.measure import BACK, FORTH
+from pcbench.mesh import Mesh, MeshIndex
+from pcbench.neighbors import Index
+from pcbench.plugins import Reconstruction
+from pcbench.registration import METHODS, Registration, recentring
+from pcbench.report import document
+from pcbench.transform import Similarity, format_matrix, read_matrix, robust_similarity
+from pcbench.visibility import SEEN_BY, views
+
+BY_GAUGE = "gauge"
+_MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
+_LIFT = 1e-7  # of the scene's size: far above the rounding of its coordinates, far below what hides anything
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What clouds are measured against.
+
+    Args:
+        cloud: the reference.
+        cameras: the true ones by image name, in its frame.
+        visible: which of its points (N,) the cameras saw; None where that cannot be said.
+        visibility: where that is from, or why it cannot be said.
+    """
+
+    cloud: Cloud
+    cameras: Mapping[str, Camera]
+    visible: NDArray[np.bool_] | None
+    visibility: str
+
+
+def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera], warn: Warn) -> Truth:
+    """The reference and what the cameras saw of it: by its attribute `visible`, else by rays against a mesh.
+
+    Args:
+        reference: a cloud or a mesh, which is sampled by area.
+        mesh: of the same surface, its faces anticlockwise seen from outside.
+        cameras: the true ones by image name.
+        warn: called with one line for each thing left out.
+
+    Raises:
+        InputError: a file is not usable.
+    """
+    surface = read_mesh(mesh, on_warning=warn) if mesh is not None else None
+    if holds_mesh(reference):
+        whole = read_mesh(reference, on_warning=warn)
+        surface = whole if surface is None else surface
+        cloud = whole.sample(_MESH_SAMPLES)
+    else:
+        cloud = read_cloud(reference, on_warning=warn)
+    if mesh is None and "visible" in cloud.attributes:
+        seen = np.asarray(cloud.attributes["visible"]) != 0
+        return Truth(cloud, cameras, *_some(seen, "the reference's attribute `visible`"))
+    if surface is None:
+        return Truth(cloud, cameras, None, "the reference has no attribute `visible`, and no mesh is given")
+    if not cameras:
+        return Truth(cloud, cameras, None, "the scene has no cameras")
+    how = f"seen by {SEEN_BY} of the scene's {len(cameras)} cameras: rays against {mesh or reference}"
+    return Truth(cloud, cameras, *_some(seen_points(cloud, surface, cameras), how))
+
+
+def _some(seen: NDArray[np.bool_], how: str) -> tuple[NDArray[np.bool_] | None, str]:
+    return (seen, how) if seen.any() else (None, f"none of its points is visible ({how})")
+
+
+def seen_points(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDArray[np.bool_]:
+    """Which points (N,) of a cloud of the mesh's surface at least three cameras see: from the place on the mesh that is
+    nearest to them, which takes a scanner's noise out.
+    """
+    index = MeshIndex(mesh)
+    _, feet, faces = index.query(cloud.points)
+    lift = _LIFT * float(np.ptp(mesh.vertices, axis=0).max())
+    counts = views(index, list(cameras.values()), feet, mesh.normals()[faces], enough=SEEN_BY, lift=lift)
+    seen: NDArray[np.bool_] = counts >= SEEN_BY
+    return seen
+
+
+class Alignment(NamedTuple):
+    """How a cloud comes onto the reference: `cameras` by a transform that was found by them, else as `compare` has it;
+    and what is to be said of it.
+    """
+
+    how: str
+    transform: Similarity | None = None
+    notes: tuple[str, ...] = ()
+
+
+def alignment(made: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
+    """The registration that a cloud's gauge asks for.
+
+    What is in the world of the scene is measured as it stands: where it lies is part of what it claims, and fitting
+    would take errors away. A frame of its own is no error; it is brought onto the reference by the centres of its
+    cameras, which does not depend on the cloud that is judged. Without them the surfaces decide, from any pose where
+    KISS-Matcher is installed. Only an arbitrary gauge gets a scale.
+    """
+    if made.gauge == "georeferenced":
+        return Alignment("none")
+    free_scale = made.gauge == "arbitrary"
+    names = sorted(set(made.cameras) & set(cameras))
+    notes: tuple[str, ...] = ()
+    if names:
+        found = np.stack([made.cameras[name].position for name in names])
+        true = np.stack([cameras[name].position for name in names])
+        try:
+            fit = robust_similarity(found, true, with_scale=free_scale)
+        except InputError as error:
+            notes = (f"not registered by cameras: {error}",)
+        else:
+            errors = np.linalg.norm(fit.apply(found) - true, axis=1)
+            spread = f"{np.median(errors):.3g} (median), {errors.max():.3g} (largest)"
+            note = f"registered by {len(names)} cameras, with errors of {spread}"
+            return Alignment("cameras", fit, (note,))
+    fine = "similarity" if free_scale else "icp"
+    if find_spec("kiss_matcher") is None:
+        return Alignment(
+            fine, None, (*notes, f"`{fine}` starts from where the cloud is: kiss-matcher is not installed")
+        )
+    return Alignment("global-similarity" if free_scale else "global", None, notes)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How every cloud is measured.
+
+    Args:
+        register: `gauge`, or one of `pcbench.registration.METHODS` for all.
+        crop: see `pcbench.crop.parse_region`.
+        threshold: of the F-score; None: 5 times the reference's median spacing, where its sampling hardly counts.
+    """
+
+    register: str = BY_GAUGE
+    crop: str = "none"
+    threshold: float | None = None
+
+
+def check_rules(rules: Rules, truth: Truth) -> None:
+    """Say before anything runs that no cloud could be measured like this.
+
+    Raises:
+        InputError: there is no such registration or region, or it leaves nothing of the reference.
+    """
+    kind, _, path = rules.register.partition(":")
+    names_file = path and kind in ("points", "matrix")
+    if not names_file and rules.register not in (BY_GAUGE, *METHODS):
+        expected = ", ".join((BY_GAUGE, *METHODS))
+        raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
+    if kind == "matrix":
+        read_matrix(path)
+    region = parse_region(rules.crop, truth.cloud)
+    if region is not None and not region.contains(truth.cloud.points).any():
+        raise InputError(f"the crop {rules.crop!r} leaves none of the reference's {len(truth.cloud)} points")
+
+
+def score(truth: Truth, made: Reconstruction, rules: Rules, folder: Path) -> dict[str, Any]:
+    """Numbers of one cloud, JSON-ready; writes T.txt, the matrix candidate -> reference, into the folder.
+
+    Raises:
+        InputError, RegistrationError: it cannot be measured.
+    """
+    chosen = alignment(made, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
+    matrix = folder / "T.txt"
+    if chosen.transform is not None:
+        _write(matrix, chosen.transform)
+    settings = Settings(
+        register=chosen.how if chosen.transform is None else f"matrix:{matrix}",
+        crop=rules.crop,
+        thresholds=None if rules.threshold is None else (rules.threshold,),
+    )
+    comparison = compare(truth.cloud, {"cloud": made.cloud}, settings)
+    result = comparison.candidates[0]
+    _write(matrix, result.registration.T_reference_candidate)
+    whole = document(comparison)["candidates"][0]
+    at, metrics = whole["metrics"]["fscore"][-1], whole["metrics"]
+    return {
+        "registration": chosen.how,
+        "d1_c2r": metrics["d1_mse"][FORTH],
+        "d1_r2c": metrics["d1_mse"][BACK],
+        "mean_c2r": metrics["mean_distance"][FORTH],
+        "mean_r2c": metrics["mean_distance"][BACK],
+        "chamfer": metrics["chamfer"]["sum_unsquared"],
+        "hausdorff": metrics["hausdorff"]["symmetric_max"],
+        "threshold": at["threshold"],
+        "precision": at["precision"],
+        "recall": at["recall"],
+        "fscore": at["fscore"],
+        "recall_visible": _recall_visible(truth, made.cloud, result.registration, at["threshold"], rules.crop),
+        "notes": [*chosen.notes, *whole["warnings"], *_of_registration(result.registration)],
+        "comparison": whole,
+    }
+
+
+def _recall_visible(
+    truth: Truth, cloud: Cloud, registration: Registration, threshold: float, crop: str
+) -> float | None:
+    """Share of the reference's visible points (inside the region) that the cloud comes as near to as the threshold."""
+    if truth.visible is None:
+        return None
+    region = parse_region(crop, truth.cloud)
+    counted = truth.visible if region is None else truth.visible & region.contains(truth.cloud.points)
+    if not counted.any():
+        return None
+    origin = recentring(truth.cloud)
+    aligned = Index(registration.T_local.apply(cloud.points - origin))
+    return float(np.mean(aligned.query(truth.cloud.points[counted] - origin).distances <= threshold))
+
+
+def _of_registration(registration: Registration) -> list[str]:
+    """Its warnings. What the geometry does not fix is none where the pose is not from the geometry."""
+    given = registration.converged is None
+    return [text for text in registration.warnings if not (given and text.startswith("the geometry"))]
+
+
+def _write(path: Path, transform: Similarity) -> None:
+    with atomic_write(path) as file:
+        file.write(format_matrix(transform).encode())

@@ -1,0 +1,319 @@
+"""Charts of a bench: what time and memory buy, in both directions, and which runs are worth theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.bench.pareto import Configuration, configurations, front_of
+from pcbench.bench.plan import IMAGE_SCALE
+
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")  # Okabe and Ito
+_SHAPES = ("o", "s", "^", "D", "v", "P", "X")
+_BEATEN = "#d9dbde"
+_FRONT = "#3c4148"
+_SMALLEST, _LARGEST = 40.0, 380.0  # points squared: a marker's area grows with memory between them
+_WIDE = 10  # times the smallest length, from which on lengths are drawn on a logarithmic scale
+
+
+class _Quantity(NamedTuple):
+    column: str
+    title: str
+    label: str  # {unit} and {threshold} are filled in
+    high: bool  # more is better
+
+
+_SPEED = (
+    _Quantity("fscore", "F-score", "F-score at {threshold}", True),
+    _Quantity("chamfer", "Chamfer distance", "sum of the mean distances [{unit}]", False),
+)
+_SPLIT = (
+    _Quantity("precision", "accuracy: how much of the cloud is right", "precision at {threshold}", True),
+    _Quantity("recall", "completeness: how much of the reference is there", "recall at {threshold}", True),
+    _Quantity("mean_c2r", "accuracy: cloud to reference", "mean distance c→r [{unit}]", False),
+    _Quantity("mean_r2c", "completeness: reference to cloud", "mean distance r→c [{unit}]", False),
+)
+
+
+def speed(document: dict[str, Any], path: Path) -> bool:
+    """Time against F-score and Chamfer distance."""
+    return _draw(document, path, _SPEED)
+
+
+def split(document: dict[str, Any], path: Path) -> bool:
+    """Time against both directions of each; the recall also of what the cameras saw."""
+    return _draw(document, path, _SPLIT)
+
+
+class _Look(NamedTuple):
+    """What all panels share. A series is a method with its settings that are words; numbers label its markers."""
+
+    found: list[Configuration]
+    numbers: frozenset[str]  # settings that vary and are numbers
+    words: frozenset[str]  # those that vary and are not
+    color: dict[str, str]  # by series
+    shape: dict[str, str]
+    most_memory: float
+    unit: str
+    threshold: str
+    limits: tuple[float, float]  # of the time
+
+    def area(self, configuration: Configuration) -> float:
+        return self.area_of(configuration.median("peak_rss_bytes") or 0.0)
+
+    def area_of(self, memory: float) -> float:
+        return _SMALLEST + (_LARGEST - _SMALLEST) * memory / self.most_memory
+
+    def series(self, method: str, choices: Mapping[str, str]) -> str:
+        return _series(method, choices, self.words)
+
+    def label(self, c: Configuration) -> str:
+        """The numbers that vary among the configurations of its method."""
+        others = [other.choices for other in self.found if other.method == c.method]
+        varied = [key for key in c.choices if key in self.numbers and len({o.get(key) for o in others}) > 1]
+        return " ".join(f"×{c.choices[key]}" if key == IMAGE_SCALE else f"{key}={c.choices[key]}" for key in varied)
+
+
+def _series(method: str, choices: Mapping[str, str], words: frozenset[str]) -> str:
+    return " ".join((method, *(f"{key}={value}" for key, value in choices.items() if key in words)))
+
+
+def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity]) -> bool:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    found = configurations(document["rows"])
+    if not any(c.done for c in found):
+        return False
+    look = _look(document, found)
+    failed = [row for row in document["rows"] if row["status"] != "ok"]
+    rows = -(-len(quantities) // 2)
+    strip = [0.13] if failed else []
+    figure = Figure(figsize=(12.5, 0.8 + 4.5 * rows + (0.6 if failed else 0)), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    # A strip for failures below the last row of panels.
+    grid = figure.add_gridspec(rows + len(strip), 2, height_ratios=[1.0] * rows + strip)
+    panels = [figure.add_subplot(grid[number // 2, number % 2]) for number in range(len(quantities))]
+    for axis, quantity in zip(panels, quantities, strict=True):
+        _panel(axis, look, quantity)
+    for column in range(2 if failed else 0):
+        _strip(figure.add_subplot(grid[rows, column]), look, failed)
+    _legend(figure, look, quantities, bool(failed))
+    figure.draw_without_rendering()  # labels are placed where the layout has put the markers
+    figure.set_layout_engine("none")
+    for axis, quantity in zip(panels, quantities, strict=True):
+        _labels(axis, look, quantity)
+    figure.savefig(path)
+    return True
+
+
+def _look(document: dict[str, Any], found: list[Configuration]) -> _Look:
+    values: dict[str, dict[str, None]] = {}
+    for c in found:
+        for key, value in c.choices.items():
+            values.setdefault(key, {})[value] = None
+    varied = {key for key, of in values.items() if len(of) > 1}
+    numbers = frozenset(key for key in varied if all(map(_is_number, values[key])))
+    words = frozenset(varied - numbers)
+    series = list(dict.fromkeys(_series(c.method, c.choices, words) for c in found))
+    times = np.array([row["wall_s"] for row in document["rows"]])
+    threshold = next((row["threshold"] for row in document["rows"] if row.get("threshold")), 0.0)
+    unit = document["reference"].get("unit") or "units of the file"
+    return _Look(
+        found,
+        numbers,
+        words,
+        {name: _COLORS[number % len(_COLORS)] for number, name in enumerate(series)},
+        {name: _SHAPES[number % len(_SHAPES)] for number, name in enumerate(series)},
+        max((c.median("peak_rss_bytes") or 1.0 for c in found), default=1.0),
+        unit,
+        f"{threshold:.3g} {unit}",
+        (float(times.min()) / 1.6, float(times.max()) * 1.9),
+    )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
+    front = front_of(look.found, quantity.column, high=quantity.high)
+    measured = [c for c in look.found if c.median(quantity.column) is not None]
+    if front:
+        x = [_value(c, "wall_s") for c in front]
+        y = [_value(c, quantity.column) for c in front]
+        # Until the next one is done, the last one is the best there is.
+        axis.step([*x, look.limits[1]], [*y, y[-1]], where="post", color=_FRONT, linewidth=1.3, zorder=1)
+    for name, color in look.color.items():  # what a series buys with more time
+        places = [
+            (_value(c, "wall_s"), _value(c, quantity.column))
+            for c in measured
+            if name == look.series(c.method, c.choices)
+        ]
+        axis.plot(*np.array(sorted(places)).reshape(-1, 2).T, color=color, linewidth=1, alpha=0.4, zorder=1)
+    for c in measured:
+        _marker(axis, look, quantity, c, on_front=any(c is other for other in front))
+    axis.set_xscale("log")
+    axis.set_xlim(*look.limits)
+    _plain_log(axis.xaxis)
+    axis.set_xlabel("wall time [s]")
+    axis.set_ylabel(quantity.label.format(unit=look.unit, threshold=look.threshold))
+    axis.set_title(f"{quantity.title} ({'higher' if quantity.high else 'lower'} is better)", fontsize=11)
+    values = [value for c in measured for value in c.values(quantity.column)]
+    values += [value for c in measured for value in c.values("recall_visible") if quantity.column == "recall"]
+    if quantity.high:
+        axis.set_ylim(0, min(1.09, 1.25 * max(values, default=1.0) or 1.0))
+    elif min(values, default=1.0) > 0 and max(values, default=1.0) > _WIDE * min(values, default=1.0):
+        axis.set_yscale("log")
+        axis.set_ylim(min(values) / 1.5, max(values) * 1.5)
+        _plain_log(axis.yaxis)
+    else:
+        axis.set_ylim(0, 1.2 * max(values, default=1.0) or 1.0)
+    axis.grid(True, which="major", alpha=0.3)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _plain_log(axis: Any) -> None:
+    """Ticks at 1, 2 and 5, written as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _marker(axis: Any, look: _Look, quantity: _Quantity, c: Configuration, *, on_front: bool) -> None:
+    x, y = _value(c, "wall_s"), _value(c, quantity.column)
+    series = look.series(c.method, c.choices)
+    color, area, shape = look.color[series], look.area(c), look.shape[series]
+    for way, at, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
+        if max(values) > min(values):
+            spread = [[at - min(values)], [max(values) - at]]
+            axis.errorbar(x, y, **{way: spread}, color=_FRONT, linewidth=0.9, capsize=2, zorder=4)
+    seen = c.median("recall_visible") if quantity.column == "recall" else None
+    if seen is not None:
+        axis.plot([x, x], [y, seen], color=color, linewidth=1, zorder=2)
+        axis.scatter(x, seen, s=0.4 * area, marker=shape, facecolor="white", edgecolor=color, zorder=2.5)
+    face = color if on_front else _BEATEN
+    axis.scatter(x, y, s=area, marker=shape, color=face, edgecolor=color, linewidth=1.2, zorder=3, clip_on=False)
+
+
+def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
+    """Each marker's settings beside it, where nothing else is; nowhere if there is no such place."""
+    from matplotlib.transforms import Bbox
+
+    scale = axis.figure.dpi / 72
+    wanted: list[tuple[Configuration, Any, Any]] = []
+    steps = [
+        (_value(c, "wall_s"), _value(c, quantity.column))
+        for c in front_of(look.found, quantity.column, high=quantity.high)
+    ]
+    corners = [axis.transData.transform(at) for at in steps]
+    corners.append(np.array([axis.bbox.x1, corners[-1][1]]))
+    taken = [Bbox([[a[0], a[1] - 1], [b[0], a[1] + 1]]) for a, b in pairwise(corners)]
+    taken += [Bbox([[b[0] - 1, min(a[1], b[1])], [b[0] + 1, max(a[1], b[1])]]) for a, b in pairwise(corners)]
+    for c in look.found:
+        if c.median(quantity.column) is None:
+            continue
+        heights = [_value(c, quantity.column)]
+        if quantity.column == "recall" and c.median("recall_visible") is not None:
+            heights.append(_value(c, "recall_visible"))
+        places = [axis.transData.transform((_value(c, "wall_s"), y)) for y in heights]
+        half = 0.5 * scale * look.area(c) ** 0.5
+        low, high = np.min(places, axis=0) - half, np.max(places, axis=0) + half
+        taken.append(Bbox([low, high]))
+        wanted.append((c, low, high))
+    for c, low, high in wanted:
+        (x, y), gap = 0.5 * (low + high), 3 * scale
+        above, below = (x, high[1] + gap, "center", "bottom"), (x, low[1] - gap, "center", "top")
+        spots = (
+            *((above, below) if quantity.high else (below, above)),  # the front comes from the other side
+            (high[0] + gap, y, "left", "center"),
+            (low[0] - gap, y, "right", "center"),
+            (high[0] + 1, high[1] + 1, "left", "bottom"),
+            (low[0] - 1, low[1] - 1, "right", "top"),
+            (high[0] + 1, low[1] - 1, "left", "top"),
+            (low[0] - 1, high[1] + 1, "right", "bottom"),
+        )
+        style = {"fontsize": 9, "color": look.color[look.series(c.method, c.choices)], "zorder": 5}
+        for at_x, at_y, across, up in spots:
+            text = axis.text(at_x, at_y, look.label(c), ha=across, va=up, transform=None, **style)
+            box = text.get_window_extent()
+            inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 and axis.bbox.y0 <= box.y0 < axis.bbox.y1
+            if inside and not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                break
+            text.remove()
+
+
+def _strip(axis: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> None:
+    """Crosses at the times when runs failed."""
+    for number, row in enumerate(failed):
+        color = look.color[look.series(row["method"], row["choices"])]
+        place = 0.5 if len(failed) == 1 else (0.75, 0.5, 0.25)[number % 3]
+        axis.plot(row["wall_s"], place, marker="x", markersize=8, markeredgewidth=2, color=color)
+        left = row["wall_s"] > (look.limits[0] * look.limits[1]) ** 0.5  # its word would leave the strip
+        axis.annotate(
+            row["status"],
+            (row["wall_s"], place),
+            (-8 if left else 8, 0),
+            textcoords="offset points",
+            ha="right" if left else "left",
+            va="center",
+            fontsize=8,
+        )
+    axis.set_xscale("log")
+    axis.set_xlim(*look.limits)
+    axis.set_ylim(0, 1)
+    axis.set_yticks([])
+    axis.tick_params(axis="x", which="both", bottom=False, labelbottom=False)
+    axis.set_ylabel("failed", rotation=0, ha="right", va="center")
+    axis.set_facecolor("#f4f1ee")
+    axis.spines[:].set_visible(False)
+
+
+def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    def dot(shape: str, face: str, edge: str, area: float, label: str) -> Line2D:
+        style = {"markerfacecolor": face, "markeredgecolor": edge, "markersize": area**0.5}
+        return Line2D([], [], linestyle="", marker=shape, label=label, **style)
+
+    handles = [dot(look.shape[name], look.color[name], look.color[name], 80, name) for name in look.color]
+    handles.append(Line2D([], [], color=_FRONT, linewidth=1.3, label="Pareto front"))
+    if any(len(front_of(look.found, q.column, high=q.high)) < len(look.found) for q in quantities):
+        handles.append(dot("o", _BEATEN, "#8a8f96", 80, "beaten in time and score"))
+    with_seen = any(q.column == "recall" for q in quantities)
+    if with_seen and any(c.median("recall_visible") is not None for c in look.found):
+        handles.append(dot("o", "white", _FRONT, 40, "recall of what the cameras saw"))
+    if failures:
+        handles.append(Line2D([], [], linestyle="", marker="x", markeredgewidth=2, color=_FRONT, label="failed"))
+    for memory in (_round(0.25 * look.most_memory), _round(look.most_memory)):
+        handles.append(dot("o", "none", "#8a8f96", look.area_of(memory), f"{memory / 2**20:g} MiB peak"))
+    if any(len(c.done) > 1 for c in look.found):
+        handles.append(Line2D([], [], color=_FRONT, linewidth=0.9, marker="|", label="median, range over seeds"))
+    if IMAGE_SCALE in look.numbers:
+        handles.append(Line2D([], [], linestyle="", label="×: image scale"))
+    columns = min(len(handles), 7 if max(map(len, look.color)) < 12 else 5)
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+
+
+def _round(memory: float) -> float:
+    """The largest 1, 2 or 5 times a power of ten MiB that is not more."""
+    mib = memory / 2**20
+    power = 10.0 ** np.floor(np.log10(mib))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= mib) * 2**20)
+
+
+def _value(c: Configuration, column: str) -> float:
+    value = c.median(column)
+    assert value is not None
+    return value

@@ -1,0 +1,144 @@
+"""The table of a bench: a row for each method at each budget, medians over seeds, best and second marked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from pcbench.bench.pareto import choice_words, configurations
+
+_BEST, _SECOND = "¹", "²"
+
+
+class _Column(NamedTuple):
+    header: str
+    key: str
+    better: int  # 1 more, -1 less, 0 neither
+    divisor: float = 1.0
+    in_terminal: bool = True
+
+
+_COLUMNS = (
+    _Column("wall s", "wall_s", -1),
+    _Column("CPU s", "cpu_s", -1),
+    _Column("MiB", "peak_rss_bytes", -1, 2**20),
+    _Column("GPU MiB", "gpu_bytes", -1, 2**20, in_terminal=False),
+    _Column("points", "points", 0),
+    _Column("precision", "precision", 1),
+    _Column("recall", "recall", 1),
+    _Column("of seen", "recall_visible", 1),
+    _Column("F-score", "fscore", 1),
+    _Column("D1 c→r", "d1_c2r", -1, in_terminal=False),
+    _Column("D1 r→c", "d1_r2c", -1, in_terminal=False),
+    _Column("Chamfer", "chamfer", -1),
+    _Column("Hausdorff", "hausdorff", -1),
+)
+
+
+class _Line(NamedTuple):
+    head: tuple[str, str, str, str]  # method, settings, runs, registration
+    cells: list[tuple[str, int]]  # text, and 1 or 2 for the best and the second
+    on_front: bool
+
+
+_HEAD = ("method", "settings", "runs", "registration")
+
+
+def _lines(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_Line]:
+    found = configurations(doc["rows"])
+    medians = [[c.median(column.key) for column in columns] for c in found]
+    places = [_places([row[number] for row in medians], column.better) for number, column in enumerate(columns)]
+    for row, (c, values) in enumerate(zip(found, medians, strict=True)):
+        cells = [
+            (_text(value, column), places[number][row])
+            for number, (value, column) in enumerate(zip(values, columns, strict=True))
+        ]
+        registration = ", ".join(dict.fromkeys(r["registration"] for r in c.done))
+        failed = [r["status"] for r in c.rows if r["status"] != "ok"]
+        runs = f"{len(c.done)} ok" if not failed else f"{len(c.done)} ok, {', '.join(dict.fromkeys(failed))}"
+        yield _Line((c.method, choice_words(c.choices), runs, registration), cells, any(r["pareto"] for r in c.rows))
+
+
+def _places(values: Sequence[float | None], better: int) -> list[int]:
+    """1 for the best, 2 for the second, else 0; nothing where there is nothing to choose from."""
+    known = sorted({value for value in values if value is not None}, reverse=better > 0)
+    if better == 0 or len(known) < 2:
+        return [0] * len(values)
+    return [0 if value is None else (1 if value == known[0] else 2 if value == known[1] else 0) for value in values]
+
+
+def _text(value: float | None, column: _Column) -> str:
+    if value is None:
+        return "–"
+    return f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}"
+
+
+def print_bench(doc: dict[str, Any]) -> None:
+    """The table on the terminal, followed by what failed and what is to be known."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(markup=False, emoji=False, highlight=False)
+    console.width = max(console.width, 170)  # wider than a narrow terminal rather than cut
+    columns = [column for column in _COLUMNS if column.in_terminal]
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
+    for name in _HEAD:
+        table.add_column(name, overflow="fold")
+    for column in columns:
+        table.add_column(column.header, justify="right", no_wrap=True)
+    table.add_column("Pareto")
+    styles = {0: "", 1: "bold green", 2: "underline"}
+    marks = {0: " ", 1: _BEST, 2: _SECOND}
+    for line in _lines(doc, columns):
+        cells = [Text(f"{text}{marks[place]}", styles[place]) for text, place in line.cells]
+        table.add_row(*map(Text, line.head), *cells, "*" if line.on_front else "")
+    console.print(table)
+    console.print()
+    for sentence in _sentences(doc):
+        console.print(sentence, soft_wrap=True)
+
+
+def bench_markdown(doc: dict[str, Any]) -> str:
+    """`bench.md`: the table with every column, and the sentences below it."""
+    header = [*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]
+    lines = [f"# {doc['scene']['path']} against {doc['reference']['path']}", "", _md_row(header)]
+    lines.append(_md_row(["---"] * len(_HEAD) + ["---:"] * len(_COLUMNS) + [":---:"]))
+    for line in _lines(doc, _COLUMNS):
+        cells = [{0: text, 1: f"**{text}**", 2: f"_{text}_"}[place] for text, place in line.cells]
+        lines.append(_md_row([*(word.replace("|", "\\|") for word in line.head), *cells, "*" if line.on_front else ""]))
+    lines += ["", "Best in bold, second in italics.", "", *(f"- {sentence}" for sentence in _sentences(doc))]
+    return "\n".join(lines) + "\n"
+
+
+def _sentences(doc: dict[str, Any]) -> Iterator[str]:
+    threshold = next((row["threshold"] for row in doc["rows"] if row.get("threshold") is not None), None)
+    unit = doc["reference"].get("unit") or "the files' unit"
+    if threshold is not None:
+        yield (
+            f"{_BEST} best, {_SECOND} second, * on the front of time and F-score; medians over seeds; precision, recall"
+            f" and F-score at {threshold:.4g} {unit}; lengths in {unit}, D1 in its square"
+        )
+        if doc["reference"]["visible_share"] is not None:
+            share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]
+            yield f"of seen: recall over the {share:.1%} of the reference that cameras saw ({how})"
+    for note in doc["notes"]:
+        yield f"note: {note}"
+    said: dict[tuple[str, str], list[str]] = {}  # of seeds that say the same, one line
+    for row in doc["rows"]:
+        of = " ".join(filter(None, (row["method"], choice_words(row["choices"]))))
+        texts = [] if row["status"] == "ok" else [f"{row['status']}: {row['message']}"]
+        for text in (*texts, *(f"note: {note}" for note in row.get("notes") or ())):
+            said.setdefault((of, text), []).append(str(row["seed"]))
+    for (of, text), seeds in said.items():
+        yield f"{of}: {text}" if seeds == ["None"] else f"{of}, seed {', '.join(seeds)}: {text}"
+
+
+def row_words(row: Mapping[str, Any]) -> str:
+    """A row's method, settings and seed."""
+    seed = () if row["seed"] is None else (f"seed {row['seed']}",)
+    return " ".join(filter(None, (row["method"], choice_words(row["choices"]), *seed)))
+
+
+def _md_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
