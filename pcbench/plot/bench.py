@@ -201,7 +201,7 @@ def _marker(axis: Any, look: _Look, quantity: _Quantity, c: Configuration, *, on
     seen = c.median("recall_visible") if quantity.column == "recall" else None
     if seen is not None:
         axis.plot([x, x], [y, seen], color=color, linewidth=1, zorder=2)
-        axis.scatter(x, seen, s=0.4 * area, marker=shape, facecolor="white", edgecolor=color, zorder=2.5)
+        axis.scatter(x, seen, s=0.15 * area + 6, marker=shape, facecolor="white", edgecolor=color, zorder=3.5)
     face = color if on_front else _BEATEN
     axis.scatter(x, y, s=area, marker=shape, color=face, edgecolor=color, linewidth=1.2, zorder=3, clip_on=False)
 
@@ -293,7 +293,7 @@ def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures:
         handles.append(dot("o", _BEATEN, "#8a8f96", 80, "beaten in time and score"))
     with_seen = any(q.column == "recall" for q in quantities)
     if with_seen and any(c.median("recall_visible") is not None for c in look.found):
-        handles.append(dot("o", "white", _FRONT, 40, "recall of what the cameras saw"))
+        handles.append(dot("o", "white", _FRONT, 25, "recall of what the cameras saw"))
     if failures:
         handles.append(Line2D([], [], linestyle="", marker="x", markeredgewidth=2, color=_FRONT, label="failed"))
     for memory in (_round(0.25 * look.most_memory), _round(look.most_memory)):
