@@ -108,7 +108,7 @@ def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
     components = np.zeros(len(lengths))
     components[above] = 0.02**2 * (NOISE.length**2 - below) / (beyond - below)
     components[above - 1] = 0.02**2 - components[above]
-    predicted = np.trace(step.covariance(Noise(0.02**2, components, lengths)))
+    predicted = np.trace(scene.geometry.covariance(step, Noise(0.02**2, components, lengths)))
     powers = []
     for seed in range(40):
         scores = scene.judge(scene.noise(NOISE, waves, seed)).scores

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.deformation.polynomials import (
     EXPONENTS,
@@ -29,6 +30,7 @@ TILE = 1  # the one of them that is reported
 SEEN = 0.02  # information of a field against a field seen along its direction everywhere: below is noise of normals
 _HARDLY_SEEN = 1e-4
 _RIDGE = 1e-12
+_FEW = 32
 _PLACE_NOISE = 100 / SEEN  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
@@ -63,18 +65,8 @@ class Step:
         values, vectors = geometry.seen(large.T @ (matrix - taken @ matrix) @ large, SEEN)
         # Scores (60,) to modes (K,): variance sigma^2 each for white noise. Coefficients of a mode: the same columns.
         self.modes = (np.eye(len(matrix)) - taken).T @ large @ (vectors / np.sqrt(values))
-        self._geometry = geometry
-        self._known: tuple[Noise, FloatArray] | None = None
-
-    def covariance(self, noise: Noise) -> FloatArray:
-        """(K, K) of the modes under a noise: sums over pairs of cells of responses times the cells' correlation."""
-        if self._known is None or self._known[0] is not noise:
-            size = self.modes.shape[1]
-            response = np.einsum("ik,cij->cjk", self.modes, self._geometry.translations, optimize=True)  # (C, 3, K)
-            spread = self._geometry.mixture(noise) @ response.reshape(len(response), -1)
-            correlated = response.reshape(-1, size).T @ spread.reshape(-1, size)
-            self._known = noise, noise.white * np.eye(size) + correlated
-        return self._known[1]
+        # (C, 3, K) what a translation of the pairs in one cell adds to the modes.
+        self.responses = np.einsum("ik,cij->cjk", self.modes, geometry.translations, optimize=True)
 
 
 class Geometry:
@@ -108,11 +100,16 @@ class Geometry:
         self._apart = _squared_distances(self.means)
         self._within = within[:, None] + within[None]
         self.lengths = sums.side * np.array(_LENGTHS)
-        self.cell_matrices = self.basis @ normal_matrix(sums.moments) @ self.basis.T
+        self.cell_matrices = np.empty((len(sums.moments), *self.basis.shape))
+        for few in range(0, len(sums.moments), _FEW):  # matrices are much larger than the moments they are made of
+            self.cell_matrices[few : few + _FEW] = (
+                self.basis @ normal_matrix(sums.moments[few : few + _FEW]) @ self.basis.T
+            )
         self.tiles = [merged(sums.cells, factor) for factor in FACTORS]
         self.tile_matrices = added(self.cell_matrices, self.tiles[TILE])  # of the reported size
         self._steps: dict[tuple[str, str], Step] = {}
         self._halves: dict[str, FloatArray] = {}
+        self._mixed: tuple[Noise, FloatArray] | None = None
 
     @cached_property
     def kernels(self) -> list[FloatArray]:
@@ -125,11 +122,20 @@ class Geometry:
 
     def mixture(self, noise: Noise) -> FloatArray:
         """(C, C) covariance of the correlated noise between the means of cells."""
-        total = np.zeros_like(self._apart)
-        for variance, kernel in zip(noise.components, self.kernels, strict=True):
-            if variance > 0:
-                total += variance * kernel
-        return total
+        if self._mixed is None or self._mixed[0] is not noise:
+            total = np.zeros_like(self._apart)
+            for variance, kernel in zip(noise.components, self.kernels, strict=True):
+                if variance > 0:
+                    total += variance * kernel
+            self._mixed = noise, total
+        return self._mixed[1]
+
+    def covariance(self, step: Step, noise: Noise) -> FloatArray:
+        """(K, K) of a step's modes under a noise: responses of each two cells times the covariance between them."""
+        responses, size = step.responses, step.modes.shape[1]
+        spread = self.mixture(noise) @ responses.reshape(len(responses), -1)
+        correlated: FloatArray = responses.reshape(-1, size).T @ spread.reshape(-1, size)
+        return noise.white * np.eye(size) + correlated
 
     def step(self, smaller: str, larger: str) -> Step:
         if (smaller, larger) not in self._steps:
@@ -167,7 +173,7 @@ class Geometry:
         return float(scores.total @ self.fit(model, scores.total))
 
     @cached_property
-    def noise_design(self) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+    def noise_design(self) -> tuple[FloatArray, list[NDArray[np.bool_]], FloatArray]:
         """Expected moments of the largest model's residuals by white noise and by each kernel.
 
         A residual vector of a cell is h_c = sum w n r less what the fit explains, M u with M = G - Z' A^+ Z. Its
@@ -195,10 +201,10 @@ class Geometry:
             taken = half.reshape(count, -1) @ q.reshape(count, -1).T
             product = mask * gg - taken - taken.T
             white = float(np.diag(mask) @ np.trace(g, axis1=1, axis2=2) - 2 * (dz * q).sum() + (inner * inverse).sum())
-            rows.append([white, *(float((product * kernel).sum()) for kernel in self.kernels)])
+            rows.append([white, *(float(np.einsum("cd,cd->", product, kernel)) for kernel in self.kernels)])
             if low < 0:
-                kept = np.array(rows[0][1:]) / [float((mask * gg * kernel).sum()) for kernel in self.kernels]
-            masks.append(mask)
+                kept = np.array(rows[0][1:]) / [float(np.diag(gg) @ np.diag(kernel)) for kernel in self.kernels]
+            masks.append(mask > 0)
         return np.array(rows), masks, kept
 
 

@@ -19,7 +19,7 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> d
     `rms` with its 95 % interval over all pairs; `p95` and `max` of the RMS in a cell.
     """
     modes = step.modes.T @ scores.total
-    covariance = step.covariance(noise)
+    covariance = geometry.covariance(step, noise)
     power, bias = float(modes @ modes), float(np.trace(covariance))
     size = max(0.0, power - bias)
     # |m + e|^2 has the variance 2 tr V^2 + 4 m' V m; m' V m is estimated from the modes likewise.
@@ -28,7 +28,7 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> d
         + 4 * max(0.0, float(modes @ covariance @ modes) - float((covariance**2).sum()))
     )
     coefficients = step.modes @ modes
-    per_cell = np.einsum("i,cij,j->c", coefficients, geometry.cell_matrices, coefficients, optimize=True)
+    per_cell = (geometry.cell_matrices @ coefficients) @ coefficients
     weight = geometry.weights
     shrink = math.sqrt(size / power) if power > 0 else 0.0
     held = weight >= 0.1 * np.median(weight)
@@ -45,7 +45,7 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> d
 
 def effective_count(geometry: Geometry, noise: Noise) -> float:
     """Independent pairs that would fix the non-affine fields as well as these do: fewer where noise is correlated."""
-    covariance = geometry.step("affine", "cubic").covariance(noise)
+    covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
     if not len(covariance):
         return 0.0
     variance = noise.white + noise.correlated
@@ -59,7 +59,7 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     power = float(modes @ modes)
     if power <= SEEN * geometry.total * float(geometry.dome @ geometry.dome):
         return None
-    covariance = step.covariance(noise)
+    covariance = geometry.covariance(step, noise)
     limit = chi_squares_point(2.326, np.linalg.eigvalsh(covariance).astype(np.float64))
     base, scatter = float(np.trace(covariance)), 2 * float((covariance**2).sum())
     along = float(modes @ covariance @ modes)

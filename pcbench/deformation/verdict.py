@@ -122,7 +122,7 @@ def weigh_evidence(
     explained = float(modes @ modes)
     if not len(modes):
         return Evidence(0.0, 0, 1.0, (1.0,) * len(signs), False)
-    weights: FloatArray = np.linalg.eigvalsh(step.covariance(noise)).astype(np.float64)
+    weights: FloatArray = np.linalg.eigvalsh(geometry.covariance(step, noise)).astype(np.float64)
     coefficients = step.smaller @ (step.smaller.T @ scores.total)
     left = (scores.cells - geometry.cell_matrices @ coefficients) @ step.modes  # (C, K) of the smaller model
     p_tiles = []
@@ -155,7 +155,7 @@ def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[d
             # In fields of unit information: what remains of it when a fold is left out is near the identity.
             kept = (1 + 1e-6) * np.eye(half.shape[1]) - half.T @ matrices[out].sum(axis=0) @ half
             c = half @ np.linalg.solve(kept, half.T @ (scores.total - rows[out].sum(axis=0)))
-            loss[out] = energy[out] - 2 * rows[out] @ c + np.einsum("i,tij,j->t", c, matrices[out], c, optimize=True)
+            loss[out] = energy[out] - 2 * rows[out] @ c + (matrices[out] @ c) @ c
         score = float(loss.sum() / weight.sum())
         explained = geometry.explained(scores, model)
         left = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
