@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pcbench.cameras import Camera, Intrinsics
-from pcbench.cloud import Cloud
+from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.io.colmap_model import intrinsics_from_colmap
 from pcbench.plugins import Gauge, Reconstruction
@@ -33,6 +33,7 @@ _FEW_FEATURES = 50  # below it hardly any pair has that many after ratio test an
 # With true cameras nearly all verified matches agree; with those of other images a few do by chance.
 _LEAST_AGREEING = 0.2
 _PARALLEL_DEG = 12.0  # of a survey's images from their mean: a flight is unsteady by a few
+_MISFIT = 0.1  # of the cameras' spread: GPS of hand-held cameras is as bad, and then says nothing about pose or scale
 _DATABASE = "database.db"
 
 
@@ -480,8 +481,9 @@ def _onto_cameras(found: Mapping[str, Camera], given: Mapping[str, Camera]) -> t
     names = sorted(set(found) & set(given))
     candidate = np.array([found[name].position for name in names]).reshape(-1, 3)
     reference = np.array([given[name].position for name in names]).reshape(-1, 3)
-    fit = fit_similarity(candidate, reference)
+    fit = robust_similarity(candidate, reference)
     positions, angles = camera_errors({name: moved(camera, fit) for name, camera in found.items()}, given)
+    _check_fit(positions, reference)
     return fit, (
         f"aligned to {len(names)} cameras: position errors {np.median(positions):.3g} (median), {positions.max():.3g}"
         f" (largest); rotation errors {np.median(angles):.3g} and {angles.max():.3g} degrees"
@@ -495,10 +497,22 @@ def _onto_gps(found: Mapping[str, Camera], scene: Scene) -> tuple[Similarity, st
     reference = np.array([measured[name] for name in names]).reshape(-1, 3)
     fit = robust_similarity(candidate, reference)
     errors = fit.apply(candidate) - reference
+    _check_fit(np.linalg.norm(errors, axis=1), reference)
     across, up = np.median(np.linalg.norm(errors[:, :2], axis=1)), np.median(np.abs(errors[:, 2]))
     return fit, (
         f"aligned to the GPS of {len(names)} images, {frame}: median error {across:.2f} m across, {up:.2f} m in height"
     )
+
+
+def _check_fit(errors: FloatArray, positions: FloatArray) -> None:
+    """Raise an InputError where solved cameras are so far from the known positions (N, 3) that one of both is wrong."""
+    spread = float(np.sqrt(np.square(positions - positions.mean(axis=0)).sum(axis=1).mean()))
+    error = float(np.median(errors))
+    if error > _MISFIT * spread:
+        raise InputError(
+            f"solved positions are off by {error:.3g} (median) where the known ones spread over {spread:.3g}: the"
+            " solution is wrong, or they are"
+        )
 
 
 def _onto_control(

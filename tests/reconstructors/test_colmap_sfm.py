@@ -266,6 +266,18 @@ def test_wrong_poses_are_said(photographs, tmp_path):
     fails(replace(scene, cameras=turned), tmp_path, "the given cameras do not fit the images: [0-9.]+% of")
 
 
+def test_a_solution_that_known_cameras_contradict_is_not_put_into_their_world(photographs, workspace):
+    scene = read_scene(photographs)
+    order = np.random.default_rng(1).permutation(list(scene.images))
+    shuffled = {name: replace(scene.cameras[other], name=name) for name, other in zip(scene.images, order, strict=True)}
+    scene = replace(scene, cameras=shuffled)
+    made = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
+    assert made.gauge == "arbitrary"
+    assert any(note.startswith("not aligned to cameras: solved positions are off by") for note in made.notes)
+    with pytest.raises(ReconstructionError, match="cannot be aligned to cameras"):
+        ColmapSfm(poses="solve", align="cameras", refine="none", **QUICK).reconstruct(scene, workspace)
+
+
 def test_the_largest_component_is_kept(photographs, tmp_path):
     folder = tmp_path / "two"
     folder.mkdir()
