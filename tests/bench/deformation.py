@@ -32,6 +32,7 @@ NULL = (
     Cell("gauss", 25, 1.0, 200_000),
 )
 POWER = tuple(Cell("gauss", ratio) for ratio in (100, 40, 20, 10))
+Curves = dict[tuple[Cell, float], tuple[np.ndarray, np.ndarray, float]]  # p without and with the dome; share found
 DOMES = (0.1, 0.25, 0.5, 1.0, 2.0)  # RMS, times the total noise
 HEAD = f"{'N':>8}{'L m':>6}{'l m':>7}  {'noise':12}{'ratio':>5}"
 
@@ -72,11 +73,12 @@ def p_noise(judged: Judged) -> float:
     return judged.finding.evidence.p_noise
 
 
-def power(scene: Scene, runs: int) -> None:
+def power(scene: Scene, runs: int) -> Curves:
     tiles = len(scene.geometry.tile_matrices)
     dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
     print(f"\na dome, {runs} runs a row; its RMS along the normals beyond affine, times the total noise")
     print(f"{HEAD}{'tiles':>6}{'RMS':>6}{'found':>8}{'undecided':>10}  {'ROC: at 1 % false':>18}{'5 %':>7}{'area':>7}")
+    curves: Curves = {}
     for cell in POWER:
         waves = scene.waves(cell)
         without = np.array([p_noise(scene.judge(scene.noise(cell, waves, 50_000 + run))) for run in range(runs)])
@@ -86,11 +88,37 @@ def power(scene: Scene, runs: int) -> None:
             verdicts, p = [row.finding.verdict for row in rows], np.array([p_noise(row) for row in rows])
             at = [float(np.mean(p < np.quantile(without, share))) for share in (0.01, 0.05)]
             area = float(np.mean(p[:, None] < without[None]) + 0.5 * np.mean(p[:, None] == without[None]))
+            curves[cell, size] = without, p, verdicts.count("non-affine") / runs
             print(
                 f"{cell}{tiles:6}{size:6.2f}{verdicts.count('non-affine') / runs:8.2f}"
                 f"{verdicts.count('undecided') / runs:10.2f}  {at[0]:18.2f}{at[1]:7.2f}{area:7.3f}",
                 flush=True,
             )
+    return curves
+
+
+def draw(curves: Curves, file: str) -> None:
+    """ROC curves of the test under the estimated noise, a panel for each noise; the verdict's own point at its left."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, len(POWER), figsize=(12, 3.6), sharey=True, constrained_layout=True)
+    colors = plt.colormaps["viridis"](np.linspace(0.85, 0.1, len(DOMES)))
+    for axis, cell in zip(axes, POWER, strict=True):
+        for size, color in zip(DOMES, colors, strict=True):
+            without, p, found = curves[cell, size]
+            limits = np.sort(np.concatenate([without, p]))
+            false, right = (np.searchsorted(np.sort(x), limits, side="right") / len(x) for x in (without, p))
+            line = np.concatenate([[0], false]), np.concatenate([[0], right])
+            axis.step(*line, where="post", color=color, lw=1.6, label=f"{size:g} x the noise")
+            axis.plot(0, found, marker="o", color=color, markersize=6, clip_on=False, zorder=3)
+        axis.plot([0, 1], [0, 1], color="#A9ADB3", lw=0.8, zorder=0)
+        axis.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="undeformed pairs called bent")
+        axis.set_title(f"correlated over L/{cell.ratio}", fontsize=10, loc="left")
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("domes found")
+    axes[-1].legend(frameon=False, fontsize=8.5, loc="lower right", title="RMS of the dome", title_fontsize=8.5)
+    figure.savefig(file, dpi=110)
+    print(f"wrote {file}")
 
 
 def halves(runs: int) -> None:
@@ -150,6 +178,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=500)
     parser.add_argument("--cells", type=int, nargs="*", help="which rows of the undeformed, from 0 (default: all)")
     parser.add_argument("--power-runs", type=int, default=100)
+    parser.add_argument("--chart", metavar="FILE", help="draw the ROC curves of the domes")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--times", action="store_true", help="nothing but seconds for whole clouds")
     parser.add_argument("--halves", type=int, metavar="RUNS", help="nothing but halves of a LiDAR cloud")
@@ -162,7 +191,9 @@ def main() -> None:
         return times([100_000, 1_270_820, 5_000_000])
     scenes = {POINTS: Scene(POINTS)}
     if options.power_runs:
-        power(scenes[POINTS], options.power_runs)
+        curves = power(scenes[POINTS], options.power_runs)
+        if options.chart:
+            draw(curves, options.chart)
     if options.runs:
         null(scenes, options.runs, options.cells)
 
