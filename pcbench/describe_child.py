@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import json
 import sys
@@ -13,6 +14,13 @@ from pcbench.io.files import digest
 from pcbench.plugins import find_plugin
 
 
+def _digest(source: Path) -> str:
+    """Of a plugin's file, and of what it imported from beside it."""
+    files = {Path(str(getattr(module, "__file__", ""))) for module in list(sys.modules.values())}
+    beside = {file for file in files if file.suffix == ".py" and file.parent == source.parent}
+    return hashlib.sha256("".join(digest(file) for file in sorted({source, *beside})).encode()).hexdigest()
+
+
 def main(spec: str, file: Path) -> None:
     outcome: dict[str, Any]
     try:
@@ -21,7 +29,7 @@ def main(spec: str, file: Path) -> None:
         outcome = {
             "settings": [setting.name for setting in plugin.settings],
             "origin": plugin.origin,
-            "sha256": digest(Path(source)) if source else None,
+            "sha256": _digest(Path(source)) if source else None,
         }
     except PcbenchError as error:
         outcome = {"problem": str(error)}

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pcbench.errors import InputError, ReconstructionError
+from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.io.files import atomic_write
@@ -131,6 +131,12 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
         outcome = {"status": "crashed", "message": _how_it_ended(code, workspace / LOG)}
     if code is None:
         outcome |= {"status": "timeout", "message": f"it took longer than the limit of {time_limit_s:g} s"}
+    made = None
+    if outcome["status"] == "ok":
+        try:
+            made = read_reconstruction(workspace)
+        except PcbenchError as error:  # written, but nothing that can be read
+            outcome |= {"status": "garbage", "message": str(error)}
     status: Status = outcome["status"]
     return Run(
         status=status,
@@ -142,7 +148,7 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
         log=workspace / LOG,
         settings=outcome.get("settings", {}),
         warnings=tuple(outcome.get("warnings", ())),
-        reconstruction=read_reconstruction(workspace) if status == "ok" else None,
+        reconstruction=made,
     )
 
 

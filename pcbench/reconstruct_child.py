@@ -100,7 +100,7 @@ def _peak_rss_bytes() -> int:
 
 
 def _peak_gpu_bytes() -> int | None:
-    """The most that torch's allocator held at a time, over all devices; None where CUDA was not used by it."""
+    """The most that torch's allocator held at a time on each device, added up; None where CUDA was not used by it."""
     torch: Any = sys.modules.get("torch")
     if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
         return None

@@ -116,7 +116,7 @@ def register(
     elif kind == "matrix" and path:
         result = _given(target, points, origin, method, read_matrix(path))
     elif kind == "points" and path:
-        T, checks = _fit_pairs(path)
+        T, checks = fit_pairs(path)
         result = replace(_given(target, points, origin, method, T), check_points=checks)
     elif method == "none":
         result = _given(target, points, origin, method, Similarity.identity())
@@ -570,7 +570,7 @@ def _given(target: Target, points: FloatArray, origin: FloatArray, method: str, 
     return _registration(method, T, local, quality, 0, None)
 
 
-def _fit_pairs(path: str) -> tuple[Similarity, tuple[CheckPoint, ...]]:
+def fit_pairs(path: str) -> tuple[Similarity, tuple[CheckPoint, ...]]:
     """A similarity from a file of pairs: name, candidate x y z, reference x y z; names that end in * are checks."""
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 _KEY = "stage.json"
+_LIBRARIES = ("numpy", "pycolmap", "torch", "open3d", "pyvista")
 
 
 def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Path], None]) -> Path:
@@ -37,6 +39,19 @@ def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[
     (temporary / _KEY).write_text(key, encoding="utf-8")
     temporary.replace(folder)
     return folder
+
+
+def library_versions() -> dict[str, str]:
+    """Of all that decides what reconstructors do: an input of every stage."""
+    import pcbench
+
+    found = {"pcbench": pcbench.__version__}
+    for library in _LIBRARIES:
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return found
 
 
 def stage_key(folder: Path) -> str | None:

@@ -12,7 +12,7 @@ from pcbench.cloud import FloatArray
 from pcbench.mesh import MeshIndex
 
 SEEN_BY = 3  # cameras that make a point visible: what multi-view stereo asks for
-_LIFT = 1e-4  # m, off the surface to where lines of sight start: float64 at a kilometre is good to 1e-13 m
+_LIFT = 1e-7  # of the scene's size: far above the rounding of its coordinates, far below what hides anything
 
 
 def views(
@@ -22,17 +22,16 @@ def views(
     normals: FloatArray,
     *,
     enough: int | None = None,
-    lift: float = _LIFT,
 ) -> NDArray[np.int64]:
     """How many cameras see each of `points` (N, 3) of the mesh: in the frame, from the normal's side, nothing between.
 
     Args:
         normals: (N, 3), to the side that light falls on.
         enough: points that so many cameras see are not looked at again.
-        lift: how far off the surface lines of sight start, so that they do not meet what they start from.
     """
     counts = np.zeros(len(points), dtype=np.int64)
-    lifted = points + lift * normals
+    # Lines of sight must not meet what they start from.
+    lifted = points + _LIFT * float(np.ptp(index.mesh.vertices, axis=0).max()) * normals
     for camera in cameras:
         open_ = np.arange(len(points)) if enough is None else np.flatnonzero(counts < enough)
         framed = open_[in_frame(camera, points[open_])]

@@ -86,6 +86,10 @@ class ColmapSfm:
         notes: list[str] = []
         control = read_control(self.control) if self.control is not None else ()
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
+        if given and control:
+            raise InputError(
+                "the scene gives the cameras: control points are used where they are solved for (poses=solve)"
+            )
         scene = _usable(scene, given, notes)
 
         gauge: Gauge
@@ -283,7 +287,7 @@ class ColmapSfm:
     def _align(
         self, model: Any, scene: Scene, control: tuple[ControlPoint, ...], notes: list[str]
     ) -> tuple[Any, Gauge, bool]:
-        """The model in the world of cameras, control points or GPS, in this order or as asked for; its gauge then, and
+        """The model in the world of control points, cameras or GPS, in this order or as asked for; its gauge then, and
         whether that is in metres. Control points are held fast while everything is adjusted once more.
         """
         registered = _cameras(model)

@@ -86,10 +86,20 @@ def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scal
 
     Args:
         scale: of the working images against those that the points were marked in.
+
+    Raises:
+        InputError: a mark lies outside its image.
     """
     measured = []
     for point in control:
         seen = [o for o in point.observations if o.image in cameras]
+        for o in seen:
+            k = cameras[o.image].intrinsics
+            if not (0 <= scale * o.x <= k.width and 0 <= scale * o.y <= k.height):
+                size = f"{k.width / scale:.0f} x {k.height / scale:.0f}"
+                raise InputError(
+                    f"control point {point.name}: ({o.x:g}, {o.y:g}) lies outside {o.image} of {size} pixels"
+                )
         if len({o.image for o in seen}) >= 2:
             rays = [_ray(cameras[o.image], scale * o.x, scale * o.y) for o in seen]
             centres = [cameras[o.image].position for o in seen]

@@ -9,8 +9,8 @@ import numpy as np
 
 from pcbench import Cloud
 from pcbench.deformation import Deformation, Side, TileSums
-from pcbench.deformation.model import CELLS_ALONG, SEEN, Geometry, Noise, Scores, estimate_noise
-from pcbench.deformation.pairs import Pairs, find_pairs, judge_pairs, tile_sums
+from pcbench.deformation.model import SEEN, Geometry, Noise, Scores, estimate_noise
+from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, judge_pairs, tile_sums
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.sums import dyadic_moments, groups
 from pcbench.deformation.verdict import Finding, bootstrap_signs, decide

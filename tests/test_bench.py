@@ -337,6 +337,7 @@ def test_one_bench_a_folder(here):
         (("--method", "methods.py:Good"), "is there twice"),
         (("--register", "nonsense"), "unknown registration 'nonsense': expected gauge, icp,"),
         (("--register", "matrix:nowhere.txt"), "nowhere.txt: cannot read a matrix"),
+        (("--register", "points:nowhere.txt"), "nowhere.txt"),
         (("--crop", "box:1,2"), "box"),
         (("--crop", "box:900,900,900,901,901,901"), "leaves none of the reference's 10000 points"),
         (("--seeds", "0"), "0 is not in the range"),
@@ -441,6 +442,12 @@ def test_the_front_is_of_medians_over_seeds():
     assert front_of(found[-1:], "fscore", high=True) == []
 
 
+def test_what_one_of_three_seeds_scores_is_no_choice():
+    rows = [row("sure", 2.0, 0.5), row("lucky", 1.0, 0.9), row("lucky", 1.0, None, "failed", seed=1)]
+    mark_front(rows)
+    assert [r["pareto"] for r in rows] == [True, False, None]
+
+
 def test_best_and_second_are_marked():
     rows = [row("a", 1.0, 0.5), row("b", 2.0, 0.9), row("c", 3.0, 0.7), row("d", 0.1, None, "failed", message="no")]
     for r in rows:
@@ -458,7 +465,7 @@ def test_best_and_second_are_marked():
     assert "**0.9**" in lines["b"]
     assert "_0.7_" in lines["c"]
     assert "*" not in lines["c"].replace("_0.7_", "")
-    assert "0 ok, failed" in lines["d"]
+    assert "0 of 1 ok, failed" in lines["d"]
     assert "d, seed 0: failed: no" in bench_markdown(doc)
 
 
@@ -672,6 +679,17 @@ def test_the_demo_says_why_it_has_no_bench(monkeypatch):
 
     monkeypatch.setattr(demo, "find_spec", lambda name: None)
     assert demo.why_not() == "pycolmap is needed for the bench: pip install 'pcbench[plot,sfm]'"
+
+
+def test_the_demo_removes_nothing_but_its_own(tmp_path):
+    from pcbench.bench.demo import demo_job
+
+    (tmp_path / "city").mkdir()
+    mine = tmp_path / "city" / "mine.txt"
+    mine.write_text("mine")
+    with pytest.raises(InputError, match="empty"):
+        demo_job(tmp_path / "city", 0, lambda _: None)
+    assert mine.read_text() == "mine"
 
 
 @pytest.mark.slow

@@ -11,7 +11,16 @@ from pcbench.cameras import Intrinsics
 from pcbench.cloud import Cloud
 from pcbench.errors import MissingExtra
 from pcbench.experiments.bend import in_the_world
-from pcbench.experiments.bend_findings import Solution, Variant, csv_text, explain, findings, lens_error, table
+from pcbench.experiments.bend_findings import (
+    Solution,
+    Variant,
+    _lens_words,
+    csv_text,
+    explain,
+    findings,
+    lens_error,
+    table,
+)
 from pcbench.mesh import MeshIndex
 from pcbench.plot import NoFiguresError
 from pcbench.scene import read_scene
@@ -84,9 +93,25 @@ def test_the_cause_follows_the_numbers(document):
     for row in rows:
         row["truth"]["verdict"] = "none"
     assert list(explain(rows, "m")) == ["No solution is bent beyond what noise would do."]
+    rows[1]["truth"]["verdict"] = "undecided"
+    assert list(explain(rows, "m")) == ["Whether solutions are bent is undecided: 'no distortion'."]
+    assert list(explain(document["rows"][3:], "m")) == ["No solution could be judged."]
     for row in rows:
         row["truth"] |= {"verdict": "non-affine", "ci": [0.0, 1.0]}
     assert next(explain(rows[:2], "m")).startswith("Solutions are bent, but no two that differ in one setting")
+
+
+@pytest.mark.parametrize(
+    ("errors", "words"), [([1, 2, 3, 3], "go together"), ([4, 3, 2, 1], "do not go together"), ([1, 1, 1, 1], None)]
+)
+def test_lens_and_bend_go_together_only_if_they_do(errors, words):
+    rows = [{"lens_error_px": e, "truth": {"rms": r}} for e, r in zip(errors, (1.0, 2.0, 3.0, 4.0), strict=True)]
+    said = list(_lens_words(rows))
+    if words is None:
+        assert said == []
+    else:
+        rho = pytest.importorskip("scipy.stats").spearmanr(errors, [1, 2, 3, 4]).statistic
+        assert said == [f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over 4 solutions."]
 
 
 def test_table_and_csv(document):

@@ -25,7 +25,7 @@ POINTS = np.random.default_rng(0).normal(size=(30, 3))
 
 HEAD = """
 import os, sys, time, signal
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 import numpy as np
@@ -111,6 +111,12 @@ def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
         ("return Reconstruction(np.zeros((5, 3)), 'metric')", "failed", "expected a pcbench.Cloud"),
         ("return Reconstruction(Cloud(np.full((5, 3), np.nan)), 'metric')", "failed", "finite coordinates"),
         ("return Reconstruction(scene.points, 'feet')", "failed", "gauge"),
+        (
+            "camera = next(iter(scene.cameras.values()));"
+            " return Reconstruction(scene.points, 'metric', {'a\\nb': replace(camera, name='a\\nb')})",
+            "garbage",
+            "images.txt",
+        ),
     ],
 )
 def test_failures_are_results(scene, plugin, tmp_path, body, status, message):

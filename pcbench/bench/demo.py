@@ -16,6 +16,7 @@ from pcbench.synthetic.files import SceneSettings, write_scene
 from pcbench.synthetic.plan import CitySettings
 from pcbench.synthetic.render import check_renderer
 
+_OURS = ".demo"  # in a folder that the demo may remove
 _SIDE = 120.0  # metres: the smallest city with streets between blocks
 
 
@@ -31,15 +32,18 @@ def why_not() -> str | None:
 
 
 def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:
-    """Make the scene in `folder` (anew: it is the demo's own), and what is to be benched on it.
+    """Make the scene in `folder`, anew if an earlier demo left one there, and what is to be benched on it.
 
     Raises:
-        PcbenchError: no pictures can be taken.
+        PcbenchError: no pictures can be taken, or the folder holds what no demo made.
     """
-    shutil.rmtree(folder, ignore_errors=True)
+    mark = folder / _OURS
+    if mark.is_file():
+        shutil.rmtree(folder)
     city = CitySettings(extent=_SIDE, seed=seed)
     camera = Intrinsics.from_fov(640, 360, 40.0)
     write_scene(folder, SceneSettings(city, 20, camera, "oblique", points=200_000), step)
+    mark.touch()
     half = _SIDE / 2  # the fields around it are in few images
     return BenchJob(
         folder,

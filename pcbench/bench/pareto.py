@@ -28,6 +28,11 @@ class Configuration:
         """Those that were measured."""
         return [row for row in self.rows if row["status"] == "ok"]
 
+    @property
+    def is_reliable(self) -> bool:
+        """Whether every seed was measured: what a lucky one of three scores is no choice."""
+        return len(self.done) == len(self.rows)
+
     def values(self, column: str) -> list[float]:
         """Of the rows that were measured and have one."""
         return [row[column] for row in self.done if row.get(column) is not None]
@@ -57,10 +62,10 @@ def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
 
 
 def front_of(found: Sequence[Configuration], column: str, *, high: bool) -> list[Configuration]:
-    """The configurations that no other beats in both median wall time and the median of `column` (`high`: more is
-    better), by time.
+    """The configurations, measured with every seed, that no other such beats in both median wall time and the median of
+    `column` (`high`: more is better), by time.
     """
-    measured = [c for c in found if c.median("wall_s") is not None and c.median(column) is not None]
+    measured = [c for c in found if c.is_reliable and c.median("wall_s") is not None and c.median(column) is not None]
     if not measured:
         return []
     costs = np.array([[c.median("wall_s"), c.median(column)] for c in measured], dtype=np.float64)

@@ -14,14 +14,12 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import pcbench
 from pcbench.bench.pareto import choice_words, mark_front
 from pcbench.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.bench.score import Rules, Truth, check_rules, read_truth, score
@@ -32,6 +30,7 @@ from pcbench.reconstruct import CLOUD, PLUGIN, Job, describe, read_reconstructio
 from pcbench.report.bench_table import bench_markdown, row_words
 from pcbench.report.document import provenance, to_json
 from pcbench.scene import Scene, read_scene
+from pcbench.stages import library_versions
 
 SCHEMA = "pcbench.bench/1"
 COLUMNS = (
@@ -58,7 +57,6 @@ COLUMNS = (
     "message",
 )
 _RUNS, _RUN, _SCORE, _LOCK = "runs", "run.json", "score.json", ".lock"
-_LIBRARIES = ("pycolmap", "torch", "open3d")  # whose version decides what reconstructors do
 
 
 @dataclass(frozen=True)
@@ -185,7 +183,7 @@ class _Inputs:
         run = {
             "scene": scene.fingerprint(),
             "sparse_points": hashlib.sha256(points).hexdigest(),
-            "versions": _versions(),
+            "versions": library_versions(),
             "machine": f"{platform.node()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores",
         }
         measured = {
@@ -203,16 +201,6 @@ def _named_files(rules: Rules) -> list[Path]:
     """Of matrices, pairs of points and polygons."""
     paths = [Path(text.partition(":")[2]) for text in (rules.register, rules.crop)]
     return [path for path in paths if path.is_file()]
-
-
-def _versions() -> dict[str, str]:
-    found = {"pcbench": pcbench.__version__, "numpy": np.__version__}
-    for library in _LIBRARIES:
-        try:
-            found[library] = version(library)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 def _row(job: BenchJob, trial: Trial, inputs: _Inputs, truth: Truth, out: Path) -> tuple[dict[str, Any], bool]:
@@ -240,6 +228,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "origin": trial.method.described.origin,
         "image_scale": trial.image_scale,
         "settings": trial.settings,
+        "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if Path(text).is_file()},
     }
     old = _read(folder / _RUN)
     if old is not None and old.get("key") == key and _still_stands(old, job.time_limit_s, folder):
@@ -321,7 +310,7 @@ def _bench_folder(out: Path) -> Iterator[None]:
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the bench to, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _RUNS).is_dir():
+    if out.is_dir() and any(out.iterdir()) and not (out / _LOCK).is_file():
         raise InputError(f"{out}: the folder is not empty and holds no bench: choose another one, or empty it")
     (out / _RUNS).mkdir(parents=True, exist_ok=True)
     with (out / _LOCK).open("w") as lock:

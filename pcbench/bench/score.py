@@ -22,15 +22,15 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure import BACK, FORTH
 from pcbench.mesh import Mesh, MeshIndex
 from pcbench.neighbors import Index
+from pcbench.normals import Surface
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, Registration, recentring
+from pcbench.registration import METHODS, Registration, fit_pairs, recentring
 from pcbench.report import document
 from pcbench.transform import Similarity, format_matrix, read_matrix, robust_similarity
 from pcbench.visibility import SEEN_BY, views
 
 BY_GAUGE = "gauge"
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-_LIFT = 1e-7  # of the scene's size: far above the rounding of its coordinates, far below what hides anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +90,7 @@ def seen_points(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDAr
     """
     index = MeshIndex(mesh)
     _, feet, faces = index.query(cloud.points)
-    lift = _LIFT * float(np.ptp(mesh.vertices, axis=0).max())
-    counts = views(index, list(cameras.values()), feet, mesh.normals()[faces], enough=SEEN_BY, lift=lift)
+    counts = views(index, list(cameras.values()), feet, mesh.normals()[faces], enough=SEEN_BY)
     seen: NDArray[np.bool_] = counts >= SEEN_BY
     return seen
 
@@ -167,6 +166,10 @@ def check_rules(rules: Rules, truth: Truth) -> None:
         raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
     if kind == "matrix":
         read_matrix(path)
+    if kind == "points":
+        fit_pairs(path)
+    if rules.threshold is None and Surface(Index(truth.cloud.points)).spacing == 0:
+        raise InputError("the reference has no two points apart, so no spacing: give --threshold")
     region = parse_region(rules.crop, truth.cloud)
     if region is not None and not region.contains(truth.cloud.points).any():
         raise InputError(f"the crop {rules.crop!r} leaves none of the reference's {len(truth.cloud)} points")

@@ -24,7 +24,6 @@ from pcbench.deformation.polynomials import (
 from pcbench.deformation.sums import TileSums, added, merged
 from pcbench.neighbors import FloatArray
 
-CELLS_ALONG = 16  # of the scene's extent: the finest tiles
 FACTORS = (1, 2, 3)  # sizes of tiles, in cells
 TILE = 1  # the one of them that is reported
 SEEN = 0.02  # information of a field against a field seen along its direction everywhere: below is noise of normals

@@ -27,6 +27,7 @@ _ROUNDS = 7
 _FEWEST = 300  # pairs
 _FEW_CHANGES = 0.1  # of the tiles
 _RESOLUTION = 5e-3  # spacings of the points that planes go through
+CELLS_ALONG = 16  # of the scene's extent, at first
 _TILES = 60  # wanted of the middle size
 _CELLS = 480  # more only cost time
 _NEIGHBORS = 8  # that a place is the mean of
@@ -175,7 +176,7 @@ def tile_sums(pairs: Pairs) -> TileSums:
     counted = pairs.places[pairs.weights > 0]
     lower, upper = np.percentile(counted, [1, 99], axis=0)
     extent = float((upper - lower).max())
-    side = extent / 16
+    side = extent / CELLS_ALONG
     for _ in range(12):
         tiles = len(cells(counted, 2 * side, lower).first)
         if tiles >= _TILES or len(counted) < 40 * tiles:

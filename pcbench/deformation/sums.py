@@ -45,7 +45,7 @@ class TileSums:
     spread: FloatArray
 
     def without(self, cells: NDArray[np.bool_]) -> TileSums:
-        """The sums but those of some cells (C,)."""
+        """The sums but those of some cells (C,). `dyadic` is kept whole: it is known for all pairs together."""
         per_cell = ("cells", "moments", "scores", "energy", "counts", "local", "spread")
         return replace(self, **{name: getattr(self, name)[~cells] for name in per_cell})
 

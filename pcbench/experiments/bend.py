@@ -25,15 +25,17 @@ from pcbench.io.files import atomic_write
 from pcbench.io.meshes import read_mesh
 from pcbench.mesh import MeshIndex
 from pcbench.plugins import find_plugin
-from pcbench.reconstruct import Job, run
+from pcbench.reconstruct import Job, describe, run
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scene import Scene, read_scene
-from pcbench.stages import stage
-from pcbench.transform import Similarity, fit_similarity
+from pcbench.stages import library_versions, stage
+from pcbench.transform import robust_similarity
+from pcbench.visibility import in_frame
 
 SCHEMA = "pcbench.experiment.bend/1"
 PLUGIN = "sfm"
+_LENSES = "lenses"  # in the folder of an experiment
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # of the lens that synthetic scenes are photographed with
 _FOV = 60.0  # degrees, vertically: a drone's
 _POINTS = 400_000  # of the synthetic truth
@@ -41,8 +43,7 @@ _NADIR = 10.0  # degrees from the vertical: an image that looks straight down
 _FEWEST = 6  # images
 _MARK = 0.5  # pixels, standard deviation of a control point's mark
 _SURVEY = 0.01  # in the truth's unit, of its position
-_ROUNDS = 20  # of reweighting
-_LIFT = 1e-4  # off the surface, to where lines of sight start
+_LIFT = 1e-4  # in the truth's unit, off the surface to where lines of sight start
 # SIFT at the images' own size: a third of the time, and points enough.
 _COMMON = {"poses": "solve", "upsample": "false", "matching": "exhaustive"}
 
@@ -80,15 +81,17 @@ def run_bend(
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder, got a file")
+    if out.is_dir() and any(out.iterdir()) and not (out / _LENSES).is_dir():
+        raise InputError(f"{out}: the folder is not empty and holds no experiment: choose another one, or empty it")
     if missing := find_plugin(PLUGIN).missing:
         raise InputError(missing)
-    out.mkdir(parents=True, exist_ok=True)
+    (out / _LENSES).mkdir(parents=True, exist_ok=True)
     folder = _synthetic(out, settings, step) if scene is None else scene
     data = read_scene(folder)
     plan = list(variants(data))
     truth = read_cloud(_truth(folder, "cloud.ply"))
     surface = MeshIndex(read_mesh(_truth(folder, "mesh.ply")))
-    inputs = _Inputs(out, folder, data, settings.seed)
+    inputs = _Inputs(out, folder, data, settings.seed, describe(PLUGIN).sha256)
     inputs.write(surface, truth)
     solutions = []
     for number, variant in enumerate(plan, 1):
@@ -103,11 +106,14 @@ def run_bend(
         "provenance": provenance(settings.seed),
     }
     for solution in solutions:
+        file = out / f"{slug(solution.variant.name)}.ply"
         if solution.cloud is not None:
-            write_cloud(out / f"{slug(solution.variant.name)}.ply", solution.cloud)
-    for name, text in (("experiment.json", to_json(document)), ("experiment.csv", csv_text(document))):
-        with atomic_write(out / name) as file:
-            file.write(text.encode())
+            write_cloud(file, solution.cloud)
+        else:
+            file.unlink(missing_ok=True)
+    for table, text in (("experiment.json", to_json(document)), ("experiment.csv", csv_text(document))):
+        with atomic_write(out / table) as written:
+            written.write(text.encode())
     without_figures = None
     if figures:
         from pcbench.plot.experiment import draw_bend
@@ -154,7 +160,8 @@ def _synthetic(out: Path, settings: Experiment, step: Callable[[str], None]) -> 
     made = SceneSettings(town, settings.images, lens, "drone", points=_POINTS)
     if settings.images < 2 * _FEWEST:
         raise InputError(f"expected at least {2 * _FEWEST} images, got {settings.images}")
-    return stage(out, "scene", {"settings": repr(made)}, lambda folder: write_scene(folder, made, step))
+    key = {"settings": repr(made), "versions": library_versions()}
+    return stage(out, "scene", key, lambda folder: write_scene(folder, made, step))
 
 
 def _truth(folder: Path, name: str) -> Path:
@@ -192,6 +199,7 @@ class _Inputs:
     folder: Path
     scene: Scene
     seed: int
+    plugin_sha256: str | None
 
     def images(self, variant: Variant) -> list[str]:
         nadir, oblique = _looking_down(self.scene)
@@ -201,21 +209,21 @@ class _Inputs:
         """The argument `cameras` of a job: nothing, or the true poses (which are not used) with a lens."""
         if variant.focal == "guessed":
             return "none"
-        return str(self.out / "lenses" / ("true" if variant.distortion == "true" else "undistorted"))
+        return str(self.out / _LENSES / ("true" if variant.distortion == "true" else "undistorted"))
 
     def settings(self, variant: Variant) -> dict[str, str]:
         focal, distortion = variant.focal != "true", variant.distortion == "free"
         refine = {(True, True): "all", (True, False): "focal", (False, True): "distortion"}.get((focal, distortion))
         values = {**_COMMON, "refine": refine or "none", "seed": str(self.seed)}
         control = str((self.out / "control.txt").absolute())
-        return {**values, "control": control} if variant.control else {**values, "align": "none"}
+        return {**values, "control": control, "align": "control"} if variant.control else {**values, "align": "none"}
 
     def write(self, mesh: MeshIndex, truth: Cloud) -> None:
         """The lenses and the control points as files."""
         cameras = [self.scene.cameras[name] for name in self.scene.images]
         plain = [replace(c, intrinsics=replace(c.intrinsics, distortion=(0.0, 0.0, 0.0, 0.0))) for c in cameras]
-        write_colmap_model(self.out / "lenses" / "true", cameras)
-        write_colmap_model(self.out / "lenses" / "undistorted", plain)
+        write_colmap_model(self.out / _LENSES / "true", cameras)
+        write_colmap_model(self.out / _LENSES / "undistorted", plain)
         lines = list(_control_lines(cameras, mesh, truth, self.seed))
         with atomic_write(self.out / "control.txt") as file:
             file.write("\n".join(["# NAME X Y Z IMAGE U V", *lines, ""]).encode())
@@ -223,8 +231,6 @@ class _Inputs:
 
 def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, seed: int) -> Iterator[str]:
     """Nine points on level ground or roofs, spread over what the images show, as a surveyor and a click give them."""
-    from pcbench.visibility import in_frame
-
     if truth.normals is None:
         raise InputError("expected normals in truth/cloud.ply: control points are chosen on level ground")
     rng = np.random.default_rng([seed, 21])
@@ -254,7 +260,13 @@ def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
     cameras_from = inputs.cameras(variant)
     job = Job(PLUGIN, inputs.folder, inputs.settings(variant), cameras=cameras_from, images=tuple(images))
     control = (inputs.out / "control.txt").read_text(encoding="utf-8") if variant.control else ""
-    key = {"job": job.to_json(), "scene": inputs.scene.fingerprint(), "control": control}
+    key = {
+        "job": job.to_json(),
+        "scene": inputs.scene.fingerprint(),
+        "control": control,
+        "plugin": inputs.plugin_sha256,
+        "versions": library_versions(),
+    }
     runs = inputs.out / "runs"
     runs.mkdir(exist_ok=True)
 
@@ -290,8 +302,8 @@ def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, 
     # Each point through the camera that has it nearest to its middle, where lenses differ least.
     off, eyes, rays = np.full(len(cloud), min(middle)), np.zeros((len(cloud), 3)), np.zeros((len(cloud), 3))
     for name in names:
-        at, depth = found[name].project(cloud.points)
-        distance = np.where(depth > 0, np.linalg.norm(at - middle, axis=1), np.inf)
+        at, _ = found[name].project(cloud.points)
+        distance = np.where(in_frame(found[name], cloud.points), np.linalg.norm(at - middle, axis=1), np.inf)
         better, camera = distance < off, truth[name]
         off[better], eyes[better] = distance[better], camera.position
         rays[better] = camera.intrinsics.directions(at[better]) @ camera.cam_from_world.rotation
@@ -300,10 +312,6 @@ def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, 
     met = hits.faces >= 0
     points = cloud.points[seen[met]]
     goals = eyes[seen[met]] + hits.distances[met, None] * rays[seen[met]]
-    fit, weights = Similarity.identity(), np.ones(len(points))
-    for _ in range(_ROUNDS):  # what stands in front of a point, or beside it, is none of its own
-        fit = fit_similarity(points, goals, weights=weights)
-        residuals = np.linalg.norm(fit.apply(points) - goals, axis=1)
-        weights = 1 / np.maximum(residuals, max(float(np.median(residuals)), 1e-9))
+    fit = robust_similarity(points, goals)  # what stands in front of a point, or beside it, is none of its own
     kept = {k: v for k, v in cloud.attributes.items() if k == "reprojection_error"}
     return replace(cloud.transformed(fit), attributes=kept)

@@ -10,6 +10,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.cameras import Intrinsics
 from pcbench.cloud import Cloud
@@ -26,6 +27,7 @@ FACTORS = {
     "distortion": ("the lens distortion", {"true": "at its true value", "zero": "left at zero", "free": "solved for"}),
     "control": ("control points", {"True": "with them", "False": "without them"}),
 }
+_TOGETHER = 0.5  # rank correlation
 _GRID = 24  # pixels of a lens that are compared, along each side
 
 
@@ -86,7 +88,7 @@ def findings(
         lens: the true one.
         seed: of the bootstrap.
     """
-    first: Cloud | None = None
+    first: tuple[str, Cloud] | None = None
     rows = []
     for solution in solutions:
         step(f"measuring {solution.variant.name}")
@@ -111,10 +113,14 @@ def findings(
             if found.field is not None:
                 row["cells"] = np.column_stack([found.field.places, found.field.vertical, found.field.sigma]).tolist()
             if first is None:
-                first = placed
+                first = solution.variant.name, placed
             else:
                 # Sparse points that a dome moves by metres have no neighbours to register them by anew.
-                row["mutual"] = _summary(_deformation(first, placed, "none", seed)[0])
+                against, earlier = first
+                row["mutual"] = {
+                    "against": against,
+                    **_summary(_deformation(earlier, placed, "none", seed)[0]),
+                }
         rows.append(row)
     return {"rows": rows, "sentences": list(explain(rows, truth.unit or ""))}
 
@@ -134,8 +140,15 @@ def lens_error(lens: Intrinsics, truth: Intrinsics) -> float:
 def explain(rows: Sequence[Mapping[str, Any]], unit: str) -> Iterator[str]:
     """Sentences on what bends the scene, from the rows of `findings` alone."""
     known = [row for row in rows if row["truth"] is not None and row["truth"]["rms"] is not None]
+    if not known:
+        yield "No solution could be judged."
+        return
     if not any(row["truth"]["verdict"] == "non-affine" for row in known):
-        yield "No solution is bent beyond what noise would do."
+        open_ = [row["name"] for row in known if row["truth"]["verdict"] == "undecided"]
+        if open_:
+            yield f"Whether solutions are bent is undecided: {', '.join(map(repr, open_))}."
+        else:
+            yield "No solution is bent beyond what noise would do."
         return
     changes = sorted(_changes(known), key=lambda change: -change["by"])
     sure = [change for change in changes if change["sure"]]
@@ -264,21 +277,38 @@ def _lens_words(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     pairs = np.array([[r["lens_error_px"], r["truth"]["rms"]] for r in rows if r["lens_error_px"] is not None])
     if len(pairs) < 4:
         return
-    a, b = np.argsort(np.argsort(pairs, axis=0), axis=0).T.astype(np.float64)
+    a, b = (_ranks(column) for column in pairs.T)
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        return
     rho = float(np.corrcoef(a, b)[0, 1])
-    yield f"Bend and error of the solved lens go together: rank correlation {rho:.2f} over {len(pairs)} solutions."
+    words = "go together" if rho >= _TOGETHER else "do not go together"
+    yield f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over {len(pairs)} solutions."
+
+
+def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of each value; equal ones share theirs."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: NDArray[np.float64] = (np.cumsum(counts) - 0.5 * counts)[which]
+    return ranks
 
 
 def _mutual_words(rows: Sequence[Mapping[str, Any]], unit: str) -> Iterator[str]:
     """The observation: two solutions of the same images that no affine motion brings together."""
     bent = [row for row in rows if row["mutual"] is not None and row["mutual"]["verdict"] == "non-affine"]
-    same = [row for row in bent if row["factors"]["images"] == rows[0]["factors"]["images"]]
+    named = {row["name"]: row for row in rows}
+    same = [
+        row
+        for row in bent
+        if row["mutual"]["against"] in named
+        and row["factors"]["images"] == named[row["mutual"]["against"]]["factors"]["images"]
+    ]
     if same:
         worst = max(same, key=lambda row: row["mutual"]["rms"])
-        errors = [_number(row["reprojection_error"]) for row in (rows[0], worst)]
+        first = named[worst["mutual"]["against"]]
+        errors = [_number(row["reprojection_error"]) for row in (first, worst)]
         yield (
             f"Solutions of the same images differ by {_size(worst['mutual'], unit)} RMS that no affine motion explains,"
-            f" with reprojection errors of {errors[0]} and {errors[1]} px ({rows[0]['name']!r} and {worst['name']!r})."
+            f" with reprojection errors of {errors[0]} and {errors[1]} px ({first['name']!r} and {worst['name']!r})."
         )
 
 

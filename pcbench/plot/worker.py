@@ -73,9 +73,9 @@ def draw(folder: Path, wanted: list[str]) -> list[Path]:
         if pictures[name](path):
             written.append(path.relative_to(folder))
         elif name in wanted:
-            why = {"reference": "the reference's file has gone", "speed": "no run was measured"}.get(
-                name, "the chosen model moves nothing"
-            )
+            unmeasured = dict.fromkeys(("speed", "accuracy_completeness"), "no run was measured")
+            reasons = {"reference": "the reference's file has gone", **unmeasured}
+            why = reasons.get(name, "the chosen model moves nothing")
             raise PcbenchError(f"no picture {name!r}: {why}")
     return written
 

@@ -47,7 +47,8 @@ _HEAD = ("method", "settings", "runs", "registration")
 def _lines(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_Line]:
     found = configurations(doc["rows"])
     medians = [[c.median(column.key) for column in columns] for c in found]
-    places = [_places([row[number] for row in medians], column.better) for number, column in enumerate(columns)]
+    ranked = [[value if c.is_reliable else None for value in row] for c, row in zip(found, medians, strict=True)]
+    places = [_places([row[number] for row in ranked], column.better) for number, column in enumerate(columns)]
     for row, (c, values) in enumerate(zip(found, medians, strict=True)):
         cells = [
             (_text(value, column), places[number][row])
@@ -55,7 +56,7 @@ def _lines(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_Line]:
         ]
         registration = ", ".join(dict.fromkeys(r["registration"] for r in c.done))
         failed = [r["status"] for r in c.rows if r["status"] != "ok"]
-        runs = f"{len(c.done)} ok" if not failed else f"{len(c.done)} ok, {', '.join(dict.fromkeys(failed))}"
+        runs = f"{len(c.done)} of {len(c.rows)} ok" + "".join(f", {status}" for status in dict.fromkeys(failed))
         yield _Line((c.method, choice_words(c.choices), runs, registration), cells, any(r["pareto"] for r in c.rows))
 
 
@@ -95,6 +96,7 @@ def print_bench(doc: dict[str, Any]) -> None:
         table.add_row(*map(Text, line.head), *cells, "*" if line.on_front else "")
     console.print(table)
     console.print()
+    console.print(f"{_BEST} best, {_SECOND} second")
     for sentence in _sentences(doc):
         console.print(sentence, soft_wrap=True)
 
@@ -116,8 +118,8 @@ def _sentences(doc: dict[str, Any]) -> Iterator[str]:
     unit = doc["reference"].get("unit") or "the files' unit"
     if threshold is not None:
         yield (
-            f"{_BEST} best, {_SECOND} second, * on the front of time and F-score; medians over seeds; precision, recall"
-            f" and F-score at {threshold:.4g} {unit}; lengths in {unit}, D1 in its square"
+            f"medians over the seeds that were measured; * on the front of time and F-score; marked where all were"
+            f" measured; precision, recall and F-score at {threshold:.4g} {unit}; lengths in {unit}, D1 in its square"
         )
         if doc["reference"]["visible_share"] is not None:
             share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]

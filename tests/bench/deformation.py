@@ -32,7 +32,8 @@ NULL = (
     Cell("gauss", 25, 1.0, 200_000),
 )
 POWER = tuple(Cell("gauss", ratio) for ratio in (100, 40, 20, 10))
-Curves = dict[tuple[Cell, float], tuple[np.ndarray, np.ndarray, float]]  # p without and with the dome; share found
+# p without and with a dome, and the shares of non-affine verdicts of both.
+Curves = dict[tuple[Cell, float], tuple[np.ndarray, np.ndarray, float, float]]
 DOMES = (0.1, 0.25, 0.5, 1.0, 2.0)  # RMS, times the total noise
 HEAD = f"{'N':>8}{'L m':>6}{'l m':>7}  {'noise':12}{'ratio':>5}"
 
@@ -81,14 +82,16 @@ def power(scene: Scene, runs: int) -> Curves:
     curves: Curves = {}
     for cell in POWER:
         waves = scene.waves(cell)
-        without = np.array([p_noise(scene.judge(scene.noise(cell, waves, 50_000 + run))) for run in range(runs)])
+        flat = [scene.judge(scene.noise(cell, waves, 50_000 + run)) for run in range(runs)]
+        without = np.array([p_noise(row) for row in flat])
+        wrong = sum(row.finding.verdict == "non-affine" for row in flat) / runs
         for size in DOMES:
             bend = size * cell.total * dome
             rows = [scene.judge(scene.noise(cell, waves, 90_000 + run) + bend) for run in range(runs)]
             verdicts, p = [row.finding.verdict for row in rows], np.array([p_noise(row) for row in rows])
             at = [float(np.mean(p < np.quantile(without, share))) for share in (0.01, 0.05)]
             area = float(np.mean(p[:, None] < without[None]) + 0.5 * np.mean(p[:, None] == without[None]))
-            curves[cell, size] = without, p, verdicts.count("non-affine") / runs
+            curves[cell, size] = without, p, wrong, verdicts.count("non-affine") / runs
             print(
                 f"{cell}{tiles:6}{size:6.2f}{verdicts.count('non-affine') / runs:8.2f}"
                 f"{verdicts.count('undecided') / runs:10.2f}  {at[0]:18.2f}{at[1]:7.2f}{area:7.3f}",
@@ -98,19 +101,19 @@ def power(scene: Scene, runs: int) -> Curves:
 
 
 def draw(curves: Curves, file: str) -> None:
-    """ROC curves of the test under the estimated noise, a panel for each noise; the verdict's own point at its left."""
+    """ROC curves of the test under the estimated noise, a panel for each noise; dots are the verdict's own."""
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, len(POWER), figsize=(12, 3.6), sharey=True, constrained_layout=True)
     colors = plt.colormaps["viridis"](np.linspace(0.85, 0.1, len(DOMES)))
     for axis, cell in zip(axes, POWER, strict=True):
         for size, color in zip(DOMES, colors, strict=True):
-            without, p, found = curves[cell, size]
+            without, p, wrong, found = curves[cell, size]
             limits = np.sort(np.concatenate([without, p]))
             false, right = (np.searchsorted(np.sort(x), limits, side="right") / len(x) for x in (without, p))
             line = np.concatenate([[0], false]), np.concatenate([[0], right])
             axis.step(*line, where="post", color=color, lw=1.6, label=f"{size:g} x the noise")
-            axis.plot(0, found, marker="o", color=color, markersize=6, clip_on=False, zorder=3)
+            axis.plot(wrong, found, marker="o", color=color, markersize=6, clip_on=False, zorder=3)
         axis.plot([0, 1], [0, 1], color="#A9ADB3", lw=0.8, zorder=0)
         axis.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="undeformed pairs called bent")
         axis.set_title(f"correlated over L/{cell.ratio}", fontsize=10, loc="left")

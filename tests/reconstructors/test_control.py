@@ -19,6 +19,14 @@ def test_lines_meet_in_their_point():
     np.testing.assert_allclose(triangulate(rays, centres), point, atol=1e-12)
 
 
+def test_a_mark_outside_its_image_is_a_mistake():
+    centres = np.eye(3) * 5
+    cameras = {f"{k}.jpg": Camera(f"{k}.jpg", LENS, look_at(centre, np.zeros(3))) for k, centre in enumerate(centres)}
+    point = ControlPoint("A", np.zeros(3), (Observation("0.jpg", 5000.0, 20.0), Observation("1.jpg", 200.0, 150.0)))
+    with pytest.raises(InputError, match=r"control point A: \(5000, 20\) lies outside 0.jpg of 400 x 300 pixels"):
+        measure(cameras, [point], 1.0)
+
+
 def test_control_files(tmp_path):
     path = tmp_path / "control.txt"
     path.write_text("# survey\nA 1 2 3 a.jpg 10.5 20\nA 1 2 3 b.jpg 11 21\nB* 4 5 6 a.jpg 1 2\nB* 4 5 6 b.jpg 3 4\n")
