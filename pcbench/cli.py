@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import signal
 import sys
@@ -31,6 +32,17 @@ _REGISTER_HELP = (
     " matrix:FILE or none."
 )
 _CROP_HELP = "none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference or quantile:0.99."
+
+
+class _Positive(click.FloatRange):
+    """A finite number in a range; nan is in every range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
 
 register_option = click.option("--register", default="icp", show_default=True, metavar="HOW", help=_REGISTER_HELP)
 cameras_option = click.option(
@@ -147,11 +159,17 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     from pcbench.io import write_cloud
     from pcbench.synthetic import demo as make_demo
 
+    mark = out / ".demo"
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder for the demo, got a file")
+    if out.is_dir() and any(out.iterdir()) and not mark.is_file():
+        raise InputError(f"{out}: the folder is not empty and holds no demo: choose another one, or empty it")
     with _steps(quiet) as step:
         step("making the city")
         scene = make_demo(points, seed)
         clouds = out / "clouds"
         clouds.mkdir(parents=True, exist_ok=True)
+        mark.touch()
         paths = {name: clouds / f"{name}.ply" for name in ("reference", *scene.candidates)}
         for name, path in paths.items():
             write_cloud(path, scene.reference if name == "reference" else scene.candidates[name])
@@ -363,7 +381,7 @@ def synth() -> None:
 @click.option("--fov", default=40.0, show_default=True, type=click.FloatRange(1, 120), help="Vertical, in degrees.")
 @click.option("--rig", default="circles", show_default=True, help="circles, grid, oblique, drone or orbit.")
 @click.option("--distortion", default="0,0,0,0", show_default=True, metavar="K1,K2,P1,P2", help="Of the lens.")
-@click.option("--gps", type=click.FloatRange(min=0), help="Write gps.txt with errors of so many metres.")
+@click.option("--gps", type=_Positive(min=0), help="Write gps.txt with errors of so many metres.")
 @click.option("--extent", default=400.0, show_default=True, help="Side of the city in metres.")
 @click.option("--density", default=0.85, show_default=True, help="Share of the lots that are built on.")
 @click.option("--height", default=9.0, show_default=True, help="Median height of its houses in metres.")
@@ -559,9 +577,7 @@ def plugins(specs: tuple[str, ...]) -> None:
 @masks_option
 @image_scale_option
 @click.option("--workspace", type=_FILE, help="Folder for its files, which the next run uses.  [default: OUT.work]")
-@click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop it after this."
-)
+@click.option("--time-limit", type=_Positive(min=0, min_open=True), metavar="SECONDS", help="Stop it after this.")
 @write_cameras_option
 @quiet_option
 def reconstruct(
@@ -584,7 +600,7 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
-    from pcbench.reconstruct import Job, run
+    from pcbench.reconstruct import Job, is_workspace, run
     from pcbench.scene import check_cameras_output
     from pcbench.scene import write_cameras as write
 
@@ -595,7 +611,10 @@ def reconstruct(
     job = Job(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
     with _steps(quiet) as step:
         step(f"reconstructing with {name}")
-        result = run(job, workspace or out.with_suffix(".work"), time_limit)
+        work = workspace or out.with_suffix(".work")
+        if work.is_dir() and any(work.iterdir()) and not is_workspace(work):
+            raise InputError(f"{work}: the workspace is not empty and no reconstruction's: choose another, or empty it")
+        result = run(job, work, time_limit)
     if not quiet:
         for warning in result.warnings:
             _warn(warning)
@@ -630,9 +649,7 @@ def reconstruct(
     "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Runs of each with seeds 0 to N-1."
 )
 @click.option("--out", type=_FILE, required=True, help="Folder for the bench; runs that are in it are kept.")
-@click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Stop a run after this."
-)
+@click.option("--time-limit", type=_Positive(min=0, min_open=True), metavar="SECONDS", help="Stop a run after this.")
 @click.option(
     "--cameras",
     default="auto",
@@ -648,7 +665,7 @@ def reconstruct(
 @click.option("--crop", default="none", show_default=True, metavar="REGION", help=_CROP_HELP)
 @click.option(
     "--threshold",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_Positive(min=0, min_open=True),
     help="Of the F-score.  [default: 5 x the reference's spacing]",
 )
 @click.option("--no-figures", is_flag=True, help="Leave the charts out.")

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
@@ -126,8 +126,8 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
         code, cpu_s = _wait(process, time_limit_s)
     wall_s = time.perf_counter() - start
     try:
-        outcome: dict[str, Any] = json.loads((workspace / OUTCOME).read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+        outcome = _read_outcome(workspace)
+    except (OSError, ValueError):  # none, or what the plugin left in its place
         outcome = {"status": "crashed", "message": _how_it_ended(code, workspace / LOG)}
     if code is None:
         outcome |= {"status": "timeout", "message": f"it took longer than the limit of {time_limit_s:g} s"}
@@ -135,7 +135,7 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
     if outcome["status"] == "ok":
         try:
             made = read_reconstruction(workspace)
-        except PcbenchError as error:  # written, but nothing that can be read
+        except (PcbenchError, OSError, ValueError) as error:  # written, but nothing that can be read
             outcome |= {"status": "garbage", "message": str(error)}
     status: Status = outcome["status"]
     return Run(
@@ -178,8 +178,26 @@ def _end_session(pid: int) -> None:
         os.killpg(pid, signal.SIGKILL)
 
 
+def is_workspace(folder: Path) -> bool:
+    """Whether reconstructions ran in a folder: what they leave may be replaced."""
+    return (folder / JOB).is_file() and (folder / PLUGIN).is_dir()
+
+
+def _read_outcome(workspace: Path) -> dict[str, Any]:
+    outcome = json.loads((workspace / OUTCOME).read_text(encoding="utf-8"))
+    expected = {"status", "cameras", "gauge", "notes"}
+    if not isinstance(outcome, dict) or outcome.get("status") not in get_args(Status):
+        raise ValueError(f"{workspace / OUTCOME}: expected the outcome of a run")
+    if outcome["status"] == "ok" and not expected <= outcome.keys():
+        raise ValueError(f"{workspace / OUTCOME}: expected {', '.join(sorted(expected))}")
+    return outcome
+
+
 def _how_it_ended(code: int | None, log: Path) -> str:
-    text = log.read_bytes()[-4000:].decode(errors="replace")
+    try:
+        text = log.read_bytes()[-4000:].decode(errors="replace")
+    except OSError as error:
+        return f"the process ended with code {code} and without its log: {error.strerror}"
     last = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it printed nothing")
     if code is not None and code < 0:
         name = signal.Signals(-code).name
@@ -192,9 +210,9 @@ def read_reconstruction(workspace: Path) -> Reconstruction:
     """What the last run in a workspace made, if it went well.
 
     Raises:
-        InputError, OSError: its files are not there.
+        InputError, OSError, ValueError: its files are not there, or damaged.
     """
-    outcome: dict[str, Any] = json.loads((workspace / OUTCOME).read_text(encoding="utf-8"))
+    outcome = _read_outcome(workspace)
     cameras = read_colmap_cameras(workspace / CAMERAS) if outcome["cameras"] else ()
     cloud = read_cloud(workspace / CLOUD)
     return Reconstruction(cloud, outcome["gauge"], {c.name: c for c in cameras}, tuple(outcome["notes"]))

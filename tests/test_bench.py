@@ -236,6 +236,44 @@ def test_done_rows_are_kept(here, run):
     assert len(counted()) == 7
 
 
+@pytest.mark.parametrize("name", ["outcome.json", "cloud.ply", "run.json", "score.json"])
+@pytest.mark.parametrize("content", [None, "[]", "{}"])
+def test_a_damaged_run_is_made_again(here, name, content):
+    whole = BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"])
+    first = bench(whole, Path("out"))["rows"][0]
+    (file,) = Path("out").glob(f"runs/*/{name}")
+    file.unlink()
+    if content is not None:
+        file.write_text(content)
+    again = bench(whole, Path("out"))["rows"][0]
+    assert (again["status"], again["fscore"]) == ("ok", first["fscore"])
+
+
+@pytest.mark.parametrize(
+    "deed",
+    [
+        "(workspace.parent / 'outcome.json').write_text('{}'); os._exit(0)",
+        "(workspace.parent / 'outcome.json').write_text('[]'); os._exit(0)",
+        "(workspace.parent / 'outcome.json').write_text('{\"status\": \"ok\"}'); os._exit(0)",
+        "(workspace.parent / 'outcome.json').mkdir(); os._exit(0)",
+        "shutil.rmtree(workspace.parent); os._exit(0)",
+    ],
+)
+def test_a_method_that_breaks_its_folder_is_a_row(here, deed):
+    Path("vandal.py").write_text(
+        METHODS
+        + f"""
+import os, shutil
+@dataclass(frozen=True)
+class Vandal:
+    def reconstruct(self, scene, workspace):
+        {deed}
+"""
+    )
+    whole = BenchJob(Path("photos"), Path("truth.ply"), ["vandal.py:Vandal", "methods.py:Good"])
+    assert [row["status"] for row in bench(whole, Path("out"))["rows"]] == ["crashed", "ok"]
+
+
 def test_an_interrupted_bench_goes_on(here):
     class Stop(Exception):
         pass
@@ -341,6 +379,8 @@ def test_one_bench_a_folder(here):
         (("--crop", "box:1,2"), "box"),
         (("--crop", "box:900,900,900,901,901,901"), "leaves none of the reference's 10000 points"),
         (("--seeds", "0"), "0 is not in the range"),
+        (("--threshold", "nan"), "nan is not a finite number"),
+        (("--time-limit", "inf"), "inf is not a finite number"),
         (("--reference", "nowhere.ply"), "nowhere.ply"),
     ],
 )

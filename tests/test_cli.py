@@ -283,6 +283,17 @@ def test_demo_at_a_small_size(tmp_path, run):
     assert run(*again.split())[0] == 0
 
 
+def test_the_demo_writes_into_no_folder_of_others(tmp_path, run):
+    (tmp_path / "clouds").mkdir()
+    mine = tmp_path / "clouds" / "reference.ply"
+    mine.write_text("mine")
+    code, _, err = run("demo", "--points", 20_000, "--out", tmp_path)
+    assert code == 2
+    assert "holds no demo" in err
+    assert mine.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [tmp_path / "clouds"]
+
+
 def test_interrupt_leaves_nothing(files, run, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt

@@ -284,6 +284,30 @@ def test_flat_ground_shows_no_horizontal_motion():
     assert found.values["observable"] == {"x": 0.0, "y": 0.0, "z": 1.0}
 
 
+def test_noise_above_an_exact_plane_is_noise():
+    """Places carry the noise of the points there: a slope along z would explain all of it."""
+    rng = np.random.default_rng(8)
+    exact = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), np.zeros(20_000)])
+    points = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
+    found = verdict(exact, points, "none")
+    assert found.verdict == "none"
+    # Strays beyond the gate are not counted: less than 0.01.
+    assert found.values["noise"]["sigma_white"] == pytest.approx(0.01, rel=0.25)
+    assert found.values["minimum_detectable_rms"] > 1e-4
+    low, high = verdict(exact, dome(points, 0.01), "none").values["amplitude"]["ci"]
+    assert high - low > 1e-4
+
+
+@pytest.mark.parametrize("shape", ["one place", "a line", "two places"])
+def test_what_is_no_surface_is_undecided(shape):
+    rng = np.random.default_rng(8)
+    reference = sampled(20_000, rng)
+    steps = {"one place": np.zeros(2000), "a line": np.linspace(0, 1, 2000), "two places": np.arange(2000) % 2}[shape]
+    points = reference[0] + steps[:, None] * [0.0, 0.0, 30.0]
+    assert verdict(reference, points, "none").verdict == "undecided"
+    assert verdict(points, reference, "none").verdict == "undecided"
+
+
 def test_an_exact_copy_is_not_bent():
     points = sampled(20_000, np.random.default_rng(9))
     found = verdict(points, points.copy())

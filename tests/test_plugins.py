@@ -289,3 +289,18 @@ def test_the_scene_in_the_child_has_its_images(scene, plugin, tmp_path):
     result = run(Job(plugin("print(scene.read_image('2.png')[0, 0]);" + GOOD), scene), tmp_path / "work")
     assert result.log.read_text() == "[2 0 0]\n"
     assert read_image_header(scene / "images/2.png").width == 40
+
+
+def test_a_workspace_that_is_none_is_left_alone(scene, plugin, tmp_path, request):
+    run_cli = request.getfixturevalue("run")  # `run` is another one here
+    work = tmp_path / "work"
+    (work / "cameras").mkdir(parents=True)
+    (work / "cameras" / "mine.txt").write_text("mine")
+    out = tmp_path / "cloud.ply"
+    spec = plugin("return Reconstruction(scene.points, 'metric')")
+    code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--workspace", work)
+    assert code == 2
+    assert "is not empty and no reconstruction's" in err
+    assert (work / "cameras" / "mine.txt").read_text() == "mine"
+    for _ in range(2):  # its own may be used again
+        assert run_cli("reconstruct", spec, scene, "-o", out, "--workspace", tmp_path / "new")[0] == 0

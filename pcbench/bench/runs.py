@@ -26,7 +26,7 @@ from pcbench.bench.score import Rules, Truth, check_rules, read_truth, score
 from pcbench.cameras import Camera
 from pcbench.errors import InputError, PcbenchError
 from pcbench.io.files import atomic_write, digest
-from pcbench.reconstruct import CLOUD, PLUGIN, Job, describe, read_reconstruction, run
+from pcbench.reconstruct import PLUGIN, Job, describe, read_reconstruction, run
 from pcbench.report.bench_table import bench_markdown, row_words
 from pcbench.report.document import provenance, to_json
 from pcbench.scene import Scene, read_scene
@@ -262,6 +262,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "cameras": None if made is None else len(made.cameras),
         "reconstruction_notes": [*result.warnings, *(() if made is None else made.notes)],
     }
+    folder.mkdir(parents=True, exist_ok=True)  # a plugin may have removed it
     if made is not None:
         shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes that nobody asks for again
     _keep(folder / _RUN, record)
@@ -276,7 +277,13 @@ def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) 
         return limit is not None and limit <= record["time_limit_s"]
     if limit is not None and limit != record["time_limit_s"] and record["wall_s"] > limit:
         return False
-    return record["status"] != "ok" or (folder / CLOUD).is_file()
+    if record["status"] != "ok":
+        return True
+    try:
+        read_reconstruction(folder)
+    except (PcbenchError, OSError, ValueError):  # somebody tidied up
+        return False
+    return True
 
 
 def _measure(inputs: _Inputs, rules: Rules, truth: Truth, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
@@ -379,7 +386,7 @@ def _keep(path: Path, values: dict[str, Any]) -> None:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        values = json.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
         return None
-    return values
+    return values if isinstance(values, dict) else None

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.deformation.polynomials import EXPONENTS, monomials, normal_equations, normal_matrix
+from pcbench.deformation.model import PLACE_NOISE
+from pcbench.deformation.polynomials import EXPONENTS, derivative_squares, monomials, normal_equations, normal_matrix
 from pcbench.neighbors import FloatArray
 
 _HELD = 0.01  # half of a field that has so little information is followed while pairs are found
@@ -30,17 +31,19 @@ class Displacement(NamedTuple):
         return field
 
     def fitted(
-        self, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray
+        self, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray, noise: float
     ) -> Displacement:
         """The field that explains (N,) residuals along normals, by weighted least squares.
 
         What the pairs hardly show is left out, by information against the field's size at all places, whatever they
-        weigh: a field that is free where a forest weighs nothing finds pairs there that bear it out.
+        weigh: a field that is free where a forest weighs nothing finds pairs there that bear it out. A coordinate that
+        hardly varies more than the `noise`, which is in places and residuals alike, is no slope.
         """
         x = self._inside(places)
         moments, scores = (sums[0] for sums in normal_equations(x, normals, weights, residuals))
         values = monomials(x)
         squares = np.einsum("an,bn->ab", values, values, optimize=False) / len(x)
+        squares += np.diag(PLACE_NOISE * (noise / self.radius) ** 2 * derivative_squares(squares))
         to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
         basis = np.kron(to_orthonormal, np.eye(3))
         information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())

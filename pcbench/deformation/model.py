@@ -30,7 +30,7 @@ SEEN = 0.02  # information of a field against a field seen along its direction e
 _HARDLY_SEEN = 1e-4
 _RIDGE = 1e-12
 _FEW = 32
-_PLACE_NOISE = 100 / SEEN  # a coordinate has to vary by ten standard deviations of the noise
+PLACE_NOISE = 100 / SEEN  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
 
@@ -80,7 +80,7 @@ class Geometry:
         # that is in places and residuals alike looks like a slope.
         squares = squares / self.total
         _, power, weight = sums.dyadic[0]
-        doubt = _PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
+        doubt = PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
         factor = np.linalg.cholesky(squares + np.diag(doubt + _RIDGE))
         self.to_orthonormal = np.linalg.inv(factor)  # (20, 20)
         self.basis = np.kron(self.to_orthonormal, np.eye(3))
@@ -132,6 +132,8 @@ class Geometry:
     def covariance(self, step: Step, noise: Noise) -> FloatArray:
         """(K, K) of a step's modes under a noise: responses of each two cells times the covariance between them."""
         responses, size = step.responses, step.modes.shape[1]
+        if size == 0:
+            return np.zeros((0, 0))
         spread = self.mixture(noise) @ responses.reshape(len(responses), -1)
         correlated: FloatArray = responses.reshape(-1, size).T @ spread.reshape(-1, size)
         return noise.white * np.eye(size) + correlated

@@ -93,7 +93,7 @@ def residual_deformation(
         seed: of the bootstrap.
     """
     pairs = find_pairs(reference, candidate)
-    if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST:
+    if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST or _extent(pairs.places[pairs.weights > 0]) == 0:
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
         return Deformation.unanswered(f"{count} pairs of points: too few to tell a bend from noise")
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
@@ -122,6 +122,8 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
     rows = np.flatnonzero(asking.inside)
     if len(rows) < _FEWEST or len(surface.surface) < _FEWEST:
         return None
+    if _extent(asking.surface.points[rows]) == 0 or surface.surface.spacing == 0:
+        return None  # one place, however often
     rows = rows[thin_to(asking.surface.points[rows], 3 * _PAIRS, start=1e-3 * _extent(asking.surface.points[rows]))]
     sign = -1.0 if swapped else 1.0  # a point that asks less the surface's, times it: candidate less reference
     index = surface.surface.index
@@ -149,7 +151,8 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         residuals = sign * np.einsum("ni,ni->n", asked[near] - index.points[feet[near]], normals)
         left = residuals - np.einsum("ni,ni->n", bend[near], normals)
         # Graduated: at first nearly everything within the gate counts.
-        width = max(4.685 * 1.4826 * float(np.median(np.abs(left))), 0.0 if final else 0.5 * gate, 1e-300)
+        noise = 1.4826 * float(np.median(np.abs(left)))
+        width = max(4.685 * noise, 0.0 if final else 0.5 * gate, 1e-300)
         weights = np.square(1 - np.square(np.clip(left / width, -1, 1)))
         asked_rows = rows[near] if final else rows[::step][near]
         quality = (
@@ -160,9 +163,8 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         weights *= quality
         if not weights.any():
             return None
-        field = field.fitted(asked[near], normals, residuals, weights)
-        noise = 4 * 1.4826 * float(np.median(np.abs(left)))
-        gate = max(0.6 * gate if number < _ROUNDS - 4 else 0.0, last, min(noise, gate))
+        field = field.fitted(asked[near], normals, residuals, weights, noise)
+        gate = max(0.6 * gate if number < _ROUNDS - 4 else 0.0, last, min(4 * noise, gate))
     feet, asked = feet[near], asked[near]
     # A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
     around = index.query(index.points[feet], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]

@@ -35,7 +35,7 @@ from pcbench.visibility import in_frame
 
 SCHEMA = "pcbench.experiment.bend/1"
 PLUGIN = "sfm"
-_LENSES = "lenses"  # in the folder of an experiment
+_LENSES, _OURS = "lenses", ".experiment"  # in the folder of an experiment
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # of the lens that synthetic scenes are photographed with
 _FOV = 60.0  # degrees, vertically: a drone's
 _POINTS = 400_000  # of the synthetic truth
@@ -81,16 +81,20 @@ def run_bend(
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _LENSES).is_dir():
+    if out.is_dir() and any(out.iterdir()) and not (out / _OURS).is_file():
         raise InputError(f"{out}: the folder is not empty and holds no experiment: choose another one, or empty it")
     if missing := find_plugin(PLUGIN).missing:
         raise InputError(missing)
-    (out / _LENSES).mkdir(parents=True, exist_ok=True)
-    folder = _synthetic(out, settings, step) if scene is None else scene
+    if scene is None:
+        _begin(out)
+        folder = _synthetic(out, settings, step)
+    else:
+        folder = scene
     data = read_scene(folder)
     plan = list(variants(data))
     truth = read_cloud(_truth(folder, "cloud.ply"))
     surface = MeshIndex(read_mesh(_truth(folder, "mesh.ply")))
+    _begin(out)
     inputs = _Inputs(out, folder, data, settings.seed, describe(PLUGIN).sha256)
     inputs.write(surface, truth)
     solutions = []
@@ -124,6 +128,11 @@ def run_bend(
         except MissingExtra as error:
             without_figures = str(error)
     return document, without_figures
+
+
+def _begin(out: Path) -> None:
+    (out / _LENSES).mkdir(parents=True, exist_ok=True)
+    (out / _OURS).touch()
 
 
 def variants(scene: Scene) -> Iterator[Variant]:
