@@ -607,6 +607,8 @@ def reconstruct(
     check_cloud_output(out)
     if write_cameras is not None:
         check_cameras_output(write_cameras)
+        if write_cameras.resolve().is_relative_to(scene.resolve()):
+            raise InputError(f"{write_cameras}: the cameras would be written into the scene: choose another place")
     values = dict(_key_value(text) for text in settings)
     job = Job(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
     with _steps(quiet) as step:

@@ -140,7 +140,9 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
     status: Status = outcome["status"]
     return Run(
         status=status,
-        message=outcome.get("message", ""),
+        message="".join(
+            c if c.isprintable() else "?" for c in outcome.get("message", "")
+        ),  # no plugin paints terminals
         wall_s=wall_s,
         cpu_s=cpu_s,
         peak_rss_bytes=outcome.get("peak_rss_bytes"),

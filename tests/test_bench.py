@@ -379,6 +379,7 @@ def test_one_bench_a_folder(here):
         (("--crop", "box:1,2"), "box"),
         (("--crop", "box:900,900,900,901,901,901"), "leaves none of the reference's 10000 points"),
         (("--seeds", "0"), "0 is not in the range"),
+        (("--sweep", f"noise={','.join(map(str, range(101)))}", "--seeds", "100"), "10,100 runs are asked for"),
         (("--threshold", "nan"), "nan is not a finite number"),
         (("--time-limit", "inf"), "inf is not a finite number"),
         (("--reference", "nowhere.ply"), "nowhere.ply"),

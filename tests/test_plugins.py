@@ -101,6 +101,7 @@ def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
     "body, status, message",
     [
         ("raise ReconstructionError('too few features in 2 images')", "failed", "too few features in 2 images"),
+        ("raise ReconstructionError('\\x1b[31mred')", "failed", r"\?\[31mred"),
         ("raise KeyError('a line of\\nmine')", "crashed", "KeyError: 'a line of\\\\nmine'"),
         ("os.abort()", "crashed", "ended by SIGABRT"),
         ("print('last words'); os.kill(os.getpid(), signal.SIGKILL)", "crashed", "SIGKILL.*last words"),
@@ -302,5 +303,8 @@ def test_a_workspace_that_is_none_is_left_alone(scene, plugin, tmp_path, request
     assert code == 2
     assert "is not empty and no reconstruction's" in err
     assert (work / "cameras" / "mine.txt").read_text() == "mine"
+    before = sorted((scene / "sparse").iterdir())
+    code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--write-cameras", scene / "sparse")
+    assert (code, "into the scene" in err, sorted((scene / "sparse").iterdir())) == (2, True, before)
     for _ in range(2):  # its own may be used again
         assert run_cli("reconstruct", spec, scene, "-o", out, "--workspace", tmp_path / "new")[0] == 0

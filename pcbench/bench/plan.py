@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -11,6 +12,7 @@ from pcbench.errors import InputError
 from pcbench.reconstruct import Description
 
 IMAGE_SCALE = "image_scale"  # of the scene; every other name is a setting of the method
+_MOST = 10_000  # runs of a method
 _SEED = "seed"
 
 
@@ -132,7 +134,7 @@ def trials(methods: Sequence[Method], axes: Sequence[Axis], seeds: int) -> tuple
     """All runs in their order, and notes on what does not vary.
 
     Raises:
-        InputError: a setting is given twice, or no method has it.
+        InputError: a setting is given twice, no method has it, or there are more than 10,000 runs of one.
     """
     _check_axes(methods, axes)
     result: list[Trial] = []
@@ -147,6 +149,9 @@ def trials(methods: Sequence[Method], axes: Sequence[Axis], seeds: int) -> tuple
         seeded = _has(method, _SEED)
         if seeds > 1 and not seeded:
             notes.append(f"{method.label} has no setting 'seed': one run instead of {seeds}")
+        runs = math.prod(map(len, chosen.values())) * (seeds if seeded else 1)
+        if runs > _MOST:
+            raise InputError(f"{method.label}: {runs:,} runs are asked for, expected at most {_MOST:,}: sweep less")
         for values in product(*chosen.values()):
             choices = dict(zip(chosen, values, strict=True))
             result += [Trial(method, choices, seed) for seed in (range(seeds) if seeded else (None,))]
