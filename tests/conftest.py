@@ -9,6 +9,18 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 
 from pcbench import cli
+from pcbench.errors import MissingExtra
+from pcbench.plot import NoFiguresError
+from pcbench.synthetic.render import check_renderer
+
+
+@pytest.fixture(scope="session")
+def renderer():
+    """Skips what takes photographs where none can be taken."""
+    try:
+        check_renderer()
+    except (NoFiguresError, MissingExtra) as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -14,6 +13,7 @@ import numpy as np
 import oracles
 import pytest
 import shapes
+from processes import ends
 
 from pcbench import Cloud, write_cloud
 from pcbench.bench import score as scoring
@@ -327,19 +327,7 @@ def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
     if how == signal.SIGINT:
         assert (process.returncode, err.strip()) == (130, "interrupted")
     assert len(Path("out/bench.csv").read_text().splitlines()) == 2
-    for _ in range(100):  # its new parent needs a moment
-        if not alive(child):
-            break
-        time.sleep(0.1)
-    assert not alive(child)
-
-
-def alive(pid):
-    try:
-        os.kill(pid, 0)
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (ProcessLookupError, FileNotFoundError):
-        return False
+    assert ends(child)
 
 
 def test_one_bench_a_folder(here):

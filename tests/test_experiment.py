@@ -9,7 +9,6 @@ import pytest
 
 from pcbench.cameras import Intrinsics
 from pcbench.cloud import Cloud
-from pcbench.errors import MissingExtra
 from pcbench.experiments.bend import in_the_world
 from pcbench.experiments.bend_findings import (
     Solution,
@@ -22,11 +21,9 @@ from pcbench.experiments.bend_findings import (
     table,
 )
 from pcbench.mesh import MeshIndex
-from pcbench.plot import NoFiguresError
 from pcbench.scene import read_scene
 from pcbench.synthetic import city
 from pcbench.synthetic.plan import CitySettings
-from pcbench.synthetic.render import check_renderer
 from pcbench.synthetic.rigs import Site, rig
 from pcbench.synthetic.surface import build_city
 from pcbench.synthetic.truth import surface_cloud
@@ -186,12 +183,8 @@ def test_what_is_no_scene_with_truth_is_refused(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_small_experiment(run, tmp_path):
+def test_a_small_experiment(run, renderer, tmp_path):
     pytest.importorskip("pycolmap")
-    try:
-        check_renderer()
-    except (NoFiguresError, MissingExtra) as error:
-        pytest.skip(str(error))
     code, out, err = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
     assert code == 0, err
     assert "report: " in out

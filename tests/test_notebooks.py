@@ -5,23 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from pcbench.errors import MissingExtra
-from pcbench.plot import NoFiguresError
-from pcbench.synthetic.render import check_renderer
-
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path):
+def test_notebook_runs(path, request):
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     pytest.importorskip("matplotlib")
     if path.stem == "reconstructor":  # it takes photographs
         pytest.importorskip("pycolmap")
-        try:
-            check_renderer()
-        except (NoFiguresError, MissingExtra) as error:
-            pytest.skip(str(error))
+        request.getfixturevalue("renderer")
     cells = json.loads(path.read_text())["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear the outputs"
     nbclient.NotebookClient(nbformat.read(path, as_version=4), timeout=300).execute(cwd=str(path.parent))

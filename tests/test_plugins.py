@@ -1,16 +1,15 @@
 """The plugin door: lookup, settings, a process of its own, and failures that are results."""
 
-import os
 import re
 import subprocess
 import sys
 import textwrap
-import time
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import ends
 
 from pcbench import Cloud, plugins, read_cloud
 from pcbench.cameras import Camera, Intrinsics, look_at
@@ -138,23 +137,7 @@ def test_a_hanging_plugin_ends_with_its_children(scene, plugin, tmp_path):
     assert "limit of 3 s" in result.message
     assert result.wall_s < 60
     child = int(result.log.read_text())
-    for _ in range(100):  # its new parent needs a moment
-        if not alive(child):
-            break
-        time.sleep(0.1)
-    assert not alive(child)
-
-
-def alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    stat = Path(f"/proc/{pid}/stat")
-    try:
-        return stat.read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return not Path("/proc/self").exists()
+    assert ends(child)
 
 
 def test_an_old_result_is_not_taken_for_a_new_one(scene, plugin, tmp_path):

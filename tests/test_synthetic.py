@@ -11,14 +11,13 @@ from oracles import first_hits
 
 from pcbench import read_cloud
 from pcbench.cameras import Camera, Intrinsics, look_at
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError
 from pcbench.io.meshes import read_mesh
 from pcbench.mesh import Mesh, MeshIndex
-from pcbench.plot import NoFiguresError
 from pcbench.synthetic.files import SceneSettings, write_scene
 from pcbench.synthetic.paint import Grid, Painter
 from pcbench.synthetic.plan import CitySettings, lay_out
-from pcbench.synthetic.render import Optics, check_renderer, render
+from pcbench.synthetic.render import Optics, render
 from pcbench.synthetic.rigs import Site, perturbed_positions, rig
 from pcbench.synthetic.surface import CitySurface, build_city
 from pcbench.synthetic.truth import depth_map
@@ -31,14 +30,6 @@ LENS = (-0.08, 0.01, 0.002, -0.001)
 @pytest.fixture(scope="module")
 def city():
     return build_city(SMALL, texel=0.5)
-
-
-@pytest.fixture
-def renderer():
-    try:
-        check_renderer()
-    except (NoFiguresError, MissingExtra) as error:
-        pytest.skip(str(error))
 
 
 # ---- the plan ----
@@ -337,11 +328,7 @@ def contents(folder):
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    try:
-        check_renderer()
-    except (NoFiguresError, MissingExtra) as error:
-        pytest.skip(str(error))
+def scene(renderer, tmp_path_factory):
     out = tmp_path_factory.mktemp("scene") / "city"
     write_scene(out, SCENE)
     return out

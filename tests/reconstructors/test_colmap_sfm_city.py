@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from pcbench.cameras import Intrinsics
-from pcbench.errors import MissingExtra
 from pcbench.io.meshes import read_mesh
 from pcbench.mesh import MeshIndex
-from pcbench.plot import NoFiguresError
 from pcbench.scene import read_scene
 from pcbench.synthetic.files import SceneSettings, write_scene
 from pcbench.synthetic.plan import CitySettings
-from pcbench.synthetic.render import check_renderer
 from pcbench.transform import fit_similarity
 from reconstructors.alignment import camera_errors, moved
 from reconstructors.colmap_sfm import ColmapSfm
@@ -23,15 +20,11 @@ pytest.importorskip("pycolmap")
 
 
 def photographed(folder: Path, settings: SceneSettings):
-    try:
-        check_renderer()
-    except (NoFiguresError, MissingExtra) as error:
-        pytest.skip(str(error))
     write_scene(folder, settings)
     return read_scene(folder), MeshIndex(read_mesh(folder / "truth/mesh.ply"))
 
 
-def test_a_small_city(tmp_path):
+def test_a_small_city(renderer, tmp_path):
     lens = Intrinsics(480, 360, 400.0, 400.0, 240.0, 180.0, (-0.05, 0.01, 0.0, 0.0))
     settings = SceneSettings(CitySettings(extent=100.0, seed=3), 12, lens, "grid", points=1000)
     scene, surface = photographed(tmp_path / "city", settings)
@@ -60,7 +53,7 @@ def test_a_small_city(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_city(tmp_path, seed):
+def test_a_city(renderer, tmp_path, seed):
     """The command of the README: all 40 images register, with and without what is known of the cameras."""
     settings = SceneSettings(CitySettings(seed=seed), points=1000)
     scene, surface = photographed(tmp_path / "city", settings)

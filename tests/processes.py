@@ -1,0 +1,26 @@
+"""Processes that tests leave behind, or do not."""
+
+import os
+import time
+from pathlib import Path
+
+
+def ends(pid):
+    """Whether a process ends within ten seconds: once its parent has gone, its new one needs a moment."""
+    for _ in range(100):
+        if not _alive(pid):
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def _alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    stat = Path(f"/proc/{pid}/stat")
+    try:
+        return stat.read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return not Path("/proc/self").exists()
