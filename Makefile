@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 # Constraints in the environment reach the isolated build too.
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
-NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*.h)
+NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*/*.cpp pcbench/native/*/*.h)
 
 .PHONY: demo test lint types slow sanitize compilers bench gallery clean
 

@@ -5,30 +5,30 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from pcbench import metrics as metrics
-    from pcbench.cloud import Cloud as Cloud
-    from pcbench.comparison import Comparison as Comparison
-    from pcbench.comparison import Settings as Settings
-    from pcbench.comparison import compare as compare
-    from pcbench.deform_files import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
+    from pcbench.geometry.cloud import Cloud as Cloud
+    from pcbench.geometry.transform import Affine as Affine
+    from pcbench.geometry.transform import Similarity as Similarity
     from pcbench.io import read_cloud as read_cloud
     from pcbench.io import write_cloud as write_cloud
+    from pcbench.measure import metrics as metrics
+    from pcbench.measure.comparison import Comparison as Comparison
+    from pcbench.measure.comparison import Settings as Settings
+    from pcbench.measure.comparison import compare as compare
     from pcbench.registration import register as register
-    from pcbench.transform import Affine as Affine
-    from pcbench.transform import Similarity as Similarity
+    from pcbench.report.deform_files import deform as deform
 
 # Looked up on first use: a name costs the import of its own room only.
 _ROOMS = {
-    "Affine": "transform",
-    "Cloud": "cloud",
-    "Comparison": "comparison",
+    "Affine": "geometry.transform",
+    "Cloud": "geometry.cloud",
+    "Comparison": "measure.comparison",
     "PcbenchError": "errors",
-    "Settings": "comparison",
-    "Similarity": "transform",
-    "compare": "comparison",
-    "deform": "deform_files",
-    "metrics": "metrics",
+    "Settings": "measure.comparison",
+    "Similarity": "geometry.transform",
+    "compare": "measure.comparison",
+    "deform": "report.deform_files",
+    "metrics": "measure.metrics",
     "read_cloud": "io",
     "register": "registration",
     "write_cloud": "io",
@@ -43,7 +43,7 @@ def __getattr__(name: str) -> Any:
         value = _version()
     elif name in _ROOMS:
         module = import_module(f"pcbench.{_ROOMS[name]}")
-        value = module if name == _ROOMS[name] and name == "metrics" else getattr(module, name)
+        value = module if name == "metrics" else getattr(module, name)
     else:
         raise AttributeError(f"module 'pcbench' has no attribute {name!r}")
     globals()[name] = value

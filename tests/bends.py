@@ -14,10 +14,10 @@ from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, judge_pair
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.sums import dyadic_moments, groups
 from pcbench.deformation.verdict import Finding, bootstrap_signs, decide
-from pcbench.neighbors import Index
-from pcbench.normals import Surface
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
 from pcbench.registration import Target, recentring, register
-from pcbench.synthetic import city
+from pcbench.scenes.synthetic import city
 
 SIGMA = 0.02  # m, of the white noise
 SIZE = 200.0  # m, L

@@ -10,8 +10,8 @@ import pytest
 
 from pcbench import cli
 from pcbench.errors import MissingExtra
-from pcbench.plot import NoFiguresError
-from pcbench.synthetic.render import check_renderer
+from pcbench.report.plot import NoFiguresError
+from pcbench.scenes.synthetic.render import check_renderer
 
 
 @pytest.fixture(scope="session")

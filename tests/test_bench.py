@@ -16,19 +16,19 @@ import shapes
 from processes import ends
 
 from pcbench import Cloud, write_cloud
-from pcbench.bench import score as scoring
-from pcbench.bench.pareto import configurations, front_of, mark_front, pareto_front
-from pcbench.bench.plan import Axis, Method, labels, trials
-from pcbench.bench.runs import COLUMNS, BenchJob, bench
-from pcbench.bench.score import Rules, alignment, read_truth, seen_points
-from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.mesh import Mesh
 from pcbench.plugins import Reconstruction
-from pcbench.reconstruct import Description, describe
-from pcbench.report.bench_table import bench_markdown
-from pcbench.transform import Similarity
+from pcbench.plugins.run import Description, describe
+from pcbench.studies.bench import score as scoring
+from pcbench.studies.bench.pareto import configurations, front_of, mark_front, pareto_front
+from pcbench.studies.bench.plan import Axis, Method, labels, trials
+from pcbench.studies.bench.runs import COLUMNS, BenchJob, bench
+from pcbench.studies.bench.score import Rules, alignment, read_truth, seen_points
+from pcbench.studies.bench.table import bench_markdown
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 RIG = [
@@ -586,9 +586,9 @@ def test_with_cameras_withheld_they_still_register(here):
     Path("own.py").write_text(
         METHODS
         + f"""
-from pcbench.transform import Similarity
-from pcbench.cameras import Camera
-from pcbench.scene import read_scene
+from pcbench.geometry.transform import Similarity
+from pcbench.geometry.cameras import Camera
+from pcbench.scenes.scene import read_scene
 @dataclass(frozen=True)
 class Own:
     def reconstruct(self, scene, workspace):
@@ -704,14 +704,14 @@ def test_sfm_on_photographs_whose_truth_is_known(tmp_path, run):
 
 
 def test_the_demo_says_why_it_has_no_bench(monkeypatch):
-    from pcbench.bench import demo
+    from pcbench.studies.bench import demo
 
     monkeypatch.setattr(demo, "find_spec", lambda name: None)
     assert demo.why_not() == "pycolmap is needed for the bench: pip install 'pcbench[plot,sfm]'"
 
 
 def test_the_demo_removes_nothing_but_its_own(tmp_path):
-    from pcbench.bench.demo import demo_job
+    from pcbench.studies.bench.demo import demo_job
 
     (tmp_path / "city").mkdir()
     mine = tmp_path / "city" / "mine.txt"

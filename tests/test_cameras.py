@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 
 def test_conventions():

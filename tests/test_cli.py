@@ -12,7 +12,7 @@ import pytest
 import shapes
 
 from pcbench import Cloud, read_cloud, write_cloud
-from pcbench.transform import read_matrix
+from pcbench.geometry.transform import read_matrix
 
 REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json"}
 
@@ -298,7 +298,7 @@ def test_interrupt_leaves_nothing(files, run, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pcbench.comparison.register", interrupt)
+    monkeypatch.setattr("pcbench.measure.comparison.register", interrupt)
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report")
     assert code == 130
     assert err.strip() == "interrupted"
@@ -399,8 +399,8 @@ def test_a_poor_terminal_and_a_terminated_run(files):
     done = subprocess.run(command, env=poor, capture_output=True, check=True)
     assert b"D1 MSE" in done.stdout
     stop = (
-        "import os, signal, sys, pcbench.comparison\n"
-        "pcbench.comparison.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "import os, signal, sys, pcbench.measure.comparison\n"
+        "pcbench.measure.comparison.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"
         "sys.argv = 'pcbench compare ref.ply a.ply --out report'.split()\n"
         "from pcbench.cli import main; main()"
     )
@@ -478,7 +478,7 @@ def test_a_mesh_file_as_the_reference(files, run):
 
 
 def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, run):
-    from pcbench.cameras import Camera, Intrinsics, look_at
+    from pcbench.geometry.cameras import Camera, Intrinsics, look_at
     from pcbench.io.colmap_model import write_colmap_model
 
     image = pytest.importorskip("PIL.Image")
@@ -506,7 +506,7 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
 
 
 def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
-    from pcbench.cameras import Camera, Intrinsics, look_at
+    from pcbench.geometry.cameras import Camera, Intrinsics, look_at
     from pcbench.io.colmap_model import write_colmap_model
 
     image = pytest.importorskip("PIL.Image")

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pcbench.cloud import Cloud, as_cloud
 from pcbench.errors import InputError, PcbenchError
-from pcbench.transform import Affine, Similarity
+from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.transform import Affine, Similarity
 
 POINTS = np.arange(12.0).reshape(4, 3)
 QUARTER_TURN = Similarity(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([10.0, 0, 0]), 2.0)

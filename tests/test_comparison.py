@@ -171,7 +171,7 @@ def test_results_do_not_depend_on_other_candidates(pair):
 def test_two_runs_and_any_number_of_threads_give_the_same_json(tmp_path):
     script = (
         "import sys; sys.path.insert(0, 'tests')\n"
-        "from pcbench.synthetic import demo\n"
+        "from pcbench.scenes.synthetic import demo\n"
         "from pcbench import compare\n"
         "from pcbench.report import document, to_json\n"
         "d = demo(60_000)\n"
@@ -278,7 +278,7 @@ def test_different_coordinate_systems_are_warned_about(pair):
 
 def test_one_system_under_two_names():
     pyproj = pytest.importorskip("pyproj")
-    from pcbench.crs import crs_name, same_crs
+    from pcbench.geometry.crs import crs_name, same_crs
 
     wkt = pyproj.CRS.from_epsg(32617).to_wkt()
     assert same_crs("EPSG:32617", wkt)
@@ -287,7 +287,7 @@ def test_one_system_under_two_names():
 
 
 def test_a_mesh_as_the_reference():
-    from pcbench.mesh import Mesh
+    from pcbench.geometry.mesh import Mesh
 
     square = Mesh(np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     candidate = np.random.default_rng(1).uniform([1, 1, 0.1], [9, 9, 0.1], (500, 3))

@@ -8,9 +8,9 @@ from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcbench.cloud import Cloud
-from pcbench.crop import Box, Polygon, Sphere, Union, parse_region, read_polygon, sphere_about
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.regions import Box, Polygon, Sphere, Union, parse_region, read_polygon, sphere_about
 
 unhurried = settings(deadline=None)  # a busy machine is no failure
 UTM = np.array([512_345.678, 5_612_345.678, 123.456])
@@ -222,7 +222,7 @@ def test_chunks_do_not_show(monkeypatch):
     generator = np.random.default_rng(5)
     ring, xyz = star(generator, 30, 0.3, 1, (0, 0)), generator.uniform(-1, 1, (1000, 3))
     whole = Polygon((ring,)).contains(xyz)
-    monkeypatch.setattr("pcbench.crop._CHUNK", 7)
+    monkeypatch.setattr("pcbench.geometry.regions._CHUNK", 7)
     assert (Polygon((ring,)).contains(xyz) == whole).all()
 
 
@@ -375,7 +375,7 @@ def test_refused_files(tmp_path, content, message):
 
 
 def test_refused_endless_file(monkeypatch):
-    monkeypatch.setattr("pcbench.crop._FILE_BYTES", 1 << 20)
+    monkeypatch.setattr("pcbench.geometry.regions._FILE_BYTES", 1 << 20)
     with pytest.raises(InputError, match="got a file of more than 1 MiB"):
         read_polygon("/dev/zero")
 

@@ -6,10 +6,10 @@ import shapes
 from data_folder import data_folder
 
 from pcbench import Settings, compare, read_cloud
-from pcbench.deviation import m3c2
 from pcbench.errors import InputError
-from pcbench.mesh import Mesh
-from pcbench.neighbors import Index
+from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.neighbors import Index
+from pcbench.measure.deviation import m3c2
 
 UP = np.array([0, 0, 1.0])
 

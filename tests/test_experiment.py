@@ -7,10 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcbench.cameras import Intrinsics
-from pcbench.cloud import Cloud
-from pcbench.experiments.bend import in_the_world
-from pcbench.experiments.bend_findings import (
+from pcbench.geometry.cameras import Intrinsics
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import MeshIndex
+from pcbench.scenes.scene import read_scene
+from pcbench.scenes.synthetic import city
+from pcbench.scenes.synthetic.plan import CitySettings
+from pcbench.scenes.synthetic.rigs import Site, rig
+from pcbench.scenes.synthetic.surface import build_city
+from pcbench.scenes.synthetic.truth import surface_cloud
+from pcbench.scenes.synthetic.warp import turn, warp_of
+from pcbench.studies.bend.bend import in_the_world
+from pcbench.studies.bend.findings import (
     Solution,
     Variant,
     _lens_words,
@@ -20,15 +28,7 @@ from pcbench.experiments.bend_findings import (
     lens_error,
     table,
 )
-from pcbench.mesh import MeshIndex
-from pcbench.scene import read_scene
-from pcbench.synthetic import city
-from pcbench.synthetic.plan import CitySettings
-from pcbench.synthetic.rigs import Site, rig
-from pcbench.synthetic.surface import build_city
-from pcbench.synthetic.truth import surface_cloud
-from pcbench.synthetic.warp import turn, warp_of
-from reconstructors.alignment import moved
+from reconstructors.sfm.alignment import moved
 
 LENS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
 PLAIN = replace(LENS, distortion=(0.0, 0.0, 0.0, 0.0))
@@ -160,7 +160,7 @@ def test_the_picture(document, tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    from pcbench.plot.experiment import draw_bend
+    from pcbench.studies.bend.figure import draw_bend
 
     draw_bend(document, tmp_path / "bend.png")
     with Image.open(tmp_path / "bend.png") as image:

@@ -11,12 +11,12 @@ import shapes
 from data_folder import data_folder
 
 from pcbench import cli, read_cloud, write_cloud
-from pcbench.cloud import Cloud
-from pcbench.correspondences import Pairs, likely_poses
 from pcbench.errors import InputError, MissingExtra, RegistrationError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity, read_matrix
 from pcbench.registration import register
-from pcbench.synthetic import city
-from pcbench.transform import Similarity, read_matrix
+from pcbench.registration.correspondences import Pairs, likely_poses
+from pcbench.scenes.synthetic import city
 
 needs_kiss = pytest.mark.skipif(importlib.util.find_spec("kiss_matcher") is None, reason="kiss-matcher is missing")
 UTM = np.array([500_000.0, 4_800_000.0, 0.0])

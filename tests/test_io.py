@@ -12,8 +12,8 @@ from data_folder import data_folder
 from ply_bytes import XYZ, corpus, ply, points
 
 import pcbench
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import files, read_cloud, write_cloud
 
 NAN = float("nan")
@@ -270,7 +270,7 @@ def test_write_errors_are_os_errors(tmp_path):
 FULL_DISK = """
 import resource, sys
 import numpy as np
-from pcbench.cloud import Cloud
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 try:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from ply_bytes import damaged
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError, PcbenchError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap import read_points3d
 

@@ -11,8 +11,8 @@ import pytest
 from data_folder import data_folder
 from las_bytes import OFFSETS, SCALES, UTM, extra, extras, geo_keys, las, vlr, wkt
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError, MissingExtra
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import las_header, laz, read_cloud, write_cloud
 
 COMPRESSED = pytest.mark.parametrize("compress", [None, "chunks"])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from ply_bytes import damaged
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 
 

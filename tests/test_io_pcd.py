@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pcd_bytes import XYZ, corpus, lzf, pcd, points
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf as reader
 from pcbench.io import read_cloud, write_cloud
 

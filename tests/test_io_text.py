@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 
 DOUBLES = st.floats(-1e99, 1e99)

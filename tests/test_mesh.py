@@ -12,8 +12,8 @@ from oracles import first_hits
 from scipy.stats import chi2
 
 from pcbench.errors import InputError
-from pcbench.mesh import Mesh, MeshIndex
-from pcbench.transform import Affine, Similarity
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.transform import Affine, Similarity
 
 UTM = np.array([468_012.25, 5_428_771.5, 312.0])
 
@@ -178,7 +178,8 @@ def test_batches_threads_and_runs_give_the_same_bits():
             np.testing.assert_array_equal(got[::-1] if len(parts) == 1 else got, expected)
     code = (
         f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "import hashlib, numpy as np\nfrom mesh_shapes import spiky\nfrom pcbench.mesh import Mesh, MeshIndex\n"
+        "import hashlib, numpy as np\nfrom mesh_shapes import spiky\n"
+        "from pcbench.geometry.mesh import Mesh, MeshIndex\n"
         "points = np.random.default_rng(6).normal(size=(3000, 3))\n"
         "print(hashlib.sha256(b''.join(m.tobytes() for m in MeshIndex(Mesh(*spiky(4))).query(points))).hexdigest())"
     )

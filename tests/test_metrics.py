@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 
 from pcbench import metrics
 from pcbench.errors import InputError
-from pcbench.neighbors import Index
-from pcbench.voxels import cells
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.voxels import cells
 
 # Coordinates on a 2^-10 grid: shifts and powers of two are exact, so that equality can be exact.
 GRID = st.integers(-(2**14), 2**14).map(lambda v: v / 1024)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pcbench.errors import InputError
-from pcbench.neighbors import Index, match_both_ways
+from pcbench.geometry.neighbors import Index, match_both_ways
 
 
 def squared_distances(queries, points):
@@ -399,7 +399,7 @@ import numpy as np
 sys.path[:0] = {path!r}
 from test_neighbors import SHAPES
 from pcbench.native import _core
-from pcbench.neighbors import Index, match_both_ways
+from pcbench.geometry.neighbors import Index, match_both_ways
 
 digest = hashlib.sha256()
 for shape in SHAPES:
@@ -462,5 +462,5 @@ def test_ctrl_c_stops_a_search():
 
 
 def test_importing_the_room_costs_no_scipy():
-    script = "import sys, pcbench.neighbors; print('scipy' in sys.modules)"
+    script = "import sys, pcbench.geometry.neighbors; print('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout == "False\n"

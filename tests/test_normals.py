@@ -6,8 +6,8 @@ import pytest
 import shapes
 
 from pcbench.errors import InputError
-from pcbench.neighbors import Index
-from pcbench.normals import Surface, estimate_normals, orient_towards
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface, estimate_normals, orient_towards
 
 
 def angles_deg(a, b):

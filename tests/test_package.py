@@ -44,6 +44,6 @@ def test_public_names():
     for name in pcbench.__all__:
         assert getattr(pcbench, name) is not None
     assert callable(pcbench.compare)
-    import pcbench.comparison
+    import pcbench.measure.comparison
 
     assert callable(pcbench.compare)

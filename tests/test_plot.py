@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import shapes
 
-from pcbench import Cloud, plot, write_cloud
+from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError, MissingExtra
-from pcbench.plot import NoFiguresError, draw
-from pcbench.plot.maps import limits
+from pcbench.report import plot
 from pcbench.report.colors import ramp
+from pcbench.report.plot import NoFiguresError, draw
+from pcbench.report.plot.maps import limits
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,13 @@ import pytest
 from processes import ends
 
 from pcbench import Cloud, plugins, read_cloud
-from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.image_header import read_image_header
 from pcbench.plugins import Reconstruction, find_plugin
-from pcbench.reconstruct import Job, run
-from pcbench.stages import stage, stage_key
+from pcbench.plugins.run import Job, run
+from pcbench.plugins.stages import stage, stage_key
 
 POINTS = np.random.default_rng(0).normal(size=(30, 3))
 
@@ -31,7 +31,7 @@ import numpy as np
 from pcbench import Cloud
 from pcbench.errors import ReconstructionError
 from pcbench.plugins import Reconstruction
-from pcbench.stages import stage
+from pcbench.plugins.stages import stage
 """
 
 

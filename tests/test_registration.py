@@ -7,10 +7,10 @@ from data_folder import data_folder
 
 from pcbench import Cloud, read_cloud
 from pcbench.errors import InputError, RegistrationError
+from pcbench.geometry.transform import Similarity, format_matrix, read_matrix
 from pcbench.native import _core
 from pcbench.registration import register
-from pcbench.synthetic import city
-from pcbench.transform import Similarity, format_matrix, read_matrix
+from pcbench.scenes.synthetic import city
 
 UTM = np.array([500_000.0, 4_800_000.0, 0.0])
 

@@ -10,15 +10,15 @@ from data_folder import data_folder
 from PIL import Image
 
 from pcbench import Cloud
-from pcbench.cameras import Camera, Intrinsics, look_at, rotation_from
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at, rotation_from
+from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
 from pcbench.io.earth_studio import EARTH_RADIUS, read_earth_studio
 from pcbench.io.image_header import read_image_header
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms, write_transforms
-from pcbench.scene import read_scene, write_cameras
-from pcbench.transform import Similarity
+from pcbench.scenes.scene import read_scene, write_cameras
 
 K = Intrinsics(64, 48, 50.0, 51.0, 31.0, 25.0, (0.01, -0.02, 0.001, 0.002))
 
@@ -463,7 +463,7 @@ def test_transforms_apply_the_pose(tmp_path):
 @pytest.mark.parametrize("count", [1, 2, 10])
 def test_the_camera_plot_is_drawn(photographs, count):
     matplotlib_image = pytest.importorskip("matplotlib.image")
-    from pcbench.plot.cameras import draw_cameras
+    from pcbench.report.plot.cameras import draw_cameras
 
     write_colmap_model(photographs / "sparse/0", orbit(NAMES), Cloud(np.random.default_rng(0).normal(size=(500, 3))))
     draw_cameras(read_scene(photographs).select(NAMES[:count]), photographs / "cameras.png")
@@ -477,7 +477,7 @@ def test_the_camera_plot_is_drawn(photographs, count):
 
 
 def test_rings_are_told_apart_and_closed():
-    from pcbench.plot.cameras import _rings
+    from pcbench.report.plot.cameras import _rings
 
     angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)

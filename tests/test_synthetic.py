@@ -10,18 +10,18 @@ import pytest
 from oracles import first_hits
 
 from pcbench import read_cloud
-from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.visibility import views
 from pcbench.io.meshes import read_mesh
-from pcbench.mesh import Mesh, MeshIndex
-from pcbench.synthetic.files import SceneSettings, write_scene
-from pcbench.synthetic.paint import Grid, Painter
-from pcbench.synthetic.plan import CitySettings, lay_out
-from pcbench.synthetic.render import Optics, render
-from pcbench.synthetic.rigs import Site, perturbed_positions, rig
-from pcbench.synthetic.surface import CitySurface, build_city
-from pcbench.synthetic.truth import depth_map
-from pcbench.visibility import views
+from pcbench.scenes.synthetic.files import SceneSettings, write_scene
+from pcbench.scenes.synthetic.paint import Grid, Painter
+from pcbench.scenes.synthetic.plan import CitySettings, lay_out
+from pcbench.scenes.synthetic.render import Optics, render
+from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
+from pcbench.scenes.synthetic.surface import CitySurface, build_city
+from pcbench.scenes.synthetic.truth import depth_map
 
 SMALL = CitySettings(extent=120.0, seed=3)
 LENS = (-0.08, 0.01, 0.002, -0.001)
@@ -461,7 +461,7 @@ def test_mistakes_are_one_line(run, renderer, tmp_path, monkeypatch, options, me
 
 def test_without_opengl_nothing_is_begun(run, tmp_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setattr("pcbench.plot._OPENGL", ("libNoSuchGL.so",))
+    monkeypatch.setattr("pcbench.report.plot._OPENGL", ("libNoSuchGL.so",))
     code, _, err = run("synth", "city", "--out", tmp_path / "city", *TINY.split())
     assert code == 2
     assert "libegl1" in err

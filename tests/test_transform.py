@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcbench.errors import InputError
-from pcbench.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
+from pcbench.geometry.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
 
 unhurried = settings(deadline=None)  # a busy machine is no failure
 QUARTER_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])

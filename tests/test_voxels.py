@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcbench.errors import InputError
-from pcbench.voxels import cell_means, cells, thin, thin_to
+from pcbench.geometry.voxels import cell_means, cells, thin, thin_to
 
 
 def by_sorting(points, side, lower):

@@ -9,8 +9,8 @@ import pytest
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.errors import InputError
-from pcbench.synthetic.warp import KINDS, Warp, turn, warp_of
-from pcbench.transform import Affine, Similarity
+from pcbench.geometry.transform import Affine, Similarity
+from pcbench.scenes.synthetic.warp import KINDS, Warp, turn, warp_of
 
 RMS = 0.25
 

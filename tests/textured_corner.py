@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 SIDE = 4.0  # of each plane, from the corner at the origin
 

@@ -19,10 +19,10 @@ from pcbench import __version__
 from pcbench.errors import InputError, PcbenchError
 
 if TYPE_CHECKING:
-    from pcbench.bench.runs import BenchJob
-    from pcbench.cloud import Cloud
-    from pcbench.compare_files import Job
-    from pcbench.comparison import Comparison
+    from pcbench.geometry.cloud import Cloud
+    from pcbench.measure.comparison import Comparison
+    from pcbench.report.compare_files import Job
+    from pcbench.studies.bench.runs import BenchJob
 
 _Number = TypeVar("_Number", int, float)
 
@@ -111,8 +111,8 @@ def compare(
     Example: pcbench compare ref.ply a.ply b.ply --out report/
     """
     _multiply_on_one_thread()
-    from pcbench.compare_files import Job
-    from pcbench.comparison import Settings
+    from pcbench.measure.comparison import Settings
+    from pcbench.report.compare_files import Job
 
     if settings_file is not None:
         options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
@@ -154,10 +154,10 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
     city and bench sparse SfM on it, at two image scales with finer and coarser features (needs the extras plot, sfm).
     """
-    from pcbench.compare_files import Job
-    from pcbench.comparison import Settings
     from pcbench.io import write_cloud
-    from pcbench.synthetic import demo as make_demo
+    from pcbench.measure.comparison import Settings
+    from pcbench.report.compare_files import Job
+    from pcbench.scenes.synthetic import demo as make_demo
 
     mark = out / ".demo"
     if out.exists() and not out.is_dir():
@@ -193,7 +193,7 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
 
 
 def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
-    from pcbench.bench.demo import demo_job, why_not
+    from pcbench.studies.bench.demo import demo_job, why_not
 
     if reason := why_not():
         if not quiet:
@@ -213,7 +213,7 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
 @quiet_option
 def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
-    from pcbench.crop import parse_region
+    from pcbench.geometry.regions import parse_region
     from pcbench.io import write_cloud
     from pcbench.io.files import check_output
 
@@ -243,10 +243,10 @@ def register(
     reference: Path, candidate: Path, out: Path | None, matrix: Path | None, register: str, quiet: bool
 ) -> None:
     """Align CANDIDATE to REFERENCE and say how well that is determined. Prints the 4x4 matrix."""
+    from pcbench.geometry.transform import format_matrix
     from pcbench.io import write_cloud
     from pcbench.io.files import atomic_write, check_output
     from pcbench.registration import register as register_clouds
-    from pcbench.transform import format_matrix
 
     for path in filter(None, (out, matrix)):
         check_output(path, (reference, candidate))
@@ -302,8 +302,8 @@ def deform(
     Example: pcbench deform ref.ply a.ply --out bend/
     """
     _multiply_on_one_thread()
-    from pcbench.deform_files import deform_files
     from pcbench.report import deformation_words
+    from pcbench.report.deform_files import deform_files
 
     with _steps(quiet) as step:
         outcome = deform_files(reference, candidate, register, crop, seed, out, figures=not no_figures, step=step)
@@ -340,7 +340,7 @@ def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
     a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
     """
-    from pcbench.plot import draw
+    from pcbench.report.plot import draw
 
     with _steps(quiet) as step:
         step("drawing")
@@ -420,9 +420,9 @@ def city(
     """
     from dataclasses import replace
 
-    from pcbench.cameras import Intrinsics
-    from pcbench.synthetic.files import SceneSettings, write_scene
-    from pcbench.synthetic.plan import CitySettings
+    from pcbench.geometry.cameras import Intrinsics
+    from pcbench.scenes.synthetic.files import SceneSettings, write_scene
+    from pcbench.scenes.synthetic.plan import CitySettings
 
     pixels, lens = _size(size), _numbers("--distortion", distortion, float)
     if lens is None or len(lens) != 4:
@@ -456,7 +456,7 @@ def warp(cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str,
 
     from pcbench.io import write_cloud
     from pcbench.io.files import atomic_write, check_output
-    from pcbench.synthetic.warp import turn, warp_of
+    from pcbench.scenes.synthetic.warp import turn, warp_of
 
     beside = out.with_name(f"{out.name}.json")
     for path in (out, beside):
@@ -482,7 +482,7 @@ def info(clouds: tuple[Path, ...]) -> None:
     """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes."""
     import numpy as np
 
-    from pcbench.neighbors import Index
+    from pcbench.geometry.neighbors import Index
 
     for path in clouds:
         cloud = _read(path, quiet=False)
@@ -523,17 +523,17 @@ def scene(
     .camera files or an Earth Studio export.
     """
     from pcbench.io.files import check_output
-    from pcbench.scene import read_scene
+    from pcbench.scenes.scene import read_scene
 
     warn = (lambda _: None) if quiet else _warn
     data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=warn)
     if figure is not None:
-        from pcbench.plot.cameras import draw_cameras
+        from pcbench.report.plot.cameras import draw_cameras
 
         check_output(figure, ())
         draw_cameras(data, figure)
     if write_cameras is not None:
-        from pcbench.scene import write_cameras as write
+        from pcbench.scenes.scene import write_cameras as write
 
         write(write_cameras, data.cameras, data.folder, data.points)
     if not quiet:
@@ -600,9 +600,9 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
-    from pcbench.reconstruct import Job, is_workspace, run
-    from pcbench.scene import check_cameras_output
-    from pcbench.scene import write_cameras as write
+    from pcbench.plugins.run import Job, is_workspace, run
+    from pcbench.scenes.scene import check_cameras_output
+    from pcbench.scenes.scene import write_cameras as write
 
     check_cloud_output(out)
     if write_cameras is not None:
@@ -698,9 +698,9 @@ def bench(
     Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
              --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
     """
-    from pcbench.bench.plan import Axis
-    from pcbench.bench.runs import BenchJob
-    from pcbench.bench.score import Rules
+    from pcbench.studies.bench.plan import Axis
+    from pcbench.studies.bench.runs import BenchJob
+    from pcbench.studies.bench.score import Rules
 
     axes = [*map(Axis.fixed, settings), *map(Axis.sweep, sweeps)]
     rules = Rules(register, crop, threshold)
@@ -709,10 +709,10 @@ def bench(
 
 
 def _bench(job: BenchJob, out: Path, *, figures: bool, quiet: bool) -> None:
-    from pcbench.bench.runs import Done
-    from pcbench.bench.runs import bench as run_bench
-    from pcbench.plot import draw_if_possible
-    from pcbench.report.bench_table import print_bench
+    from pcbench.report.plot import draw_if_possible
+    from pcbench.studies.bench.runs import Done
+    from pcbench.studies.bench.runs import bench as run_bench
+    from pcbench.studies.bench.table import print_bench
 
     def say(done: Done) -> None:
         if not quiet:
@@ -765,9 +765,9 @@ def bend(
     \b
     Example: pcbench experiment bend --out bend/
     """
-    from pcbench.experiments.bend import Experiment, run_bend
-    from pcbench.experiments.bend_findings import table
     from pcbench.report import print_columns
+    from pcbench.studies.bend.bend import Experiment, run_bend
+    from pcbench.studies.bend.findings import table
 
     if scene is not None and any(_given(context, name) for name in ("images", "size")):
         raise click.UsageError("--images and --size are those of the scene that is made where none is given")
@@ -800,8 +800,8 @@ def _key_value(text: str) -> tuple[str, str]:
 
 
 def _compare(job: Job, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool) -> Comparison:
-    from pcbench.compare_files import Outputs, compare_files
     from pcbench.report import print_table, to_json
+    from pcbench.report.compare_files import Outputs, compare_files
 
     to_stdout = json_file == "-"
     outputs = Outputs(out, None if json_file is None or to_stdout else Path(json_file), figures)

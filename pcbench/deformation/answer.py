@@ -16,7 +16,7 @@ from pcbench.deformation.polynomials import PARAMETERS
 from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable
 from pcbench.deformation.sums import TileSums
 from pcbench.deformation.verdict import bootstrap_signs, climb, decide
-from pcbench.neighbors import FloatArray
+from pcbench.geometry.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

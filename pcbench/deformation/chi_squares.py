@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pcbench.neighbors import FloatArray
+from pcbench.geometry.arrays import FloatArray
 
 
 def chi_squares_tail(value: float, weights: FloatArray) -> float:

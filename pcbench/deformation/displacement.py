@@ -9,7 +9,7 @@ import numpy as np
 
 from pcbench.deformation.model import PLACE_NOISE
 from pcbench.deformation.polynomials import EXPONENTS, derivative_squares, monomials, normal_equations, normal_matrix
-from pcbench.neighbors import FloatArray
+from pcbench.geometry.arrays import FloatArray
 
 _HELD = 0.01  # half of a field that has so little information is followed while pairs are found
 _RIDGE = 1e-12

@@ -13,7 +13,7 @@ from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import SEEN, Geometry, Noise, Scores
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.sums import TileSums
-from pcbench.neighbors import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 
 FDR = 0.05
 _LEAST_TESTED, _SMOOTH_TESTED = 3.0, 0.1  # weight of smooth surface in a cell and a pair: bushes change by themselves

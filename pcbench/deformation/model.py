@@ -22,7 +22,7 @@ from pcbench.deformation.polynomials import (
     translation_columns,
 )
 from pcbench.deformation.sums import TileSums, added, merged
-from pcbench.neighbors import FloatArray
+from pcbench.geometry.arrays import FloatArray
 
 FACTORS = (1, 2, 3)  # sizes of tiles, in cells
 TILE = 1  # the one of them that is reported

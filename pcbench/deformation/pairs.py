@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
-from pcbench.crs import euclidean_offsets
 from pcbench.deformation.answer import Deformation, judge
 from pcbench.deformation.displacement import Displacement, share_of
 from pcbench.deformation.sums import TileSums
-from pcbench.neighbors import FloatArray, IntArray
-from pcbench.normals import Surface
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import euclidean_offsets
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.voxels import cells, thin_to
 from pcbench.registration import Registration
-from pcbench.voxels import cells, thin_to
 
 _PAIRS = 20_000
 _COARSE = 5_000  # pairs of all but the last rounds

@@ -11,8 +11,8 @@ from itertools import product
 
 import numpy as np
 
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.native import _core
-from pcbench.neighbors import FloatArray, IntArray
 
 MODELS = ("rigid", "similarity", "affine", "quadratic", "cubic")
 PARAMETERS = {"rigid": 6, "similarity": 7, "affine": 12, "quadratic": 30, "cubic": 60}

@@ -10,7 +10,7 @@ import numpy as np
 from pcbench.deformation.chi_squares import chi_squares_point
 from pcbench.deformation.model import SEEN, Geometry, Noise, Scores, Step
 from pcbench.deformation.sums import TileSums, added
-from pcbench.neighbors import IntArray
+from pcbench.geometry.arrays import IntArray
 
 
 def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation.polynomials import normal_equations
-from pcbench.neighbors import FloatArray, IntArray
-from pcbench.voxels import cells
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.voxels import cells
 
 _DYADIC = 5  # finer levels of moments: halves of cells, quarters, ...
 

@@ -13,7 +13,7 @@ from pcbench.deformation.model import FACTORS, TILE, Geometry, Noise, Scores
 from pcbench.deformation.polynomials import MODELS, PARAMETERS
 from pcbench.deformation.size import amplitude, effective_count
 from pcbench.deformation.sums import added
-from pcbench.neighbors import FloatArray
+from pcbench.geometry.arrays import FloatArray
 
 FEWEST_TILES = 40
 _REPLICATES = 999

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.cloud import FloatArray
 from pcbench.errors import InputError
-from pcbench.transform import Similarity
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.transform import Similarity
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, bounds
 
 if TYPE_CHECKING:
-    from pcbench.transform import Affine, Similarity
+    from pcbench.geometry.transform import Affine, Similarity
 
-FloatArray = NDArray[np.float64]
-
-LARGEST = 1e100  # beyond it squared distances overflow
 
 # Per-point quantities of a Gaussian splat that live in its own axes: a change of frame makes them wrong.
 _FRAME_BOUND = ("rot_", "scale_", "f_rest_")
@@ -52,8 +50,8 @@ class Cloud:
         # The sum is non-finite whenever a term is: one pass without a temporary mask decides the usual case.
         with np.errstate(over="ignore", invalid="ignore"):
             finite = bool(np.isfinite(points.sum()))
-        if finite and (largest := np.abs(bounds(points)).max()) > LARGEST:
-            raise InputError(f"expected coordinates up to {LARGEST:g}, got {largest:g}: squares overflow")
+        if finite and (largest := np.abs(bounds(points)).max()) > MAX_COORDINATE:
+            raise InputError(f"expected coordinates up to {MAX_COORDINATE:g}, got {largest:g}: squares overflow")
         if not finite and (bad := int(np.count_nonzero(~np.isfinite(points).all(axis=1)))):
             raise InputError(
                 f"expected finite coordinates, got NaN or Inf in {bad} of {len(points)} points:"
@@ -131,13 +129,6 @@ class Cloud:
 def as_cloud(data: Cloud | ArrayLike) -> Cloud:
     """A `Cloud` as it is, or one around an (N, 3) array."""
     return data if isinstance(data, Cloud) else Cloud(_triples("points", data))
-
-
-def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner (3,) of points (N, 3), N >= 1."""
-    # One axis at a time: several times faster than numpy's reduction of rows of three.
-    columns = [points[:, axis] for axis in range(3)]
-    return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
 
 
 def _triples(what: str, data: ArrayLike) -> FloatArray:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.cloud import FloatArray
-from pcbench.transform import fit_similarity
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.transform import fit_similarity
 
 
 def same_crs(first: str, second: str) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pcbench.cloud import FloatArray
+from pcbench.geometry.arrays import FloatArray
 from pcbench.io.exif_gps import Gps
 
 _SEMI_MAJOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84 (NIMA TR8350.2)

@@ -9,12 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Affine, Similarity
 from pcbench.native import _core
-from pcbench.transform import Affine, Similarity
-
-IntArray = NDArray[np.int64]
 
 # What the kernel calls the places of a face: corners 0-2, then the edges 01, 12, 20, then the inside.
 _EDGE, _INSIDE = 3, 6

@@ -10,15 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.native import _core
 
-__all__ = ["FloatArray", "Index", "IntArray", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-# Squared distances between coordinates beyond it would overflow.
-_LARGEST_COORDINATE = 1e100
+__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways"]
 
 
 class Matches(NamedTuple):
@@ -162,7 +157,7 @@ class Index:
 
         slack is in squared units; 0 finds none.
         """
-        if not 0 <= slack <= _LARGEST_COORDINATE**2:
+        if not 0 <= slack <= MAX_COORDINATE**2:
             raise InputError(f"slack: expected a finite squared length of at least 0, got {slack}")
         found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         tied = np.empty(len(queries), np.bool_)
@@ -216,15 +211,15 @@ def _as_points(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def _check_length(value: float, name: str) -> None:
-    if not 0 <= value <= _LARGEST_COORDINATE:
+    if not 0 <= value <= MAX_COORDINATE:
         raise InputError(f"{name}: expected a finite length of at least 0, got {value}")
 
 
 def _explain(error: ValueError, rows: NDArray[np.float64], name: str) -> NoReturn:
     """The kernels check coordinates as they read them; which one is wrong is only looked up when one is."""
-    wrong = ~(np.abs(rows) <= _LARGEST_COORDINATE)
+    wrong = ~(np.abs(rows) <= MAX_COORDINATE)
     if not wrong.any():
         raise error
     row = int(np.argmax(wrong.any(axis=1)))
-    expected = f"expected finite coordinates of at most {_LARGEST_COORDINATE:g}"
+    expected = f"expected finite coordinates of at most {MAX_COORDINATE:g}"
     raise InputError(f"{name}: {expected}, got {rows[row].tolist()} in row {row}; remove such points first") from error

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index, LocalPlanes, Matches
 from pcbench.native import _core
-from pcbench.neighbors import FloatArray, Index, IntArray, LocalPlanes, Matches
 
 _ASKED = 20_000  # points that the spacing is taken from
 _TWINS = 8  # nearest points among which one is looked for that is no duplicate

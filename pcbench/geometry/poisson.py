@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError, MissingExtra
-from pcbench.mesh import IntArray, Mesh
-from pcbench.neighbors import Index
-from pcbench.normals import unit
-from pcbench.voxels import thin_to
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import unit
+from pcbench.geometry.voxels import thin_to
 
 _REACH = 4.0  # spacings between points beyond which the surface is invented, not measured
 _FEWEST = 50  # points

@@ -12,14 +12,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
+from pcbench.geometry.cloud import Cloud
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _AXES = "xyz"
-_LARGEST = 1e100  # beyond it products of coordinates overflow
 _CHUNK = 1 << 20  # points whose polygon test is made at once
 _FILE_BYTES = 32 << 20
 
@@ -86,7 +85,7 @@ class Sphere:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center", _vector("centre", self.center))
-        if not 0 < self.radius < _LARGEST:
+        if not 0 < self.radius < MAX_COORDINATE:
             raise InputError(f"expected a sphere with a positive, finite radius, got {self.radius}")
 
     def contains(self, points: FloatArray) -> Mask:
@@ -395,7 +394,7 @@ def _list(what: str, value: Any) -> list[Any]:
 
 def _number(what: str, value: Any) -> float:
     # bool is an int in Python, and integers of any length come out of JSON.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_COORDINATE:
         raise InputError(f"expected {what} as a finite number, got {_brief(value)}")
     return float(value)
 
@@ -415,7 +414,7 @@ def _numbers(text: str, names: str) -> list[float]:
 
 def _brief(value: Any) -> str:
     """A value on one short line."""
-    if isinstance(value, int) and abs(value) >= _LARGEST:
+    if isinstance(value, int) and abs(value) >= MAX_COORDINATE:
         return "a number out of range"
     if isinstance(value, list | dict):
         return f"a {type(value).__name__} of {len(value)}"
@@ -425,14 +424,14 @@ def _brief(value: Any) -> str:
 
 def _vector(what: str, values: ArrayLike) -> FloatArray:
     array = np.array(values, dtype=np.float64)
-    if array.shape != (3,) or not (np.abs(array) < _LARGEST).all():
+    if array.shape != (3,) or not (np.abs(array) < MAX_COORDINATE).all():
         raise InputError(f"expected the {what} as three finite numbers, got {array.tolist()}")
     return array
 
 
 def _ring(vertices: ArrayLike) -> FloatArray:
     array = np.array(vertices, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 2 or not (np.abs(array) < _LARGEST).all():
+    if array.ndim != 2 or array.shape[1] != 2 or not (np.abs(array) < MAX_COORDINATE).all():
         raise InputError(f"expected the ring of a polygon as (M, 2) finite numbers, got shape {array.shape}")
     if len(array) > 1 and (array[0] == array[-1]).all():  # rings in files are closed
         array = array[:-1]

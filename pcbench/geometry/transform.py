@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pcbench.cloud import LARGEST
 from pcbench.errors import InputError
-
-FloatArray = NDArray[np.float64]
+from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 
 _REWEIGHTED = 30  # times at most
 
@@ -180,8 +178,8 @@ def fit_similarity(
         raise InputError(f"expected two (N, 3) arrays of pairs, got {candidate.shape} and {reference.shape}")
     if len(candidate) < 3:
         raise InputError(f"expected at least 3 pairs of points to fit a transform, got {len(candidate)}")
-    if not (np.abs(candidate).max() <= LARGEST and np.abs(reference).max() <= LARGEST):
-        raise InputError(f"expected finite coordinates up to {LARGEST:g} in the pairs of points")
+    if not (np.abs(candidate).max() <= MAX_COORDINATE and np.abs(reference).max() <= MAX_COORDINATE):
+        raise InputError(f"expected finite coordinates up to {MAX_COORDINATE:g} in the pairs of points")
     w = np.full(len(candidate), 1 / len(candidate)) if weights is None else weights / weights.sum()
     mean_c, mean_r = np.einsum("n,ni->i", w, candidate), np.einsum("n,ni->i", w, reference)
     c, r = candidate - mean_c, reference - mean_r

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cameras import Camera
-from pcbench.cloud import FloatArray
-from pcbench.mesh import MeshIndex
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.mesh import MeshIndex
 
 SEEN_BY = 3  # cameras that make a point visible: what multi-view stereo asks for
 _LIFT = 1e-7  # of the scene's size: far above the rounding of its coordinates, far below what hides anything

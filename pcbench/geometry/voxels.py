@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.cloud import bounds
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.native import _core
-from pcbench.neighbors import FloatArray, IntArray
 
 
 class Cells(NamedTuple):

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import colmap
 from pcbench.io.files import Fields, check_output, check_readable
 from pcbench.io.las import read_las, write_las

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io.files import Fields, Warn
 
 NAMES = ("points3D.bin", "points3D.txt")  # binary first: it keeps every digit

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics
-from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write
-from pcbench.transform import Similarity
 
 # Name and number of parameters, by COLMAP's number of the model.
 _MODELS = {

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import laz
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.las_crs import WKT, read_crs, to_wkt

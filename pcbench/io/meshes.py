@@ -17,16 +17,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.errors import InputError, MissingExtra
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
 from pcbench.io.files import Warn, check_readable
 from pcbench.io.ply import holds_faces, read_ply_faces
-from pcbench.mesh import Mesh
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _WORD_LIMIT = 32  # characters of a number in a text file
 

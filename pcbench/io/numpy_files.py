@@ -19,8 +19,8 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io.files import Fields, Warn, atomic_write
 
 if TYPE_CHECKING:

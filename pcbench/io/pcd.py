@@ -14,8 +14,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
 from pcbench.io.files import Fields, Warn, atomic_write, read_rest
 

@@ -16,8 +16,8 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io.files import Fields, Warn, atomic_write, read_rest
 
 _HEADER_LIMIT = 1 << 20  # bytes

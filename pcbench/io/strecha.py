@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics, rotation_from
 from pcbench.errors import InputError
-from pcbench.transform import Similarity
+from pcbench.geometry.cameras import Camera, Intrinsics, rotation_from
+from pcbench.geometry.transform import Similarity
 
 
 def read_strecha(path: Path) -> Camera:

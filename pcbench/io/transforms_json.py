@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics, rotation_from
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, rotation_from
+from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write
-from pcbench.transform import Similarity
 
 Size = tuple[int, int]
 

@@ -14,19 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench import intervals, metrics, presets
-from pcbench.cloud import Cloud, as_cloud, bounds
-from pcbench.crop import Region, parse_region
-from pcbench.crs import crs_name, same_crs
 from pcbench.deformation import Deformation, Side, residual_deformation
-from pcbench.deviation import DeviationMap, m3c2
 from pcbench.errors import InputError, RegistrationError
-from pcbench.measure import Direction, Floor, measure, value_of
-from pcbench.mesh import Mesh, MeshIndex
-from pcbench.neighbors import FloatArray, Index, IntArray, Matches
-from pcbench.normals import Surface
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.crs import crs_name, same_crs
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.regions import Region, parse_region
+from pcbench.geometry.voxels import robust_extent, thin_to
+from pcbench.measure import intervals, metrics, presets
+from pcbench.measure.deviation import DeviationMap, m3c2
+from pcbench.measure.scores import Direction, Floor, measure, value_of
 from pcbench.registration import Registration, Target, recentring, register
-from pcbench.voxels import robust_extent, thin_to
 
 MAPS = ("poisson", "m3c2")
 
@@ -44,7 +45,7 @@ class Settings:
 
     Attributes:
         register: how candidates are aligned, see `pcbench.registration.METHODS`.
-        crop: which part is measured, see `pcbench.crop.parse_region`.
+        crop: which part is measured, see `pcbench.geometry.regions.parse_region`.
         thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
         presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
         maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
@@ -225,7 +226,7 @@ class _Reference:
         Raises:
             InputError: the reference is too small for normals.
         """
-        from pcbench.poisson import oriented, poisson_mesh
+        from pcbench.geometry.poisson import oriented, poisson_mesh
 
         if not self.has_normals:
             raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.neighbors import FloatArray, Index, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index
 
 CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
 _CORES_AT_ONCE = 512

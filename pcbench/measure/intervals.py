@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.cloud import bounds
-from pcbench.neighbors import FloatArray, IntArray
-from pcbench.voxels import cells, robust_extent
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.voxels import cells, robust_extent
 
 REPLICATES = 1000
 LEVEL = 0.95

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.voxels import Cells
 from pcbench.native import _core
-from pcbench.neighbors import FloatArray, IntArray
-from pcbench.voxels import Cells
 
 
 class FScore(NamedTuple):

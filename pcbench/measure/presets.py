@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench import metrics
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index, Matches, match_both_ways
+from pcbench.geometry.voxels import cell_means
+from pcbench.measure import metrics
 from pcbench.native import _core
-from pcbench.neighbors import FloatArray, Index, IntArray, Matches, match_both_ways
-from pcbench.voxels import cell_means
 
 NAMES = ("gao2025", "mpeg", "open3d", "pdal", "tnt")
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench import intervals, metrics
-from pcbench.neighbors import FloatArray, IntArray
-from pcbench.voxels import Cells, cells
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.voxels import Cells, cells
+from pcbench.measure import intervals, metrics
 
 FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
 

@@ -9,10 +9,10 @@
 
 #include <omp.h>
 
-#include "arrays.h"
-#include "index.h"
-#include "loops_module.h"
-#include "mesh_module.h"
+#include "common/arrays.h"
+#include "points/index.h"
+#include "pairs/loops_module.h"
+#include "mesh/mesh_module.h"
 
 namespace {
 

@@ -1,4 +1,4 @@
-"""The describing process: `python -m pcbench.describe_child SPEC FILE` writes what a reconstructor is, as JSON."""
+"""The describing process: `describe_child SPEC FILE` writes what a reconstructor is, as JSON."""
 
 from __future__ import annotations
 

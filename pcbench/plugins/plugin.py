@@ -17,10 +17,10 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints, runtime_checkable
 
-from pcbench.cameras import Camera
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError
-from pcbench.scene import Scene
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.scenes.scene import Scene
 
 GROUP = "pcbench.reconstructors"
 
@@ -53,13 +53,13 @@ class Reconstruction:
         if self.gauge not in get_args(Gauge):
             raise InputError(f"expected a gauge of {', '.join(get_args(Gauge))}; got {self.gauge!r}")
         if not isinstance(self.cameras, Mapping) or not all(isinstance(c, Camera) for c in self.cameras.values()):
-            raise InputError("expected cameras as a mapping from image names to pcbench.cameras.Camera")
+            raise InputError("expected cameras as a mapping from image names to pcbench.geometry.cameras.Camera")
 
 
 @runtime_checkable
 class Reconstructor(Protocol):
     """Makes a cloud of a scene. The workspace is a folder of its own, which keeps what it left there for the next run:
-    see `pcbench.stages`.
+    see `pcbench.plugins.stages`.
     """
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction: ...

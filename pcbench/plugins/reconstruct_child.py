@@ -1,5 +1,5 @@
-"""The reconstructing process: `python -m pcbench.reconstruct_child WORKSPACE` reads the job there and writes what came
-of it: outcome.json, and where it went well cloud.ply and cameras.
+"""The reconstructing process: `reconstruct_child WORKSPACE` reads the job there and writes what came of it:
+outcome.json, and where it went well cloud.ply and cameras.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.files import atomic_write
 from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
-from pcbench.reconstruct import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
-from pcbench.scene import Scene, read_scene
+from pcbench.plugins.run import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
+from pcbench.scenes.scene import Scene, read_scene
 
 _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 

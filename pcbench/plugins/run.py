@@ -112,7 +112,7 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
     (workspace / OUTCOME).unlink(missing_ok=True)
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
-    command = [sys.executable, "-P", "-m", "pcbench.reconstruct_child", str(workspace.absolute())]
+    command = [sys.executable, "-P", "-m", "pcbench.plugins.reconstruct_child", str(workspace.absolute())]
     start = time.perf_counter()
     with (workspace / LOG).open("wb") as log:
         process = subprocess.Popen(
@@ -242,7 +242,7 @@ def describe(plugin: str, time_limit_s: float = 120.0) -> Description:
     with tempfile.TemporaryDirectory(prefix="pcbench-describe-") as folder:
         file = Path(folder) / "description.json"
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "pcbench.describe_child", _absolute(plugin), str(file)],
+            [sys.executable, "-P", "-m", "pcbench.plugins.describe_child", _absolute(plugin), str(file)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -266,5 +266,5 @@ def _absolute(plugin: str) -> str:
 
 def _environment() -> dict[str, str]:
     # The process must find this very package; -P: and not what lies in the current folder.
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")]))
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]))
     return {**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench import kiss_child
 from pcbench.errors import InputError, MissingExtra, RegistrationError
-from pcbench.neighbors import FloatArray, IntArray
-from pcbench.transform import Similarity, fit_similarity
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.registration import kiss_child
 
 RUNG = 1.2  # features stand a tenth more or less of scale, so poses are looked for within this factor
 

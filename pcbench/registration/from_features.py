@@ -13,14 +13,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
-from pcbench.correspondences import RUNG, Pairs, apart, likely_poses, matched
 from pcbench.errors import InputError, RegistrationError
-from pcbench.neighbors import FloatArray, Index
-from pcbench.normals import Surface, estimate_normals
-from pcbench.registration import Registration, Target, _given, _icp, recentring
-from pcbench.transform import Similarity
-from pcbench.voxels import cell_means, cells, robust_extent, thin, thin_to
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface, estimate_normals
+from pcbench.geometry.transform import Similarity
+from pcbench.geometry.voxels import cell_means, cells, robust_extent, thin, thin_to
+from pcbench.registration.correspondences import RUNG, Pairs, apart, likely_poses, matched
+from pcbench.registration.icp import Registration, Target, _given, _icp, recentring
 
 _CELLS = 15_000  # of the larger cloud, when features are compared: a second's work
 _COARSER = 1.6  # what finer cells do not find, coarser ones may

@@ -14,13 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.cloud import Cloud, as_cloud, bounds
 from pcbench.errors import InputError, RegistrationError
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.normals import Surface, plane_normals
+from pcbench.geometry.transform import Similarity, fit_similarity, read_matrix
+from pcbench.geometry.voxels import cell_means, cells, robust_extent, thin, thin_to
 from pcbench.native import _core
-from pcbench.neighbors import FloatArray, Index, IntArray, Matches
-from pcbench.normals import Surface, plane_normals
-from pcbench.transform import Similarity, fit_similarity, read_matrix
-from pcbench.voxels import cell_means, cells, robust_extent, thin, thin_to
 
 METHODS = ("icp", "icp-point", "similarity", "global", "global-similarity", "points:FILE", "matrix:FILE", "none")
 
@@ -110,7 +111,7 @@ def register(
     if kind in ("icp", "icp-point", "similarity") and not colon:
         result = _icp(target, points, origin, kind)
     elif method in ("global", "global-similarity"):
-        from pcbench.global_registration import register_from_nothing  # it builds on this module
+        from pcbench.registration.from_features import register_from_nothing  # it builds on this module
 
         result = register_from_nothing(target, points, origin, method)
     elif kind == "matrix" and path:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.neighbors import FloatArray
+from pcbench.geometry.arrays import FloatArray
 
 # The colour map "turbo" (Mikhailov 2019) at eleven even places, as in the pictures.
 _TURBO = np.array(

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pcbench.cloud import Cloud
-from pcbench.comparison import Comparison, Settings, compare
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
 from pcbench.io.files import atomic_write, check_output, digest
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.mesh import Mesh
-from pcbench.plot import draw_if_possible
+from pcbench.measure.comparison import Comparison, Settings, compare
 from pcbench.report import Inputs, document, report_folder, to_json, write_report
 from pcbench.report.folder import check_name, read_settings
+from pcbench.report.plot import draw_if_possible
 
 _NAMING_A_FILE = ("matrix:", "points:", "polygon:")  # settings that do
 

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.cloud import Cloud
-from pcbench.crop import parse_region
 from pcbench.deformation import Deformation, Side, residual_deformation
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.regions import parse_region
+from pcbench.geometry.voxels import robust_extent, thin_to
 from pcbench.io import read_cloud
-from pcbench.neighbors import Index
-from pcbench.normals import Surface
-from pcbench.plot import draw_if_possible
 from pcbench.registration import Registration, Target, recentring, register
 from pcbench.report import report_folder, write_deformation
-from pcbench.voxels import robust_extent, thin_to
+from pcbench.report.plot import draw_if_possible
 
 _SHOWN = 300_000  # points of the aligned candidate that pictures are drawn over
 
@@ -40,7 +40,7 @@ def deform(
     Args:
         reference, candidate: clouds.
         method: how they are registered, see `pcbench.registration.METHODS`.
-        crop: which part counts, in the reference's coordinates, see `pcbench.crop.parse_region`.
+        crop: which part counts, in the reference's coordinates, see `pcbench.geometry.regions.parse_region`.
         seed: of the bootstrap.
 
     Raises:

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 import pcbench
-from pcbench.comparison import Candidate, Comparison
-from pcbench.deviation import M3C2, DeviationMap
-from pcbench.metrics import percentiles
-from pcbench.neighbors import FloatArray
+from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.comparison import Candidate, Comparison
+from pcbench.measure.deviation import M3C2, DeviationMap
+from pcbench.measure.metrics import percentiles
 from pcbench.registration import Registration
 
 SCHEMA = "pcbench.comparison/1"

@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
-from pcbench.comparison import Comparison, Settings
-from pcbench.crs import is_known
 from pcbench.deformation import Deformation
-from pcbench.deviation import M3C2
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import is_known
+from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
+from pcbench.measure.comparison import Comparison, Settings
+from pcbench.measure.deviation import M3C2
 from pcbench.report.colors import color_limit, ramp
 from pcbench.report.document import to_json
 from pcbench.report.table import Row, markdown, rows
-from pcbench.transform import Similarity, format_matrix
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from pcbench.measure import BACK, FORTH
+from pcbench.measure.scores import BACK, FORTH
 
 _ARROWS = {FORTH: "c→r", BACK: "r→c"}
 _DIRECTED = (  # name, definition, power of the unit

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cameras import Camera
-from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError, MissingExtra
-from pcbench.geodesy import enu_from_wgs84
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.geodesy import enu_from_wgs84
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import (
     check_model_output,

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pcbench.cameras import Camera
-from pcbench.cloud import FloatArray
-from pcbench.transform import Similarity
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.transform import Similarity
 
 
 def moved(camera: Camera, transform: Similarity) -> Camera:

@@ -15,18 +15,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics
-from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity, fit_similarity, robust_similarity
 from pcbench.io.colmap_model import intrinsics_from_colmap
 from pcbench.plugins import Gauge, Reconstruction
-from pcbench.scene import Scene
-from pcbench.stages import stage, stage_key
-from pcbench.transform import Similarity, fit_similarity, robust_similarity
-from reconstructors.alignment import camera_errors, moved
-from reconstructors.control import ControlPoint, Refine, adjust, describe, measure, read_control
-from reconstructors.epipolar import share_on_epipolar_lines
-from reconstructors.image_pairs import Matching, choose_pairs
+from pcbench.plugins.stages import stage, stage_key
+from pcbench.scenes.scene import Scene
+from reconstructors.sfm.alignment import camera_errors, moved
+from reconstructors.sfm.control import ControlPoint, Refine, adjust, describe, measure, read_control
+from reconstructors.sfm.epipolar import share_on_epipolar_lines
+from reconstructors.sfm.pairs import Matching, choose_pairs
 
 _FEW_INLIERS = 15  # COLMAP's default: a pair with fewer is not used
 _FEW_FEATURES = 50  # below it hardly any pair has that many after ratio test and RANSAC

@@ -8,9 +8,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from pcbench.cameras import Camera
-from pcbench.cloud import FloatArray
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
 
 Refine = Literal["all", "focal", "distortion", "none"]  # intrinsics that are solved for
 

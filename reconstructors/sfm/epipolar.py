@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.cameras import Camera
-from pcbench.cloud import FloatArray
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
 
 _TOLERANCE = 4.0  # pixels: COLMAP's for verified matches
 

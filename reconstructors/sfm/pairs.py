@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from pcbench.cloud import FloatArray
 from pcbench.errors import InputError
-from pcbench.scene import Scene
+from pcbench.geometry.arrays import FloatArray
+from pcbench.scenes.scene import Scene
 
 Matching = Literal["auto", "exhaustive", "sequential", "spatial"]
 

@@ -153,7 +153,7 @@ def main() -> None:
         return
 
     from pcbench import write_cloud
-    from pcbench.synthetic import demo
+    from pcbench.scenes.synthetic import demo
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

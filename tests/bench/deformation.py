@@ -152,10 +152,10 @@ def halves(runs: int) -> None:
 def times(sizes: list[int]) -> None:
     """Seconds for two whole clouds that are registered and indexed, and whose normals are known, as in `compare`."""
     from pcbench.deformation import Side, residual_deformation
-    from pcbench.neighbors import Index
-    from pcbench.normals import Surface
+    from pcbench.geometry.neighbors import Index
+    from pcbench.geometry.normals import Surface
     from pcbench.registration import Target, recentring, register
-    from pcbench.synthetic import demo
+    from pcbench.scenes.synthetic import demo
 
     print(f"\n{'reference':>10}{'candidate':>11}{'seconds':>9}  verdict")
     for size in sizes:

@@ -23,7 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from mesh_shapes import height_field
 
-from pcbench.mesh import Mesh, MeshIndex
+from pcbench.geometry.mesh import Mesh, MeshIndex
 
 
 def ours(vertices, faces):

@@ -30,7 +30,7 @@ def contestants(reference, candidate, threads: int) -> dict[str, Callable[[], ob
     """Each builds both indices from float64 arrays and searches both ways."""
     import numpy as np
 
-    from pcbench.neighbors import Index, match_both_ways
+    from pcbench.geometry.neighbors import Index, match_both_ways
 
     def scipy(points, queries):
         from scipy.spatial import cKDTree

@@ -16,7 +16,7 @@ def measure(size: int, k: int, threads: int, runs: int) -> None:
     import numpy as np
     from clouds import pair
 
-    from pcbench.neighbors import Index
+    from pcbench.geometry.neighbors import Index
 
     points = pair("uniform city", size)[0]
     points += np.random.default_rng(1).normal(0, 0.02, points.shape)

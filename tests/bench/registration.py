@@ -29,11 +29,12 @@ from measure import alternate, setting
 
 from pcbench import register
 from pcbench.errors import RegistrationError
-from pcbench.neighbors import FloatArray, Index
-from pcbench.normals import Surface
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.transform import Similarity
 from pcbench.registration import Target, recentring
-from pcbench.synthetic import city, demo
-from pcbench.transform import Similarity
+from pcbench.scenes.synthetic import city, demo
 
 LIMIT = 0.05  # metres
 GATES = (20.0, 6.0, 2.0)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pcbench.cameras import Camera, Intrinsics, look_at
-from pcbench.transform import Similarity, robust_similarity
-from reconstructors.alignment import camera_errors, moved
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.transform import Similarity, robust_similarity
+from reconstructors.sfm.alignment import camera_errors, moved
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcbench.cameras import Intrinsics
+from pcbench.geometry.cameras import Intrinsics
+from pcbench.geometry.mesh import MeshIndex
+from pcbench.geometry.transform import fit_similarity
 from pcbench.io.meshes import read_mesh
-from pcbench.mesh import MeshIndex
-from pcbench.scene import read_scene
-from pcbench.synthetic.files import SceneSettings, write_scene
-from pcbench.synthetic.plan import CitySettings
-from pcbench.transform import fit_similarity
-from reconstructors.alignment import camera_errors, moved
-from reconstructors.colmap_sfm import ColmapSfm
+from pcbench.scenes.scene import read_scene
+from pcbench.scenes.synthetic.files import SceneSettings, write_scene
+from pcbench.scenes.synthetic.plan import CitySettings
+from reconstructors.sfm.alignment import camera_errors, moved
+from reconstructors.sfm.colmap_sfm import ColmapSfm
 
 pytest.importorskip("pycolmap")
 

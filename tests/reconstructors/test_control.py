@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError
-from reconstructors.alignment import camera_errors
-from reconstructors.colmap_sfm import _cameras
-from reconstructors.control import ControlPoint, Observation, adjust, describe, measure, read_control, triangulate
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from reconstructors.sfm.alignment import camera_errors
+from reconstructors.sfm.colmap_sfm import _cameras
+from reconstructors.sfm.control import ControlPoint, Observation, adjust, describe, measure, read_control, triangulate
 
 LENS = Intrinsics(400, 300, 350, 350, 200, 150, (-0.05, 0.0, 0.0, 0.0))
 OFFSET = np.array([450_000.0, 5_400_000.0, 300.0])  # a map's coordinates

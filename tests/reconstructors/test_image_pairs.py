@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcbench.cameras import Camera, Intrinsics, look_at
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.io.exif_gps import Gps
-from pcbench.scene import Scene
-from reconstructors.image_pairs import choose_pairs
+from pcbench.scenes.scene import Scene
+from reconstructors.sfm.pairs import choose_pairs
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 

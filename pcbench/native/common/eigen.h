@@ -2,7 +2,7 @@
 // the last digits for the nearly singular covariances that planes have (the closed form loses half of them).
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "lanes.h"
+#include "common/lanes.h"
 
 namespace pcbench::PCB_ISA {
 

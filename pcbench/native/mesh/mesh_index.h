@@ -10,8 +10,8 @@
 #include <limits>
 #include <vector>
 
-#include "ray.h"
-#include "triangle.h"
+#include "mesh/ray.h"
+#include "mesh/triangle.h"
 
 namespace pcbench::mesh {
 

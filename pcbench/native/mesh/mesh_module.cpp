@@ -1,8 +1,8 @@
 // Python's view of the triangle tree.
-#include "mesh_module.h"
+#include "mesh/mesh_module.h"
 
-#include "arrays.h"
-#include "mesh_index.h"
+#include "common/arrays.h"
+#include "mesh/mesh_index.h"
 
 using pcbench::mesh::MeshIndex;
 

@@ -4,7 +4,7 @@
 #include <cstddef>
 #include <utility>
 
-#include "triangle.h"
+#include "mesh/triangle.h"
 
 namespace pcbench::mesh {
 

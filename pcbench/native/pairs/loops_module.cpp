@@ -1,5 +1,5 @@
 // Python's view of the loops over points that need no tree.
-#include "loops_module.h"
+#include "pairs/loops_module.h"
 
 #include <nanobind/stl/optional.h>
 
@@ -8,11 +8,11 @@
 #include <optional>
 #include <vector>
 
-#include "arrays.h"
-#include "cells.h"
-#include "normals.h"
-#include "pairs.h"
-#include "polynomials.h"
+#include "common/arrays.h"
+#include "points/cells.h"
+#include "points/normals.h"
+#include "pairs/pairs.h"
+#include "pairs/polynomials.h"
 
 namespace {
 

@@ -1,7 +1,7 @@
 // Eight queries that lie near each other and walk the tree together, one in each lane.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "walk.h"
+#include "points/walk.h"
 
 namespace pcbench::PCB_ISA {
 

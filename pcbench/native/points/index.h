@@ -1,7 +1,7 @@
 // The tree with its memory, and queries sorted in space: what module.cpp hands to the kernels.
 #pragma once
-#include "block.h"
-#include "kernels.h"
+#include "common/block.h"
+#include "points/kernels.h"
 
 namespace pcbench {
 

@@ -1,7 +1,7 @@
 // The loops that exist once for each instruction set, and the choice between them.
 #pragma once
-#include "interrupt.h"
-#include "tree.h"
+#include "common/interrupt.h"
+#include "points/tree.h"
 
 namespace pcbench {
 

@@ -1,2 +1,2 @@
 #define PCB_ISA avx2
-#include "kernels_isa.h"
+#include "points/kernels_isa.h"

@@ -2,12 +2,12 @@
 // must never find two copies of one inline function and keep the one that this machine cannot run. For the same reason
 // these headers keep to what the standard library always inlines.
 #pragma once
-#include "kernels.h"
-#include "knearest.h"
-#include "nearest.h"
-#include "planes.h"
-#include "regions.h"
-#include "tree_build.h"
+#include "points/kernels.h"
+#include "points/knearest.h"
+#include "points/nearest.h"
+#include "points/planes.h"
+#include "points/regions.h"
+#include "points/tree_build.h"
 
 namespace pcbench::PCB_ISA {
 

@@ -1,8 +1,8 @@
 // The nearest point of each query, eight queries at a time.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "group.h"
-#include "interrupt.h"
+#include "points/group.h"
+#include "common/interrupt.h"
 
 namespace pcbench::PCB_ISA {
 

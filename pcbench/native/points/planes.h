@@ -4,9 +4,9 @@
 #pragma once
 #include <omp.h>
 
-#include "eigen.h"
-#include "group.h"
-#include "interrupt.h"
+#include "common/eigen.h"
+#include "points/group.h"
+#include "common/interrupt.h"
 
 namespace pcbench::PCB_ISA {
 

@@ -1,8 +1,8 @@
 // All points inside a ball or a cylinder.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "interrupt.h"
-#include "walk.h"
+#include "common/interrupt.h"
+#include "points/walk.h"
 
 namespace pcbench::PCB_ISA {
 

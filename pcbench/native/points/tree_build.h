@@ -3,9 +3,9 @@
 #pragma once
 #include <algorithm>
 
-#include "interrupt.h"
-#include "lanes.h"
-#include "tree.h"
+#include "common/interrupt.h"
+#include "common/lanes.h"
+#include "points/tree.h"
 
 namespace pcbench::PCB_ISA {
 

@@ -1,8 +1,8 @@
 // Visiting the leaves near a query, nearest first, as long as they can change an answer.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "lanes.h"
-#include "tree.h"
+#include "common/lanes.h"
+#include "points/tree.h"
 
 namespace pcbench::PCB_ISA {
 

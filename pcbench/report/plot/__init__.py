@@ -39,7 +39,7 @@ def draw(report: Path, names: tuple[str, ...] = ()) -> list[Path]:
         _check_library("matplotlib")
     else:
         check_libraries()
-    command = [sys.executable, "-m", "pcbench.plot.worker", str(report.absolute()), *names]
+    command = [sys.executable, "-m", "pcbench.report.plot.worker", str(report.absolute()), *names]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=_TIME_LIMIT_S, env=drawing_environment(), check=False
@@ -105,5 +105,5 @@ def check_opengl() -> None:
 
 def drawing_environment() -> dict[str, str]:
     """Environment variables of a drawing process: it must find this very package, wherever it is run from."""
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]))
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH")]))
     return {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "agg", "PYVISTA_OFF_SCREEN": "true"}

@@ -6,12 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
-from pcbench.plot.maps import framed_panels
-
-FloatArray = NDArray[np.float64]
+from pcbench.geometry.cloud import Cloud
+from pcbench.report.plot.maps import framed_panels
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _ARROW = 0.1  # of the scene: how long the 95th percentile of the arrows is drawn

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pcbench.cameras import Camera
-from pcbench.cloud import FloatArray
 from pcbench.errors import InputError, MissingExtra
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write
 
 if TYPE_CHECKING:
-    from pcbench.scene import Scene
+    from pcbench.scenes.scene import Scene
 
 _CAMERA, _PATH, _POINT = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
 _MOST_POINTS = 20_000  # more are drawn as a blot

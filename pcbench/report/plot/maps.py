@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import Cloud
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
 from pcbench.report.colors import color_limit
-
-FloatArray = NDArray[np.float64]
 
 LABELS = {
     "distance": "distance to the nearest reference point",

@@ -1,4 +1,4 @@
-"""The drawing process: `python -m pcbench.plot.worker REPORT [NAME...]` prints the files it wrote."""
+"""The drawing process: `python -m pcbench.report.plot.worker REPORT [NAME...]` prints the files it wrote."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.cloud import Cloud
 from pcbench.errors import PcbenchError
+from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.plot import bench, bends, charts, maps
+from pcbench.report.plot import bends, charts, maps
+from pcbench.studies.bench import charts as bench
 
 _MESH_SAMPLES = 500_000
 

@@ -5,6 +5,6 @@ photographed one: `plan` lays it out, `surface` and `paint` give it faces, textu
 `render` takes the pictures and `truth` says what they show. `warp` bends any cloud by a known amount.
 """
 
-from pcbench.synthetic.demos import SIZE, City, Demo, Patches, city, demo, relief
+from pcbench.scenes.synthetic.demos import SIZE, City, Demo, Patches, city, demo, relief
 
 __all__ = ["SIZE", "City", "Demo", "Patches", "city", "demo", "relief"]

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.cloud import Cloud
-from pcbench.neighbors import FloatArray, IntArray
-from pcbench.transform import Similarity
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
 
 SIZE = 400.0  # metres along each side of the demo city
 

@@ -12,18 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics
-from pcbench.cloud import FloatArray
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.transforms_json import write_transforms
-from pcbench.mesh import Mesh, MeshIndex
-from pcbench.synthetic.plan import CitySettings
-from pcbench.synthetic.render import Optics, check_intrinsics, check_renderer, render
-from pcbench.synthetic.rigs import Site, perturbed_positions, rig
-from pcbench.synthetic.surface import build_city
-from pcbench.synthetic.truth import depth_map, surface_cloud
+from pcbench.scenes.synthetic.plan import CitySettings
+from pcbench.scenes.synthetic.render import Optics, check_intrinsics, check_renderer, render
+from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
+from pcbench.scenes.synthetic.surface import build_city
+from pcbench.scenes.synthetic.truth import depth_map, surface_cloud
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class SceneSettings:
     Args:
         images: how many.
         intrinsics: of all of them.
-        rig: circles, grid, oblique, drone or orbit (`pcbench.synthetic.rigs`).
+        rig: circles, grid, oblique, drone or orbit (`pcbench.scenes.synthetic.rigs`).
         points: of the true cloud.
         gps: standard deviation in metres of the positions in gps.txt; None writes no such file.
     """

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import FloatArray
-from pcbench.synthetic.plan import Block, CitySettings, Plan
+from pcbench.geometry.arrays import FloatArray
+from pcbench.scenes.synthetic.plan import Block, CitySettings, Plan
 
 Image = NDArray[np.float32]  # (rows, columns, 3), 0 to 1; row 0 is at v = 0
 _Plane = NDArray[np.float32]  # (rows, columns)

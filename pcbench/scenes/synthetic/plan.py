@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.cloud import FloatArray
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
 
 CELLS = 80  # of the terrain's grid along the city; the countryside around it is half a city wide
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics
 from pcbench.errors import InputError, MissingExtra, PcbenchError
-from pcbench.plot import check_opengl, drawing_environment
-from pcbench.synthetic.render_worker import FINER
-from pcbench.synthetic.surface import CitySurface
+from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.report.plot import check_opengl, drawing_environment
+from pcbench.scenes.synthetic.render_worker import FINER
+from pcbench.scenes.synthetic.surface import CitySurface
 
 _TIME_LIMIT_S = 120  # an image: software OpenGL needs a second for a megapixel
 _LARGEST = 16384  # pixels along a side of what OpenGL draws
@@ -95,7 +95,7 @@ def render(
             for camera in cameras
         ]
         (job / "job.json").write_text(json.dumps({"cameras": rows, "optics": asdict(optics or Optics()), "seed": seed}))
-        command = [sys.executable, "-m", "pcbench.synthetic.render_worker", str(job), str(folder.absolute())]
+        command = [sys.executable, "-m", "pcbench.scenes.synthetic.render_worker", str(job), str(folder.absolute())]
         try:
             done = subprocess.run(
                 command,

@@ -1,4 +1,4 @@
-"""The drawing process: `python -m pcbench.synthetic.render_worker JOB FOLDER` writes an image for each camera."""
+"""The drawing process: `render_worker JOB FOLDER` writes an image for each camera."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cameras import Camera, Intrinsics
-from pcbench.transform import Similarity
+from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.transform import Similarity
 
 FINER = 2  # pixels drawn along each side of an image's pixel
 _SKY = ((0.86, 0.90, 0.94), (0.52, 0.68, 0.86))  # at the lower and at the upper side

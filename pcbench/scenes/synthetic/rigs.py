@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.cameras import Camera, Intrinsics, look_at
-from pcbench.cloud import FloatArray
 from pcbench.errors import InputError
-from pcbench.transform import Similarity
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.transform import Similarity
 
 # Gao et al.: seven circles about a landmark, the smallest and the largest of them in metres. Those between are placed
 # evenly here: the paper names the ends.

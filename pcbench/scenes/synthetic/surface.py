@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cloud import FloatArray
-from pcbench.mesh import IntArray, Mesh, MeshIndex
-from pcbench.synthetic.paint import Grid, Image, Painter
-from pcbench.synthetic.plan import CELLS, CitySettings, Plan, Solid, Terrain, Tree, lay_out
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.scenes.synthetic.paint import Grid, Image, Painter
+from pcbench.scenes.synthetic.plan import CELLS, CitySettings, Plan, Solid, Terrain, Tree, lay_out
 
 SUN = np.array([-0.52, -0.46, 0.72]) / np.linalg.norm([-0.52, -0.46, 0.72])  # towards it: an afternoon, south-west
 _SUN_COLOR = np.array([0.70, 0.65, 0.56], dtype=np.float32)

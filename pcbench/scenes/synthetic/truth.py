@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cameras import Camera
-from pcbench.cloud import Cloud, FloatArray
-from pcbench.mesh import MeshIndex
-from pcbench.synthetic.plan import Plan
-from pcbench.visibility import SEEN_BY, views
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import MeshIndex
+from pcbench.geometry.visibility import SEEN_BY, views
+from pcbench.scenes.synthetic.plan import Plan
 
 
 def depth_map(index: MeshIndex, camera: Camera) -> NDArray[np.float32]:

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.cloud import Cloud, FloatArray
 from pcbench.errors import InputError
-from pcbench.transform import Affine, Similarity
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Affine, Similarity
 
 SCHEMA = "pcbench.warp/1"
 _BASIN = (0.35, -0.25, 0.30)  # of the subsidence: centre x, y and standard deviation, in lengths

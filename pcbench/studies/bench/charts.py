@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.bench.pareto import Configuration, configurations, front_of
-from pcbench.bench.plan import IMAGE_SCALE
+from pcbench.studies.bench.pareto import Configuration, configurations, front_of
+from pcbench.studies.bench.plan import IMAGE_SCALE
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")  # Okabe and Ito
 _SHAPES = ("o", "s", "^", "D", "v", "P", "X")

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
-from pcbench.bench.plan import Axis
-from pcbench.bench.runs import BenchJob
-from pcbench.bench.score import Rules
-from pcbench.cameras import Intrinsics
 from pcbench.errors import PcbenchError
-from pcbench.synthetic.files import SceneSettings, write_scene
-from pcbench.synthetic.plan import CitySettings
-from pcbench.synthetic.render import check_renderer
+from pcbench.geometry.cameras import Intrinsics
+from pcbench.scenes.synthetic.files import SceneSettings, write_scene
+from pcbench.scenes.synthetic.plan import CitySettings
+from pcbench.scenes.synthetic.render import check_renderer
+from pcbench.studies.bench.plan import Axis
+from pcbench.studies.bench.runs import BenchJob
+from pcbench.studies.bench.score import Rules
 
 _OURS = ".demo"  # in a folder that the demo may remove
 _SIDE = 120.0  # metres: the smallest city with streets between blocks

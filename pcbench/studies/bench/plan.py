@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from pcbench.bench.pareto import choice_words
 from pcbench.errors import InputError
-from pcbench.reconstruct import Description
+from pcbench.plugins.run import Description
+from pcbench.studies.bench.pareto import choice_words
 
 IMAGE_SCALE = "image_scale"  # of the scene; every other name is a setting of the method
 _MOST = 10_000  # runs of a method

@@ -20,17 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.bench.pareto import choice_words, mark_front
-from pcbench.bench.plan import Axis, Method, Trial, labels, trials
-from pcbench.bench.score import Rules, Truth, check_rules, read_truth, score
-from pcbench.cameras import Camera
 from pcbench.errors import InputError, PcbenchError
+from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write, digest
-from pcbench.reconstruct import PLUGIN, Job, describe, read_reconstruction, run
-from pcbench.report.bench_table import bench_markdown, row_words
+from pcbench.plugins.run import PLUGIN, Job, describe, read_reconstruction, run
+from pcbench.plugins.stages import library_versions
 from pcbench.report.document import provenance, to_json
-from pcbench.scene import Scene, read_scene
-from pcbench.stages import library_versions
+from pcbench.scenes.scene import Scene, read_scene
+from pcbench.studies.bench.pareto import choice_words, mark_front
+from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
+from pcbench.studies.bench.score import Rules, Truth, check_rules, read_truth, score
+from pcbench.studies.bench.table import bench_markdown, row_words
 
 SCHEMA = "pcbench.bench/1"
 COLUMNS = (

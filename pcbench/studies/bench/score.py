@@ -11,23 +11,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.cameras import Camera
-from pcbench.cloud import Cloud
-from pcbench.comparison import Settings, compare
-from pcbench.crop import parse_region
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.regions import parse_region
+from pcbench.geometry.transform import Similarity, format_matrix, read_matrix, robust_similarity
+from pcbench.geometry.visibility import SEEN_BY, views
 from pcbench.io import read_cloud
 from pcbench.io.files import Warn, atomic_write
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure import BACK, FORTH
-from pcbench.mesh import Mesh, MeshIndex
-from pcbench.neighbors import Index
-from pcbench.normals import Surface
+from pcbench.measure.comparison import Settings, compare
+from pcbench.measure.scores import BACK, FORTH
 from pcbench.plugins import Reconstruction
 from pcbench.registration import METHODS, Registration, fit_pairs, recentring
 from pcbench.report import document
-from pcbench.transform import Similarity, format_matrix, read_matrix, robust_similarity
-from pcbench.visibility import SEEN_BY, views
 
 BY_GAUGE = "gauge"
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
@@ -144,7 +144,7 @@ class Rules:
 
     Args:
         register: `gauge`, or one of `pcbench.registration.METHODS` for all.
-        crop: see `pcbench.crop.parse_region`.
+        crop: see `pcbench.geometry.regions.parse_region`.
         threshold: of the F-score; None: 5 times the reference's median spacing, where its sampling hardly counts.
     """
 

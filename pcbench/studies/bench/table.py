@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pcbench.bench.pareto import choice_words, configurations
+from pcbench.studies.bench.pareto import choice_words, configurations
 
 _BEST, _SECOND = "¹", "²"
 

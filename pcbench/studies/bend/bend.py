@@ -15,23 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.cameras import Camera, Intrinsics
-from pcbench.cloud import Cloud
 from pcbench.errors import InputError, MissingExtra, PcbenchError
-from pcbench.experiments.bend_findings import Solution, Variant, csv_text, findings, lens_values
+from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import MeshIndex
+from pcbench.geometry.transform import robust_similarity
+from pcbench.geometry.visibility import in_frame
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
 from pcbench.io.files import atomic_write
 from pcbench.io.meshes import read_mesh
-from pcbench.mesh import MeshIndex
 from pcbench.plugins import find_plugin
-from pcbench.reconstruct import Job, describe, run
+from pcbench.plugins.run import Job, describe, run
+from pcbench.plugins.stages import library_versions, stage
 from pcbench.report import to_json
 from pcbench.report.document import provenance
-from pcbench.scene import Scene, read_scene
-from pcbench.stages import library_versions, stage
-from pcbench.transform import robust_similarity
-from pcbench.visibility import in_frame
+from pcbench.scenes.scene import Scene, read_scene
+from pcbench.studies.bend.findings import Solution, Variant, csv_text, findings, lens_values
 
 SCHEMA = "pcbench.experiment.bend/1"
 PLUGIN = "sfm"
@@ -120,7 +120,7 @@ def run_bend(
             written.write(text.encode())
     without_figures = None
     if figures:
-        from pcbench.plot.experiment import draw_bend
+        from pcbench.studies.bend.figure import draw_bend
 
         step("drawing the picture")
         try:
@@ -161,8 +161,8 @@ def slug(name: str) -> str:
 
 def _synthetic(out: Path, settings: Experiment, step: Callable[[str], None]) -> Path:
     """A city under a drone's nadir images and some oblique ones, through a lens with distortion."""
-    from pcbench.synthetic.files import SceneSettings, write_scene
-    from pcbench.synthetic.plan import CitySettings
+    from pcbench.scenes.synthetic.files import SceneSettings, write_scene
+    from pcbench.scenes.synthetic.plan import CitySettings
 
     lens = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV), distortion=DISTORTION)
     town = CitySettings(seed=settings.seed)

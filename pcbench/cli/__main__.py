@@ -1,0 +1,5 @@
+"""`python -m pcbench.cli`."""
+
+from pcbench.cli import main
+
+main()

@@ -1,0 +1,1 @@
+"""Photographs with cameras: read from folders, or made with exact truth."""

@@ -1,0 +1,1 @@
+"""Sparse structure from motion through pycolmap."""
