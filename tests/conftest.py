@@ -3,6 +3,8 @@
 import os
 import sys
 
+from data_folder import data_root
+
 # Before numpy is imported. Workers share the cores, and the matrices are small: threads would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -12,6 +14,10 @@ from pcbench import cli
 from pcbench.errors import MissingExtra
 from pcbench.report.plot import NoFiguresError
 from pcbench.scenes.synthetic.render import check_renderer
+
+
+def pytest_report_header():
+    return f"real data: {data_root() or 'none (set PCBENCH_DATA)'}"
 
 
 @pytest.fixture(scope="session")

@@ -4,15 +4,22 @@ import os
 from pathlib import Path
 
 import pytest
+from repository import ROOT
 
 
 def data_folder(name: str) -> Path:
     """The folder of one data set, or a skipped test where it is absent.
 
-    Looked for under the environment variable PCBENCH_DATA, by default ../shared/data from the repository's root.
+    Looked for under the environment variable PCBENCH_DATA, else beside the clone in `shared/data` if that is there.
     """
-    root = Path(os.environ.get("PCBENCH_DATA") or Path(__file__).parent.parent.parent / "shared" / "data")
-    folder = root / name
-    if not folder.is_dir():
-        pytest.skip(f"no test data at {folder} (set PCBENCH_DATA)")
-    return folder
+    root = data_root()
+    if root is None or not (root / name).is_dir():
+        pytest.skip(f"no test data {name!r} (set PCBENCH_DATA to the folder that holds it)")
+    return root / name
+
+
+def data_root() -> Path | None:
+    if given := os.environ.get("PCBENCH_DATA"):
+        return Path(given)
+    beside = ROOT.parent / "shared" / "data"
+    return beside if beside.is_dir() else None

@@ -1,11 +1,11 @@
 """Notebooks run as they are stored, and are stored without outputs."""
 
 import json
-from pathlib import Path
 
 import pytest
+from repository import ROOT
 
-NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

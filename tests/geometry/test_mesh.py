@@ -3,12 +3,12 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from mesh_shapes import cube, height_field, icosphere, spiky, tetrahedron
 from oracles import first_hits
+from repository import TESTS
 from scipy.stats import chi2
 
 from pcbench.errors import InputError
@@ -177,7 +177,7 @@ def test_batches_threads_and_runs_give_the_same_bits():
             got = np.concatenate(field)
             np.testing.assert_array_equal(got[::-1] if len(parts) == 1 else got, expected)
     code = (
-        f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"import sys\nsys.path.insert(0, {str(TESTS)!r})\n"
         "import hashlib, numpy as np\nfrom mesh_shapes import spiky\n"
         "from pcbench.geometry.mesh import Mesh, MeshIndex\n"
         "points = np.random.default_rng(6).normal(size=(3000, 3))\n"

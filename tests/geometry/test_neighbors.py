@@ -6,13 +6,13 @@ import signal
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from repository import TESTS
 
 from pcbench.errors import InputError
 from pcbench.geometry.neighbors import Index, match_both_ways
@@ -422,7 +422,7 @@ print(json.dumps([_core.isa(), digest.hexdigest()]))
 
 def answers_with(**environment):
     """A digest of many answers from a fresh process."""
-    script = ANSWERS.format(path=[str(Path(__file__).parent)])
+    script = ANSWERS.format(path=[str(TESTS)])
     return subprocess.run(
         [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
     )

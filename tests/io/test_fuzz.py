@@ -5,6 +5,7 @@ its own, so that memory and time are limited by the system and a crash is seen.
 """
 
 import collections
+import os
 import random
 import resource
 import signal
@@ -18,6 +19,7 @@ import las_bytes
 import pcd_bytes
 import ply_bytes
 import pytest
+from repository import TESTS
 
 MEMORY = 2 << 30  # bytes of address space; numpy and its threads take about a fifth of it
 SECONDS_PER_FILE = 5
@@ -96,7 +98,9 @@ def run(form, count, seed, folder):
     if form == "laz":
         pytest.importorskip("lazrs")
     command = [sys.executable, __file__, form, str(count), str(seed), str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60 + count / 5)
+    done = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": str(TESTS)}, capture_output=True, text=True, timeout=60 + count / 5
+    )
     assert done.returncode == 0, f"exit {done.returncode}, file {folder}/a.{form}:\n{done.stdout}{done.stderr}"
 
 

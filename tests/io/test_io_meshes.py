@@ -6,6 +6,7 @@ a process of its own, so that memory and time are limited by the system and a cr
 
 import collections
 import json
+import os
 import random
 import resource
 import signal
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 from mesh_shapes import cube, icosphere
 from ply_bytes import FORMATS, XYZ, damaged, ply
+from repository import TESTS
 
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.io.meshes import holds_mesh, read_mesh
@@ -353,7 +355,9 @@ def worker(count, seed, folder):
 
 def run(count, seed, folder):
     command = [sys.executable, __file__, str(count), str(seed), str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60 + count / 10)
+    done = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": str(TESTS)}, capture_output=True, text=True, timeout=60 + count / 10
+    )
     assert done.returncode == 0, f"exit {done.returncode}, last file in {folder}:\n{done.stdout}{done.stderr}"
 
 

@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
-from pathlib import Path
+
+from repository import ROOT
 
 from pcbench.native import _core
 
-STUB = Path(__file__).parent.parent / "pcbench" / "native" / "_core.pyi"
+STUB = ROOT / "pcbench" / "native" / "_core.pyi"
 
 
 def test_committed_stub_is_current(tmp_path):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from processes import ends
+from repository import ROOT
 
 from pcbench import Cloud, plugins, read_cloud
 from pcbench.errors import InputError, ReconstructionError
@@ -67,7 +68,7 @@ GOOD = 'return Reconstruction(scene.points, "georeferenced", scene.cameras, ["al
 
 def test_the_readmes_plugin_runs_as_it_is_written(scene, tmp_path):
     """From a folder that is not the repository, by the command that stands below it."""
-    readme = (Path(__file__).parent.parent / "README.md").read_text()
+    readme = (ROOT / "README.md").read_text()
     code = re.search(r"```python\n(# mine.py\n.*?)```\n\n    (pcbench reconstruct [^\n]*)\n", readme, re.DOTALL)
     (tmp_path / "mine.py").write_text(code[1])
     command = code[2].split()
