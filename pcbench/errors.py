@@ -1,4 +1,9 @@
-"""What pcbench raises when the user, not the program, has to act. The command line prints it as one line."""
+"""What pcbench raises when the user, not the program, has to act, and what it says of a result that it does give.
+
+The command line prints either as one line.
+"""
+
+from dataclasses import dataclass
 
 
 class PcbenchError(Exception):
@@ -23,3 +28,19 @@ class MissingExtra(PcbenchError):
     def __init__(self, library: str, extra: str, reason: str = "") -> None:
         because = f" ({reason})" if reason else ""
         super().__init__(f"{library} is needed for this{because}: pip install 'pcbench[{extra}]'")
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A warning that belongs to a result: what a reader should know before trusting it.
+
+    Attributes:
+        code: a short name in lower case with hyphens, such as `no-convergence`: what programs decide by.
+        text: one sentence for a reader.
+    """
+
+    code: str
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
