@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from pcbench.io import read_cloud as read_cloud
     from pcbench.io import write_cloud as write_cloud
     from pcbench.measure import metrics as metrics
-    from pcbench.measure.comparison import Comparison as Comparison
-    from pcbench.measure.comparison import Settings as Settings
-    from pcbench.measure.comparison import compare as compare
+    from pcbench.measure.settings import Settings as Settings
     from pcbench.registration import register as register
+    from pcbench.report.comparison import Comparison as Comparison
+    from pcbench.report.comparison import compare as compare
     from pcbench.report.deform_files import deform as deform
 
 # Looked up on first use: a name costs the import of its own room only.
 _ROOMS = {
     "Affine": "geometry.transform",
     "Cloud": "geometry.cloud",
-    "Comparison": "measure.comparison",
+    "Comparison": "report.comparison",
     "PcbenchError": "errors",
-    "Settings": "measure.comparison",
+    "Settings": "measure.settings",
     "Similarity": "geometry.transform",
-    "compare": "measure.comparison",
+    "compare": "report.comparison",
     "deform": "report.deform_files",
     "metrics": "measure.metrics",
     "read_cloud": "io",

@@ -20,8 +20,8 @@ from pcbench.errors import InputError, PcbenchError
 
 if TYPE_CHECKING:
     from pcbench.geometry.cloud import Cloud
-    from pcbench.measure.comparison import Comparison
     from pcbench.report.compare_files import Job
+    from pcbench.report.comparison import Comparison
     from pcbench.studies.bench.runs import BenchJob
 
 _Number = TypeVar("_Number", int, float)
@@ -111,7 +111,7 @@ def compare(
     Example: pcbench compare ref.ply a.ply b.ply --out report/
     """
     _multiply_on_one_thread()
-    from pcbench.measure.comparison import Settings
+    from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import Job
 
     if settings_file is not None:
@@ -155,7 +155,7 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     city and bench sparse SfM on it, at two image scales with finer and coarser features (needs the extras plot, sfm).
     """
     from pcbench.io import write_cloud
-    from pcbench.measure.comparison import Settings
+    from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import Job
     from pcbench.scenes.synthetic import demo as make_demo
 
@@ -800,7 +800,7 @@ def _key_value(text: str) -> tuple[str, str]:
 
 
 def _compare(job: Job, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool) -> Comparison:
-    from pcbench.report import print_table, to_json
+    from pcbench.report import document, print_table, to_json
     from pcbench.report.compare_files import Outputs, compare_files
 
     to_stdout = json_file == "-"
@@ -808,9 +808,9 @@ def _compare(job: Job, out: Path | None, json_file: str | None, *, figures: bool
     with _steps(quiet) as step:
         outcome = compare_files(job, outputs, step)
     if to_stdout:
-        click.echo(to_json(outcome.document), nl=False)
+        click.echo(to_json(document(outcome.comparison)), nl=False)
     elif not quiet:
-        print_table(outcome.document)
+        print_table(outcome.comparison)
         if out is not None:
             click.echo(f"report: {out}")
     if outcome.without_figures:

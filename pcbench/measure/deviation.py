@@ -35,6 +35,11 @@ class DeviationMap:
     scalars: Mapping[str, FloatArray]
     m3c2: M3C2 | None = None
 
+    @property
+    def maps(self) -> dict[str, FloatArray]:
+        """The scalars but for the distances to the nearest points."""
+        return {name: values for name, values in self.scalars.items() if name != "distance"}
+
 
 class M3C2(NamedTuple):
     """Distances between two clouds along the reference's normals, one a core point (K,); NaN where one has no points.

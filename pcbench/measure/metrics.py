@@ -49,7 +49,7 @@ def mean_square(distances: FloatArray) -> float:
 
     D1 and D2 as in Tian et al. 2017, eqs. 1-4 (MPEG's p2point and p2plane) before the maximum over directions.
     """
-    _not_empty(distances)
+    _check_distances(distances)
     return float(np.mean(np.square(distances)))
 
 
@@ -60,14 +60,14 @@ def hausdorff(a: FloatArray, b: FloatArray) -> float:
 
 def one_way_hausdorff(distances: FloatArray) -> float:
     """Largest one-way distance."""
-    _not_empty(distances)
+    _check_distances(distances)
     return float(distances.max())
 
 
 def chamfer_unsquared(a: FloatArray, b: FloatArray) -> float:
     """mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
-    _not_empty(a)
-    _not_empty(b)
+    _check_distances(a)
+    _check_distances(b)
     return float(np.mean(a)) + float(np.mean(b))
 
 
@@ -81,8 +81,8 @@ def fscore(a: FloatArray, b: FloatArray, threshold: float) -> FScore:
 
     Knapitsch et al. 2017 (Tanks and Temples), eqs. 1-5.
     """
-    _not_empty(a)
-    _not_empty(b)
+    _check_distances(a)
+    _check_distances(b)
     if not threshold > 0:
         raise InputError(f"expected a positive threshold, got {threshold}")
     precision, recall = float(np.mean(a <= threshold)), float(np.mean(b <= threshold))
@@ -96,13 +96,13 @@ def harmonic_mean(precision: float, recall: float) -> float:
 
 def percentiles(distances: FloatArray, ranks: tuple[float, ...] = (5, 25, 50, 75, 90, 95, 99)) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}; linear interpolation between order statistics."""
-    _not_empty(distances)
+    _check_distances(distances)
     return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(distances, ranks), strict=True)}
 
 
 def area_weighted_mean(values: FloatArray, voxels: Cells) -> float:
     """Mean over occupied voxels of the voxel's mean of `values` (N,), so that a dense centre does not decide alone."""
-    _not_empty(values)
+    _check_distances(values)
     return float(np.mean(voxels.means(values)))
 
 
@@ -111,6 +111,9 @@ def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
     return float(10 * np.log10(factor * peak**2 / mse)) if 0 < mse < np.inf and peak > 0 else None
 
 
-def _not_empty(distances: FloatArray) -> None:
+def _check_distances(distances: FloatArray) -> None:
+    if np.ndim(distances) != 1:
+        hint = ": pcbench.compare takes points" if np.ndim(distances) == 2 and np.shape(distances)[1] == 3 else ""
+        raise InputError(f"expected one-way distances of shape (N,), got {np.shape(distances)}{hint}")
     if not len(distances):
         raise InputError("expected at least one distance, got none")

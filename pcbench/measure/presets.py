@@ -5,7 +5,9 @@ All of them compare whole clouds that were cropped hard: both lose what lies out
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,66 @@ _TIE = 1e-8  # pc_error takes squared distances this close as equal
 _MOST_TIES = 30
 
 
+@dataclass(frozen=True)
+class Gao2025:
+    """Definitions of Gao et al. 2025; `d2_poisson_mse` is to the reference's Poisson mesh, if that was asked for."""
+
+    d1_mse: float
+    d2_mse: float | None
+    d2_poisson_mse: float | None
+    hausdorff: float
+    chamfer: float
+
+
+@dataclass(frozen=True)
+class BothWays:
+    """a = reference, b = candidate, as in MPEG's pc_error; `symmetric` is the larger one."""
+
+    a_to_b: float | None = None
+    b_to_a: float | None = None
+    symmetric: float | None = None
+
+
+@dataclass(frozen=True)
+class Mpeg:
+    """What MPEG's pc_error prints; peak in the clouds' unit, PSNR in dB."""
+
+    d1_mse: BothWays
+    d2_mse: BothWays
+    d1_psnr: float | None
+    d2_psnr: float | None
+    hausdorff_squared_d1: float
+    hausdorff_squared_d2: float | None
+    peak: float
+
+
+@dataclass(frozen=True)
+class Open3d:
+    """What Open3D's `compute_metrics` returns."""
+
+    chamfer: float
+    hausdorff: float
+    fscore: tuple[metrics.FScore, ...]
+
+
+@dataclass(frozen=True)
+class Pdal:
+    """What PDAL prints."""
+
+    chamfer: float
+    hausdorff: float
+
+
+@dataclass(frozen=True)
+class Tnt:
+    """F-scores of Tanks and Temples."""
+
+    fscore: tuple[metrics.FScore, ...]
+
+
+Preset = Gao2025 | Mpeg | Open3d | Pdal | Tnt
+
+
 class Pair(NamedTuple):
     """Reference and candidate after a hard crop, and the nearest points both ways."""
 
@@ -34,6 +96,20 @@ class Pair(NamedTuple):
     nearest_other: Matches | None  # inside the reference; None for a single point
     normals: FloatArray | None  # (N, 3) of the reference, unit length
     raw_normals: FloatArray | None  # the same as they were given, where they were
+
+
+def measure_preset(
+    name: str, pair: Pair, thresholds: tuple[float, ...], to_poisson: FloatArray | None = None
+) -> Preset:
+    """The preset of that name; `to_poisson` are distances to the reference's Poisson mesh, if there is one."""
+    definitions: dict[str, Callable[[], Preset]] = {
+        "gao2025": lambda: gao2025(pair, to_poisson),
+        "mpeg": lambda: mpeg(pair),
+        "open3d": lambda: open3d(pair, thresholds),
+        "pdal": lambda: pdal(pair),
+        "tnt": lambda: tnt(pair, thresholds),
+    }
+    return definitions[name]()
 
 
 def match(
@@ -50,7 +126,7 @@ def match(
     return Pair(reference, candidate, *matches, nearest_other, normals, raw_normals)
 
 
-def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> dict[str, Any]:
+def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> Gao2025:
     """Gao et al. 2025, table 2, on one consistent reading of its definitions.
 
     D1 and D2 are one way, candidate to reference, mean squares; the Hausdorff distance is symmetric and unsquared;
@@ -66,35 +142,35 @@ def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> dict[str, Any]:
                 pair.candidate.points, pair.reference.points, pair.normals, feet_rows=feet, normal_rows=feet
             )
         )
-    return {
-        "d1_mse": metrics.mean_square(a),
-        "d2_mse": d2,
-        "d2_poisson_mse": None if to_poisson is None else metrics.mean_square(to_poisson),
-        "hausdorff": metrics.hausdorff(a, b),
-        "chamfer": metrics.chamfer_squared(a, b),
-    }
+    return Gao2025(
+        d1_mse=metrics.mean_square(a),
+        d2_mse=d2,
+        d2_poisson_mse=None if to_poisson is None else metrics.mean_square(to_poisson),
+        hausdorff=metrics.hausdorff(a, b),
+        chamfer=metrics.chamfer_squared(a, b),
+    )
 
 
-def open3d(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
+def open3d(pair: Pair, thresholds: tuple[float, ...]) -> Open3d:
     """What Open3D's `t.geometry.PointCloud.compute_metrics` returns: unsquared Chamfer sum, Hausdorff, F-scores."""
     a, b = pair.to_reference.distances, pair.to_candidate.distances
-    return {
-        "chamfer": metrics.chamfer_unsquared(a, b),
-        "hausdorff": metrics.hausdorff(a, b),
-        "fscore": [metrics.fscore(a, b, threshold)._asdict() for threshold in thresholds],
-    }
+    return Open3d(
+        chamfer=metrics.chamfer_unsquared(a, b),
+        hausdorff=metrics.hausdorff(a, b),
+        fscore=tuple(metrics.fscore(a, b, threshold) for threshold in thresholds),
+    )
 
 
-def pdal(pair: Pair) -> dict[str, Any]:
+def pdal(pair: Pair) -> Pdal:
     """What `pdal chamfer` and `pdal hausdorff` print: the SUM of squares both ways, and the largest distance."""
     a, b = pair.to_reference.distances, pair.to_candidate.distances
-    return {
-        "chamfer": float(np.sum(np.square(a))) + float(np.sum(np.square(b))),
-        "hausdorff": metrics.hausdorff(a, b),
-    }
+    return Pdal(
+        chamfer=float(np.sum(np.square(a))) + float(np.sum(np.square(b))),
+        hausdorff=metrics.hausdorff(a, b),
+    )
 
 
-def tnt(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
+def tnt(pair: Pair, thresholds: tuple[float, ...]) -> Tnt:
     """F-scores as in Tanks and Temples (Knapitsch et al. 2017): after cropping (give the selection volume as the crop),
     both clouds are thinned to one mean point a voxel of half the threshold.
     """
@@ -102,8 +178,8 @@ def tnt(pair: Pair, thresholds: tuple[float, ...]) -> dict[str, Any]:
     for threshold in thresholds:
         thinned = (Index(_voxel_down(cloud.points, threshold / 2)) for cloud in (pair.reference, pair.candidate))
         a, b = match_both_ways(*thinned)
-        rows.append(metrics.fscore(a.distances, b.distances, threshold)._asdict())
-    return {"fscore": rows}
+        rows.append(metrics.fscore(a.distances, b.distances, threshold))
+    return Tnt(tuple(rows))
 
 
 def _voxel_down(points: FloatArray, side: float) -> FloatArray:
@@ -111,7 +187,7 @@ def _voxel_down(points: FloatArray, side: float) -> FloatArray:
     return cell_means(points, side, points.min(axis=0) - side / 2)
 
 
-def mpeg(pair: Pair) -> dict[str, Any]:
+def mpeg(pair: Pair) -> Mpeg:
     """MPEG's pc_error (mpeg-pcc-dmetric 0.14.2), a = reference, b = candidate; Hausdorff distances are SQUARED.
 
     Duplicate points are merged first. D2 takes the target's normals; the candidate's are averaged from the
@@ -131,22 +207,22 @@ def mpeg(pair: Pair) -> dict[str, Any]:
         d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
     peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
 
-    def both_ways(squares: list[FloatArray]) -> dict[str, float | None]:
+    def both_ways(squares: list[FloatArray]) -> BothWays:
         if not squares:
-            return {"a_to_b": None, "b_to_a": None, "symmetric": None}
+            return BothWays()
         forth, back = (float(np.mean(s)) for s in squares)
-        return {"a_to_b": forth, "b_to_a": back, "symmetric": max(forth, back)}
+        return BothWays(forth, back, max(forth, back))
 
     d1_mse, d2_mse = both_ways(d1), both_ways(d2)
-    return {
-        "d1_mse": d1_mse,
-        "d2_mse": d2_mse,
-        "d1_psnr": metrics.psnr(d1_mse["symmetric"] or 0.0, peak),
-        "d2_psnr": metrics.psnr(d2_mse["symmetric"] or 0.0, peak),
-        "hausdorff_squared_d1": max(float(s.max()) for s in d1),
-        "hausdorff_squared_d2": max((float(s.max()) for s in d2), default=None),
-        "peak": peak,
-    }
+    return Mpeg(
+        d1_mse=d1_mse,
+        d2_mse=d2_mse,
+        d1_psnr=metrics.psnr(d1_mse.symmetric or 0.0, peak),
+        d2_psnr=metrics.psnr(d2_mse.symmetric or 0.0, peak),
+        hausdorff_squared_d1=max(float(s.max()) for s in d1),
+        hausdorff_squared_d2=max((float(s.max()) for s in d2), default=None),
+        peak=peak,
+    )
 
 
 def _float32_squares(queries: FloatArray, others: FloatArray, nearest: IntArray) -> FloatArray:

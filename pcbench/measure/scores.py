@@ -3,46 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.voxels import Cells, cells
 from pcbench.measure import intervals, metrics
-
-FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
-
-
-class Floor(NamedTuple):
-    """What a direction's means would be without any error; None where there is no such thing."""
-
-    mean_distance: float | None = None
-    d1_mse: float | None = None
-    d2_mse: float | None = None
-
-    @classmethod
-    def of(cls, distances: FloatArray, plane: FloatArray | None) -> Floor:
-        """From distances (M,) to points and to planes."""
-        d2 = None if plane is None else metrics.mean_square(plane)
-        return cls(float(np.mean(distances)), metrics.mean_square(distances), d2)
+from pcbench.measure.directions import MEAN_METRICS, Direction, MeanMetric
+from pcbench.measure.results import (
+    BACK,
+    FORTH,
+    Chamfer,
+    DirectedMetric,
+    Estimate,
+    Extremes,
+    FScore,
+    Hausdorff,
+    Interval,
+    Metrics,
+)
 
 
-class Direction(NamedTuple):
-    """One-way distances of the queries inside the region."""
+class Sampled(NamedTuple):
+    """A mean, and what it is (R,) under each replicate of the bootstrap."""
 
-    points: FloatArray  # (M, 3) the queries
-    distances: FloatArray  # (M,)
-    plane: FloatArray | None  # (M,) signed, to tangent planes of the reference
-    floor: Floor
-    blocks: IntArray  # (M,) of the bootstrap
+    value: float
+    replicates: FloatArray
 
 
 class Measurement(NamedTuple):
-    """Metrics as `comparison.json` shows them, and the replicates (R,) of every mean among them."""
+    """Metrics of a candidate, and every mean among them with its replicates by name, as `Difference.metric` has it."""
 
-    values: dict[str, Any]
-    replicates: dict[str, FloatArray]
+    metrics: Metrics
+    sampled: Mapping[str, Sampled]
 
 
 def measure(
@@ -55,7 +49,7 @@ def measure(
     corner: FloatArray,
     origin: FloatArray,
 ) -> Measurement:
-    """Measure candidate -> reference (`forth`) and reference -> candidate (`back`).
+    """Measure candidate → reference (`forth`) and reference → candidate (`back`).
 
     Args:
         thresholds: of the F-score.
@@ -63,94 +57,76 @@ def measure(
         voxel, corner: side of the cells that area weighting averages over first, and where (3,) they are counted from.
         origin: (3,) added to the coordinates of the worst points.
     """
-    ways = {FORTH: forth, BACK: back}
     means = {
         way: _means(direction, thresholds, block_weights, cells(direction.points, voxel, corner))
-        for way, direction in ways.items()
+        for way, direction in ((FORTH, forth), (BACK, back))
     }
-    replicates: dict[str, FloatArray] = {}
+    sampled: dict[str, Sampled] = {}
 
-    def interval(name: str, samples: FloatArray) -> list[float]:
-        replicates[name] = samples
-        return intervals.interval(samples)
+    def estimate(name: str, value: float, replicates: FloatArray) -> Estimate:
+        sampled[name] = Sampled(value, replicates)
+        return Estimate(value, interval=_interval(replicates))
 
-    def mean_squares(name: str) -> Any:
-        none = dict.fromkeys(ways)
-        if not all(name in means[way] for way in ways):  # no normals, no distances to planes
-            ci = {**none, "symmetric_max": None}
-            return {**none, "symmetric_max": None, "floor": none, "ci": ci, "area_weighted": none}
-        larger = np.maximum(means[FORTH][name].replicates, means[BACK][name].replicates)
-        return {
-            **{way: means[way][name].value for way in ways},
-            "symmetric_max": max(means[way][name].value for way in ways),
-            "floor": {way: getattr(d.floor, name) for way, d in ways.items()},
-            "ci": {
-                **{way: interval(f"{name}/{way}", means[way][name].replicates) for way in ways},
-                "symmetric_max": interval(f"{name}/symmetric_max", larger),
-            },
-            "area_weighted": {way: means[way][name].area_weighted for way in ways},
-        }
+    def directed(metric: MeanMetric) -> DirectedMetric:
+        key = metric.name
+        if not all(key in means[way] for way in (FORTH, BACK)):  # no normals, no distances to planes
+            return DirectedMetric(symmetric_max=Estimate() if metric.has_symmetric_max else None)
+        both: list[Estimate] = []
+        for way, direction in ((FORTH, forth), (BACK, back)):
+            mean = means[way][key]
+            found = estimate(f"{key}/{way}", mean.value, mean.replicates)
+            both.append(found._replace(floor=direction.floors[key], area_weighted=mean.area_weighted))
+        if not metric.has_symmetric_max:
+            return DirectedMetric(both[0], both[1])
+        larger = np.maximum(means[FORTH][key].replicates, means[BACK][key].replicates)
+        value = max(means[way][key].value for way in (FORTH, BACK))
+        return DirectedMetric(both[0], both[1], estimate(f"{key}/symmetric_max", value, larger))
 
-    d1, d2 = mean_squares("d1_mse"), mean_squares("d2_mse")
-    ranks = {way: metrics.percentiles(d.distances) for way, d in ways.items()}
-    largest = {way: metrics.one_way_hausdorff(d.distances) for way, d in ways.items()}
-    worst = {way: d.points[int(np.argmax(d.distances))] + origin for way, d in ways.items()}
-    values = {
-        "d1_mse": d1,
-        "d1_rms": {way: _root(d1[way]) for way in ways},
-        "d2_mse": d2,
-        "d2_rms": {way: _root(d2[way]) for way in ways},
-        "mean_distance": {
-            **{way: means[way]["mean_distance"].value for way in ways},
-            "floor": {way: d.floor.mean_distance for way, d in ways.items()},
-            "ci": {way: interval(f"mean_distance/{way}", means[way]["mean_distance"].replicates) for way in ways},
-            "area_weighted": {way: means[way]["mean_distance"].area_weighted for way in ways},
-        },
-        "hausdorff": {
-            **largest,
-            "symmetric_max": max(largest.values()),
-            "p95": {way: ranks[way]["p95"] for way in ways},
-            "p99": {way: ranks[way]["p99"] for way in ways},
-            "worst_point": {way: [float(v) for v in point] for way, point in worst.items()},
-        },
-        "chamfer": {
-            "sum_unsquared": metrics.chamfer_unsquared(forth.distances, back.distances),
-            "sum_squared": metrics.chamfer_squared(forth.distances, back.distances),
-            "ci": {
-                chamfer: interval(f"chamfer/{chamfer}", means[FORTH][mean].replicates + means[BACK][mean].replicates)
-                for chamfer, mean in (("sum_unsquared", "mean_distance"), ("sum_squared", "d1_mse"))
-            },
-            "floor": {
-                "sum_unsquared": _total(d.floor.mean_distance for d in ways.values()),
-                "sum_squared": _total(d1["floor"].values()),
-            },
-        },
-        "fscore": [_fscore(ways, means, threshold, replicates) for threshold in thresholds],
-        "percentiles": ranks,
-    }
-    return Measurement(values, replicates)
+    def chamfer(name: str, key: str, value: float) -> Estimate:
+        found = estimate(f"chamfer/{name}", value, means[FORTH][key].replicates + means[BACK][key].replicates)
+        return found._replace(floor=_total((forth.floors[key], back.floors[key])))
 
-
-def value_of(values: Mapping[str, Any], name: str) -> float:
-    """The value that a replicate's name ("d1_mse/candidate_to_reference", "fscore/0.1") stands for."""
-    metric, _, key = name.partition("/")
-    if metric == "fscore":
-        return next(float(row["fscore"]) for row in values["fscore"] if repr(row["threshold"]) == key)
-    return float(values[metric][key])
+    a, b = forth.distances.to_points, back.distances.to_points
+    accuracy, completeness = metrics.percentiles(a), metrics.percentiles(b)
+    return Measurement(
+        Metrics(
+            directed={metric.name: directed(metric) for metric in MEAN_METRICS},
+            hausdorff=Hausdorff(_extremes(forth, accuracy, origin), _extremes(back, completeness, origin)),
+            chamfer=Chamfer(
+                sum_unsquared=chamfer("sum_unsquared", "mean_distance", metrics.chamfer_unsquared(a, b)),
+                sum_squared=chamfer("sum_squared", "d1_mse", metrics.chamfer_squared(a, b)),
+            ),
+            fscores=tuple(_fscore(a, b, means, threshold, sampled) for threshold in thresholds),
+            percentiles_accuracy=accuracy,
+            percentiles_completeness=completeness,
+        ),
+        sampled,
+    )
 
 
 def _fscore(
-    ways: Mapping[str, Direction],
+    a: FloatArray,
+    b: FloatArray,
     means: Mapping[str, Mapping[str, _Mean]],
     threshold: float,
-    replicates: dict[str, FloatArray],
-) -> dict[str, Any]:
-    score = metrics.fscore(ways[FORTH].distances, ways[BACK].distances, threshold)
-    precision, recall = (means[way][f"within/{threshold!r}"].replicates for way in (FORTH, BACK))
+    sampled: dict[str, Sampled],
+) -> FScore:
+    score = metrics.fscore(a, b, threshold)
+    precision, recall = (means[way][_within(threshold)].replicates for way in (FORTH, BACK))
     both = np.array([metrics.harmonic_mean(p, r) for p, r in zip(precision, recall, strict=True)])
-    replicates[f"fscore/{threshold!r}"] = both
-    named = {"precision": precision, "recall": recall, "fscore": both}
-    return {**score._asdict(), "ci": {name: intervals.interval(samples) for name, samples in named.items()}}
+    sampled[f"fscore/{threshold!r}"] = Sampled(score.fscore, both)
+    return FScore(
+        threshold,
+        precision=Estimate(score.precision, interval=_interval(precision)),
+        recall=Estimate(score.recall, interval=_interval(recall)),
+        fscore=Estimate(score.fscore, interval=_interval(both)),
+    )
+
+
+def _extremes(direction: Direction, ranks: Mapping[str, float], origin: FloatArray) -> Extremes:
+    distances = direction.distances.to_points
+    worst = direction.points[int(np.argmax(distances))] + origin
+    return Extremes(metrics.one_way_hausdorff(distances), ranks["p95"], ranks["p99"], worst)
 
 
 class _Mean(NamedTuple):
@@ -168,19 +144,22 @@ def _means(direction: Direction, thresholds: tuple[float, ...], weights: FloatAr
     def mean(values: FloatArray) -> _Mean:
         return _Mean(float(np.mean(values)), intervals.replicate_sums(direction.blocks, values, weights) / count)
 
-    def spread(values: FloatArray) -> _Mean:
-        return mean(values)._replace(area_weighted=metrics.area_weighted_mean(values, voxels))
-
-    means = {"mean_distance": spread(direction.distances), "d1_mse": spread(np.square(direction.distances))}
-    if direction.plane is not None:
-        means["d2_mse"] = spread(np.square(direction.plane))
+    means: dict[str, _Mean] = {}
+    for metric in MEAN_METRICS:
+        values = metric.of_each(direction.distances)
+        if values is not None:
+            means[metric.name] = mean(values)._replace(area_weighted=metrics.area_weighted_mean(values, voxels))
     for threshold in thresholds:
-        means[f"within/{threshold!r}"] = mean((direction.distances <= threshold).astype(np.float64))
+        means[_within(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64))
     return means
 
 
-def _root(value: float | None) -> float | None:
-    return None if value is None else float(np.sqrt(value))
+def _within(threshold: float) -> str:
+    return f"within/{threshold!r}"
+
+
+def _interval(replicates: FloatArray) -> Interval:
+    return Interval(*intervals.interval(replicates))
 
 
 def _total(values: Iterable[float | None]) -> float | None:

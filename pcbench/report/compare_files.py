@@ -13,9 +13,11 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
 from pcbench.io.files import atomic_write, check_output, digest
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.comparison import Comparison, Settings, compare
-from pcbench.report import Inputs, document, report_folder, to_json, write_report
-from pcbench.report.folder import check_name, read_settings
+from pcbench.measure.settings import Settings
+from pcbench.report.comparison import Comparison, compare
+from pcbench.report.document import document, to_json
+from pcbench.report.folder import check_name, read_settings, report_folder, write_report
+from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.plot import draw_if_possible
 
 _NAMING_A_FILE = ("matrix:", "points:", "polygon:")  # settings that do
@@ -38,9 +40,9 @@ class Job:
     def recorded(cls, settings_file: Path) -> Job:
         """The comparison that a report's settings.json describes."""
         settings, inputs = read_settings(settings_file)
-        candidates = {name: Path(row["path"]) for name, row in inputs.candidates.items()}
-        rows = (inputs.reference, *inputs.candidates.values(), *inputs.files)
-        return cls(Path(inputs.reference["path"]), candidates, settings, {row["path"]: row["sha256"] for row in rows})
+        candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
+        expected = {file.path: file.sha256 for file in inputs.all()}
+        return cls(Path(inputs.reference.path), candidates, settings, expected)
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,10 @@ class Outputs:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A comparison, its document, and why there are no pictures where there should be."""
+    """A comparison, and why there are no pictures where there should be."""
 
     comparison: Comparison
-    document: dict[str, Any]
-    without_figures: str | None
+    without_figures: str | None = None
 
 
 def compare_files(job: Job, outputs: Outputs, step: Callable[[str], None]) -> Outcome:
@@ -75,18 +76,18 @@ def compare_files(job: Job, outputs: Outputs, step: Callable[[str], None]) -> Ou
     if outputs.json_file is not None:
         check_output(outputs.json_file, inputs)
     if outputs.folder is None:
-        outcome, _ = _run(job, settings, named_files, step)
+        outcome = Outcome(_run(job, settings, named_files, step))
     else:
         with report_folder(outputs.folder, keep=inputs) as folder:
-            outcome, files = _run(job, settings, named_files, step)
+            outcome = Outcome(_run(job, settings, named_files, step))
             step("writing the report")
-            write_report(folder, outcome.comparison, outcome.document, files)
+            write_report(folder, outcome.comparison)
             if outputs.figures:
                 step("drawing the pictures")
                 outcome = replace(outcome, without_figures=draw_if_possible(folder))
     if outputs.json_file is not None:
         with atomic_write(outputs.json_file) as file:
-            file.write(to_json(outcome.document).encode())
+            file.write(to_json(document(outcome.comparison)).encode())
     return outcome
 
 
@@ -105,27 +106,28 @@ def named(paths: Sequence[Path]) -> dict[str, Path]:
     return result
 
 
-def _run(job: Job, settings: Settings, named_files: list[Path], step: Callable[[str], None]) -> tuple[Outcome, Inputs]:
+def _run(job: Job, settings: Settings, named_files: list[Path], step: Callable[[str], None]) -> Comparison:
     clouds: dict[str, Cloud | Mesh] = {}
-    files: dict[str, dict[str, Any]] = {}
+    files: dict[str, InputFile] = {}
     for name, path in {"reference": job.reference, **job.candidates}.items():
         step(f"reading {path}")
         warnings: list[str] = []
         clouds[name] = _read(path, settings, warnings, may_be_mesh=name == "reference")
-        files[name] = {"path": str(path), "sha256": digest(path), "warnings": warnings}
-        if job.expected.get(str(path), files[name]["sha256"]) != files[name]["sha256"]:
-            warnings.append(f"{path}: the file has changed since the settings were written")
-    others = [{"path": str(path), "sha256": digest(path)} for path in named_files]
-    files["reference"]["warnings"] += [
-        f"{row['path']}: the file has changed since the settings were written"
-        for row in others
-        if job.expected.get(row["path"], row["sha256"]) != row["sha256"]
-    ]
-    truth = clouds.pop("reference")
+        files[name] = _input(job, path, warnings)
+    others = tuple(_input(job, path, []) for path in named_files)
+    said = [text for file in others for text in file.warnings]
+    reference, of_reference = clouds.pop("reference"), files.pop("reference")
+    of_reference = replace(of_reference, warnings=(*of_reference.warnings, *said))
     candidates = {name: cloud for name, cloud in clouds.items() if isinstance(cloud, Cloud)}
-    comparison = compare(truth, candidates, settings, on_step=step)
-    inputs = Inputs(files["reference"], {name: files[name] for name in candidates}, others)
-    return Outcome(comparison, document(comparison, inputs.by_name()), None), inputs
+    measured = compare(reference, candidates, settings, on_step=step)
+    return replace(measured, inputs=Inputs(of_reference, files, others))
+
+
+def _input(job: Job, path: Path, warnings: list[str]) -> InputFile:
+    sha256 = digest(path)
+    if job.expected.get(str(path), sha256) != sha256:
+        warnings.append(f"{path}: the file has changed since the settings were written")
+    return InputFile(str(path), sha256, tuple(warnings))
 
 
 def _read(path: Path, settings: Settings, warnings: list[str], *, may_be_mesh: bool) -> Cloud | Mesh:

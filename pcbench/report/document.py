@@ -9,7 +9,8 @@ import platform
 import shlex
 import subprocess
 import sys
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,32 +18,36 @@ from typing import Any
 import numpy as np
 
 import pcbench
+from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.comparison import Candidate, Comparison
 from pcbench.measure.deviation import M3C2, DeviationMap
+from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.metrics import percentiles
+from pcbench.measure.presets import Open3d, Preset, Tnt
+from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, FScore, Metrics
 from pcbench.registration import Registration
+from pcbench.report.comparison import Comparison
+from pcbench.report.inputs import InputFile
 
 SCHEMA = "pcbench.comparison/1"
 
 
-def document(comparison: Comparison, files: dict[str, dict[str, Any]] | None = None) -> dict[str, Any]:
-    """The comparison as JSON-ready values.
-
-    Args:
-        files: path, sha256 and warnings of "reference" and of each candidate by name, where clouds came from files.
-    """
-    files = files or {}
-    unread: dict[str, Any] = {"path": None, "sha256": None, "warnings": []}
+def document(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as JSON-ready values."""
+    inputs = comparison.inputs
     values = {
         "schema": SCHEMA,
-        "reference": {**unread, **files.get("reference", {}), **comparison.reference},
+        "reference": {**_file(None if inputs is None else inputs.reference), **asdict(comparison.reference)},
         "settings": asdict(comparison.settings),
         "provenance": provenance(comparison.settings.seed),
         "candidates": [
-            _candidate(candidate, {**unread, **files.get(candidate.name, {})}) for candidate in comparison.candidates
+            _candidate(candidate, None if inputs is None else inputs.candidates[candidate.name])
+            for candidate in comparison.candidates
         ],
-        "differences": comparison.differences,
+        "differences": [
+            {"a": d.a, "b": d.b, "metric": d.metric, "difference": d.difference, "ci": d.interval}
+            for d in comparison.differences
+        ],
     }
     plain: dict[str, Any] = _plain(values)
     return plain
@@ -53,20 +58,78 @@ def to_json(values: dict[str, Any]) -> str:
     return json.dumps(_plain(values), indent=2, allow_nan=False) + "\n"
 
 
-def _candidate(candidate: Candidate, file: dict[str, Any]) -> dict[str, Any]:
+def _file(file: InputFile | None) -> dict[str, Any]:
+    return {"path": None, "sha256": None, "warnings": []} if file is None else asdict(file)
+
+
+def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
+    described = _file(file)
     return {
         "name": candidate.name,
-        **file,
-        "warnings": [*file["warnings"], *candidate.warnings],
+        **described,
+        "warnings": [*described["warnings"], *candidate.warnings],
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
         "registration": _registration(candidate.registration),
-        "metrics": candidate.metrics,
+        "metrics": _metrics(candidate.metrics),
         "deviation": _deviation(candidate.deviation),
         "deformation": candidate.deformation.values,
         "timings_s": candidate.timings_s,
         "peak_rss_bytes": candidate.peak_rss_bytes,
     }
+
+
+def _metrics(m: Metrics) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for metric in MEAN_METRICS:
+        found = m.directed[metric.name]
+        values[metric.name] = _directed(found)
+        if metric.root_name is not None:
+            values[metric.root_name] = {way: found.root()[way].value for way in (FORTH, BACK)}
+    values["hausdorff"] = {
+        **{way: m.hausdorff[way].largest for way in (FORTH, BACK)},
+        "symmetric_max": m.hausdorff.symmetric_max,
+        "p95": {way: m.hausdorff[way].p95 for way in (FORTH, BACK)},
+        "p99": {way: m.hausdorff[way].p99 for way in (FORTH, BACK)},
+        "worst_point": {way: m.hausdorff[way].worst_point for way in (FORTH, BACK)},
+    }
+    sums = {"sum_unsquared": m.chamfer.sum_unsquared, "sum_squared": m.chamfer.sum_squared}
+    values["chamfer"] = {
+        **{name: estimate.value for name, estimate in sums.items()},
+        "ci": {name: estimate.interval for name, estimate in sums.items()},
+        "floor": {name: estimate.floor for name, estimate in sums.items()},
+    }
+    values["fscore"] = [_fscore(score) for score in m.fscores]
+    values["percentiles"] = {FORTH: m.percentiles_accuracy, BACK: m.percentiles_completeness}
+    values["presets"] = {name: _preset(preset) for name, preset in m.presets.items()}
+    return values
+
+
+def _directed(metric: DirectedMetric) -> dict[str, Any]:
+    ways = {FORTH: metric.accuracy, BACK: metric.completeness}
+    larger = {} if metric.symmetric_max is None else {"symmetric_max": metric.symmetric_max}
+    return {
+        **{way: estimate.value for way, estimate in (ways | larger).items()},
+        "floor": {way: estimate.floor for way, estimate in ways.items()},
+        "ci": {way: estimate.interval for way, estimate in (ways | larger).items()},
+        "area_weighted": {way: estimate.area_weighted for way, estimate in ways.items()},
+    }
+
+
+def _fscore(score: FScore) -> dict[str, Any]:
+    parts = {"precision": score.precision, "recall": score.recall, "fscore": score.fscore}
+    return {
+        "threshold": score.threshold,
+        **{name: estimate.value for name, estimate in parts.items()},
+        "ci": {name: estimate.interval for name, estimate in parts.items()},
+    }
+
+
+def _preset(preset: Preset) -> dict[str, Any]:
+    values = asdict(preset)
+    if isinstance(preset, Open3d | Tnt):
+        values["fscore"] = [score._asdict() for score in preset.fscore]
+    return values
 
 
 def _registration(registration: Registration) -> dict[str, Any]:
@@ -95,12 +158,13 @@ def _deviation(deviation: DeviationMap) -> dict[str, Any]:
         "rms": _rms(distances),
         # Distances to points have no sign; the bias is that of the distances to the tangent planes, positive above.
         "bias": None if plane is None else float(np.mean(plane)),
-        "maps": {name: _spread(values) for name, values in deviation.scalars.items() if name != "distance"},
-        "m3c2": None if deviation.m3c2 is None else _m3c2(deviation.m3c2),
+        "maps": {name: spread(values) for name, values in deviation.maps.items()},
+        "m3c2": None if deviation.m3c2 is None else m3c2_summary(deviation.m3c2),
     }
 
 
-def _m3c2(found: M3C2) -> dict[str, Any]:
+def m3c2_summary(found: M3C2) -> dict[str, Any]:
+    """What comparison.json says of an M3C2 map."""
     known = np.isfinite(found.distances)
     tested = np.isfinite(found.significant)
     return {
@@ -112,11 +176,12 @@ def _m3c2(found: M3C2) -> dict[str, Any]:
         "sign": "positive along the reference's normal",
         "lod95_median": float(np.median(found.lod[tested])) if tested.any() else None,
         "significant_share": float(found.significant[tested].mean()) if tested.any() else None,
-        **(_spread(found.distances[known]) if known.any() else {"percentiles": None, "rms": None, "bias": None}),
+        **(spread(found.distances[known]) if known.any() else {"percentiles": None, "rms": None, "bias": None}),
     }
 
 
-def _spread(values: FloatArray) -> dict[str, Any]:
+def spread(values: FloatArray) -> dict[str, Any]:
+    """What comparison.json says of a map's scalars (N,)."""
     return {"percentiles": percentiles(values), "rms": _rms(values), "bias": float(np.mean(values))}
 
 
@@ -149,8 +214,12 @@ def _commit() -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """numpy values and tuples as JSON's own, non-finite numbers as null."""
-    if isinstance(value, dict):
+    """numpy values, tuples and dataclasses as JSON's own, notices as their text, non-finite numbers as null."""
+    if isinstance(value, Notice):
+        return value.text
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,12 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
-from pcbench.measure.comparison import Comparison, Settings
 from pcbench.measure.deviation import M3C2
+from pcbench.measure.settings import Settings
 from pcbench.report.colors import color_limit, ramp
-from pcbench.report.document import to_json
+from pcbench.report.comparison import Comparison
+from pcbench.report.document import document, to_json
+from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.table import Row, markdown, rows
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
@@ -34,23 +36,6 @@ _MARK = "comparison.json"  # a folder that holds it is a report
 _DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
 _DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
 _SUFFIXES = ("_deformation.csv", "_deformation.ply", "_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """Which files a comparison read: path, sha256 and warnings of "reference" and of each candidate by name, and path
-    and sha256 of the files that settings name (a matrix, pairs of points, a polygon).
-    """
-
-    reference: dict[str, Any]
-    candidates: dict[str, dict[str, Any]] = field(default_factory=dict)
-    files: list[dict[str, Any]] = field(default_factory=list)
-
-    def paths(self) -> list[Path]:
-        return [Path(row["path"]) for row in (self.reference, *self.candidates.values(), *self.files)]
-
-    def by_name(self) -> dict[str, dict[str, Any]]:
-        return {"reference": self.reference, **self.candidates}
 
 
 @contextmanager
@@ -88,14 +73,19 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise
 
 
-def write_report(folder: Path, comparison: Comparison, doc: dict[str, Any], inputs: Inputs) -> None:
-    """Write everything but the pictures of a comparison into an empty folder."""
-    (folder / _MARK).write_text(to_json(doc), encoding="utf-8")
+def write_report(folder: Path, comparison: Comparison) -> None:
+    """Write everything but the pictures of a comparison into an empty folder.
+
+    settings.json, by which the comparison can be made again, is left out where its clouds came from no files.
+    """
+    (folder / _MARK).write_text(to_json(document(comparison)), encoding="utf-8")
     # File names need not be Unicode.
-    (folder / "metrics.csv").write_text(_csv(doc), encoding="utf-8", errors="backslashreplace")
-    (folder / "table.md").write_text(markdown(doc), encoding="utf-8", errors="backslashreplace")
-    (folder / "settings.json").write_text(to_json(_settings(comparison.settings, inputs)), encoding="utf-8")
-    _write_maps(folder, comparison, inputs)
+    (folder / "metrics.csv").write_text(_csv(comparison), encoding="utf-8", errors="backslashreplace")
+    (folder / "table.md").write_text(markdown(comparison), encoding="utf-8", errors="backslashreplace")
+    if comparison.inputs is not None:
+        settings = to_json(_settings(comparison.settings, comparison.inputs))
+        (folder / "settings.json").write_text(settings, encoding="utf-8")
+    _write_maps(folder, comparison)
     for candidate in comparison.candidates:
         transform = candidate.registration.T_reference_candidate
         (folder / f"{candidate.name}_T.txt").write_text(format_matrix(transform), encoding="utf-8")
@@ -120,7 +110,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
             raise ValueError("candidates need names of their own")
         for name in candidates:
             check_name(name)
-        files = [_recorded(row) for row in values.get("files", [])]
+        files = tuple(_recorded(row) for row in values.get("files", []))
         return Settings(**chosen), Inputs(_recorded(values["reference"]), candidates, files)
     except (AttributeError, KeyError, TypeError, ValueError, InputError) as error:
         raise InputError(f"{path}: settings are incomplete or damaged: {error}") from error
@@ -137,34 +127,34 @@ def check_name(name: Any) -> str:
     return name
 
 
-def _recorded(row: dict[str, Any]) -> dict[str, Any]:
+def _recorded(row: dict[str, Any]) -> InputFile:
     if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
         raise ValueError("path and sha256 have to be text")
-    return {"path": row["path"], "sha256": row["sha256"]}
+    return InputFile(row["path"], row["sha256"])
 
 
 def _settings(settings: Settings, inputs: Inputs) -> dict[str, Any]:
-    def file(values: dict[str, Any]) -> dict[str, Any]:
-        return {"path": str(Path(values["path"]).absolute()), "sha256": values["sha256"]}
+    def file(read: InputFile) -> dict[str, Any]:
+        return {"path": str(Path(read.path).absolute()), "sha256": read.sha256}
 
     return {
         "schema": SETTINGS_SCHEMA,
         "reference": file(inputs.reference),
-        "candidates": [{"name": name, **file(values)} for name, values in inputs.candidates.items()],
-        "files": [file(values) for values in inputs.files],
+        "candidates": [{"name": name, **file(read)} for name, read in inputs.candidates.items()],
+        "files": [file(read) for read in inputs.files],
         "settings": asdict(settings),
     }
 
 
-def _csv(doc: dict[str, Any]) -> str:
+def _csv(comparison: Comparison) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(Row._fields)
-    writer.writerows(["" if value is None else value for value in row] for row in rows(doc))
+    writer.writerows(["" if value is None else value for value in row] for row in rows(comparison))
     return text.getvalue()
 
 
-def _write_maps(folder: Path, comparison: Comparison, inputs: Inputs) -> None:
+def _write_maps(folder: Path, comparison: Comparison) -> None:
     """NAME_deviation.ply (and .laz where a LAS file came in), NAME_m3c2.ply: named scalars, and RGB for all viewers."""
     limit = color_limit([candidate.deviation.scalars["distance"] for candidate in comparison.candidates])
     reference = comparison.reference
@@ -174,17 +164,18 @@ def _write_maps(folder: Path, comparison: Comparison, inputs: Inputs) -> None:
             deviation.points,
             colors=ramp(deviation.scalars["distance"], 0.0, limit),
             attributes={name: values.astype(np.float32) for name, values in deviation.scalars.items()},
-            crs=reference["crs"],
-            unit=reference["unit"],
+            crs=reference.crs,
+            unit=reference.unit,
         )
         stem = folder / candidate.name
         write_cloud(f"{stem}_deviation.ply", cloud)
-        if Path(inputs.candidates[candidate.name]["path"]).suffix.lower() in (".las", ".laz"):
+        inputs = comparison.inputs
+        if inputs is not None and Path(inputs.candidates[candidate.name].path).suffix.lower() in (".las", ".laz"):
             # A system that only this reference's file knows by name cannot be written to LAS.
             write_cloud(f"{stem}_deviation.laz", cloud if is_known(cloud.crs) else replace(cloud, crs=None))
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
-        write_field(f"{stem}_deformation", candidate.deformation, reference["crs"], reference["unit"])
+        write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)
 
 
 def write_deformation(
@@ -222,7 +213,7 @@ def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
         "count_reference": found.counts_reference.astype(np.int32),
         "count_candidate": found.counts_candidate.astype(np.int32),
     }
-    crs, unit = comparison.reference["crs"], comparison.reference["unit"]
+    crs, unit = comparison.reference.crs, comparison.reference.unit
     return Cloud(found.cores, normals=found.normals, attributes=attributes, crs=crs, unit=unit)
 
 

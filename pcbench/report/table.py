@@ -1,29 +1,31 @@
-"""The one table: metrics down, candidates across, both directions; for the terminal, for Markdown and as tidy rows."""
+"""The one table: metrics down, candidates across, both directions; for the terminal, for Markdown, for notebooks and as
+tidy rows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from html import escape
 from typing import Any, NamedTuple
 
-from pcbench.measure.scores import BACK, FORTH
+from pcbench.measure.directions import MEAN_METRICS, MeanMetric
+from pcbench.measure.metrics import FScore as Shares
+from pcbench.measure.presets import BothWays, Preset
+from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference, Estimate, Interval
+from pcbench.report.comparison import Comparison
+from pcbench.report.document import m3c2_summary, spread
 
-_ARROWS = {FORTH: "c→r", BACK: "r→c"}
-_DIRECTED = (  # name, definition, power of the unit
-    ("d1_mse", "mean square, point to nearest point", 2),
-    ("d1_rms", "root mean square, point to nearest point", 1),
-    ("d2_mse", "mean square, point to tangent plane of the reference", 2),
-    ("d2_rms", "root mean square, point to tangent plane of the reference", 1),
-    ("mean_distance", "mean distance to the nearest point", 1),
-)
 _LABELS = {
-    "d1_mse": "D1 MSE",
-    "d1_rms": "D1 RMS",
-    "d2_mse": "D2 MSE",
-    "d2_rms": "D2 RMS",
-    "mean_distance": "mean distance",
     "sum_unsquared": "Chamfer, sum of means",
     "sum_squared": "Chamfer, sum of mean squares",
+    **{metric.name: metric.label for metric in MEAN_METRICS},
 }
+_LEGEND = (
+    "c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit}, squares in"
+    " its square, [95 % interval over blocks of space]. The sampling floor is what two samples of the same surface"
+    " would score: a value near it says nothing about the surface. It does not know correlated noise."
+)
 
 
 class Row(NamedTuple):
@@ -39,54 +41,65 @@ class Row(NamedTuple):
     ci_high: float | None = None
 
 
-def rows(doc: dict[str, Any]) -> Iterator[Row]:
-    """Every number of a `comparison.json` document, tidy."""
-    unit = doc["reference"].get("unit") or "unit"
-    for candidate in doc["candidates"]:
-        yield from _candidate_rows(candidate["name"], candidate["metrics"], candidate["deviation"], unit)
-        yield from _deformation_rows(candidate["name"], candidate["deformation"], unit)
+def rows(comparison: Comparison) -> Iterator[Row]:
+    """Every number of a comparison, tidy."""
+    unit = comparison.reference.unit or "unit"
+    for candidate in comparison.candidates:
+        yield from _candidate_rows(candidate, unit)
+        yield from _deformation_rows(candidate.name, candidate.deformation.values, unit)
 
 
-def _candidate_rows(name: str, m: dict[str, Any], deviation: dict[str, Any], unit: str) -> Iterator[Row]:
+def _candidate_rows(candidate: Candidate, unit: str) -> Iterator[Row]:
+    name, m = candidate.name, candidate.metrics
     units = {0: "1", 1: unit, 2: f"{unit}^2"}
-    none = [None, None]
-    for metric, definition, power in _DIRECTED:
-        values = m[metric]
-        for way in (FORTH, BACK, "symmetric_max"):
-            if way in values:
-                ci = (values.get("ci") or {}).get(way) or none
-                yield Row(name, metric, way, definition, values[way], units[power], *ci)
+    for metric in MEAN_METRICS:
+        yield from _mean_rows(name, candidate, metric, units)
+    for way in (FORTH, BACK):
+        yield Row(name, "hausdorff", way, "largest distance to the nearest point", m.hausdorff[way].largest, unit)
+    largest = m.hausdorff.symmetric_max
+    yield Row(name, "hausdorff", "symmetric_max", "largest distance to the nearest point", largest, unit)
+    for rank, of in (("p95", "95th percentile of the distances"), ("p99", "99th percentile of the distances")):
         for way in (FORTH, BACK):
-            if "floor" in values:
-                text = f"sampling floor of: {definition}"
-                yield Row(name, f"{metric}_floor", way, text, values["floor"][way], units[power])
-            if "area_weighted" in values:
-                text = f"mean over voxels of: {definition}"
-                yield Row(name, f"{metric}_area_weighted", way, text, values["area_weighted"][way], units[power])
-    h = m["hausdorff"]
-    for way in (FORTH, BACK, "symmetric_max"):
-        yield Row(name, "hausdorff", way, "largest distance to the nearest point", h[way], unit)
-    for rank in ("p95", "p99"):
-        for way in (FORTH, BACK):
-            yield Row(name, f"hausdorff_{rank}", way, f"{rank[1:]}th percentile of the distances", h[rank][way], unit)
-    for chamfer, text, power in (
-        ("sum_unsquared", "mean c→r + mean r→c", 1),
-        ("sum_squared", "mean square c→r + mean square r→c", 2),
+            yield Row(name, f"hausdorff_{rank}", way, of, getattr(m.hausdorff[way], rank), unit)
+    for chamfer, estimate, text, power in (
+        ("sum_unsquared", m.chamfer.sum_unsquared, "mean c→r + mean r→c", 1),
+        ("sum_squared", m.chamfer.sum_squared, "mean square c→r + mean square r→c", 2),
     ):
-        ci = m["chamfer"]["ci"][chamfer]
-        yield Row(name, "chamfer", "both", f"{chamfer}: {text}", m["chamfer"][chamfer], units[power], *ci)
-    for score in m["fscore"]:
-        at = f"threshold {score['threshold']:.6g} {unit}"
-        for key, way in (("precision", FORTH), ("recall", BACK), ("fscore", "both")):
-            yield Row(name, key, way, at, score[key], "1", *score["ci"][key])
-    for map_name, values in deviation["maps"].items():
+        yield _row(name, "chamfer", "both", f"{chamfer}: {text}", estimate, units[power])
+    for score in m.fscores:
+        at = f"threshold {score.threshold:.6g} {unit}"
+        yield _row(name, "precision", FORTH, at, score.precision, "1")
+        yield _row(name, "recall", BACK, at, score.recall, "1")
+        yield _row(name, "fscore", "both", at, score.fscore, "1")
+    for map_name, values in candidate.deviation.maps.items():
+        found = spread(values)
         for key in ("bias", "rms"):
-            yield Row(name, map_name, FORTH, f"{key} of the deviation map", values[key], unit)
-    if found := deviation["m3c2"]:
+            yield Row(name, map_name, FORTH, f"{key} of the deviation map", found[key], unit)
+    if candidate.deviation.m3c2 is not None:
+        found = m3c2_summary(candidate.deviation.m3c2)
         for key, power in (("bias", 1), ("rms", 1), ("lod95_median", 1), ("significant_share", 0)):
             yield Row(name, f"m3c2_{key}", FORTH, "M3C2 at the core points", found[key], units[power])
-    for preset, values in m["presets"].items():
-        yield from _preset_rows(name, f"preset {preset}", values)
+    for preset, definitions in m.presets.items():
+        yield from _preset_rows(name, f"preset {preset}", definitions)
+
+
+def _mean_rows(name: str, candidate: Candidate, metric: MeanMetric, units: dict[int, str]) -> Iterator[Row]:
+    found, text, unit = candidate.metrics.directed[metric.name], metric.definition, units[metric.power]
+    ways = {FORTH: found.accuracy, BACK: found.completeness}
+    larger = {} if found.symmetric_max is None else {"symmetric_max": found.symmetric_max}
+    for way, estimate in (ways | larger).items():
+        yield _row(name, metric.name, way, text, estimate, unit)
+    for way, estimate in ways.items():
+        yield Row(name, f"{metric.name}_floor", way, f"sampling floor of: {text}", estimate.floor, unit)
+        definition = f"mean over voxels of: {text}"
+        yield Row(name, f"{metric.name}_area_weighted", way, definition, estimate.area_weighted, unit)
+    if metric.root_name is not None:
+        for way in ways:
+            yield Row(name, metric.root_name, way, f"root {text}", found.root()[way].value, units[metric.power // 2])
+
+
+def _row(name: str, metric: str, way: str, definition: str, estimate: Estimate, unit: str) -> Row:
+    return Row(name, metric, way, definition, estimate.value, unit, *(estimate.interval or (None, None)))
 
 
 def _deformation_rows(name: str, bend: dict[str, Any], unit: str) -> Iterator[Row]:
@@ -120,18 +133,22 @@ def deformation_words(bend: dict[str, Any], name: str, unit: str) -> str:
     return f"{name} is not deformed against the reference{unseen}"
 
 
-def _preset_rows(name: str, definition: str, values: dict[str, Any]) -> Iterator[Row]:
-    for metric, value in values.items():
-        if isinstance(value, dict):
-            for direction, number in value.items():
+def _preset_rows(name: str, definition: str, preset: Preset) -> Iterator[Row]:
+    for metric, value in _parts(preset):
+        if isinstance(value, BothWays):
+            for direction, number in asdict(value).items():
                 yield Row(name, metric, direction, definition, number, "")
-        elif isinstance(value, list):
+        elif isinstance(value, tuple):
             for score in value:
-                at = f"{definition}, threshold {score['threshold']:.6g}"
+                at = f"{definition}, threshold {score.threshold:.6g}"
                 for key in ("precision", "recall", "fscore"):
-                    yield Row(name, key, "both", at, score[key], "")
+                    yield Row(name, key, "both", at, getattr(score, key), "")
         else:
             yield Row(name, metric, "", definition, value, "")
+
+
+def _parts(preset: Preset) -> Iterator[tuple[str, float | BothWays | tuple[Shares, ...] | None]]:
+    yield from vars(preset).items()
 
 
 class _Line(NamedTuple):
@@ -141,79 +158,83 @@ class _Line(NamedTuple):
     cells: list[tuple[str, str]]  # (c→r, r→c); the second is empty where one number stands for both
 
 
-def _lines(doc: dict[str, Any], *, full: bool) -> Iterator[_Line | None]:
+def _lines(comparison: Comparison, *, full: bool) -> Iterator[_Line | None]:
     """The table's rows; None stands for a rule. `full` adds intervals and what the terminal has no room for."""
-    candidates = doc["candidates"]
-
-    def directed(label: str, key: str, *, ci: bool = False) -> _Line:
-        cells = []
-        for candidate in candidates:
-            values = candidate["metrics"][key]
-            bounds = values.get("ci", {}) if ci and full else {}
-            cells.append((_number(values[FORTH], bounds.get(FORTH)), _number(values[BACK], bounds.get(BACK))))
-        return _Line(label, cells)
-
-    def part(label: str, key: str, inner: str) -> _Line:
-        values = [candidate["metrics"][key][inner] for candidate in candidates]
-        return _Line(label, [(_number(v[FORTH]), _number(v[BACK])) for v in values])
-
-    yield _Line("points", [(f"{c['points']:,}", "") for c in candidates])
-    yield _Line("points in region", [(f"{c['points_in_region']:,}", "") for c in candidates])
-    registered = [c["registration"] for c in candidates]
-    yield _Line("registration", [(r["method"].partition(":")[0], "") for r in registered])
-    yield _Line("  rmse, overlap", [(_number(r["rmse"]), f"{r['overlap']:.1%}") for r in registered])
+    candidates = comparison.candidates
+    registered = [c.registration for c in candidates]
+    yield _Line("points", [(f"{c.points:,}", "") for c in candidates])
+    yield _Line("points in region", [(f"{c.points_in_region:,}", "") for c in candidates])
+    yield _Line("registration", [(r.method.partition(":")[0], "") for r in registered])
+    yield _Line("  rmse, overlap", [(_number(r.rmse), f"{r.overlap:.1%}") for r in registered])
     yield None
-    for key in ("d1", "d2"):
-        yield directed(_LABELS[f"{key}_mse"], f"{key}_mse", ci=True)
-        yield part("  sampling floor", f"{key}_mse", "floor")
-        yield part("  area-weighted", f"{key}_mse", "area_weighted")
-        yield directed(_LABELS[f"{key}_rms"], f"{key}_rms")
-    yield directed("mean distance", "mean_distance", ci=True)
-    yield part("  sampling floor", "mean_distance", "floor")
-    yield directed("Hausdorff (maximum)", "hausdorff")
-    yield part("  99th percentile", "hausdorff", "p99")
-    yield part("  95th percentile", "hausdorff", "p95")
+    for metric in MEAN_METRICS:
+        yield from _mean_lines(candidates, metric, full=full)
+    for label, key in (
+        ("Hausdorff (maximum)", "largest"),
+        ("  99th percentile", "p99"),
+        ("  95th percentile", "p95"),
+    ):
+        found = [c.metrics.hausdorff for c in candidates]
+        yield _Line(label, [(_number(getattr(h[FORTH], key)), _number(getattr(h[BACK], key))) for h in found])
     yield None
     for key in ("sum_unsquared", "sum_squared"):
-        chamfer = [c["metrics"]["chamfer"] for c in candidates]
-        yield _Line(_LABELS[key], [(_number(c[key], c["ci"][key] if full else None), "") for c in chamfer])
-    for number, score in enumerate(candidates[0]["metrics"]["fscore"]):
-        scores = [c["metrics"]["fscore"][number] for c in candidates]
-        label = f"F-score at {_number(score['threshold'])}"
-        yield _Line(label, [(_number(s["fscore"], s["ci"]["fscore"] if full else None), "") for s in scores])
-        yield _Line("  precision, recall", [(_number(s["precision"]), _number(s["recall"])) for s in scores])
-    for preset in candidates[0]["metrics"]["presets"]:
+        chamfer: list[Estimate] = [getattr(c.metrics.chamfer, key) for c in candidates]
+        yield _Line(_LABELS[key], [(_number(e.value, e.interval if full else None), "") for e in chamfer])
+    for scores in zip(*(c.metrics.fscores for c in candidates), strict=True):
+        cells = [(_number(s.fscore.value, s.fscore.interval if full else None), "") for s in scores]
+        yield _Line(f"F-score at {_number(scores[0].threshold)}", cells)
+        cells = [(_number(s.precision.value), _number(s.recall.value)) for s in scores]
+        yield _Line("  precision, recall", cells)
+    for preset in candidates[0].metrics.presets:
         yield None
-        values = [c["metrics"]["presets"][preset] for c in candidates]
-        for key, first in values[0].items():
-            if isinstance(first, dict):
-                keys = [k for k in first if k != "symmetric"]
-                cells = [(_number(v[key][keys[1]]), _number(v[key][keys[0]])) for v in values]
-                yield _Line(f"{preset}: {key}", cells)  # mpeg's b_to_a is our candidate -> reference
-            elif isinstance(first, list):
-                for number, score in enumerate(first):
-                    label = f"{preset}: F-score at {_number(score['threshold'])}"
-                    yield _Line(label, [(_number(v[key][number]["fscore"]), "") for v in values])
-            else:
-                yield _Line(f"{preset}: {key}", [(_number(v[key]), "") for v in values])
-    deviations = [c["deviation"] for c in candidates]
+        yield from _preset_lines(preset, [c.metrics.presets[preset] for c in candidates])
     yield None
-    for name in deviations[0]["maps"]:
-        maps = [d["maps"][name] for d in deviations]
-        label = name.replace("_distance", "")
-        yield _Line(f"map {label}: bias, rms", [(_number(m["bias"]), _number(m["rms"])) for m in maps])
-    bends = [c["deformation"] for c in candidates]
-    yield _Line("deformation", [(b["verdict"], "") for b in bends])
-    cells = [(_number((b["amplitude"] or {}).get("rms")), _number(b["minimum_detectable_rms"])) for b in bends]
-    yield _Line("  bend RMS, detectable", cells)
-    if all(d["m3c2"] for d in deviations):
-        found = [d["m3c2"] for d in deviations]
-        yield _Line("map m3c2: bias, rms", [(_number(m["bias"]), _number(m["rms"])) for m in found])
-        cells = [(_number(m["lod95_median"]), _number(m["significant_share"])) for m in found]
+    for name in candidates[0].deviation.maps:
+        maps = [spread(c.deviation.maps[name]) for c in candidates]
+        label = f"map {name.replace('_distance', '')}: bias, rms"
+        yield _Line(label, [(_number(m["bias"]), _number(m["rms"])) for m in maps])
+    yield from _bend_lines(candidates)
+    along_normals = [c.deviation.m3c2 for c in candidates if c.deviation.m3c2 is not None]
+    if len(along_normals) == len(candidates):
+        m3c2 = [m3c2_summary(found) for found in along_normals]
+        yield _Line("map m3c2: bias, rms", [(_number(m["bias"]), _number(m["rms"])) for m in m3c2])
+        cells = [(_number(m["lod95_median"]), _number(m["significant_share"])) for m in m3c2]
         yield _Line("  median LoD95, significant", cells)
 
 
-def print_table(doc: dict[str, Any]) -> None:
+def _mean_lines(candidates: Sequence[Candidate], metric: MeanMetric, *, full: bool) -> Iterator[_Line]:
+    found = [c.metrics.directed[metric.name] for c in candidates]
+    both = [(d.accuracy, d.completeness) for d in found]
+    texts = [[_number(e.value, e.interval if full else None) for e in pair] for pair in both]
+    yield _Line(metric.label, [(forth, back) for forth, back in texts])
+    yield _Line("  sampling floor", [(_number(a.floor), _number(b.floor)) for a, b in both])
+    if metric.root_label is not None:  # a mean square: its root is what people imagine
+        yield _Line("  area-weighted", [(_number(a.area_weighted), _number(b.area_weighted)) for a, b in both])
+        roots = [d.root() for d in found]
+        yield _Line(metric.root_label, [(_number(d.accuracy.value), _number(d.completeness.value)) for d in roots])
+
+
+def _preset_lines(name: str, presets: Sequence[Preset]) -> Iterator[_Line]:
+    for key, first in _parts(presets[0]):
+        values = [getattr(preset, key) for preset in presets]
+        if isinstance(first, BothWays):  # its a is the reference: b to a is our candidate to reference
+            yield _Line(f"{name}: {key}", [(_number(v.b_to_a), _number(v.a_to_b)) for v in values])
+        elif isinstance(first, tuple):
+            for number, score in enumerate(first):
+                label = f"{name}: F-score at {_number(score.threshold)}"
+                yield _Line(label, [(_number(v[number].fscore), "") for v in values])
+        else:
+            yield _Line(f"{name}: {key}", [(_number(v), "") for v in values])
+
+
+def _bend_lines(candidates: Sequence[Candidate]) -> Iterator[_Line]:
+    bends = [c.deformation.values for c in candidates]
+    yield _Line("deformation", [(b["verdict"], "") for b in bends])
+    cells = [(_number((b["amplitude"] or {}).get("rms")), _number(b["minimum_detectable_rms"])) for b in bends]
+    yield _Line("  bend RMS, detectable", cells)
+
+
+def print_table(comparison: Comparison) -> None:
     """The table on the terminal, followed by warnings and by which candidate is better."""
     from rich.console import Console
     from rich.table import Table
@@ -221,14 +242,14 @@ def print_table(doc: dict[str, Any]) -> None:
 
     # Wider than a narrow terminal rather than cut; names are data, not markup.
     console = Console(markup=False, emoji=False, highlight=False)
-    console.width = max(console.width, 34 + 24 * len(doc["candidates"]))
-    console.print(_title(doc), style="bold", soft_wrap=True)
+    console.width = max(console.width, 34 + 24 * len(comparison))
+    console.print(_title(comparison), style="bold", soft_wrap=True)
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column("", no_wrap=True)
-    for candidate in doc["candidates"]:
-        table.add_column(Text(f"{candidate['name']}\nc→r"), justify="right", overflow="fold")
+    for candidate in comparison:
+        table.add_column(Text(f"{candidate.name}\nc→r"), justify="right", overflow="fold")
         table.add_column("\nr→c", justify="right", overflow="fold")
-    for line in _lines(doc, full=False):
+    for line in _lines(comparison, full=False):
         if line is None:
             table.add_section()
             table.add_row("")
@@ -237,9 +258,9 @@ def print_table(doc: dict[str, Any]) -> None:
         table.add_row(line.label, *(text for cell in line.cells for text in cell), style=style)
     console.print(table)
     console.print()
-    for warning in _warnings(doc):
+    for warning in _warnings(comparison):
         console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
-    for sentence in (*bends(doc), *verdicts(doc)):
+    for sentence in _sentences(comparison):
         console.print(sentence, soft_wrap=True)
 
 
@@ -261,80 +282,99 @@ def print_columns(rows: Iterable[Sequence[str]]) -> None:
     console.print(table)
 
 
-def markdown(doc: dict[str, Any]) -> str:
+def markdown(comparison: Comparison) -> str:
     """`table.md`: the table with 95 % intervals, the definitions, warnings and differences."""
-    names = [candidate["name"].replace("|", "\\|") for candidate in doc["candidates"]]
-    header = ["", *(f"{name} {arrow}" for name in names for arrow in _ARROWS.values())]
-    lines = [f"# {_title(doc)}", "", _md_row(header), _md_row(["---"] + ["---:"] * (len(header) - 1))]
-    for line in _lines(doc, full=True):
+    names = [candidate.name.replace("|", "\\|") for candidate in comparison]
+    header = ["", *(f"{name} {arrow}" for name in names for arrow in ARROWS.values())]
+    lines = [f"# {_title(comparison)}", "", _md_row(header), _md_row(["---"] + ["---:"] * (len(header) - 1))]
+    for line in _lines(comparison, full=True):
         if line is not None:
             label = f"&nbsp;&nbsp;{line.label.strip()}" if line.label.startswith("  ") else line.label
             lines.append(_md_row([label, *(text for cell in line.cells for text in cell)]))
-    unit = doc["reference"].get("unit") or "the files' unit"
     lines += [
         "",
-        f"c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit},"
-        " squares in its square, [95 % interval over blocks of space]. The sampling floor is what two samples of the"
-        " same surface would score: a value near it says nothing about the surface. It does not know correlated noise.",
+        _legend(comparison),
         "",
-        *(f"- warning: {warning}" for warning in _warnings(doc)),
-        *(f"- {sentence}" for sentence in (*bends(doc), *verdicts(doc))),
+        *(f"- warning: {warning}" for warning in _warnings(comparison)),
+        *(f"- {sentence}" for sentence in _sentences(comparison)),
     ]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def bends(doc: dict[str, Any]) -> Iterator[str]:
-    """Is a candidate deformed? In words."""
-    for candidate in doc["candidates"]:
-        yield deformation_words(candidate["deformation"], candidate["name"], doc["reference"].get("unit") or "")
-
-
-def verdicts(doc: dict[str, Any]) -> Iterator[str]:
-    """Is a better than b? In words, for the metrics that most readers look at."""
-    shown = (
-        f"d1_mse/{FORTH}",
-        f"d1_mse/{BACK}",
-        f"d2_mse/{FORTH}",
-        "chamfer/sum_squared",
+def html(comparison: Comparison) -> str:
+    """The table for a notebook, followed by warnings and sentences; names are escaped."""
+    cell = '<td style="text-align:right">{}</td>'
+    names = "".join(f'<th colspan="2" style="text-align:center">{escape(c.name)}</th>' for c in comparison)
+    arrows = "".join(f'<th style="text-align:right">{arrow}</th>' for _ in comparison for arrow in ARROWS.values())
+    body = []
+    for line in _lines(comparison, full=False):
+        if line is not None:
+            indent = ' style="padding-left:2em;text-align:left"' if line.label.startswith("  ") else ""
+            label = f'<th scope="row"{indent or " style=text-align:left"}>{escape(line.label.strip())}</th>'
+            cells = "".join(cell.format(escape(text)) for pair in line.cells for text in pair)
+            body.append(f"<tr>{label}{cells}</tr>")
+    notes = [f"warning: {warning}" for warning in _warnings(comparison)] + list(_sentences(comparison))
+    return (
+        f"<p><b>{escape(_title(comparison))}</b></p>"
+        f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{arrows}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        f"<ul>{''.join(f'<li>{escape(note)}</li>' for note in notes)}</ul><p>{escape(_legend(comparison))}</p>"
     )
-    for row in doc["differences"]:
-        if row["metric"] not in shown:
-            continue
-        metric, _, detail = row["metric"].partition("/")
-        label = _LABELS.get(detail) or f"{_LABELS[metric]} {_ARROWS[detail]}"
-        low, high = row["ci"]
-        if low <= 0 <= high:
-            yield f"{label}: {row['a']} and {row['b']} cannot be told apart (difference in [{low:.3g}, {high:.3g}])"
-            continue
-        better, worse = (row["a"], row["b"]) if high < 0 else (row["b"], row["a"])
-        bounds = sorted((abs(low), abs(high)))
-        by = f"{abs(row['difference']):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]"
-        yield f"{label}: {better} is lower than {worse} by {by}"
 
 
-def _warnings(doc: dict[str, Any]) -> Iterator[str]:
-    yield from doc["reference"].get("warnings", [])
-    for candidate in doc["candidates"]:
-        yield from candidate.get("warnings", [])
-        for warning in candidate["registration"]["warnings"]:
-            yield f"{candidate['name']}: {warning}"
-        if candidate["deformation"]["verdict"] != "undecided":  # then its sentence holds them
-            for warning in candidate["deformation"]["warnings"]:
-                yield f"{candidate['name']}: {warning}"
+def _sentences(comparison: Comparison) -> Iterator[str]:
+    """Is a candidate deformed, and is a better than b? In words."""
+    for candidate in comparison:
+        yield deformation_words(candidate.deformation.values, candidate.name, comparison.reference.unit or "")
+    for difference in comparison.differences:
+        if difference.metric in (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared"):
+            yield _difference_words(difference)
 
 
-def _title(doc: dict[str, Any]) -> str:
-    reference = doc["reference"]
-    unit = f" {reference['unit']}" if reference.get("unit") else ""
-    path = reference.get("path") or "reference"
-    return f"{path}: {reference['points']:,} points, spacing {reference['spacing_median']:.3g}{unit}"
+def _difference_words(found: Difference) -> str:
+    """For the metrics that most readers look at."""
+    metric, _, detail = found.metric.partition("/")
+    label = _LABELS.get(detail) or f"{_LABELS[metric]} {ARROWS[detail]}"
+    low, high = found.interval
+    if low <= 0 <= high:
+        return f"{label}: {found.a} and {found.b} cannot be told apart (difference in [{low:.3g}, {high:.3g}])"
+    better, worse = (found.a, found.b) if high < 0 else (found.b, found.a)
+    bounds = sorted((abs(low), abs(high)))
+    by = f"{abs(found.difference):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]"
+    return f"{label}: {better} is lower than {worse} by {by}"
 
 
-def _number(value: float | None, ci: list[float] | None = None) -> str:
+def _warnings(comparison: Comparison) -> Iterator[str]:
+    inputs = comparison.inputs
+    if inputs is not None:
+        yield from inputs.reference.warnings
+    for candidate in comparison:
+        if inputs is not None:
+            yield from inputs.candidates[candidate.name].warnings
+        yield from map(str, candidate.warnings)
+        for warning in candidate.registration.warnings:
+            yield f"{candidate.name}: {warning}"
+        bend = candidate.deformation.values
+        if bend["verdict"] != "undecided":  # then its sentence holds them
+            for warning in bend["warnings"]:
+                yield f"{candidate.name}: {warning}"
+
+
+def _title(comparison: Comparison) -> str:
+    reference = comparison.reference
+    unit = f" {reference.unit}" if reference.unit else ""
+    name = "reference" if comparison.inputs is None else comparison.inputs.reference.path
+    return f"{name}: {reference.points:,} points, spacing {reference.spacing_median:.3g}{unit}"
+
+
+def _legend(comparison: Comparison) -> str:
+    return _LEGEND.format(unit=comparison.reference.unit or "the files' unit")
+
+
+def _number(value: float | None, ci: Interval | None = None) -> str:
     if value is None:
         return "–"
     text = f"{value:.4g}"
-    return f"{text} [{ci[0]:.4g}, {ci[1]:.4g}]" if ci else text
+    return f"{text} [{ci.low:.4g}, {ci.high:.4g}]" if ci else text
 
 
 def _md_row(cells: list[str]) -> str:

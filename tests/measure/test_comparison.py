@@ -12,9 +12,9 @@ import shapes
 
 from pcbench import Cloud, Settings, compare
 from pcbench.errors import InputError, RegistrationError
+from pcbench.measure.results import BACK, FORTH
 from pcbench.report import document, to_json
 
-FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
 UTM = np.array([500_000.0, 4_800_000.0, 0.0])
 NONE = Settings(register="none")
 
@@ -26,6 +26,13 @@ def on_grid(points):
 
 def metrics_of(reference, candidate, settings=NONE):
     return compare(reference, candidate, settings).candidates[0].metrics
+
+
+def numbers_of(reference, candidate, settings=NONE):
+    """The metrics as comparison.json has them, but for the places of the worst points."""
+    values = document(compare(reference, candidate, settings))["candidates"][0]["metrics"]
+    del values["hausdorff"]["worst_point"]
+    return dict(leaves(values))
 
 
 def leaves(value, path=""):
@@ -51,16 +58,16 @@ def test_shifted_plane_in_closed_form():
     plane = shapes.plane_grid(20)
     m = metrics_of(plane, plane + [0, 0, 0.25])
     for way in (FORTH, BACK):
-        assert m["d1_mse"][way] == m["d2_mse"][way] == 0.0625
-        assert m["d1_rms"][way] == 0.25
-        assert m["hausdorff"][way] == m["mean_distance"][way] == 0.25
-        assert m["d1_mse"]["floor"][FORTH] == 1.0  # the grid's spacing
-        assert m["d1_mse"]["floor"][BACK] == 0.0  # every place is matched
-        assert m["d1_mse"]["ci"][way] == pytest.approx([0.0625, 0.0625])
-        assert m["d1_mse"]["area_weighted"][way] == pytest.approx(0.0625)
-    assert m["chamfer"]["sum_unsquared"] == 0.5
-    assert m["chamfer"]["sum_squared"] == 0.125
-    assert [row["threshold"] for row in m["fscore"]] == [1.0, 2.0, 5.0]
+        assert m.d1_mse[way].value == m.d2_mse[way].value == 0.0625
+        assert m.d1_rms[way].value == 0.25
+        assert m.hausdorff[way].largest == m.mean_distance[way].value == 0.25
+        assert m.d1_mse[FORTH].floor == 1.0  # the grid's spacing
+        assert m.d1_mse[BACK].floor == 0.0  # every place is matched
+        assert m.d1_mse[way].interval == pytest.approx([0.0625, 0.0625])
+        assert m.d1_mse[way].area_weighted == pytest.approx(0.0625)
+    assert m.chamfer.sum_unsquared.value == 0.5
+    assert m.chamfer.sum_squared.value == 0.125
+    assert [row.threshold for row in m.fscores] == [1.0, 2.0, 5.0]
 
 
 def test_deviation_of_the_shifted_plane_is_signed_upwards():
@@ -75,46 +82,44 @@ def test_every_metric_against_brute_force(pair):
     reference, candidate = pair
     m = metrics_of(reference, candidate, Settings(register="none", thresholds=(0.5, 1.0)))
     normals = oracles.normals(reference, 20)
-    assert m["d1_mse"][FORTH] == pytest.approx(oracles.d1(candidate, reference), rel=1e-12)
-    assert m["d1_mse"][BACK] == pytest.approx(oracles.d1(reference, candidate), rel=1e-12)
+    assert m.d1_mse[FORTH].value == pytest.approx(oracles.d1(candidate, reference), rel=1e-12)
+    assert m.d1_mse[BACK].value == pytest.approx(oracles.d1(reference, candidate), rel=1e-12)
     # 1e-9: normals of noisy patches agree to about 1e-8 degrees.
-    assert m["d2_mse"][FORTH] == pytest.approx(oracles.d2(candidate, reference, normals), rel=1e-9)
-    _, feet = oracles.nearest(reference, candidate)
-    back = ((reference - candidate[feet]) * normals).sum(axis=1)
-    assert m["d2_mse"][BACK] == pytest.approx(np.mean(back**2), rel=1e-9)
-    assert m["hausdorff"]["symmetric_max"] == pytest.approx(oracles.hausdorff(reference, candidate), rel=1e-12)
-    assert m["chamfer"]["sum_unsquared"] == pytest.approx(oracles.chamfer_unsquared(reference, candidate), rel=1e-12)
-    assert m["chamfer"]["sum_squared"] == pytest.approx(oracles.chamfer_squared(reference, candidate), rel=1e-12)
-    for row in m["fscore"]:
-        found = (row["precision"], row["recall"], row["fscore"])
-        assert found == pytest.approx(oracles.fscore(candidate, reference, row["threshold"]))
+    assert m.d2_mse[FORTH].value == pytest.approx(oracles.d2(candidate, reference, normals), rel=1e-9)
+    _, closest = oracles.nearest(reference, candidate)
+    back = ((reference - candidate[closest]) * normals).sum(axis=1)
+    assert m.d2_mse[BACK].value == pytest.approx(np.mean(back**2), rel=1e-9)
+    assert m.hausdorff.symmetric_max == pytest.approx(oracles.hausdorff(reference, candidate), rel=1e-12)
+    assert m.chamfer.sum_unsquared.value == pytest.approx(oracles.chamfer_unsquared(reference, candidate), rel=1e-12)
+    assert m.chamfer.sum_squared.value == pytest.approx(oracles.chamfer_squared(reference, candidate), rel=1e-12)
+    for row in m.fscores:
+        found = (row.precision.value, row.recall.value, row.fscore.value)
+        assert found == pytest.approx(oracles.fscore(candidate, reference, row.threshold))
     floors = (
         oracles.floor_candidate_to_reference(candidate, reference),
         oracles.floor_reference_to_candidate(candidate, reference),
     )
-    assert m["d1_mse"]["floor"][FORTH] == pytest.approx(np.mean(floors[0] ** 2), rel=1e-12)
-    assert m["d1_mse"]["floor"][BACK] == pytest.approx(np.mean(floors[1] ** 2), rel=1e-12)
-    worst = np.array(m["hausdorff"]["worst_point"][BACK])
-    assert oracles.nearest(worst[None], candidate)[0][0] == pytest.approx(m["hausdorff"][BACK], rel=1e-9)
+    assert m.d1_mse[FORTH].floor == pytest.approx(np.mean(floors[0] ** 2), rel=1e-12)
+    assert m.d1_mse[BACK].floor == pytest.approx(np.mean(floors[1] ** 2), rel=1e-12)
+    worst = np.array(m.hausdorff[BACK].worst_point)
+    assert oracles.nearest(worst[None], candidate)[0][0] == pytest.approx(m.hausdorff[BACK].largest, rel=1e-9)
 
 
 def test_area_weighting_against_the_slow_version(pair):
     reference, candidate = pair
     comparison = compare(reference, candidate, NONE)
     distances, _ = oracles.nearest(candidate, reference)
-    side, origin = comparison.reference["voxel_side"], np.floor(0.5 * (reference.min(axis=0) + reference.max(axis=0)))
+    side, origin = comparison.reference.voxel_side, np.floor(0.5 * (reference.min(axis=0) + reference.max(axis=0)))
     lower = (reference - origin).min(axis=0)
     expected = oracles.voxel_mean(distances**2, candidate - origin, side, lower)
-    assert comparison.candidates[0].metrics["d1_mse"]["area_weighted"][FORTH] == pytest.approx(expected, rel=1e-12)
+    assert comparison.candidates[0].metrics.d1_mse[FORTH].area_weighted == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("register", ["none", "icp"])
 def test_a_utm_offset_changes_no_metric(pair, register):
     reference, candidate = map(on_grid, pair)
     settings = Settings(register=register, crop="quantile:0.9")
-    here, there = metrics_of(reference, candidate, settings), metrics_of(reference + UTM, candidate + UTM, settings)
-    here["hausdorff"].pop("worst_point"), there["hausdorff"].pop("worst_point")
-    here, there = dict(leaves(here)), dict(leaves(there))
+    here, there = numbers_of(reference, candidate, settings), numbers_of(reference + UTM, candidate + UTM, settings)
     assert here.keys() == there.keys()
     for path, value in here.items():
         assert there[path] == (None if value is None else pytest.approx(value, rel=1e-9)), path
@@ -123,9 +128,10 @@ def test_a_utm_offset_changes_no_metric(pair, register):
 def test_swapping_the_clouds_swaps_the_directions(pair):
     reference, candidate = map(on_grid, pair)  # recentring is exact then
     one, two = metrics_of(reference, candidate), metrics_of(candidate, reference)
-    for metric in ("d1_mse", "mean_distance", "hausdorff"):
-        assert one[metric][FORTH] == two[metric][BACK]
-        assert one[metric][BACK] == two[metric][FORTH]
+    for way, back in ((FORTH, BACK), (BACK, FORTH)):
+        assert one.d1_mse[way].value == two.d1_mse[back].value
+        assert one.mean_distance[way].value == two.mean_distance[back].value
+        assert one.hausdorff[way].largest == two.hausdorff[back].largest
 
 
 def test_crop_selects_queries_not_what_is_searched():
@@ -133,8 +139,8 @@ def test_crop_selects_queries_not_what_is_searched():
     shifted = plane + [0.4, 0, 0]
     m = metrics_of(plane, shifted, Settings(register="none", crop="box:4.9,-1,-1,10.1,30,1"))
     # Every point has its partner 0.4 away, also at the cut: a hard crop finds 0.6 for those whose partner is outside.
-    assert m["hausdorff"]["symmetric_max"] == pytest.approx(0.4)
-    assert m["presets"]["gao2025"]["hausdorff"] == pytest.approx(0.6)
+    assert m.hausdorff.symmetric_max == pytest.approx(0.4)
+    assert m.presets["gao2025"].hausdorff == pytest.approx(0.6)
 
 
 def test_intervals_cover_and_shrink():
@@ -144,7 +150,7 @@ def test_intervals_cover_and_shrink():
     covered = 0
     for _ in range(40):
         heights = rng.normal(0, 0.2, len(grid))
-        low, high = metrics_of(grid, grid + heights[:, None] * [0, 0, 1])["d1_mse"]["ci"][FORTH]
+        low, high = metrics_of(grid, grid + heights[:, None] * [0, 0, 1]).d1_mse.accuracy.interval
         covered += low <= 0.04 <= high
     assert covered >= 33  # 95 % of 40 is 38; fewer than 33 has a probability below 0.003
 
@@ -154,17 +160,17 @@ def test_differences_between_candidates():
     up = np.array([0, 0, 1.0])
     good, same, bad = (grid + rng.normal(0, s, len(grid))[:, None] * up for s in (0.1, 0.1, 0.2))
     rows = compare(grid, {"good": good, "same": same, "bad": bad}, NONE).differences
-    d1 = {(r["a"], r["b"]): r for r in rows if r["metric"] == f"d1_mse/{FORTH}"}
+    d1 = {(r.a, r.b): r for r in rows if r.metric == f"d1_mse/{FORTH}"}
     assert len(d1) == 3
-    assert d1["good", "bad"]["ci"][1] < 0
-    assert d1["good", "bad"]["difference"] == pytest.approx(-0.03, abs=0.005)
-    assert d1["good", "same"]["ci"][0] < 0 < d1["good", "same"]["ci"][1]
+    assert d1["good", "bad"].interval.high < 0
+    assert d1["good", "bad"].difference == pytest.approx(-0.03, abs=0.005)
+    assert d1["good", "same"].interval.low < 0 < d1["good", "same"].interval.high
 
 
 def test_results_do_not_depend_on_other_candidates(pair):
     reference, candidate = pair
-    alone = compare(reference, {"x": candidate}, NONE).candidates[0].metrics
-    beside = compare(reference, {"y": candidate + 1, "x": candidate}, NONE).candidates[1].metrics
+    alone = document(compare(reference, {"x": candidate}, NONE))["candidates"][0]["metrics"]
+    beside = document(compare(reference, {"y": candidate + 1, "x": candidate}, NONE))["candidates"][1]["metrics"]
     assert alone == beside
 
 
@@ -234,17 +240,17 @@ def test_document_keys_and_null_instead_of_nan(pair):
 
 def test_two_points_have_no_normals_and_no_d2():
     m = metrics_of(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.0, 0, 0.5]]))
-    assert m["d2_mse"][FORTH] is None
-    assert m["presets"]["gao2025"]["d2_mse"] is None
-    assert m["presets"]["mpeg"]["d2_mse"]["symmetric"] is None
-    assert m["d1_mse"][FORTH] == 0.25
+    assert m.d2_mse[FORTH].value is None
+    assert m.presets["gao2025"].d2_mse is None
+    assert m.presets["mpeg"].d2_mse.symmetric is None
+    assert m.d1_mse[FORTH].value == 0.25
 
 
 def test_one_point_each():
     m = metrics_of(np.zeros((1, 3)), np.array([[0, 0, 3.0]]))
-    assert m["d1_mse"][FORTH] == 9
-    assert m["d1_mse"]["floor"][FORTH] is None
-    assert m["fscore"] == []
+    assert m.d1_mse[FORTH].value == 9
+    assert m.d1_mse[FORTH].floor is None
+    assert m.fscores == ()
 
 
 def test_the_caller_keeps_what_it_gave(pair):
@@ -273,7 +279,7 @@ def test_different_coordinate_systems_are_warned_about(pair):
     for other, warned in (("EPSG:32618", True), ("EPSG:32617", False), (None, False)):
         clouds = Cloud(reference, crs="EPSG:32617"), Cloud(candidate, crs=other)
         warnings = compare(*clouds, NONE).candidates[0].warnings
-        assert any("coordinate system" in w for w in warnings) == warned
+        assert [w.code for w in warnings] == (["other-crs"] if warned else [])
 
 
 def test_one_system_under_two_names():
@@ -292,17 +298,51 @@ def test_a_mesh_as_the_reference():
     square = Mesh(np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     candidate = np.random.default_rng(1).uniform([1, 1, 0.1], [9, 9, 0.1], (500, 3))
     comparison = compare(square, candidate, NONE)
-    assert comparison.reference["faces"] == 2
+    assert comparison.reference.faces == 2
     scalars = comparison.candidates[0].deviation.scalars
     np.testing.assert_allclose(scalars["mesh_distance"], 0.1, rtol=1e-12)
     np.testing.assert_allclose(scalars["plane_distance"], 0.1, rtol=1e-12)
-    assert comparison.candidates[0].metrics["d2_mse"][FORTH] == pytest.approx(0.01)
+    assert comparison.candidates[0].metrics.d2_mse[FORTH].value == pytest.approx(0.01)
 
 
 def test_a_cloud_that_was_merged_with_itself_keeps_its_spacing():
     points, _ = shapes.fibonacci_sphere(2000)
     settings = Settings(register="none", maps=("m3c2",))
     once, doubled = (compare(Cloud(p), Cloud(p + 1e-3), settings) for p in (points, np.repeat(points, 2, axis=0)))
-    assert doubled.reference["spacing_median"] == once.reference["spacing_median"] > 0
+    assert doubled.reference.spacing_median == once.reference.spacing_median > 0
     maps = [comparison.candidates[0].deviation.m3c2 for comparison in (once, doubled)]
     assert maps[0].radius == maps[1].radius > 0
+
+
+def test_a_comparison_is_handy(pair, tmp_path):
+    reference, candidate = pair
+    comparison = compare(reference, {"a": candidate, "<b>": candidate + 0.01}, NONE)
+    assert comparison["a"] is comparison.candidates[0]
+    assert [c.name for c in comparison] == ["a", "<b>"]
+    assert len(comparison) == 2
+    with pytest.raises(KeyError, match="no candidate 'c': there are a, <b>"):
+        comparison["c"]
+    text = repr(comparison)
+    assert len(text.splitlines()) == 3
+    assert f"{comparison['a'].metrics.mean_distance.accuracy.value:.4g}" in text
+    page = comparison._repr_html_()
+    assert page.count("<table>") == 1
+    assert "&lt;b&gt;" in page
+    assert "<b>" not in page.replace("<p><b>", "")  # names are data, not markup
+    assert f"{comparison['a'].metrics.d1_mse.accuracy.value:.4g}" in page
+
+
+def test_a_comparison_of_arrays_is_saved(pair, tmp_path):
+    reference, candidate = pair
+    comparison = compare(reference, {"a": candidate}, NONE)
+    comparison.save(tmp_path / "report", figures=False)
+    saved = json.loads((tmp_path / "report/comparison.json").read_text())
+    assert saved["candidates"] == json.loads(to_json(document(comparison)))["candidates"]
+    assert saved["reference"]["path"] is None
+    names = {path.name for path in (tmp_path / "report").iterdir()}
+    assert {"metrics.csv", "table.md", "a_deviation.ply", "a_T.txt"} <= names
+    assert "settings.json" not in names  # there are no files to read again
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes.txt").touch()
+    with pytest.raises(InputError, match="holds no report"):
+        comparison.save(tmp_path / "mine", figures=False)

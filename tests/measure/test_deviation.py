@@ -100,9 +100,9 @@ def test_poisson_map_and_the_papers_d2():
     candidate = compare(Cloud(points, normals=normals), 1.02 * points[::7], settings).candidates[0]
     # The sphere lies 0.1 outside; the Poisson surface follows the points to about a tenth of their spacing (0.1).
     np.testing.assert_allclose(np.abs(candidate.deviation.scalars["poisson_distance"]), 0.1, atol=0.02)
-    gao = candidate.metrics["presets"]["gao2025"]
-    assert gao["d2_poisson_mse"] == pytest.approx(0.01, rel=0.2)
-    assert gao["d2_mse"] == pytest.approx(0.01, rel=0.2)
+    gao = candidate.metrics.presets["gao2025"]
+    assert gao.d2_poisson_mse == pytest.approx(0.01, rel=0.2)
+    assert gao.d2_mse == pytest.approx(0.01, rel=0.2)
 
 
 def test_unknown_map():

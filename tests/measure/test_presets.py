@@ -14,22 +14,22 @@ from pcbench.errors import InputError
 
 def preset(name, reference, candidate, **settings):
     settings = Settings(register="none", presets=(name,), **settings)
-    return compare(reference, candidate, settings).candidates[0].metrics["presets"][name]
+    return compare(reference, candidate, settings).candidates[0].metrics.presets[name]
 
 
 def flat(m):
     return {
-        "mse1 (p2point)": m["d1_mse"]["a_to_b"],
-        "mse2 (p2point)": m["d1_mse"]["b_to_a"],
-        "mseF (p2point)": m["d1_mse"]["symmetric"],
-        "mse1 (p2plane)": m["d2_mse"]["a_to_b"],
-        "mse2 (p2plane)": m["d2_mse"]["b_to_a"],
-        "mseF (p2plane)": m["d2_mse"]["symmetric"],
-        "mseF,PSNR (p2point)": m["d1_psnr"],
-        "mseF,PSNR (p2plane)": m["d2_psnr"],
-        "h. (p2point)": m["hausdorff_squared_d1"],
-        "h. (p2plane)": m["hausdorff_squared_d2"],
-        "Peak distance for PSNR": m["peak"],
+        "mse1 (p2point)": m.d1_mse.a_to_b,
+        "mse2 (p2point)": m.d1_mse.b_to_a,
+        "mseF (p2point)": m.d1_mse.symmetric,
+        "mse1 (p2plane)": m.d2_mse.a_to_b,
+        "mse2 (p2plane)": m.d2_mse.b_to_a,
+        "mseF (p2plane)": m.d2_mse.symmetric,
+        "mseF,PSNR (p2point)": m.d1_psnr,
+        "mseF,PSNR (p2plane)": m.d2_psnr,
+        "h. (p2point)": m.hausdorff_squared_d1,
+        "h. (p2plane)": m.hausdorff_squared_d2,
+        "Peak distance for PSNR": m.peak,
     }
 
 
@@ -77,14 +77,14 @@ def test_gao2025_against_brute_force_with_a_hard_crop():
     low, high = np.array([10.0, 10, -10]), np.array([25.0, 30, 10])
     kept_a, kept_b = (c[((c >= low) & (c <= high)).all(axis=1)] for c in (a, b))
     found = preset("gao2025", a, b, crop="box:10,10,-10,25,30,10")
-    assert found["d1_mse"] == pytest.approx(oracles.d1(kept_b, kept_a), rel=1e-12)
-    assert found["hausdorff"] == pytest.approx(oracles.hausdorff(kept_a, kept_b), rel=1e-12)
-    assert found["chamfer"] == pytest.approx(oracles.chamfer_squared(kept_a, kept_b), rel=1e-12)
+    assert found.d1_mse == pytest.approx(oracles.d1(kept_b, kept_a), rel=1e-12)
+    assert found.hausdorff == pytest.approx(oracles.hausdorff(kept_a, kept_b), rel=1e-12)
+    assert found.chamfer == pytest.approx(oracles.chamfer_squared(kept_a, kept_b), rel=1e-12)
     normals = oracles.normals(a, 20)[((a >= low) & (a <= high)).all(axis=1)]
-    assert found["d2_mse"] == pytest.approx(oracles.d2(kept_b, kept_a, normals), rel=1e-9)
+    assert found.d2_mse == pytest.approx(oracles.d2(kept_b, kept_a, normals), rel=1e-9)
     mpeg = preset("mpeg", a, b, crop="box:10,10,-10,25,30,10")
-    assert mpeg["d1_mse"]["a_to_b"] == pytest.approx(oracles.d1(kept_a, kept_b), rel=1e-6)
-    assert mpeg["peak"] == pytest.approx(oracles.leave_one_out(kept_a).max(), rel=1e-12)
+    assert mpeg.d1_mse.a_to_b == pytest.approx(oracles.d1(kept_a, kept_b), rel=1e-6)
+    assert mpeg.peak == pytest.approx(oracles.leave_one_out(kept_a).max(), rel=1e-12)
 
 
 def test_open3d_against_open3d():
@@ -100,16 +100,16 @@ def test_open3d_against_open3d():
     radii = o3d.t.geometry.MetricParameters(fscore_radius=[0.3, 0.8])
     chamfer, hausdorff, *fscores = cloud(a).compute_metrics(cloud(b), names, radii).numpy()
     # 1e-5: Open3D computes in float32.
-    assert found["chamfer"] == pytest.approx(chamfer, rel=1e-5)
-    assert found["hausdorff"] == pytest.approx(hausdorff, rel=1e-5)
-    assert [100 * row["fscore"] for row in found["fscore"]] == pytest.approx(fscores, rel=1e-5)
+    assert found.chamfer == pytest.approx(chamfer, rel=1e-5)
+    assert found.hausdorff == pytest.approx(hausdorff, rel=1e-5)
+    assert [100 * row.fscore for row in found.fscore] == pytest.approx(fscores, rel=1e-5)
 
 
 def test_identical_clouds_have_no_psnr():
     a = shapes.terrain(200)[0]
     found = preset("mpeg", a, a)
-    assert found["d1_mse"]["symmetric"] == 0
-    assert found["d1_psnr"] is None
+    assert found.d1_mse.symmetric == 0
+    assert found.d1_psnr is None
 
 
 def test_unknown_preset():
@@ -121,28 +121,28 @@ def test_pdal_prints_its_own_constants():
     folder = data_folder("autzen")
     clouds = [read_cloud(folder / name) for name in ("autzen-thin.las", "autzen_trim.las")]
     found = preset("pdal", *clouds)
-    assert found["chamfer"] == pytest.approx(5.907628766e10, rel=1e-9)
-    assert found["hausdorff"] == pytest.approx(4416.968175, rel=1e-9)
+    assert found.chamfer == pytest.approx(5.907628766e10, rel=1e-9)
+    assert found.hausdorff == pytest.approx(4416.968175, rel=1e-9)
 
 
 def test_pdal_against_brute_force():
     a, b = shapes.terrain(300, seed=3)[0], shapes.terrain(200, seed=4)[0]
-    assert preset("pdal", a, b)["chamfer"] == pytest.approx(oracles.chamfer_sum_of_squares(a, b), rel=1e-12)
+    assert preset("pdal", a, b).chamfer == pytest.approx(oracles.chamfer_sum_of_squares(a, b), rel=1e-12)
 
 
 def test_tnt_against_open3ds_downsampling():
     o3d = pytest.importorskip("open3d", exc_type=ImportError)
     a, b = shapes.terrain(3000, seed=3)[0], shapes.terrain(2000, seed=4)[0] + [0, 0, 0.05]
     low, high = np.array([5.0, 5, -10]), np.array([35.0, 30, 10])
-    found = preset("tnt", a, b, thresholds=(0.5, 1.5), crop="box:5,5,-10,35,30,10")["fscore"]
+    found = preset("tnt", a, b, thresholds=(0.5, 1.5), crop="box:5,5,-10,35,30,10").fscore
 
     def thinned(points, side):
         inside = points[((points >= low) & (points <= high)).all(axis=1)]
         return np.asarray(o3d.geometry.PointCloud(o3d.utility.Vector3dVector(inside)).voxel_down_sample(side).points)
 
     for row in found:
-        expected = oracles.fscore(thinned(b, row["threshold"] / 2), thinned(a, row["threshold"] / 2), row["threshold"])
-        assert (row["precision"], row["recall"], row["fscore"]) == pytest.approx(expected)
+        expected = oracles.fscore(thinned(b, row.threshold / 2), thinned(a, row.threshold / 2), row.threshold)
+        assert (row.precision, row.recall, row.fscore) == pytest.approx(expected)
 
 
 def test_hausdorff_against_pymeshlab():
@@ -156,6 +156,6 @@ def test_hausdorff_against_pymeshlab():
     )
     m = compare(a, b, Settings(register="none")).candidates[0].metrics
     # MeshLab works in float32.
-    assert m["hausdorff"]["candidate_to_reference"] == pytest.approx(one_way["max"], rel=1e-5)
-    assert m["mean_distance"]["candidate_to_reference"] == pytest.approx(one_way["mean"], rel=1e-5)
-    assert m["d1_rms"]["candidate_to_reference"] == pytest.approx(one_way["RMS"], rel=1e-5)
+    assert m.hausdorff.accuracy.largest == pytest.approx(one_way["max"], rel=1e-5)
+    assert m.mean_distance.accuracy.value == pytest.approx(one_way["mean"], rel=1e-5)
+    assert m.d1_rms.accuracy.value == pytest.approx(one_way["RMS"], rel=1e-5)

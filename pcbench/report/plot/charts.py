@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.geometry.cloud import Cloud
-from pcbench.measure.scores import BACK
+from pcbench.measure.results import BACK
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999")  # Okabe and Ito
 

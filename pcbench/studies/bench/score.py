@@ -23,11 +23,10 @@ from pcbench.geometry.visibility import SEEN_BY, views
 from pcbench.io import read_cloud
 from pcbench.io.files import Warn, atomic_write
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.comparison import Settings, compare
-from pcbench.measure.scores import BACK, FORTH
+from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
 from pcbench.registration import METHODS, Registration, fit_pairs, recentring
-from pcbench.report import document
+from pcbench.report import compare, document
 
 BY_GAUGE = "gauge"
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
@@ -194,21 +193,21 @@ def score(truth: Truth, made: Reconstruction, rules: Rules, folder: Path) -> dic
     result = comparison.candidates[0]
     _write(matrix, result.registration.T_reference_candidate)
     whole = document(comparison)["candidates"][0]
-    at, metrics = whole["metrics"]["fscore"][-1], whole["metrics"]
+    metrics, at = result.metrics, result.metrics.fscores[-1]
     return {
         "registration": chosen.how,
-        "d1_c2r": metrics["d1_mse"][FORTH],
-        "d1_r2c": metrics["d1_mse"][BACK],
-        "mean_c2r": metrics["mean_distance"][FORTH],
-        "mean_r2c": metrics["mean_distance"][BACK],
-        "chamfer": metrics["chamfer"]["sum_unsquared"],
-        "hausdorff": metrics["hausdorff"]["symmetric_max"],
-        "threshold": at["threshold"],
-        "precision": at["precision"],
-        "recall": at["recall"],
-        "fscore": at["fscore"],
-        "recall_visible": _recall_visible(truth, made.cloud, result.registration, at["threshold"], rules.crop),
-        "notes": [*chosen.notes, *whole["warnings"], *_of_registration(result.registration)],
+        "d1_c2r": metrics.d1_mse.accuracy.value,
+        "d1_r2c": metrics.d1_mse.completeness.value,
+        "mean_c2r": metrics.mean_distance.accuracy.value,
+        "mean_r2c": metrics.mean_distance.completeness.value,
+        "chamfer": metrics.chamfer.sum_unsquared.value,
+        "hausdorff": metrics.hausdorff.symmetric_max,
+        "threshold": at.threshold,
+        "precision": at.precision.value,
+        "recall": at.recall.value,
+        "fscore": at.fscore.value,
+        "recall_visible": _recall_visible(truth, made.cloud, result.registration, at.threshold, rules.crop),
+        "notes": [*chosen.notes, *map(str, result.warnings), *_of_registration(result.registration)],
         "comparison": whole,
     }
 

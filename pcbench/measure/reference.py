@@ -1,0 +1,123 @@
+"""The reference with all that every candidate needs, computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.regions import Region, parse_region
+from pcbench.geometry.voxels import robust_extent, thin_to
+from pcbench.measure import intervals
+from pcbench.measure.results import ReferenceSummary
+from pcbench.measure.settings import Settings
+from pcbench.registration import Target, recentring
+
+_VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
+_MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
+_POISSON_POINTS = 400_000  # that a Poisson mesh is made from: well under a minute
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The reference, recentred, with all that every candidate needs, computed once."""
+
+    cloud: Cloud
+    origin: FloatArray
+    target: Target  # of registrations
+    region: Region | None  # in recentred coordinates
+    inside: NDArray[np.bool_]
+    rows: IntArray | None  # of the points inside; None for all
+    nearest_other: Matches | None
+    spacing: float
+    blocks: intervals.Blocks
+    voxel: float
+    meshes: Mapping[str, MeshIndex]  # by the name of the map, recentred
+
+    @classmethod
+    def prepare(cls, given: Cloud | Mesh, settings: Settings) -> Reference:
+        cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
+        origin = recentring(cloud)
+        points = cloud.points - origin
+        region = parse_region(settings.crop, cloud)
+        region = None if region is None else region.shifted(origin)
+        inside = np.ones(len(points), bool) if region is None else region.contains(points)
+        if not inside.any():
+            raise InputError(f"the crop {settings.crop!r} leaves none of the reference's {len(points)} points")
+        surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
+        rows = None if region is None else np.flatnonzero(inside)
+        if len(surface) >= 3:
+            surface.with_normals_at(rows)  # all that D2 needs: registration takes what it wants from them
+        nearest_other = surface.nearest_other() if len(surface) > 1 else None
+        return cls(
+            cloud=cloud,
+            origin=origin,
+            target=Target(surface),
+            region=region,
+            inside=inside,
+            rows=rows,
+            nearest_other=nearest_other,
+            # Of a cloud that was merged with itself the nearest other points are twins: those do not count then.
+            spacing=0.0 if nearest_other is None else float(np.median(nearest_other.distances)) or surface.spacing,
+            blocks=intervals.partition(points, settings.seed),
+            voxel=robust_extent(points if rows is None else points[rows]) / _VOXELS_ALONG or 1.0,
+            meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
+        )
+
+    def with_poisson_mesh(self) -> Reference:
+        """The same with a Poisson mesh of the (thinned) reference to measure distances to.
+
+        Raises:
+            InputError: the reference is too small for normals.
+        """
+        from pcbench.geometry.poisson import oriented, poisson_mesh
+
+        if not self.has_normals:
+            raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")
+        rows = thin_to(self.points, _POISSON_POINTS, start=self.spacing)
+        cloud = Cloud(self.points[rows], normals=self.surface.normals(rows))
+        mesh = poisson_mesh(cloud if self.cloud.normals is not None else oriented(cloud))
+        return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})
+
+    @property
+    def surface(self) -> Surface:
+        return self.target.surface
+
+    @property
+    def index(self) -> Index:
+        return self.surface.index
+
+    @property
+    def points(self) -> FloatArray:
+        return self.surface.points
+
+    @property
+    def measured_points(self) -> FloatArray:
+        """Those inside the region."""
+        return self.points if self.rows is None else self.points[self.rows]
+
+    @property
+    def has_normals(self) -> bool:
+        return len(self.points) >= 3 or self.surface.is_complete
+
+    def summary(self) -> ReferenceSummary:
+        mesh = self.meshes.get("mesh_distance")
+        return ReferenceSummary(
+            points=len(self.points),
+            points_in_region=int(np.count_nonzero(self.inside)),
+            spacing_median=self.spacing,
+            crs=self.cloud.crs,
+            unit=self.cloud.unit,
+            normals="given" if self.cloud.normals is not None else "estimated" if self.has_normals else None,
+            faces=None if mesh is None else len(mesh.mesh.faces),
+            block_side=self.blocks.side,
+            voxel_side=self.voxel,
+        )

@@ -1,0 +1,266 @@
+"""What a comparison returns, as types: nobody digs numbers out of dictionaries.
+
+Two directions, everywhere: `accuracy` is candidate → reference (c→r: how far is what was reconstructed from what is
+there?), `completeness` is reference → candidate (r→c: how far is what is there from what was reconstructed?). Lengths
+are in the reference's unit, mean squares in its square. What does not exist is None: D2 without normals, a floor of a
+single point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pcbench.deformation import Deformation
+from pcbench.errors import Notice
+from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.deviation import DeviationMap
+from pcbench.measure.presets import Preset
+from pcbench.measure.settings import Settings
+from pcbench.registration import Registration
+
+# The directions as keys of comparison.json, and as arrows in tables.
+FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
+ARROWS = {FORTH: "c→r", BACK: "r→c"}
+
+
+class Interval(NamedTuple):
+    """A 95 % interval by the spatial block bootstrap of `pcbench.measure.intervals`."""
+
+    low: float
+    high: float
+
+
+class Estimate(NamedTuple):
+    """A number of one direction, or of both together.
+
+    Attributes:
+        value: as measured.
+        floor: what two error-free samples of one surface would score with these points; a value near it says nothing.
+        interval: where the value would lie on another, equally large piece of the scene.
+        area_weighted: the mean over occupied voxels of each voxel's mean: dense places do not decide alone.
+    """
+
+    value: float | None = None
+    floor: float | None = None
+    interval: Interval | None = None
+    area_weighted: float | None = None
+
+
+_UNKNOWN = Estimate()
+
+
+@dataclass(frozen=True)
+class DirectedMetric:
+    """A mean in both directions, and for D1 and D2 the larger of the two, which is symmetric."""
+
+    accuracy: Estimate = _UNKNOWN
+    completeness: Estimate = _UNKNOWN
+    symmetric_max: Estimate | None = None
+
+    def __getitem__(self, direction: str) -> Estimate:
+        """Of `FORTH` (accuracy) or `BACK` (completeness)."""
+        return {FORTH: self.accuracy, BACK: self.completeness}[direction]
+
+    def root(self) -> DirectedMetric:
+        """The square roots of both values: a mean square as a length."""
+        return DirectedMetric(Estimate(_root(self.accuracy.value)), Estimate(_root(self.completeness.value)))
+
+
+class Extremes(NamedTuple):
+    """The largest distances of one direction, and where the very largest is (3,), in the reference's coordinates."""
+
+    largest: float
+    p95: float
+    p99: float
+    worst_point: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Hausdorff:
+    """Hausdorff distances, unsquared: the largest of either direction and the larger of both."""
+
+    accuracy: Extremes
+    completeness: Extremes
+
+    def __getitem__(self, direction: str) -> Extremes:
+        """Of `FORTH` (accuracy) or `BACK` (completeness)."""
+        return {FORTH: self.accuracy, BACK: self.completeness}[direction]
+
+    @property
+    def symmetric_max(self) -> float:
+        return max(self.accuracy.largest, self.completeness.largest)
+
+
+@dataclass(frozen=True)
+class Chamfer:
+    """Chamfer distances. The variants disagree by orders of magnitude, so none is called "the" Chamfer distance.
+
+    Attributes:
+        sum_unsquared: mean distance c→r + mean distance r→c, a length.
+        sum_squared: mean squared distance c→r + mean squared distance r→c, a squared length.
+    """
+
+    sum_unsquared: Estimate
+    sum_squared: Estimate
+
+
+@dataclass(frozen=True)
+class FScore:
+    """Shares in [0, 1] of the points within `threshold`: precision c→r, recall r→c, and their harmonic mean."""
+
+    threshold: float
+    precision: Estimate
+    recall: Estimate
+    fscore: Estimate
+
+
+@dataclass(frozen=True, eq=False)
+class Metrics:
+    """Everything measured of one candidate.
+
+    Attributes:
+        directed: the means of `pcbench.measure.directions.MEAN_METRICS` by name; the most asked for have attributes of
+            their own: `d1_mse`, `d2_mse` and `mean_distance`, and the roots `d1_rms` and `d2_rms`.
+        hausdorff: largest distances.
+        chamfer: sums of both directions.
+        fscores: one a threshold.
+        percentiles_accuracy, percentiles_completeness: of the distances to the nearest point, as {"p50": ...}.
+        presets: locked definitions of other tools and papers by name, see `pcbench.measure.presets`.
+    """
+
+    directed: Mapping[str, DirectedMetric]
+    hausdorff: Hausdorff
+    chamfer: Chamfer
+    fscores: tuple[FScore, ...]
+    percentiles_accuracy: Mapping[str, float]
+    percentiles_completeness: Mapping[str, float]
+    presets: Mapping[str, Preset] = field(default_factory=dict)
+
+    @property
+    def d1_mse(self) -> DirectedMetric:
+        """Mean squared distance to the nearest point."""
+        return self.directed["d1_mse"]
+
+    @property
+    def d2_mse(self) -> DirectedMetric:
+        """Mean squared distance to the reference's tangent planes, in both directions."""
+        return self.directed["d2_mse"]
+
+    @property
+    def mean_distance(self) -> DirectedMetric:
+        """Mean distance to the nearest point."""
+        return self.directed["mean_distance"]
+
+    @property
+    def d1_rms(self) -> DirectedMetric:
+        """Root of `d1_mse`, a length."""
+        return self.d1_mse.root()
+
+    @property
+    def d2_rms(self) -> DirectedMetric:
+        """Root of `d2_mse`, a length."""
+        return self.d2_mse.root()
+
+
+@dataclass(frozen=True)
+class ReferenceSummary:
+    """What the candidates were compared with.
+
+    Attributes:
+        points, points_in_region: how many there are, and how many are measured.
+        spacing_median: median distance of a point to its nearest other one, see `pcbench.geometry.normals.Surface`.
+        crs, unit: of the coordinates, if known.
+        normals: "given" with the points, "estimated", or None where there are too few points for normals.
+        faces: of the mesh that the reference is; None for a cloud.
+        block_side: of the bootstrap's blocks; voxel_side: of the cells of area weighting.
+    """
+
+    points: int
+    points_in_region: int
+    spacing_median: float
+    crs: str | None
+    unit: str | None
+    normals: str | None
+    faces: int | None
+    block_side: float
+    voxel_side: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Everything about one candidate: how it was registered, what was measured, where it deviates, whether it is bent.
+
+    Attributes:
+        timings_s: seconds a step took; peak_rss_bytes: the most memory of the process so far.
+        warnings: on the clouds themselves; those on registration and deformation stand there.
+    """
+
+    name: str
+    points: int
+    points_in_region: int
+    registration: Registration
+    metrics: Metrics
+    deviation: DeviationMap
+    deformation: Deformation
+    timings_s: Mapping[str, float]
+    peak_rss_bytes: int
+    warnings: tuple[Notice, ...] = ()
+
+
+class Difference(NamedTuple):
+    """Is candidate `a` better than `b`? a - b in one metric with its interval over the same replicates of the scene.
+
+    `metric` is named as in comparison.json: "d1_mse/candidate_to_reference", "chamfer/sum_squared", "fscore/0.1".
+    """
+
+    a: str
+    b: str
+    metric: str
+    difference: float
+    interval: Interval
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A reference, its candidates, and the differences between them. `comparison["a"]` is the candidate named a."""
+
+    settings: Settings
+    reference: ReferenceSummary
+    candidates: tuple[Candidate, ...]
+    differences: tuple[Difference, ...] = ()
+
+    def __getitem__(self, name: str) -> Candidate:
+        """The candidate of that name.
+
+        Raises:
+            KeyError: there is none.
+        """
+        for candidate in self.candidates:
+            if candidate.name == name:
+                return candidate
+        raise KeyError(f"no candidate {name!r}: there are {', '.join(c.name for c in self.candidates)}")
+
+    def __iter__(self) -> Iterator[Candidate]:
+        return iter(self.candidates)
+
+    def __len__(self) -> int:
+        return len(self.candidates)
+
+    def __repr__(self) -> str:
+        unit = f" {self.reference.unit}" if self.reference.unit else ""
+        lines = [f"Comparison with {self.reference.points:,} points, spacing {self.reference.spacing_median:.3g}{unit}"]
+        for candidate in self.candidates:
+            distance = candidate.metrics.mean_distance
+            lines.append(
+                f"  {candidate.name}: {candidate.points:,} points, mean distance"
+                f" {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c{unit},"
+                f" deformation {candidate.deformation.values['verdict']}"
+            )
+        return "\n".join(lines)
+
+
+def _root(value: float | None) -> float | None:
+    return None if value is None else math.sqrt(value)
