@@ -143,3 +143,15 @@ def test_no_distances_are_refused(call):
 def test_thresholds_are_positive(threshold):
     with pytest.raises(InputError, match="positive threshold"):
         metrics.fscore(np.ones(3), np.ones(3), threshold)
+
+
+@pytest.mark.parametrize("call", [metrics.chamfer_unsquared, metrics.chamfer_squared, metrics.hausdorff])
+def test_points_are_no_distances(call):
+    points = np.zeros((7, 3))
+    with pytest.raises(InputError, match=r"expected one-way distances of shape \(N,\), got \(7, 3\): pcbench\.compare"):
+        call(points, points)
+    with pytest.raises(InputError, match="got \\(7, 3\\)"):
+        metrics.fscore(np.zeros(7), points, 1.0)
+    for one in (metrics.mean_square, metrics.one_way_hausdorff, metrics.percentiles):
+        with pytest.raises(InputError, match="expected one-way distances"):
+            one(points)
