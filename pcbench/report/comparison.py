@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,16 +40,18 @@ class Comparison(results.Comparison):
 
         Raises:
             InputError: the folder holds something else, or an input of the comparison.
-            NoFiguresError, MissingExtra: the pictures cannot be drawn; the report is not written then.
             OSError: the folder cannot be written.
+
+        Pictures that cannot be drawn are warned about: the numbers are delivered all the same.
         """
         from pcbench.report.folder import report_folder, write_report
-        from pcbench.report.plot import draw
+        from pcbench.report.plot import draw_if_possible
 
         with report_folder(Path(folder), keep=[] if self.inputs is None else self.inputs.paths()) as scratch:
             write_report(scratch, self)
-            if figures:
-                draw(scratch)
+            problem = draw_if_possible(scratch) if figures else None
+        if problem is not None:
+            warnings.warn(problem, stacklevel=2)
 
     def _repr_html_(self) -> str:
         """The table, for notebooks."""

@@ -332,7 +332,7 @@ def test_a_comparison_is_handy(pair, tmp_path):
     assert f"{comparison['a'].metrics.d1_mse.accuracy.value:.4g}" in page
 
 
-def test_a_comparison_of_arrays_is_saved(pair, tmp_path):
+def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     reference, candidate = pair
     comparison = compare(reference, {"a": candidate}, NONE)
     comparison.save(tmp_path / "report", figures=False)
@@ -342,6 +342,10 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path):
     names = {path.name for path in (tmp_path / "report").iterdir()}
     assert {"metrics.csv", "table.md", "a_deviation.ply", "a_T.txt"} <= names
     assert "settings.json" not in names  # there are no files to read again
+    monkeypatch.setattr("pcbench.report.plot.draw_if_possible", lambda folder: "no pictures: no library")
+    with pytest.warns(UserWarning, match="no pictures: no library"):
+        comparison.save(tmp_path / "without")
+    assert (tmp_path / "without/comparison.json").is_file()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").touch()
     with pytest.raises(InputError, match="holds no report"):
