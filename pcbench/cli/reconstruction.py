@@ -1,0 +1,115 @@
+"""Commands for reconstructors: plugins, reconstruct."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+import click
+
+from pcbench.cli.messages import steps, warn
+from pcbench.cli.options import (
+    FILE,
+    POSITIVE,
+    cameras_option,
+    image_scale_option,
+    key_value,
+    masks_option,
+    quiet_option,
+    write_cameras_option,
+)
+from pcbench.errors import InputError
+
+
+@click.command(short_help="List the reconstructors, or describe some.")
+@click.argument("specs", nargs=-1, metavar="[NAME | MODULE:CLASS | FILE.py:CLASS]...")
+def plugins(specs: tuple[str, ...]) -> None:
+    """List the installed reconstructors, or describe those given: where they come from, what they are for, whether
+    they can run here, and their settings with types and defaults.
+    """
+    from pcbench.plugins import find_plugin, installed
+
+    for spec in specs or installed():
+        try:
+            plugin = find_plugin(spec)
+        except InputError as error:
+            if specs:
+                raise
+            click.echo(f"{spec}: {error}")  # one that is broken hides no other
+            continue
+        click.echo(f"{spec} ({plugin.origin}): {plugin.help or 'no description'}")
+        _, _, more = plugin.docstring.partition("\n\n")
+        if specs and more:
+            click.echo(textwrap.indent(f"\n{more}\n", "  "))
+        missing = plugin.missing
+        click.echo(f"  {'can run here' if missing is None else f'cannot run here: {missing}'}")
+        for setting in plugin.settings:
+            default = "must be given" if setting.default is None else f"default {setting.default}"
+            click.echo(f"  --set {setting.name}={setting.type}  ({default})")
+
+
+@click.command(short_help="Make a cloud of a scene with a reconstructor.")
+@click.argument("name", metavar="NAME")
+@click.argument("scene", type=FILE)
+@click.option("-o", "--out", type=FILE, required=True, help="The cloud.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="A setting of the reconstructor.")
+@cameras_option()
+@masks_option
+@image_scale_option
+@click.option("--workspace", type=FILE, help="Folder for its files, which the next run uses.  [default: OUT.work]")
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop it after this.")
+@write_cameras_option
+@quiet_option
+def reconstruct(
+    name: str,
+    scene: Path,
+    out: Path,
+    settings: tuple[str, ...],
+    cameras: str,
+    masks: Path | None,
+    image_scale: float,
+    workspace: Path | None,
+    time_limit: float | None,
+    write_cameras: Path | None,
+    quiet: bool,
+) -> None:
+    """Make a cloud of the photographs in SCENE with the reconstructor NAME: an installed one (`pcbench plugins`),
+    MODULE:CLASS or FILE.py:CLASS. It runs in a process of its own.
+
+    \b
+    Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
+    """
+    from pcbench.io import check_cloud_output, write_cloud
+    from pcbench.plugins.run import Job, is_workspace, run
+    from pcbench.scenes.scene import check_cameras_output
+    from pcbench.scenes.scene import write_cameras as write
+
+    check_cloud_output(out)
+    if write_cameras is not None:
+        check_cameras_output(write_cameras)
+        if write_cameras.resolve().is_relative_to(scene.resolve()):
+            raise InputError(f"{write_cameras}: the cameras would be written into the scene: choose another place")
+    values = dict(key_value(text) for text in settings)
+    job = Job(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
+    with steps(quiet) as step:
+        step(f"reconstructing with {name}")
+        work = workspace or out.with_suffix(".work")
+        if work.is_dir() and any(work.iterdir()) and not is_workspace(work):
+            raise InputError(f"{work}: the workspace is not empty and no reconstruction's: choose another, or empty it")
+        result = run(job, work, time_limit)
+    if not quiet:
+        for warning in result.warnings:
+            warn(warning)
+    made = result.required()
+    write_cloud(out, made.cloud)
+    if write_cameras is not None and not made.cameras:
+        warn(f"{write_cameras}: not written, {name} gave no cameras")
+    elif write_cameras is not None:
+        images = scene / "images"
+        write(write_cameras, made.cameras, images if images.is_dir() else scene, made.cloud)
+    if not quiet:
+        for note in made.notes:
+            click.echo(f"note: {note}")
+        memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
+        click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
+        click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")

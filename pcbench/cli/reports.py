@@ -1,0 +1,193 @@
+"""Commands that measure clouds against a reference, and draw what was found: compare, deform, plot."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcbench.cli.messages import steps, warn
+from pcbench.cli.options import (
+    FILE,
+    crop_option,
+    given,
+    las_options,
+    las_returns,
+    no_figures_option,
+    numbers,
+    quiet_option,
+    register_option,
+    seed_option,
+    words,
+)
+
+if TYPE_CHECKING:
+    from pcbench.report.compare_files import Job
+    from pcbench.report.comparison import Comparison
+
+
+@click.command(short_help="Measure candidate clouds against a reference.")
+@click.argument("reference", type=FILE, required=False)
+@click.argument("candidates", type=FILE, nargs=-1)
+@click.option("--out", type=FILE, help="Folder for the report.")
+@register_option()
+@crop_option
+@click.option("--thresholds", metavar="T,T,...", help="Of the F-score.  [default: 1, 2, 5 x the reference's spacing]")
+@click.option(
+    "--preset", "presets", multiple=True, metavar="NAME", help="open3d, pdal or tnt; gao2025 and mpeg always."
+)
+@click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
+@las_options("LAS files")
+@seed_option("Of the bootstrap.")
+@click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
+@click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
+@no_figures_option()
+@quiet_option
+@click.pass_context
+def compare(
+    context: click.Context,
+    reference: Path | None,
+    candidates: tuple[Path, ...],
+    out: Path | None,
+    register: str,
+    crop: str,
+    thresholds: str | None,
+    presets: tuple[str, ...],
+    maps: tuple[str, ...],
+    classes: str | None,
+    returns: str | None,
+    seed: int,
+    settings_file: Path | None,
+    json_file: str | None,
+    no_figures: bool,
+    quiet: bool,
+) -> None:
+    """Measure how far CANDIDATES are from REFERENCE, both ways.
+
+    \b
+    Example: pcbench compare ref.ply a.ply b.ply --out report/
+    """
+    _multiply_on_one_thread()
+    from pcbench.measure.settings import Settings
+    from pcbench.report.compare_files import Job
+
+    if settings_file is not None:
+        options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
+        if reference is not None or any(given(context, name) for name in options):
+            raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
+        job = Job.recorded(settings_file)
+    else:
+        if reference is None or not candidates:
+            raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
+        settings = Settings(
+            register=register,
+            crop=crop,
+            thresholds=numbers("--thresholds", thresholds, float),
+            presets=words(presets),
+            maps=words(maps),
+            seed=seed,
+            classes=numbers("--classes", classes, int),
+            returns=las_returns(returns),
+        )
+        job = Job.of(reference, candidates, settings)
+    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet)
+
+
+def compare_and_print(job: Job, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool) -> Comparison:
+    """Compare files, write what is asked for, and print the table or the JSON document."""
+    from pcbench.report import document, print_table, to_json
+    from pcbench.report.compare_files import Outputs, compare_files
+
+    to_stdout = json_file == "-"
+    outputs = Outputs(out, None if json_file is None or to_stdout else Path(json_file), figures)
+    with steps(quiet) as step:
+        outcome = compare_files(job, outputs, step)
+    if to_stdout:
+        click.echo(to_json(document(outcome.comparison)), nl=False)
+    elif not quiet:
+        print_table(outcome.comparison)
+        if out is not None:
+            click.echo(f"report: {out}")
+    if outcome.without_figures:
+        warn(outcome.without_figures)
+    return outcome.comparison
+
+
+@click.command(short_help="Say whether a cloud is deformed against a reference.")
+@click.argument("reference", type=FILE)
+@click.argument("candidate", type=FILE)
+@click.option("--out", type=FILE, help="Folder for deformation.json, the displacement field and pictures.")
+@register_option()
+@crop_option
+@no_figures_option()
+@seed_option("Of the bootstrap.")
+@quiet_option
+def deform(
+    reference: Path,
+    candidate: Path,
+    out: Path | None,
+    register: str,
+    crop: str,
+    no_figures: bool,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Register CANDIDATE to REFERENCE and say whether it is bent beyond that, by how much, and where.
+
+    \b
+    Example: pcbench deform ref.ply a.ply --out bend/
+    """
+    _multiply_on_one_thread()
+    from pcbench.report import deformation_words
+    from pcbench.report.deform_files import deform_files
+
+    with steps(quiet) as step:
+        outcome = deform_files(reference, candidate, register, crop, seed, out, figures=not no_figures, step=step)
+    values = outcome.deformation.values
+    if not quiet:
+        for warning in outcome.warnings:
+            warn(warning)
+        click.echo(deformation_words(values, candidate.name, outcome.unit or ""))
+        if values["verdict"] != "undecided":
+            for warning in values["warnings"]:
+                warn(warning)
+        for rung in values["rungs"]:
+            mark = "*" if rung["model"] == values["model"] else " "
+            score, error = rung["cv_score"] ** 0.5, rung["cv_se"] / (2 * rung["cv_score"] ** 0.5 or 1.0)
+            click.echo(f" {mark} {rung['model']:10} cross-validated residual {score:.4g} ± {error:.2g}")
+        if noise := values["noise"]:
+            click.echo(
+                f"noise: white {noise['sigma_white']:.3g}, correlated {noise['sigma_correlated']:.3g} over"
+                f" {noise['correlation_length']:.3g}; {values['pairs']:,} pairs are worth {noise['n_eff']:,.0f}"
+            )
+            local = values["local"]
+            click.echo(f"local changes: {local['tiles_changed']} of {local['tiles_tested']} tiles")
+        if out is not None:
+            click.echo(f"report: {out}")
+    if outcome.without_figures:
+        warn(outcome.without_figures)
+
+
+@click.command(short_help="Draw a report's pictures again.")
+@click.argument("report", type=FILE)
+@click.argument("names", nargs=-1)
+@quiet_option
+def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
+    """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
+    a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
+    """
+    from pcbench.report.plot import draw
+
+    with steps(quiet) as step:
+        step("drawing")
+        written = draw(report, names)
+    if not quiet:
+        for path in written:
+            click.echo(path)
+
+
+def _multiply_on_one_thread() -> None:
+    """Before numpy is imported: matrices here are small, and waking threads for them costs more than it saves."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,0 +1,237 @@
+"""Commands that run many things to answer one question: demo, bench, experiment bend."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pcbench.cli.messages import steps, warn, warn_unless
+from pcbench.cli.options import (
+    FILE,
+    POSITIVE,
+    cameras_option,
+    crop_option,
+    given,
+    image_size,
+    masks_option,
+    no_figures_option,
+    quiet_option,
+    register_option,
+    seed_option,
+    size_option,
+)
+from pcbench.cli.reports import compare_and_print
+from pcbench.errors import InputError
+
+if TYPE_CHECKING:
+    from pcbench.studies.bench.runs import BenchJob
+
+
+@click.command(short_help="Make small cities with exact truth, compare clouds of one and bench SfM on the other.")
+@click.option("--out", type=FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
+@click.option(
+    "--points",
+    default=1_270_820,
+    show_default=True,
+    type=click.IntRange(20_000, 100_000_000),
+    help="Of the reference; candidates in proportion.",
+)
+@seed_option("Of the cities and their noise.")
+@no_figures_option()
+@click.option("--no-bench", is_flag=True, help="Compare only.")
+@quiet_option
+def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
+    """Make a small city whose geometry is known exactly, a dense reference of it, a sparse and a densified candidate
+    with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
+    city and bench sparse SfM on it, at two image scales with finer and coarser features (needs the extras plot, sfm).
+    """
+    from pcbench.io import write_cloud
+    from pcbench.measure.settings import Settings
+    from pcbench.report.compare_files import Job
+    from pcbench.scenes.synthetic import demo as make_demo
+
+    mark = out / ".demo"
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder for the demo, got a file")
+    if out.is_dir() and any(out.iterdir()) and not mark.is_file():
+        raise InputError(f"{out}: the folder is not empty and holds no demo: choose another one, or empty it")
+    with steps(quiet) as step:
+        step("making the city")
+        scene = make_demo(points, seed)
+        clouds = out / "clouds"
+        clouds.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+        paths = {name: clouds / f"{name}.ply" for name in ("reference", *scene.candidates)}
+        for name, path in paths.items():
+            write_cloud(path, scene.reference if name == "reference" else scene.candidates[name])
+    reference = paths.pop("reference")
+    job = Job(reference, paths, Settings(seed=seed), {})
+    comparison = compare_and_print(job, out / "report", None, figures=not no_figures, quiet=quiet)
+    if not quiet:
+        import numpy as np
+
+        for candidate in comparison.candidates:
+            points_ = scene.candidates[candidate.name].points
+            found = candidate.registration.T_reference_candidate.apply(points_)
+            truth = scene.T_reference_candidate[candidate.name].apply(points_)
+            error = float(np.sqrt(np.mean(np.square(found - truth).sum(axis=1))))
+            bend = scene.bend_rms[candidate.name]
+            note = f" (it is bent by {1000 * bend:.0f} mm RMS, which no rigid motion undoes)" if bend else ""
+            click.echo(f"truth: {candidate.name} was registered to {1000 * error:.1f} mm RMS{note}")
+        click.echo(f"again: pcbench compare {reference} {' '.join(str(p) for p in paths.values())} --out REPORT")
+    if not no_bench:
+        _demo_bench(out, seed, figures=not no_figures, quiet=quiet)
+
+
+def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
+    from pcbench.studies.bench.demo import demo_job, why_not
+
+    if reason := why_not():
+        if not quiet:
+            click.echo(f"bench skipped: {reason}")
+        return
+    with steps(quiet) as step:
+        bench_job = demo_job(out / "city", seed, step)
+    if not quiet:
+        click.echo(f"\nbench: sparse SfM on {out / 'city'}, whose truth is known")
+    _bench_and_print(bench_job, out / "bench", figures=figures, quiet=quiet)
+
+
+@click.command(short_help="Run reconstructors side by side: time and memory against accuracy.")
+@click.argument("scene", type=FILE)
+@click.option("--reference", type=FILE, required=True, help="Cloud or mesh in the frame of the scene's cameras.")
+@click.option("--method", "methods", multiple=True, metavar="NAME", help="A reconstructor, as for `reconstruct`.")
+@click.option(
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="[METHOD.]KEY=V,V,...",
+    help="Run with each value; of several, all combinations.",
+)
+@click.option("--set", "settings", multiple=True, metavar="[METHOD.]KEY=VALUE", help="Set for all that have it.")
+@click.option(
+    "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Runs of each with seeds 0 to N-1."
+)
+@click.option("--out", type=FILE, required=True, help="Folder for the bench; runs that are in it are kept.")
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop a run after this.")
+@cameras_option(
+    "What methods get: auto, none, or a file or folder. With none, those of the scene still register clouds."
+)
+@masks_option
+@click.option("--truth-mesh", type=FILE, help="Of the reference's surface: says what the cameras saw of it.")
+@register_option("gauge", "By each cloud's gauge, or as for `compare`.")
+@crop_option
+@click.option("--threshold", type=POSITIVE, help="Of the F-score.  [default: 5 x the reference's spacing]")
+@no_figures_option("charts")
+@quiet_option
+def bench(
+    scene: Path,
+    reference: Path,
+    methods: tuple[str, ...],
+    sweeps: tuple[str, ...],
+    settings: tuple[str, ...],
+    seeds: int,
+    out: Path,
+    time_limit: float | None,
+    cameras: str,
+    masks: Path | None,
+    truth_mesh: Path | None,
+    register: str,
+    crop: str,
+    threshold: float | None,
+    no_figures: bool,
+    quiet: bool,
+) -> None:
+    """Make clouds of SCENE with every method at every budget, each in a process of its own, and compare them with the
+    reference. KEY is image_scale or a setting of the methods. What a method does wrong is a row; what is done is kept,
+    so the same command goes on where it was stopped.
+
+    \b
+    Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
+             --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
+    """
+    from pcbench.studies.bench.plan import Axis
+    from pcbench.studies.bench.runs import BenchJob
+    from pcbench.studies.bench.score import Rules
+
+    axes = [*map(Axis.fixed, settings), *map(Axis.sweep, sweeps)]
+    rules = Rules(register, crop, threshold)
+    job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
+    _bench_and_print(job, out, figures=not no_figures, quiet=quiet)
+
+
+def _bench_and_print(job: BenchJob, out: Path, *, figures: bool, quiet: bool) -> None:
+    from pcbench.report.plot import draw_if_possible
+    from pcbench.studies.bench.runs import Done
+    from pcbench.studies.bench.runs import bench as run_bench
+    from pcbench.studies.bench.table import print_bench
+
+    def say(done: Done) -> None:
+        if not quiet:
+            click.echo(f"{done.number}/{done.of} {done.words}")
+
+    with steps(quiet) as step:
+        doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))
+        if figures:
+            step("drawing the charts")
+            without = draw_if_possible(out)
+    if not quiet:
+        click.echo()
+        print_bench(doc)
+        click.echo(f"bench: {out}")
+    if figures and without:
+        warn(without)
+
+
+@click.group(short_help="Questions answered on scenes whose truth is known.")
+def experiment() -> None:
+    """Answer a question on a scene whose truth is known."""
+
+
+@experiment.command(short_help="Solve the same images in several ways: what bends the cloud?")
+@click.argument("scene", type=FILE, required=False)
+@click.option("--out", type=FILE, required=True, help="Folder for results; a later run goes on from what is there.")
+@click.option(
+    "--images", default=42, show_default=True, type=click.IntRange(12, 9999), help="Of the scene that is made."
+)
+@size_option("800x600")
+@no_figures_option("picture")
+@seed_option("Of everything.")
+@quiet_option
+@click.pass_context
+def bend(
+    context: click.Context,
+    scene: Path | None,
+    out: Path,
+    images: int,
+    size: str,
+    no_figures: bool,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Solve the same images with the reconstructor sfm and different settings (which images; focal length and
+    distortion known, solved for or ignored; control points), and measure how the clouds are bent against the truth
+    and against each other. SCENE is a folder as pcbench synth city makes it; without one, a drone's survey of a city
+    is made.
+
+    \b
+    Example: pcbench experiment bend --out bend/
+    """
+    from pcbench.report import print_columns
+    from pcbench.studies.bend.bend import Experiment, run_bend
+    from pcbench.studies.bend.findings import table
+
+    if scene is not None and any(given(context, name) for name in ("images", "size")):
+        raise click.UsageError("--images and --size are those of the scene that is made where none is given")
+    settings = Experiment(images, *image_size(size), seed)
+    with steps(quiet) as step:
+        document, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
+    if not quiet:
+        print_columns(table(document))
+        for sentence in document["sentences"]:
+            click.echo(sentence)
+        click.echo(f"report: {out}")
+    if without_figures:
+        warn(without_figures)
