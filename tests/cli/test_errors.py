@@ -1,0 +1,162 @@
+"""The command line's errors: one line, an exit code, and nothing half-written."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from command_line import one_line
+
+from pcbench import Cloud, read_cloud, write_cloud
+
+BAD = {
+    "missing file": ("compare ref.ply no.ply", "no.ply"),
+    "a directory": ("compare ref.ply .", "folder"),
+    "empty file": ("compare ref.ply empty.ply", "empty"),
+    "wrong magic": ("compare ref.ply magic.ply", "magic.ply"),
+    "truncated": ("compare ref.ply cut.ply", "of 1500 vert"),
+    "negative count": ("compare ref.ply negative.ply", "negative.ply"),
+    "absurd count": ("compare ref.ply absurd.ply", "absurd.ply"),
+    "unknown extension": ("compare ref.ply a.docx", ".ply"),
+    "no points": ("compare ref.ply none.ply", "none.ply"),
+    "all NaN": ("compare ref.ply nan.ply", "NaN"),
+    "no matrix": ("compare ref.ply a.ply --register matrix:empty.ply", "empty.ply"),
+    "no such matrix": ("compare ref.ply a.ply --register matrix:no.txt", "no.txt"),
+    "no such method": ("compare ref.ply a.ply --register magic", "unknown registration"),
+    "no such crop": ("compare ref.ply a.ply --crop circle:1", "circle"),
+    "empty crop": ("compare ref.ply a.ply --crop sphere:999,0,0,1", "leaves none"),
+    "no overlap": ("compare ref.ply far.ply", "does not overlap"),
+    "no overlap as it is": ("compare ref.ply far.ply --register none", "does not overlap"),
+    "bad thresholds": ("compare ref.ply a.ply --thresholds a,b", "--thresholds"),
+    "negative threshold": ("compare ref.ply a.ply --thresholds=-1", "positive thresholds"),
+    "unknown preset": ("compare ref.ply a.ply --preset x", "unknown preset"),
+    "no settings": ("compare --settings no.json", "no.json"),
+    "not settings": ("compare --settings ref.ply", "ref.ply"),
+    "crop keeps nothing": ("crop a.ply out.ply --crop box:900,900,900,901,901,901", "leaves none"),
+    "register far": ("register ref.ply far.ply --out out.ply", "does not overlap"),
+    "info of nothing": ("info no.ply", "no.ply"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_line(files, run, name):
+    header = b"ply\nformat binary_little_endian 1.0\nelement vertex %s\n"
+    body = b"property float x\nproperty float y\nproperty float z\nend_header\n"
+    (files / "empty.ply").touch()
+    (files / "magic.ply").write_bytes(b"PK\x03\x04 not a cloud")
+    (files / "cut.ply").write_bytes((files / "a.ply").read_bytes()[:-40])
+    (files / "negative.ply").write_bytes(header % b"-5" + body)
+    (files / "absurd.ply").write_bytes(header % b"99999999999999" + body + b"\0" * 12)
+    (files / "none.ply").write_bytes(header % b"0" + body)
+    (files / "nan.ply").write_bytes(header % b"2" + body + np.full(6, np.nan, "<f4").tobytes())
+    (files / "a.docx").write_bytes(b"x")
+    write_cloud("far.ply", Cloud(read_cloud("a.ply").points + 1e5))
+    before = sorted(p.name for p in files.iterdir())
+    arguments, expected = BAD[name]
+    out = ("--out", "report") if arguments.startswith("compare") else ()
+    code, stdout, err = run(*arguments.split(), *out)
+    assert code == 2
+    assert one_line(err), err
+    assert expected in err
+    assert not stdout
+    assert sorted(p.name for p in files.iterdir()) == before
+
+
+def test_usage_errors(run):
+    for arguments in (
+        ("compare",),
+        ("compare", "ref.ply"),
+        ("crop", "ref.ply"),
+        ("frobnicate",),
+        ("compare", "--nonsense"),
+    ):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert "Traceback" not in err
+
+
+def test_usage_errors_are_one_line_too(files, run):
+    for arguments in (("compare", "ref.ply"), ("compare", "--seed", "x"), ("demo", "--points", "5"), ("nonsense",)):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert one_line(err), err
+    assert run("compare", "ref.ply", "a.ply", "--seed", "-1")[0] == 2
+
+
+def test_an_output_that_cannot_be_written_is_noticed_first(files, run):
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report", "--json", "no/x.json")
+    assert code == 2
+    assert one_line(err)
+    assert not (files / "report").exists()
+    assert run("register", "ref.ply", "a.ply", "--out", "b2.ply", "--matrix", "no/m.txt")[0] == 2
+    assert not (files / "b2.ply").exists()
+
+
+def test_outputs_never_replace_inputs(files, run):
+    before = {p.name: p.read_bytes() for p in files.iterdir()}
+    for arguments in (
+        ("compare", "ref.ply", "a.ply", "--json", "ref.ply"),
+        ("compare", "ref.ply", "a.ply", "--out", "."),
+        ("register", "ref.ply", "a.ply", "--out", "a.ply"),
+    ):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert one_line(err)
+    assert {p.name: p.read_bytes() for p in files.iterdir()} == before
+    run("compare", "ref.ply", "a.ply", "--out", "report", "-q")
+    code, _, err = run("compare", "ref.ply", "report/a_deviation.ply", "--out", "report")
+    assert code == 2
+    assert "would replace its own input" in err
+
+
+def test_disk_full_leaves_nothing(files):
+    script = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+        "sys.argv = 'pcbench compare ref.ply a.ply --out report --no-figures'.split()\n"
+        "from pcbench.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert one_line(done.stderr), done.stderr
+    assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written(files, run):
+    (files / "locked").mkdir(mode=0o555)
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "locked/report")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_out_below_a_file(files, run):
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "a.ply/report")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_interrupt_leaves_nothing(files, run, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pcbench.measure.comparison.register", interrupt)
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report")
+    assert code == 130
+    assert err.strip() == "interrupted"
+    assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
+
+
+def test_a_poor_terminal_and_a_terminated_run(files):
+    command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply", "--no-figures"]
+    poor = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "20", "TERM": "dumb"}
+    done = subprocess.run(command, env=poor, capture_output=True, check=True)
+    assert b"D1 MSE" in done.stdout
+    stop = (
+        "import os, signal, sys, pcbench.measure.comparison\n"
+        "pcbench.measure.comparison.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "sys.argv = 'pcbench compare ref.ply a.ply --out report'.split()\n"
+        "from pcbench.cli import main; main()"
+    )
+    assert subprocess.run([sys.executable, "-c", stop], capture_output=True, check=False).returncode == 143
+    assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}

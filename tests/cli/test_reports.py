@@ -1,0 +1,239 @@
+"""`pcbench compare` and `pcbench plot`: what they print, and the folder that they leave."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import REPORT, doc, one_line, without_the_clock
+
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.geometry.transform import read_matrix
+
+
+def test_compare_prints_a_table_and_leaves_a_folder(files, run):
+    code, out, err = run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")
+    assert code == 0
+    assert not err
+    assert "D1 MSE" in out
+    assert "sampling floor" in out
+    fields = {f"{name}_deformation.{kind}" for name in "ab" for kind in ("csv", "ply")}
+    expected = REPORT | fields | {"a_deviation.ply", "a_T.txt", "b_deviation.ply", "b_T.txt"}
+    assert {p.name for p in Path("report").iterdir()} - {"figures"} == expected
+    values = doc("report")
+    assert [c["name"] for c in values["candidates"]] == ["a", "b"]
+    assert values["reference"]["sha256"]
+    assert "NaN" not in (files / "report/comparison.json").read_text()
+    deviation = read_cloud("report/a_deviation.ply")
+    assert len(deviation) == 1500
+    m = values["candidates"][0]["metrics"]
+    # The scalar is float32 in the file.
+    assert deviation.attributes["distance"].max() == pytest.approx(m["hausdorff"]["candidate_to_reference"], rel=1e-6)
+    matrix = read_matrix("report/a_T.txt").matrix
+    np.testing.assert_array_equal(matrix, values["candidates"][0]["registration"]["T_reference_candidate"])
+    rows = list(csv.DictReader((files / "report/metrics.csv").open()))
+    assert list(rows[0]) == ["candidate", "metric", "direction", "definition", "value", "unit", "ci_low", "ci_high"]
+    row = next(r for r in rows if r["metric"] == "d1_mse" and r["direction"] == "candidate_to_reference")
+    assert float(row["value"]) == m["d1_mse"]["candidate_to_reference"]
+    assert row["unit"] == "m^2"
+    assert "| D1 MSE |" in (files / "report/table.md").read_text()
+
+
+def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
+    options = ("--crop", "quantile:0.9", "--register", "similarity", "--thresholds", "0.1,0.3", "--preset", "open3d")
+    assert run("compare", "ref.ply", "a.ply", "b.ply", *options, "--seed", 5, "--out", "one")[0] == 0
+    assert run("compare", "--settings", "one/settings.json", "--out", "two")[0] == 0
+    one, two = without_the_clock(doc("one")), without_the_clock(doc("two"))
+    for values in (one, two):
+        for entry in (values["reference"], *values["candidates"]):
+            entry["path"] = Path(entry["path"]).name
+    assert one == two
+    code, _, err = run("compare", "--settings", "one/settings.json", "--crop", "none")
+    assert code == 2
+    assert "--settings already names" in err
+
+
+def test_settings_notice_a_changed_file(files, run):
+    run("compare", "ref.ply", "a.ply", "--out", "one", "-q")
+    write_cloud("a.ply", read_cloud("b.ply"))
+    code, out, _ = run("compare", "--settings", "one/settings.json")
+    assert code == 0
+    assert "has changed since" in out
+
+
+def test_json_on_standard_output(files, run):
+    code, out, _ = run("compare", "ref.ply", "a.ply", "--json", "-")
+    assert code == 0
+    assert json.loads(out)["schema"] == "pcbench.comparison/1"
+    assert run("compare", "ref.ply", "a.ply", "--quiet")[1] == ""
+
+
+def test_equal_stems_get_numbers(files, run):
+    (files / "sub").mkdir()
+    write_cloud("sub/a.ply", read_cloud("b.ply"))
+    write_cloud("reference.ply", read_cloud("b.ply"))
+    code, _, _ = run("compare", "ref.ply", "a.ply", "sub/a.ply", "reference.ply", "--out", "report")
+    assert code == 0
+    assert [c["name"] for c in doc("report")["candidates"]] == ["a", "a_2", "reference_2"]
+
+
+def test_one_bad_candidate_leaves_nothing(files, run):
+    (files / "bad.ply").write_bytes((files / "a.ply").read_bytes()[:-5])
+    code, _, err = run("compare", "ref.ply", "a.ply", "bad.ply", "--out", "new/report")
+    assert code == 2
+    assert one_line(err)
+    assert "bad.ply" in err
+    assert not (files / "new").exists()
+
+
+def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(files, run):
+    assert run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")[0] == 0
+    (files / "report/notes.txt").write_text("mine")
+    before = {p.name: p.read_bytes() for p in (files / "report").iterdir() if p.is_file()}
+    assert run("compare", "ref.ply", "a.ply", "--crop", "sphere:900,0,0,1", "--out", "report")[0] == 2
+    assert {p.name: p.read_bytes() for p in (files / "report").iterdir() if p.is_file()} == before
+    assert run("compare", "ref.ply", "a.ply", "--out", "report")[0] == 0
+    left = {p.name for p in (files / "report").iterdir()} - {"figures"}
+    fields = {"a_deformation.csv", "a_deformation.ply"}
+    assert left == REPORT | fields | {"a_deviation.ply", "a_T.txt", "notes.txt"}
+    assert not [p for p in files.iterdir() if p.name.startswith(".")]
+
+
+def test_a_folder_of_something_else_is_left_alone(files, run):
+    (files / "thesis").mkdir()
+    (files / "thesis/chapter.tex").write_text("years of work")
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "thesis")
+    assert code == 2
+    assert "not empty and holds no report" in err
+    code, _, err = run("compare", "ref.ply", "b.ply", "--out", "a.ply")
+    assert code == 2
+    assert "expected a folder" in err
+
+
+def test_nan_points_are_dropped_and_counted(files, run):
+    points = read_cloud("a.ply").points.copy()
+    points[:7] = np.nan
+    np.save("holes.npy", points)
+    code, out, _ = run("compare", "ref.ply", "holes.npy", "--out", "report")
+    assert code == 0
+    assert "7 of 1500" in out
+    assert "7 of 1500" in doc("report")["candidates"][0]["warnings"][0]
+    assert doc("report")["candidates"][0]["points"] == 1493
+
+
+def test_suspected_units_are_warned_about(files, run):
+    points = read_cloud("ref.ply").points
+    write_cloud("mm.ply", Cloud(1000 * (points - points.mean(axis=0)) + points.mean(axis=0)))
+    code, out, _ = run("compare", "ref.ply", "mm.ply", "--register", "none")
+    assert code == 0
+    assert "millimetres against metres" in out
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("reference", 5),
+        ("reference", {"sha256": "x"}),
+        ("reference", {"path": 5, "sha256": "x"}),
+        ("candidates", []),
+        ("candidates", [{"name": "../x", "path": "a.ply", "sha256": ""}]),
+        ("candidates", [{"name": "", "path": "a.ply", "sha256": ""}]),
+        ("candidates", [{"name": None, "path": "a.ply", "sha256": ""}]),
+        ("candidates", 2 * [{"name": "a", "path": "a.ply", "sha256": ""}]),
+        ("settings", {"seed": -1}),
+        ("settings", {"seed": "x"}),
+        ("settings", {"register": None}),
+        ("settings", {"crop": 5}),
+        ("settings", {"thresholds": "123"}),
+        ("settings", {"thresholds": [1e400]}),
+        ("settings", {"normal_neighbors": 2500000000}),
+        ("settings", {"nonsense": 1}),
+        ("settings", None),
+    ],
+)
+def test_damaged_settings_are_one_line(files, run, key, value):
+    run("compare", "ref.ply", "a.ply", "--out", "one", "-q")
+    values = json.loads((files / "one/settings.json").read_text())
+    values[key] = {**values[key], **value} if key == "settings" and value else value
+    (files / "bad.json").write_text(json.dumps(values))
+    code, _, err = run("compare", "--settings", "bad.json", "--out", "two")
+    assert code == 2
+    assert one_line(err), err
+    assert not (files / "two").exists()
+
+
+def test_a_report_with_evil_names_deletes_nothing_elsewhere(files, run):
+    (files / "evil/figures").mkdir(parents=True)
+    (files / "p_T.txt").write_text("mine")
+    name = "figures/../../p"
+    (files / "evil/comparison.json").write_text(json.dumps({"candidates": [{"name": name}]}))
+    run("compare", "ref.ply", "a.ply", "--out", "evil")
+    assert (files / "p_T.txt").read_text() == "mine"
+
+
+def test_names_are_data_not_markup(files, run):
+    for name in ("[bold]x", ":smile:", "[/x]"):
+        (files / f"{name.replace('/', '')}.ply").write_bytes((files / "a.ply").read_bytes())
+    code, out, _ = run("compare", "ref.ply", "[bold]x.ply", ":smile:.ply", "[x].ply")
+    assert code == 0
+    for name in ("[bold]x", ":smile:", "[x]"):
+        assert name in out
+
+
+def test_files_that_settings_name_are_absolute_and_hashed(files, run, monkeypatch):
+    run("register", "ref.ply", "a.ply", "--matrix", "T.txt", "-q")
+    assert run("compare", "ref.ply", "a.ply", "--register", "matrix:T.txt", "--out", "one")[0] == 0
+    (files / "elsewhere").mkdir()
+    monkeypatch.chdir(files / "elsewhere")
+    assert run("compare", "--settings", "../one/settings.json", "--out", "two")[0] == 0
+    assert doc("two")["candidates"][0]["metrics"] == doc("../one")["candidates"][0]["metrics"]
+    (files / "T.txt").write_text((files / "T.txt").read_text() + "# touched\n")
+    assert "T.txt: the file has changed" in run("compare", "--settings", "../one/settings.json")[1]
+
+
+def test_las_in_las_out(files, run):
+    pytest.importorskip("lazrs")
+    run("convert", "a.ply", "a.laz", "-q")
+    assert run("compare", "ref.ply", "a.laz", "--out", "report")[0] == 0
+    cloud = read_cloud("report/a_deviation.laz")
+    assert cloud.colors is not None
+    found = doc("report")["candidates"][0]["metrics"]["hausdorff"]["candidate_to_reference"]
+    assert cloud.attributes["distance"].max() == pytest.approx(found, rel=1e-6)
+
+
+def test_figures_come_with_the_report(files, run):
+    code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report", figures=True)
+    assert code == 0
+    if "no pictures" not in err:
+        assert (files / "report/figures/a_distance.png").is_file()
+        code, out, _ = run("plot", "report", "distribution")
+        assert code == 0
+        assert out == "report/figures/distribution.png\n"
+
+
+def test_classes_filter_las_inputs_only(files, run):
+    points = read_cloud("ref.ply").points
+    classes = np.where(points[:, 2] > 1, 6, 2).astype(np.uint8)
+    write_cloud("ref.las", Cloud(points, attributes={"classification": classes}))
+    code, _, err = run("compare", "ref.las", "a.ply", "--classes", "2", "--out", "report")
+    assert code == 0, err
+    assert doc("report")["reference"]["points"] == int((classes == 2).sum())
+    code, _, err = run("compare", "ref.ply", "a.ply", "--classes", "2")
+    assert code == 2
+    assert "none of the clouds is one" in err
+    code, _, err = run("compare", "ref.las", "a.ply", "--classes", "9")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_a_mesh_file_as_the_reference(files, run):
+    (files / "square.obj").write_text("v 0 0 0\nv 20 0 0\nv 20 20 0\nv 0 20 0\nf 1 2 3 4\n")
+    rng = np.random.default_rng(0)
+    write_cloud("low.ply", Cloud(np.column_stack([rng.uniform(1, 19, (500, 2)), np.full(500, 0.1)])))
+    code, _, err = run("compare", "square.obj", "low.ply", "--register", "none", "--out", "report")
+    assert code == 0, err
+    values = doc("report")
+    assert values["reference"]["faces"] == 2
+    assert values["candidates"][0]["deviation"]["maps"]["mesh_distance"]["rms"] == pytest.approx(0.1)
+    assert "mesh_distance" in read_cloud("report/low_deviation.ply").attributes

@@ -1,0 +1,22 @@
+"""What tests of the command line look at: a report's folder, and errors."""
+
+import json
+from pathlib import Path
+
+# Files that every report's folder has.
+REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json"}
+
+
+def doc(folder):
+    return json.loads((Path(folder) / "comparison.json").read_text())
+
+
+def without_the_clock(values):
+    values["provenance"] = None
+    for candidate in values["candidates"]:
+        candidate["timings_s"] = candidate["peak_rss_bytes"] = None
+    return values
+
+
+def one_line(err):
+    return err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
