@@ -23,7 +23,7 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import Region, parse_region
-from pcbench.geometry.voxels import robust_extent, thin_to
+from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals, metrics, presets
 from pcbench.measure.deviation import DeviationMap, m3c2
 from pcbench.measure.scores import Direction, Floor, measure, value_of
@@ -230,7 +230,7 @@ class _Reference:
 
         if not self.has_normals:
             raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")
-        rows = thin_to(self.points, _POISSON_POINTS, start=self.spacing)
+        rows = voxel_downsample_to(self.points, _POISSON_POINTS, start=self.spacing)
         cloud = Cloud(self.points[rows], normals=self.surface.normals(rows))
         mesh = poisson_mesh(cloud if self.cloud.normals is not None else oriented(cloud))
         return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})
@@ -349,7 +349,7 @@ def _deviation_map(
     if "m3c2" in settings.maps and truth.has_normals:
         radius = _CYLINDER_RADIUS * max(truth.spacing, Surface(candidate).spacing)
         rows = np.flatnonzero(truth.inside)
-        rows = rows[thin_to(truth.points[rows], _CORES, start=radius / 2)]
+        rows = rows[voxel_downsample_to(truth.points[rows], _CORES, start=radius / 2)]
         error = registration.weakest_sigma
         along_normals = m3c2(
             truth.index,

@@ -14,7 +14,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import parse_region
-from pcbench.geometry.voxels import robust_extent, thin_to
+from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
 from pcbench.registration import Registration, Target, recentring, register
 from pcbench.report import report_folder, write_deformation
@@ -96,7 +96,7 @@ def deform_files(
         with report_folder(out, keep=(reference, candidate)) as folder:
             found, deformation = run()
             step("writing the report")
-            rows = thin_to(cloud.points, _SHOWN, start=1e-4 * robust_extent(cloud.points))
+            rows = voxel_downsample_to(cloud.points, _SHOWN, start=1e-4 * robust_extent(cloud.points))
             transform = found.T_reference_candidate
             aligned = Cloud(transform.apply(cloud.points[rows]), crs=truth.crs, unit=truth.unit)
             write_deformation(folder, deformation, aligned, transform, truth.crs, truth.unit)
