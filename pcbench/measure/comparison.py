@@ -27,7 +27,7 @@ from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals, metrics, presets
 from pcbench.measure.deviation import DeviationMap, m3c2
 from pcbench.measure.scores import Direction, Floor, measure, value_of
-from pcbench.registration import Registration, Target, recentring, register
+from pcbench.registration import Registration, Target, local_origin, register
 
 MAPS = ("poisson", "m3c2")
 
@@ -193,7 +193,7 @@ class _Reference:
     @classmethod
     def prepare(cls, given: Cloud | Mesh, settings: Settings) -> _Reference:
         cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
-        origin = recentring(cloud)
+        origin = local_origin(cloud)
         points = cloud.points - origin
         region = parse_region(settings.crop, cloud)
         region = None if region is None else region.shifted(origin)

@@ -55,7 +55,7 @@ class Registration:
     Attributes:
         method: as asked for.
         T_reference_candidate: maps candidate to reference coordinates.
-        T_local: the same motion between coordinates from which the recentring origin was subtracted; free of the
+        T_local: the same motion between coordinates from which the local origin was subtracted; free of the
             rounding that large translations bring.
         rmse: root mean square of the residuals (to the tangent plane; for `icp-point` to the point) of an even sample
             of the candidate's points that lie on the reference, Tukey-weighted, in the clouds' unit.
@@ -94,7 +94,7 @@ def register(
         method: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement),
             `global` or `global-similarity` (from nothing, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or
             `none`.
-        target: of the reference's points minus `recentring(reference)`, if the caller has one already.
+        target: of the reference's points minus `local_origin(reference)`, if the caller has one already.
 
     Raises:
         InputError: unknown method, unreadable file.
@@ -102,7 +102,7 @@ def register(
         MissingExtra: KISS-Matcher is not installed (`global`).
     """
     reference, candidate = as_cloud(reference), as_cloud(candidate)
-    origin = recentring(reference)
+    origin = local_origin(reference)
     target = target or Target(Surface(Index(reference.points - origin), given=reference.normals))
     points = candidate.points - origin
     if not isinstance(method, str):
@@ -152,7 +152,7 @@ class Target:
         return Surface(Index(cell_means(self.surface.points, self.coarse_side)))
 
 
-def recentring(cloud: Cloud) -> FloatArray:
+def local_origin(cloud: Cloud) -> FloatArray:
     """The round point (3,) near a cloud's centre that is subtracted before anything is computed.
 
     Whole numbers, because subtracting them from coordinates on any binary grid is exact: a cloud at UTM coordinates

@@ -16,7 +16,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import parse_region
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
-from pcbench.registration import Registration, Target, recentring, register
+from pcbench.registration import Registration, Target, local_origin, register
 from pcbench.report import report_folder, write_deformation
 from pcbench.report.plot import draw_if_possible
 
@@ -47,7 +47,7 @@ def deform(
         InputError: a region is not usable, or holds no points of either cloud.
         RegistrationError: the clouds do not overlap.
     """
-    origin = recentring(reference)
+    origin = local_origin(reference)
     surface = Surface(Index(reference.points - origin), given=reference.normals)
     found = register(reference, candidate, method, target=Target(surface))
     aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))

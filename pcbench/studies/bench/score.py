@@ -26,7 +26,7 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.comparison import Settings, compare
 from pcbench.measure.scores import BACK, FORTH
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, Registration, fit_pairs, recentring
+from pcbench.registration import METHODS, Registration, fit_pairs, local_origin
 from pcbench.report import document
 
 BY_GAUGE = "gauge"
@@ -223,7 +223,7 @@ def _recall_visible(
     counted = truth.visible if region is None else truth.visible & region.contains(truth.cloud.points)
     if not counted.any():
         return None
-    origin = recentring(truth.cloud)
+    origin = local_origin(truth.cloud)
     aligned = Index(registration.T_local.apply(cloud.points - origin))
     return float(np.mean(aligned.query(truth.cloud.points[counted] - origin).distances <= threshold))
 
