@@ -16,7 +16,7 @@ from pcbench.deformation.sums import dyadic_moments, groups
 from pcbench.deformation.verdict import Finding, bootstrap_signs, decide
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.registration import Target, recentring, register
+from pcbench.registration import Target, local_origin, register
 from pcbench.scenes.synthetic import city
 
 SIGMA = 0.02  # m, of the white noise
@@ -162,7 +162,7 @@ class Halves:
         self.noise = 2 * noise  # along a normal: two kinds, two halves
         self._reference = self._half(cloud, sides[0], first)
         self._candidate = self._half(cloud, sides[1], ~first)
-        self._origin = recentring(self._reference)
+        self._origin = local_origin(self._reference)
         self._surface = Surface(Index(self._reference.points - self._origin))
         _, self._pairs = self._judge(np.zeros_like(self._candidate.points))
 

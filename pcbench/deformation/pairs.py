@@ -18,7 +18,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import euclidean_offsets
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.voxels import cells, thin_to
+from pcbench.geometry.voxels import cells, voxel_downsample_to
 from pcbench.registration import Registration
 
 _PAIRS = 20_000
@@ -124,7 +124,9 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         return None
     if _extent(asking.surface.points[rows]) == 0 or surface.surface.spacing == 0:
         return None  # one place, however often
-    rows = rows[thin_to(asking.surface.points[rows], 3 * _PAIRS, start=1e-3 * _extent(asking.surface.points[rows]))]
+    rows = rows[
+        voxel_downsample_to(asking.surface.points[rows], 3 * _PAIRS, start=1e-3 * _extent(asking.surface.points[rows]))
+    ]
     sign = -1.0 if swapped else 1.0  # a point that asks less the surface's, times it: candidate less reference
     index = surface.surface.index
     spacing = surface.surface.spacing

@@ -12,7 +12,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import unit
-from pcbench.geometry.voxels import thin_to
+from pcbench.geometry.voxels import voxel_downsample_to
 
 _REACH = 4.0  # spacings between points beyond which the surface is invented, not measured
 _FEWEST = 50  # points
@@ -77,7 +77,7 @@ def oriented(cloud: Cloud) -> Cloud:
         raise MissingExtra("open3d", "open3d", "to orient normals") from error
     assert cloud.normals is not None
     index = Index(cloud.points)
-    few = thin_to(cloud.points, _ORIENTED, start=float(np.median(index.nearest_other().distances)))
+    few = voxel_downsample_to(cloud.points, _ORIENTED, start=float(np.median(index.nearest_other().distances)))
     data = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points[few]))
     data.normals = open3d.utility.Vector3dVector(cloud.normals[few])
     data.orient_normals_consistent_tangent_plane(10)

@@ -1,4 +1,4 @@
-"""Regular grids over points: cells to thin by, to weight by, and to resample by."""
+"""Regular grids over points: voxels to downsample by, to weight by, and to average over."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def cells(points: FloatArray, side: float, lower: FloatArray | None = None) -> C
     return Cells(of_point, *_core.group_by_cell(points, side, corner, of_point))
 
 
-def thin(points: FloatArray, side: float) -> IntArray:
-    """Indices of the first point in each occupied cell of edge `side`, in ascending order."""
+def voxel_downsample(points: FloatArray, side: float) -> IntArray:
+    """Voxel downsampling: indices of the first point in each occupied cell of edge `side`, in ascending order."""
     return cells(points, side).first
 
 
-def thin_to(points: FloatArray, count: int, start: float) -> IntArray:
-    """Indices of an even sample of at most about `count` points: the first in each cell; cells grow until it fits."""
+def voxel_downsample_to(points: FloatArray, count: int, start: float) -> IntArray:
+    """Voxel downsampling to at most about `count` points: the first one in each cell; cells grow until that fits."""
     side = max(start, 1e-12 * robust_extent(points), np.finfo(float).tiny)
-    which = thin(points, side)
+    which = voxel_downsample(points, side)
     while len(which) > 1.2 * count:
         side *= max(1.1, np.sqrt(len(which) / count))  # surfaces: the count falls with the square of the side
-        which = which[thin(points[which], side)]
+        which = which[voxel_downsample(points[which], side)]
     return which
 
 

@@ -22,7 +22,7 @@ from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.voxels import thin_to
+from pcbench.geometry.voxels import voxel_downsample_to
 from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap, m3c2
 from pcbench.measure.directions import Direction, from_candidate, from_reference
@@ -167,7 +167,7 @@ def _deviation_map(
     if "m3c2" in settings.maps and reference.has_normals:
         radius = _CYLINDER_RADIUS * max(reference.spacing, Surface(candidate).spacing)
         rows = np.flatnonzero(reference.inside)
-        rows = rows[thin_to(reference.points[rows], _CORES, start=radius / 2)]
+        rows = rows[voxel_downsample_to(reference.points[rows], _CORES, start=radius / 2)]
         error = registration.weakest_sigma
         along_normals = m3c2(
             reference.index,

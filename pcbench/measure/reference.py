@@ -15,11 +15,11 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import Region, parse_region
-from pcbench.geometry.voxels import robust_extent, thin_to
+from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals
 from pcbench.measure.results import ReferenceSummary
 from pcbench.measure.settings import Settings
-from pcbench.registration import Target, recentring
+from pcbench.registration import Target, local_origin
 
 _VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
@@ -45,7 +45,7 @@ class Reference:
     @classmethod
     def prepare(cls, given: Cloud | Mesh, settings: Settings) -> Reference:
         cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
-        origin = recentring(cloud)
+        origin = local_origin(cloud)
         points = cloud.points - origin
         region = parse_region(settings.crop, cloud)
         region = None if region is None else region.shifted(origin)
@@ -82,7 +82,7 @@ class Reference:
 
         if not self.has_normals:
             raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")
-        rows = thin_to(self.points, _POISSON_POINTS, start=self.spacing)
+        rows = voxel_downsample_to(self.points, _POISSON_POINTS, start=self.spacing)
         cloud = Cloud(self.points[rows], normals=self.surface.normals(rows))
         mesh = poisson_mesh(cloud if self.cloud.normals is not None else oriented(cloud))
         return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})

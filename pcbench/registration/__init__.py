@@ -1,5 +1,5 @@
 """Bringing a candidate onto the reference."""
 
-from pcbench.registration.icp import METHODS, CheckPoint, Registration, Target, fit_pairs, recentring, register
+from pcbench.registration.icp import METHODS, CheckPoint, Registration, Target, fit_pairs, local_origin, register
 
-__all__ = ["METHODS", "CheckPoint", "Registration", "Target", "fit_pairs", "recentring", "register"]
+__all__ = ["METHODS", "CheckPoint", "Registration", "Target", "fit_pairs", "local_origin", "register"]

@@ -19,9 +19,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, estimate_normals
 from pcbench.geometry.transform import Similarity
-from pcbench.geometry.voxels import cell_means, cells, robust_extent, thin, thin_to
+from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
 from pcbench.registration.correspondences import RUNG, Pairs, apart, likely_poses, matched
-from pcbench.registration.icp import Registration, Target, _given, _icp, recentring
+from pcbench.registration.icp import Registration, Target, _given, _icp, local_origin
 
 _CELLS = 15_000  # of the larger cloud, when features are compared: a second's work
 _COARSER = 1.6  # what finer cells do not find, coarser ones may
@@ -40,7 +40,7 @@ _RIVAL = 0.8  # of the best pose's agreement
 
 
 def register_from_nothing(target: Target, points: FloatArray, origin: FloatArray, method: str) -> Registration:
-    """Registration of points (N, 3) in any pose to a target; neither carries the recentring origin any more.
+    """Registration of points (N, 3) in any pose to a target; neither carries the local origin any more.
 
     Args:
         method: `global`, or `global-similarity` to find the scale too.
@@ -61,7 +61,7 @@ def register_from_nothing(target: Target, points: FloatArray, origin: FloatArray
                 " points:FILE, matrix:FILE or none"
             )
     kind = "similarity" if method == "global-similarity" else "icp"
-    middle = recentring(Cloud(points))  # turning what is far away costs digits
+    middle = local_origin(Cloud(points))  # turning what is far away costs digits
     local = points - middle
     judge = _Judge(_View(target.surface.points), _View(local))
     poses = judge.refined(judge.promising(judge.hypotheses(with_scale=kind == "similarity"), _REFINED), kind)
@@ -119,7 +119,7 @@ class _View:
         self.side = _cell_side(points, min(_CELLS, len(points) // 2))
         self.surface = Surface(Index(cell_means(points, self.side / 3)))
         self.target = Target(self.surface)
-        which = thin_to(self.surface.points, _SAMPLE, start=self.side)
+        which = voxel_downsample_to(self.surface.points, _SAMPLE, start=self.side)
         self.sample, self.normals = self.surface.points[which], self.surface.normals(which)
         nearest = self.surface.index.query(self.sample, k=min(10, len(self.surface))).indices[:, -1]
         steps = np.einsum("ni,ni->n", self.surface.points[nearest] - self.sample, self.normals)
@@ -228,7 +228,7 @@ def _cell_side(points: FloatArray, count: int) -> float:
     """Side of the cells of which points (N, 3) on surfaces fill about `count`."""
     side = robust_extent(points) / np.sqrt(count)
     for _ in range(5):
-        side *= np.sqrt(len(thin(points, side)) / count)
+        side *= np.sqrt(len(voxel_downsample(points, side)) / count)
     return float(side)
 
 

@@ -20,7 +20,7 @@ from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface, plane_normals
 from pcbench.geometry.transform import Similarity, fit_similarity, read_matrix
-from pcbench.geometry.voxels import cell_means, cells, robust_extent, thin, thin_to
+from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
 from pcbench.native import _core
 
 METHODS = ("icp", "icp-point", "similarity", "global", "global-similarity", "points:FILE", "matrix:FILE", "none")
@@ -55,7 +55,7 @@ class Registration:
     Attributes:
         method: as asked for.
         T_reference_candidate: maps candidate to reference coordinates.
-        T_local: the same motion between coordinates from which the recentring origin was subtracted; free of the
+        T_local: the same motion between coordinates from which the local origin was subtracted; free of the
             rounding that large translations bring.
         rmse: root mean square of the residuals (to the tangent plane; for `icp-point` to the point) of an even sample
             of the candidate's points that lie on the reference, Tukey-weighted, in the clouds' unit.
@@ -94,7 +94,7 @@ def register(
         method: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement),
             `global` or `global-similarity` (from nothing, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or
             `none`.
-        target: of the reference's points minus `recentring(reference)`, if the caller has one already.
+        target: of the reference's points minus `local_origin(reference)`, if the caller has one already.
 
     Raises:
         InputError: unknown method, unreadable file.
@@ -102,7 +102,7 @@ def register(
         MissingExtra: KISS-Matcher is not installed (`global`).
     """
     reference, candidate = as_cloud(reference), as_cloud(candidate)
-    origin = recentring(reference)
+    origin = local_origin(reference)
     target = target or Target(Surface(Index(reference.points - origin), given=reference.normals))
     points = candidate.points - origin
     if not isinstance(method, str):
@@ -152,7 +152,7 @@ class Target:
         return Surface(Index(cell_means(self.surface.points, self.coarse_side)))
 
 
-def recentring(cloud: Cloud) -> FloatArray:
+def local_origin(cloud: Cloud) -> FloatArray:
     """The round point (3,) near a cloud's centre that is subtracted before anything is computed.
 
     Whole numbers, because subtracting them from coordinates on any binary grid is exact: a cloud at UTM coordinates
@@ -205,8 +205,8 @@ def _icp(target: Target, points: FloatArray, origin: FloatArray, kind: str, *, m
     extent, spacing, coarse_side = target.extent, target.spacing, target.coarse_side
     if extent < _SMALLEST:
         raise RegistrationError(f"expected a reference with an extent to register to, got one of {extent:.3g}")
-    coarse_sample = Index(points[thin(points, coarse_side)])
-    sample = Index(points[thin_to(points, _SAMPLE, start=max(extent / 500, spacing))])
+    coarse_sample = Index(points[voxel_downsample(points, coarse_side)])
+    sample = Index(points[voxel_downsample_to(points, _SAMPLE, start=max(extent / 500, spacing))])
     with_scale = kind == "similarity"
     quick = _Gate(_START * extent, 2 * coarse_side, narrowing=0.7, kept=0.9)
     if min(len(coarse_sample), len(sample), len(target.coarse)) < _FEWEST:
@@ -557,7 +557,9 @@ def _given(target: Target, points: FloatArray, origin: FloatArray, method: str, 
     """A transform from elsewhere, assessed like one of ours."""
     surface, local = target.surface, T.about(-origin)
     start = max(target.extent / 500, target.spacing)
-    sample = Index(points[thin_to(points, _SAMPLE, start=start)] if target.spacing > 0 else points[:_SAMPLE])
+    sample = Index(
+        points[voxel_downsample_to(points, _SAMPLE, start=start)] if target.spacing > 0 else points[:_SAMPLE]
+    )
     moved = local.apply(sample.points)
     lower, upper = bounds(surface.points)
     margin = 0.1 * float(np.linalg.norm(upper - lower))

@@ -14,9 +14,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import parse_region
-from pcbench.geometry.voxels import robust_extent, thin_to
+from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
-from pcbench.registration import Registration, Target, recentring, register
+from pcbench.registration import Registration, Target, local_origin, register
 from pcbench.report import report_folder, write_deformation
 from pcbench.report.plot import draw_if_possible
 
@@ -47,7 +47,7 @@ def deform(
         InputError: a region is not usable, or holds no points of either cloud.
         RegistrationError: the clouds do not overlap.
     """
-    origin = recentring(reference)
+    origin = local_origin(reference)
     surface = Surface(Index(reference.points - origin), given=reference.normals)
     found = register(reference, candidate, method, target=Target(surface))
     aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
@@ -96,7 +96,7 @@ def deform_files(
         with report_folder(out, keep=(reference, candidate)) as folder:
             found, deformation = run()
             step("writing the report")
-            rows = thin_to(cloud.points, _SHOWN, start=1e-4 * robust_extent(cloud.points))
+            rows = voxel_downsample_to(cloud.points, _SHOWN, start=1e-4 * robust_extent(cloud.points))
             transform = found.T_reference_candidate
             aligned = Cloud(transform.apply(cloud.points[rows]), crs=truth.crs, unit=truth.unit)
             write_deformation(folder, deformation, aligned, transform, truth.crs, truth.unit)

@@ -154,13 +154,13 @@ def times(sizes: list[int]) -> None:
     from pcbench.deformation import Side, residual_deformation
     from pcbench.geometry.neighbors import Index
     from pcbench.geometry.normals import Surface
-    from pcbench.registration import Target, recentring, register
+    from pcbench.registration import Target, local_origin, register
     from pcbench.scenes.synthetic import demo
 
     print(f"\n{'reference':>10}{'candidate':>11}{'seconds':>9}  verdict")
     for size in sizes:
         scene = demo(size)
-        origin = recentring(scene.reference)
+        origin = local_origin(scene.reference)
         surface = Surface(Index(scene.reference.points - origin))
         surface.normals(np.arange(len(surface)))
         truth = Side(surface, np.ones(len(surface), bool), scene.reference)

@@ -33,7 +33,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import Similarity
-from pcbench.registration import Target, recentring
+from pcbench.registration import Target, local_origin
 from pcbench.scenes.synthetic import city, demo
 
 LIMIT = 0.05  # metres
@@ -321,7 +321,7 @@ def speed(runs: int) -> None:
     """The sizes of Gao et al., 1,270,820 and 244,849 points, from 5 degrees and 2 m."""
     scene = demo()
     reference = scene.reference
-    origin = recentring(reference)
+    origin = local_origin(reference)
     start = Similarity(_rotation(np.array([0.0, 0.0, 1.0]), np.radians(5)), np.array([2.0, 0.0, 0.0]))
     true = scene.T_reference_candidate["densified"]
     candidate = start.apply(true.apply(scene.candidates["densified"].points))

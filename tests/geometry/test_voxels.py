@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcbench.errors import InputError
-from pcbench.geometry.voxels import cell_means, cells, thin, thin_to
+from pcbench.geometry.voxels import cell_means, cells, voxel_downsample, voxel_downsample_to
 
 
 def by_sorting(points, side, lower):
@@ -36,9 +36,9 @@ def test_far_cells_share_the_outermost():
 
 def test_thinning_keeps_the_first_point_of_each_cell():
     points = np.array([[0.1, 0, 0], [0.9, 0, 0], [1.1, 0, 0], [0.2, 0, 0], [5, 0, 0]])
-    np.testing.assert_array_equal(thin(points, 1.0), [0, 2, 4])
+    np.testing.assert_array_equal(voxel_downsample(points, 1.0), [0, 2, 4])
     np.testing.assert_allclose(cell_means(points, 1.0, np.zeros(3))[:, 0], [0.4, 1.1, 5])
     many = np.random.default_rng(1).random((20_000, 3)) * [100, 100, 1]
-    which = thin_to(many, 500, start=0.5)
+    which = voxel_downsample_to(many, 500, start=0.5)
     assert 250 < len(which) <= 600
     assert (np.diff(which) > 0).all()

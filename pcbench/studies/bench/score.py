@@ -25,7 +25,7 @@ from pcbench.io.files import Warn, atomic_write
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, Registration, fit_pairs, recentring
+from pcbench.registration import METHODS, Registration, fit_pairs, local_origin
 from pcbench.report import compare, document
 
 BY_GAUGE = "gauge"
@@ -222,7 +222,7 @@ def _recall_visible(
     counted = truth.visible if region is None else truth.visible & region.contains(truth.cloud.points)
     if not counted.any():
         return None
-    origin = recentring(truth.cloud)
+    origin = local_origin(truth.cloud)
     aligned = Index(registration.T_local.apply(cloud.points - origin))
     return float(np.mean(aligned.query(truth.cloud.points[counted] - origin).distances <= threshold))
 
