@@ -523,7 +523,7 @@ def scene(
     .camera files or an Earth Studio export.
     """
     from pcbench.io.files import check_output
-    from pcbench.scenes.scene import read_scene
+    from pcbench.scenes import read_scene
 
     warn = (lambda _: None) if quiet else _warn
     data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=warn)
@@ -533,7 +533,7 @@ def scene(
         check_output(figure, ())
         draw_cameras(data, figure)
     if write_cameras is not None:
-        from pcbench.scenes.scene import write_cameras as write
+        from pcbench.scenes import write_cameras as write
 
         write(write_cameras, data.cameras, data.folder, data.points)
     if not quiet:
@@ -601,8 +601,8 @@ def reconstruct(
     """
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.plugins.run import Job, is_workspace, run
-    from pcbench.scenes.scene import check_cameras_output
-    from pcbench.scenes.scene import write_cameras as write
+    from pcbench.scenes.write import check_cameras_output
+    from pcbench.scenes.write import write_cameras as write
 
     check_cloud_output(out)
     if write_cameras is not None:
