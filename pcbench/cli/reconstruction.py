@@ -81,8 +81,8 @@ def reconstruct(
     """
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.plugins.run import Job, is_workspace, run
-    from pcbench.scenes.scene import check_cameras_output
-    from pcbench.scenes.scene import write_cameras as write
+    from pcbench.scenes.write import check_cameras_output
+    from pcbench.scenes.write import write_cameras as write
 
     check_cloud_output(out)
     if write_cameras is not None:

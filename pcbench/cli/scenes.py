@@ -45,7 +45,7 @@ def scene(
     .camera files or an Earth Studio export.
     """
     from pcbench.io.files import check_output
-    from pcbench.scenes.scene import read_scene
+    from pcbench.scenes import read_scene
 
     data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=warn_unless(quiet))
     if figure is not None:
@@ -54,7 +54,7 @@ def scene(
         check_output(figure, ())
         draw_cameras(data, figure)
     if write_cameras is not None:
-        from pcbench.scenes.scene import write_cameras as write
+        from pcbench.scenes import write_cameras as write
 
         write(write_cameras, data.cameras, data.folder, data.points)
     if not quiet:

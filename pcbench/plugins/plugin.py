@@ -20,7 +20,7 @@ from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
-from pcbench.scenes.scene import Scene
+from pcbench.scenes import Scene
 
 GROUP = "pcbench.reconstructors"
 

@@ -21,7 +21,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.files import atomic_write
 from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
 from pcbench.plugins.run import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
-from pcbench.scenes.scene import Scene, read_scene
+from pcbench.scenes import Scene, read_scene
 
 _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 

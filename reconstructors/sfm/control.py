@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
+from reconstructors.sfm.model import Refine
 
-Refine = Literal["all", "focal", "distortion", "none"]  # intrinsics that are solved for
-
-# COLMAP's filters of points, in pixels and degrees.
-_LARGEST_ERROR, _LEAST_ANGLE = 4.0, 1.5
+# Points beyond either are left out after the adjustment: COLMAP's own limits.
+_MAX_ERROR_PX, _MIN_ANGLE_DEG = 4.0, 1.5
 
 
 class Observation(NamedTuple):
@@ -74,14 +73,14 @@ def read_control(path: Path) -> tuple[ControlPoint, ...]:
     return tuple(ControlPoint(name, positions[name], tuple(seen)) for name, seen in observations.items())
 
 
-class Measured(NamedTuple):
+class MeasuredPoint(NamedTuple):
     """A control point and where a model has it (3,)."""
 
     point: ControlPoint
     at: FloatArray
 
 
-def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scale: float) -> list[Measured]:
+def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scale: float) -> list[MeasuredPoint]:
     """The control points that two or more of the cameras show, as their rays meet.
 
     Args:
@@ -103,11 +102,11 @@ def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scal
         if len({o.image for o in seen}) >= 2:
             rays = [_ray(cameras[o.image], scale * o.x, scale * o.y) for o in seen]
             centres = [cameras[o.image].position for o in seen]
-            measured.append(Measured(point, triangulate(np.stack(rays), np.stack(centres))))
+            measured.append(MeasuredPoint(point, triangulate(np.stack(rays), np.stack(centres))))
     return measured
 
 
-def describe(measured: Sequence[Measured]) -> str:
+def describe(measured: Sequence[MeasuredPoint]) -> str:
     """How far control and check points are from where they were surveyed."""
     words = []
     for what, is_check in (("control", False), ("check", True)):
@@ -159,7 +158,7 @@ def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: Re
         raise ReconstructionError(f"the adjustment to control points fails: {summary.brief_report()}")
     for point in fixed:
         marked.delete_point3D(point)
-    pycolmap.ObservationManager(marked).filter_all_points3D(_LARGEST_ERROR, _LEAST_ANGLE)
+    pycolmap.ObservationManager(marked).filter_all_points3D(_MAX_ERROR_PX, _MIN_ANGLE_DEG)
     marked.update_point_3d_errors()
     marked.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), middle))
     return marked
@@ -200,11 +199,11 @@ def _with_marks(model: Any, control: Sequence[ControlPoint], scale: float, origi
 
 
 def _ray(camera: Camera, x: float, y: float) -> FloatArray:
-    """The unit direction (3,) in the world of a pixel, through the lens's distortion."""
+    """The unit direction (3,) in the world of a pixel, without the camera's distortion."""
     import pycolmap
 
     k = camera.intrinsics
     numbers = [k.fx, k.fy, k.cx, k.cy, *k.distortion]
-    lens = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=numbers)
-    direction: FloatArray = camera.cam_from_world.rotation.T @ [*lens.cam_from_img(np.array([x, y])), 1.0]
+    colmap = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=numbers)
+    direction: FloatArray = camera.cam_from_world.rotation.T @ [*colmap.cam_from_img(np.array([x, y])), 1.0]
     return direction / np.linalg.norm(direction)

@@ -7,10 +7,28 @@ from pathlib import Path
 
 import numpy as np
 
+from pcbench.errors import ReconstructionError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 
-_TOLERANCE = 4.0  # pixels: COLMAP's for verified matches
+_MAX_DISTANCE_PX = 4.0  # of a match from its epipolar line: COLMAP's for verified matches
+# With true cameras nearly all verified matches agree; with those of other images a few do by chance.
+_MIN_AGREEING = 0.2
+
+
+def check_cameras(database_file: Path, cameras: Mapping[str, Camera]) -> float:
+    """The share of a database's verified matches that agree with the cameras.
+
+    Raises:
+        ReconstructionError: so few agree that the cameras are those of other images.
+    """
+    share = share_on_epipolar_lines(database_file, cameras)
+    if share < _MIN_AGREEING:
+        raise ReconstructionError(
+            f"the given cameras do not fit the images: {share:.1%} of the verified matches agree with them;"
+            " check them (pcbench scene SCENE --figure cameras.png), or solve them (--set poses=solve)"
+        )
+    return share
 
 
 def share_on_epipolar_lines(database_file: Path, cameras: Mapping[str, Camera]) -> float:
@@ -36,7 +54,7 @@ def share_on_epipolar_lines(database_file: Path, cameras: Mapping[str, Camera]) 
         matches = np.asarray(geometry.inlier_matches).reshape(-1, 2)
         if len(matches):
             distances = _off_lines(rays[a][matches[:, 0]], rays[b][matches[:, 1]], cameras[names[a]], cameras[names[b]])
-            near += int((distances <= _TOLERANCE).sum())
+            near += int((distances <= _MAX_DISTANCE_PX).sum())
             total += len(distances)
     return near / total if total else 0.0
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.scenes.scene import Scene
+from pcbench.scenes import Scene
 
 Matching = Literal["auto", "exhaustive", "sequential", "spatial"]
 
-_FEW = 30  # images of which every pair is compared: 435 pairs, a minute or two on two cores
+_MAX_EXHAUSTIVE = 30  # images of which every pair is compared: 435 pairs, a minute or two on two cores
 _OVERLAP = 10  # images after one in a sequence; and those 16, 32, 64, ... after it, which close loops
 _NEIGHBOURS = 20  # images around one in space
 
@@ -31,7 +31,7 @@ def choose_pairs(scene: Scene, matching: Matching) -> tuple[str, list[tuple[str,
     """
     positions = _positions(scene)
     if matching == "auto":
-        if len(scene) <= _FEW:
+        if len(scene) <= _MAX_EXHAUSTIVE:
             matching = "exhaustive"
         elif positions is not None:
             matching = "spatial"

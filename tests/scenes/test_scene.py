@@ -18,7 +18,7 @@ from pcbench.io.earth_studio import EARTH_RADIUS, read_earth_studio
 from pcbench.io.image_header import read_image_header
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms, write_transforms
-from pcbench.scenes.scene import read_scene, write_cameras
+from pcbench.scenes import read_scene, write_cameras
 
 K = Intrinsics(64, 48, 50.0, 51.0, 31.0, 25.0, (0.01, -0.02, 0.001, 0.002))
 

@@ -588,7 +588,7 @@ def test_with_cameras_withheld_they_still_register(here):
         + f"""
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.cameras import Camera
-from pcbench.scenes.scene import read_scene
+from pcbench.scenes import read_scene
 @dataclass(frozen=True)
 class Own:
     def reconstruct(self, scene, workspace):

@@ -10,7 +10,7 @@ import pytest
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.scenes.scene import read_scene
+from pcbench.scenes import read_scene
 from pcbench.scenes.synthetic import city
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.rigs import Site, rig

@@ -13,7 +13,7 @@ from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write
 
 if TYPE_CHECKING:
-    from pcbench.scenes.scene import Scene
+    from pcbench.scenes import Scene
 
 _CAMERA, _PATH, _POINT = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
 _MOST_POINTS = 20_000  # more are drawn as a blot

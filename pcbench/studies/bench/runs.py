@@ -26,7 +26,7 @@ from pcbench.io.files import atomic_write, digest
 from pcbench.plugins.run import PLUGIN, Job, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.report.document import provenance, to_json
-from pcbench.scenes.scene import Scene, read_scene
+from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bench.pareto import choice_words, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import Rules, Truth, check_rules, read_truth, score

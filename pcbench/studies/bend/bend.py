@@ -30,7 +30,7 @@ from pcbench.plugins.run import Job, describe, run
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.report import to_json
 from pcbench.report.document import provenance
-from pcbench.scenes.scene import Scene, read_scene
+from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bend.findings import Solution, Variant, csv_text, findings, lens_values
 
 SCHEMA = "pcbench.experiment.bend/1"

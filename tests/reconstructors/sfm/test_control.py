@@ -6,10 +6,10 @@ import pytest
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.sfm.alignment import camera_errors
-from reconstructors.sfm.colmap_sfm import _cameras
 from reconstructors.sfm.control import ControlPoint, Observation, adjust, describe, measure, read_control, triangulate
+from reconstructors.sfm.model import cameras_of
 
-LENS = Intrinsics(400, 300, 350, 350, 200, 150, (-0.05, 0.0, 0.0, 0.0))
+K = Intrinsics(400, 300, 350, 350, 200, 150, (-0.05, 0.0, 0.0, 0.0))
 OFFSET = np.array([450_000.0, 5_400_000.0, 300.0])  # a map's coordinates
 
 
@@ -21,7 +21,7 @@ def test_lines_meet_in_their_point():
 
 def test_a_mark_outside_its_image_is_a_mistake():
     centres = np.eye(3) * 5
-    cameras = {f"{k}.jpg": Camera(f"{k}.jpg", LENS, look_at(centre, np.zeros(3))) for k, centre in enumerate(centres)}
+    cameras = {f"{k}.jpg": Camera(f"{k}.jpg", K, look_at(centre, np.zeros(3))) for k, centre in enumerate(centres)}
     point = ControlPoint("A", np.zeros(3), (Observation("0.jpg", 5000.0, 20.0), Observation("1.jpg", 200.0, 150.0)))
     with pytest.raises(InputError, match=r"control point A: \(5000, 20\) lies outside 0.jpg of 400 x 300 pixels"):
         measure(cameras, [point], 1.0)
@@ -52,21 +52,21 @@ def survey():
     rng = np.random.default_rng(2)
     points = np.column_stack([rng.uniform(-60, 60, (300, 2)), rng.uniform(-3, 3, 300)])
     cameras = [
-        Camera(f"{n}.png", LENS, look_at([x, y, 100.0], [x, y, 0.0]))
+        Camera(f"{n}.png", K, look_at([x, y, 100.0], [x, y, 0.0]))
         for n, (x, y) in enumerate((x, y) for x in np.linspace(-50, 50, 5) for y in (-30.0, 0.0, 30.0))
     ]
     return cameras, points
 
 
-def model_of(cameras, points, lens, bend):
-    """What COLMAP would hold of it, with another lens, and bent by z += bend (1 - r^2 / 60^2)."""
+def model_of(cameras, points, intrinsics, bend):
+    """What COLMAP would hold of it, with other intrinsics, and bent by z += bend (1 - r^2 / 60^2)."""
     import pycolmap
 
     def bent(at):
         return at + OFFSET + np.column_stack([0 * at[:, :2], bend * (1 - np.square(at[:, :2] / 60).sum(axis=1))])
 
     model = pycolmap.Reconstruction()
-    numbers = [lens.fx, lens.cx, lens.cy, lens.distortion[0]]
+    numbers = [intrinsics.fx, intrinsics.cx, intrinsics.cy, intrinsics.distortion[0]]
     model.add_camera_with_trivial_rig(
         pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=400, height=300, params=numbers)
     )
@@ -98,15 +98,15 @@ def marks(cameras, points):
     return control
 
 
-@pytest.mark.parametrize(("refine", "lens"), [("none", LENS), ("all", Intrinsics(400, 300, 345, 345, 200, 150))])
-def test_a_bent_model_is_straight_again(refine, lens):
+@pytest.mark.parametrize(("refine", "intrinsics"), [("none", K), ("all", Intrinsics(400, 300, 345, 345, 200, 150))])
+def test_a_bent_model_is_straight_again(refine, intrinsics):
     pytest.importorskip("pycolmap")
     cameras, points = survey()
     control = marks(cameras, points)
-    model = model_of(cameras, points, lens, bend=2.0)
-    before = measure(_cameras(model), control, 0.5)
+    model = model_of(cameras, points, intrinsics, bend=2.0)
+    before = measure(cameras_of(model), control, 0.5)
     made = adjust(model, control, 0.5, refine)
-    found = _cameras(made)
+    found = cameras_of(made)
     positions = np.array([np.linalg.norm(found[c.name].position - OFFSET - c.position) for c in cameras])
     # There is no error in the images: what is left is the solver's tolerance, and digits of 5.4e6 metres.
     assert positions.max() < 1e-3

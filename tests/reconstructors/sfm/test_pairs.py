@@ -8,7 +8,7 @@ import pytest
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.io.exif_gps import Gps
-from pcbench.scenes.scene import Scene
+from pcbench.scenes import Scene
 from reconstructors.sfm.pairs import choose_pairs
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)

@@ -15,9 +15,9 @@ from pcbench.geometry.geodesy import enu_from_wgs84
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.exif_gps import Gps
 from pcbench.plugins import find_plugin
-from pcbench.scenes.scene import read_scene
+from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors
-from reconstructors.sfm.colmap_sfm import ColmapSfm
+from reconstructors.sfm.sfm import ColmapSfm
 
 pytest.importorskip("pycolmap")
 
@@ -242,7 +242,7 @@ def test_names_may_have_spaces(photographs, tmp_path):
     assert positions.max() < 0.02
 
 
-def test_another_lens_finds_no_features_again(photographs, tmp_path):
+def test_other_intrinsics_find_no_features_again(photographs, tmp_path):
     scene = read_scene(photographs)
     wrong = replace(K, distortion=(-0.2, 0.0, 0.0, 0.0))
     other = replace(scene, cameras={name: replace(c, intrinsics=wrong) for name, c in scene.cameras.items()})

@@ -10,11 +10,11 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.transform import fit_similarity
 from pcbench.io.meshes import read_mesh
-from pcbench.scenes.scene import read_scene
+from pcbench.scenes import read_scene
 from pcbench.scenes.synthetic.files import SceneSettings, write_scene
 from pcbench.scenes.synthetic.plan import CitySettings
 from reconstructors.sfm.alignment import camera_errors, moved
-from reconstructors.sfm.colmap_sfm import ColmapSfm
+from reconstructors.sfm.sfm import ColmapSfm
 
 pytest.importorskip("pycolmap")
 
@@ -25,8 +25,8 @@ def photographed(folder: Path, settings: SceneSettings):
 
 
 def test_a_small_city(renderer, tmp_path):
-    lens = Intrinsics(480, 360, 400.0, 400.0, 240.0, 180.0, (-0.05, 0.01, 0.0, 0.0))
-    settings = SceneSettings(CitySettings(extent=100.0, seed=3), 12, lens, "grid", points=1000)
+    intrinsics = Intrinsics(480, 360, 400.0, 400.0, 240.0, 180.0, (-0.05, 0.01, 0.0, 0.0))
+    settings = SceneSettings(CitySettings(extent=100.0, seed=3), 12, intrinsics, "grid", points=1000)
     scene, surface = photographed(tmp_path / "city", settings)
     work = tmp_path / "work"
     work.mkdir()
@@ -35,7 +35,7 @@ def test_a_small_city(renderer, tmp_path):
     assert len(given.cloud) > 1000
     # A pixel at the ground is the flying height over the focal length, 0.2 to 0.3 m here.
     height = scene.cameras["0001.png"].position[2]
-    pixel = height / lens.fx
+    pixel = height / intrinsics.fx
     # Points are found to a third of a pixel; their depths, over a base of a quarter of it, to more.
     assert np.median(surface.query(given.cloud.points).distances) < 0.5 * pixel
     solved = ColmapSfm(upsample=False, poses="solve", refine="none").reconstruct(scene, work)
@@ -44,7 +44,7 @@ def test_a_small_city(renderer, tmp_path):
     assert positions.max() < pixel
     assert angles.max() < 0.2  # a tilt of 0.1 degrees and a step of a pixel look nearly the same from above
     assert np.median(surface.query(solved.cloud.points).distances) < 0.6 * pixel
-    # Vertical images do not fix a lens (James & Robson 2014): that is said where one is solved for.
+    # Vertical images do not fix the intrinsics (James & Robson 2014): that is said where they are solved for.
     warning = "all images look the same way within"
     assert warning not in " ".join(solved.notes)
     free = ColmapSfm(upsample=False, poses="solve").reconstruct(scene, work)

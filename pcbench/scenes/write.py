@@ -1,0 +1,48 @@
+"""A scene's cameras as files that other programs read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.io.colmap_model import check_model_output, write_colmap_model
+from pcbench.io.files import check_output
+from pcbench.io.transforms_json import write_transforms
+
+
+def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, points: Cloud | None = None) -> None:
+    """Write cameras as transforms.json where `path` ends in .json, else into a folder as a COLMAP text model, with
+    sparse points if there are some.
+
+    Args:
+        cameras: by image name.
+        images: the folder of the images; a transforms.json names them by their way from its own folder.
+
+    Raises:
+        InputError: there are no cameras, or the folder holds a binary model.
+        OSError: a file cannot be written.
+    """
+    if not cameras:
+        raise InputError(f"{images}: no cameras to write: expected a COLMAP model, transforms.json or the like")
+    ordered = [cameras[name] for name in sorted(cameras)]
+    check_cameras_output(path)
+    if path.suffix.lower() != ".json":
+        write_colmap_model(path, ordered, points)
+        return
+    write_transforms(path, ordered, Path(os.path.relpath(images, path.absolute().parent)).as_posix())
+
+
+def check_cameras_output(path: Path) -> None:
+    """Say before a long computation that cameras cannot be written there by `write_cameras`.
+
+    Raises:
+        InputError: the folder of a .json does not exist, or a model's folder is a file or holds a binary model.
+    """
+    if path.suffix.lower() == ".json":
+        check_output(path, ())
+    else:
+        check_model_output(path)

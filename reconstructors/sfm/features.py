@@ -1,0 +1,129 @@
+"""SIFT features of a scene's images, in COLMAP's database."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.errors import ReconstructionError
+from pcbench.geometry.cameras import Intrinsics
+from pcbench.plugins.stages import stage
+from pcbench.scenes import Scene
+
+DATABASE = "database.db"  # in the folder of every stage that has one
+MIN_FEATURES = 50  # of an image: with fewer, hardly any pair has enough matches after ratio test and RANSAC
+
+
+class Shared(NamedTuple):
+    """Images that share their intrinsics, which are None where they are not known."""
+
+    intrinsics: Intrinsics | None
+    names: tuple[str, ...]
+
+
+def extract_features(scene: Scene, workspace: Path, most: int, *, upsample: bool) -> Path:
+    """The stage with the features of every image in a database.
+
+    Args:
+        most: features an image, at most.
+        upsample: find them at twice the size too.
+    """
+    import pycolmap
+
+    groups = shared_intrinsics(scene)
+
+    def make(folder: Path) -> None:
+        images, database = working_images(scene, workspace), folder / DATABASE
+        masks = _write_masks(scene, folder)
+        pycolmap.Database.open(database).close()
+        # Importing first fixes the images' numbers: extraction on several threads would shuffle them.
+        for _, names in groups:
+            pycolmap.import_images(database, images, camera_mode=pycolmap.CameraMode.SINGLE, image_names=list(names))
+        reader = pycolmap.ImageReaderOptions()
+        if masks is not None:
+            reader.mask_path = str(masks)
+        extraction = pycolmap.FeatureExtractionOptions()
+        extraction.sift.max_num_features = most
+        extraction.sift.first_octave = -1 if upsample else 0
+        pycolmap.extract_features(
+            database,
+            images,
+            image_names=list(scene.images),
+            reader_options=reader,
+            extraction_options=extraction,
+            device=pycolmap.Device.cpu,
+        )
+
+    inputs = {
+        "pycolmap": pycolmap.__version__,
+        "scene": scene.fingerprint(cameras=False),
+        "sharing a lens": [names for _, names in groups],
+        "features": most,
+        "upsample": upsample,
+    }
+    return stage(workspace, "features", inputs, make)
+
+
+def shared_intrinsics(scene: Scene) -> list[Shared]:
+    """The images in groups of the same intrinsics, or of the same size where these are not known."""
+    found: dict[Any, list[str]] = {}
+    for name in scene.images:
+        camera = scene.cameras.get(name)
+        found.setdefault(camera.intrinsics if camera else scene.size(name), []).append(name)
+    return [Shared(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
+
+
+def working_images(scene: Scene, workspace: Path) -> Path:
+    """The folder of the images at the working size: their own, or a stage with smaller ones."""
+    if scene.image_scale == 1:
+        return scene.folder
+    inputs = {"scene": scene.fingerprint(cameras=False)}
+    return stage(workspace, "images", inputs, lambda folder: scene.write_images(folder))
+
+
+def _write_masks(scene: Scene, folder: Path) -> Path | None:
+    """The masks at the working size, under the names that COLMAP looks for."""
+    from PIL import Image
+
+    for name in scene.masks:
+        path = folder / "masks" / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mask = scene.read_mask(name)
+        assert mask is not None
+        Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(path)
+    return folder / "masks" if scene.masks else None
+
+
+def count_features(features: Path) -> dict[str, int]:
+    """The number of features by image name."""
+    import pycolmap
+
+    database = pycolmap.Database.open(features / DATABASE)
+    counts = {image.name: int(database.num_keypoints_for_image(image.image_id)) for image in database.read_all_images()}
+    database.close()
+    return counts
+
+
+def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
+    """Notes on the images that have too few features.
+
+    Raises:
+        ReconstructionError: fewer than two images have enough of them.
+    """
+    poor = sorted(name for name in scene.images if counts.get(name, 0) < MIN_FEATURES)
+    if not poor:
+        return []
+    if len(scene) - len(poor) < 2:
+        raise ReconstructionError(
+            f"too few features: {len(poor)} of {len(scene)} images have fewer than {MIN_FEATURES}"
+            f" ({poor[0]}: {counts.get(poor[0], 0)}): the images are blank, blurred, masked or too small"
+        )
+    return [f"{len(poor)} images have fewer than {MIN_FEATURES} features: {some(poor)}"]
+
+
+def some(names: list[str]) -> str:
+    """The first of some names, for a note."""
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

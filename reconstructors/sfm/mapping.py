@@ -1,0 +1,125 @@
+"""From verified matches to cameras and points: solved (incremental or global), or triangulated from given cameras."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any, Literal
+
+from pcbench.errors import ReconstructionError
+from pcbench.plugins.stages import stage, stage_key
+from pcbench.scenes import Scene
+from reconstructors.sfm.features import DATABASE, some, working_images
+from reconstructors.sfm.model import Refine
+
+Mapper = Literal["incremental", "global"]
+
+
+def map_images(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int) -> Path:
+    """The stage with cameras and points, each component in a folder and an arbitrary gauge of its own."""
+    import pycolmap
+
+    def make(folder: Path) -> None:
+        images = working_images(scene, workspace)
+        if mapper == "incremental":
+            pycolmap.incremental_mapping(verified / DATABASE, images, folder, _incremental_options(refine, seed))
+        else:
+            # The global mapper changes two-view geometries in the database.
+            database = folder / DATABASE
+            shutil.copyfile(verified / DATABASE, database)
+            pycolmap.global_mapping(database, images, folder, _global_options(refine, seed))
+            database.unlink()
+
+    inputs = {"matches": stage_key(verified), "mapping": mapper, "refine": refine, "seed": seed}
+    return stage(workspace, "mapping", inputs, make)
+
+
+def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
+    """The model of the most images, and notes on the components and images that are left out.
+
+    Raises:
+        ReconstructionError: there is none of two images with points.
+    """
+    import pycolmap
+
+    models = [pycolmap.Reconstruction(path) for path in sorted(mapped.iterdir()) if path.is_dir()]
+    models = [model for model in models if model.num_reg_images() >= 2 and model.num_points3D() > 0]
+    if not models:
+        raise ReconstructionError(
+            "nothing registers: pairs were verified, but no two images start a model; take more images with more"
+            " overlap and sideways motion, or give cameras"
+        )
+    largest = max(models, key=lambda model: (model.num_reg_images(), model.num_points3D()))
+    names = {image.name for image in largest.images.values() if image.has_pose}
+    notes = []
+    if len(models) > 1:
+        sizes = ", ".join(str(model.num_reg_images()) for model in models)
+        notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
+    if left := sorted(set(scene.images) - names):
+        notes.append(f"{len(left)} of {len(scene)} images are not registered: {some(left)}")
+    return largest, notes
+
+
+def triangulate(verified: Path, scene: Scene, workspace: Path, seed: int) -> Path:
+    """The stage with the model of the scene's cameras as they are, and the points that they see, in its folder 0."""
+    import pycolmap
+
+    def make(folder: Path) -> None:
+        model = _posed_model(verified / DATABASE, scene)
+        (folder / "0").mkdir()
+        pycolmap.triangulate_points(
+            model,
+            verified / DATABASE,
+            working_images(scene, workspace),
+            folder / "0",
+            options=_incremental_options("none", seed),
+            refine_intrinsics=False,
+        )
+
+    inputs = {"matches": stage_key(verified), "scene": scene.fingerprint(), "seed": seed}
+    return stage(workspace, "triangulation", inputs, make)
+
+
+def _incremental_options(refine: Refine, seed: int) -> Any:
+    import pycolmap
+
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
+    options.min_model_size = 3
+    options.ba_refine_focal_length = refine in ("all", "focal")
+    options.ba_refine_extra_params = refine in ("all", "distortion")
+    options.mapper.abs_pose_refine_focal_length = refine in ("all", "focal")
+    options.mapper.abs_pose_refine_extra_params = refine in ("all", "distortion")
+    return options
+
+
+def _global_options(refine: Refine, seed: int) -> Any:
+    import pycolmap
+
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1
+    options.mapper.bundle_adjustment.ceres.solver_options.num_threads = 1
+    for part in (options, options.mapper, options.mapper.rotation_averaging, options.mapper.global_positioning,
+                 options.mapper.retriangulation):  # fmt: skip
+        part.random_seed = seed
+    options.mapper.bundle_adjustment.refine_focal_length = refine in ("all", "focal")
+    options.mapper.bundle_adjustment.refine_extra_params = refine in ("all", "distortion")
+    return options
+
+
+def _posed_model(database_file: Path, scene: Scene) -> Any:
+    """A model of the database's images with the scene's cameras, without points."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    database = pycolmap.Database.open(database_file)
+    for camera in database.read_all_cameras():
+        model.add_camera_with_trivial_rig(camera)
+    for image in sorted(database.read_all_images(), key=lambda image: int(image.image_id)):
+        pose = scene.cameras[image.name].cam_from_world
+        rigid = pycolmap.Rigid3d(pycolmap.Rotation3d(pose.rotation), pose.translation)
+        posed = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+        model.add_image_with_trivial_frame(posed, rigid)
+    database.close()
+    return model

@@ -1,0 +1,173 @@
+"""Sparse structure from motion by COLMAP, through pycolmap (Schonberger and Frahm 2016; Pan et al. 2024, global).
+
+The same input gives the same cloud: images get their numbers in the order of their names, pairs are listed, every
+random choice has a seed, and what is not associative in floating point runs on one thread.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+from pcbench.errors import InputError
+from pcbench.plugins import Reconstruction
+from pcbench.scenes import Scene
+from reconstructors.sfm.alignment import Align, Aligned, align
+from reconstructors.sfm.control import ControlPoint, read_control
+from reconstructors.sfm.epipolar import check_cameras
+from reconstructors.sfm.features import (
+    DATABASE,
+    MIN_FEATURES,
+    check_features,
+    count_features,
+    extract_features,
+    some,
+    working_images,
+)
+from reconstructors.sfm.mapping import Mapper, largest_component, map_images, triangulate
+from reconstructors.sfm.matches import check_verified, match_pairs, verify_matches
+from reconstructors.sfm.model import Refine, cameras_of, cloud_of, largest_angle_deg, quality
+from reconstructors.sfm.pairs import Matching, choose_pairs
+
+_MAX_PARALLEL_DEG = 12.0  # of a survey's images from their mean direction: a flight is unsteady by a few
+
+
+@dataclass(frozen=True)
+class ColmapSfm:
+    """Sparse points and cameras by COLMAP: SIFT, verified matches, incremental or global mapping; triangulation alone
+    where the cameras are given.
+
+    poses: `given` takes the scene's cameras as they are, `solve` finds them; `auto` is given where there are some.
+    mapping: of solved poses. matching: which pairs; `auto` by the number of images and what is known of them.
+    features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
+    the time. refine: which intrinsics are solved for: `all`, `focal` length, `distortion`, or `none`; the rest stays as
+    the scene's cameras say, or as guessed (1.2 image widths, no distortion) where EXIF has no focal length.
+    align: solved poses onto control points, the scene's cameras or GPS; `auto` takes the first there is. control: their
+    file, lines of name, x y z, image, pixel x y; they are held fast in a last adjustment, where those whose names end
+    in * are checks only. min_views: points that fewer images show are left out; one of two
+    images may be anywhere along their common plane. undistort: leave undistorted images and model in the workspace.
+    """
+
+    poses: Literal["auto", "given", "solve"] = "auto"
+    mapping: Mapper = "incremental"
+    matching: Matching = "auto"
+    features: int = 8192
+    upsample: bool = True
+    refine: Refine = "all"
+    align: Align = "auto"
+    control: Path | None = None
+    min_views: int = 3
+    undistort: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.features < MIN_FEATURES:
+            raise ValueError(f"expected at least {MIN_FEATURES} features an image, got {self.features}")
+        if self.min_views < 2:
+            raise ValueError(f"expected points of at least 2 images, got min_views={self.min_views}")
+        if not 0 <= self.seed < 2**31:
+            raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {self.seed}")
+        if self.align == "control" and self.control is None:
+            raise ValueError("align=control needs control=FILE")
+
+    @classmethod
+    def missing(cls) -> str | None:
+        return None if find_spec("pycolmap") else "pycolmap is not installed: pip install 'pcbench[sfm]'"
+
+    def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
+        import pycolmap
+
+        pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
+        control = read_control(self.control) if self.control is not None else ()
+        given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
+        scene, notes = _usable(scene, given, control)
+
+        features = extract_features(scene, workspace, self.features, upsample=self.upsample)
+        counts = count_features(features)
+        notes += check_features(counts, scene)
+
+        how, pairs = choose_pairs(scene, self.matching)
+        notes.append(f"{how} matching, {len(pairs)} pairs")
+        matches = match_pairs(features, pairs, workspace)
+        verified = verify_matches(matches, scene, workspace, self.seed)
+        check_verified(verified, counts)
+
+        if given:
+            made = self._triangulated(verified, scene, workspace)
+        else:
+            made = self._solved(verified, scene, workspace, control)
+        _write(made.model, workspace / "model")
+        if self.undistort:
+            _undistort(workspace, working_images(scene, workspace))
+        cloud, left_out = cloud_of(made.model, self.min_views, "m" if made.in_metres else None)
+        return Reconstruction(cloud, made.gauge, cameras_of(made.model), [*notes, *made.notes, *left_out])
+
+    def _triangulated(self, verified: Path, scene: Scene, workspace: Path) -> Aligned:
+        """The points of the given cameras, in their frame."""
+        import pycolmap
+
+        share = check_cameras(verified / DATABASE, scene.cameras)
+        model = pycolmap.Reconstruction(triangulate(verified, scene, workspace, self.seed) / "0")
+        note = f"{share:.0%} of the verified matches agree with the given cameras; {quality(model)}"
+        return Aligned(model, "georeferenced", scene.origin is not None, [note])
+
+    def _solved(self, verified: Path, scene: Scene, workspace: Path, control: tuple[ControlPoint, ...]) -> Aligned:
+        """Cameras and points of the largest component, in the world where one is known."""
+        mapped = map_images(verified, scene, workspace, self.mapping, self.refine, self.seed)
+        model, notes = largest_component(mapped, scene)
+        notes.append(quality(model))
+        if self.refine != "none":
+            notes += _parallel(largest_angle_deg(cameras_of(model)))
+        aligned = align(model, scene, control, self.align, self.refine)
+        return aligned._replace(notes=[*notes, *aligned.notes])
+
+
+def _usable(scene: Scene, given: bool, control: tuple[ControlPoint, ...]) -> tuple[Scene, list[str]]:
+    """The images that can take part, and a note on those that cannot.
+
+    Raises:
+        InputError: they are fewer than two, or `given` asks for cameras where there are none, or where control points
+            are to be used.
+    """
+    if given and control:
+        raise InputError("the scene gives the cameras: control points are used where they are solved for (poses=solve)")
+    notes = []
+    if given:
+        if not scene.cameras:
+            raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
+        if bare := sorted(set(scene.images) - set(scene.cameras)):
+            notes.append(f"{len(bare)} of {len(scene)} images without a camera are left out: {some(bare)}")
+            scene = scene.select(set(scene.cameras))
+    if len(scene) < 2:
+        raise InputError(f"expected at least two images, got {len(scene)}")
+    return scene, notes
+
+
+def _parallel(angle_deg: float) -> Iterator[str]:
+    """A note where the images all look the same way: focal length and heights can then change together (James and
+    Robson 2014).
+    """
+    if angle_deg < _MAX_PARALLEL_DEG:
+        yield (
+            f"all images look the same way within {angle_deg:.0f} degrees: they hardly constrain the intrinsics, and"
+            " with wrong ones the cloud is stretched or bent; add oblique images or control points, or give the"
+            " intrinsics (--set refine=none)"
+        )
+
+
+def _write(model: Any, folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    model.write(folder)
+
+
+def _undistort(workspace: Path, images: Path) -> None:
+    """`undistorted/images` and `undistorted/sparse`: pinholes, as dense methods want them."""
+    import pycolmap
+
+    shutil.rmtree(workspace / "undistorted", ignore_errors=True)
+    pycolmap.undistort_images(workspace / "undistorted", workspace / "model", images)

@@ -1,0 +1,36 @@
+"""What features are found with: which images share their intrinsics, and which have features enough."""
+
+from pathlib import Path
+
+import pytest
+
+from pcbench.errors import ReconstructionError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.scenes import Scene
+from reconstructors.sfm.features import check_features, shared_intrinsics
+
+K = Intrinsics(40, 30, 35, 35, 20, 15)
+NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
+
+
+def scene(**known):
+    return Scene(Path("photos"), NAMES, {**dict.fromkeys(NAMES, (40, 30)), "e.jpg": (30, 40)}, **known)
+
+
+def test_images_of_the_same_intrinsics_or_size_share_a_camera():
+    pose = look_at([1, 0, 1], [0, 0, 0])
+    cameras = {"a.jpg": Camera("a.jpg", K, pose), "c.jpg": Camera("c.jpg", K, pose)}
+    assert shared_intrinsics(scene(cameras=cameras)) == [
+        (K, ("a.jpg", "c.jpg")),
+        (None, ("b.jpg", "d.jpg")),
+        (None, ("e.jpg",)),
+    ]
+
+
+def test_too_few_features_are_a_note_or_an_end():
+    enough = dict.fromkeys(NAMES, 50)
+    assert check_features(enough, scene()) == []
+    assert check_features({**enough, "b.jpg": 49}, scene()) == ["1 images have fewer than 50 features: b.jpg"]
+    one = {"a.jpg": 50}  # the database does not list images without a feature
+    with pytest.raises(ReconstructionError, match=r"too few features: 4 of 5 images .*b.jpg: 0"):
+        check_features(one, scene())
