@@ -20,8 +20,9 @@ Everything is computed from `TileSums`, which add up: tiles may come from anywhe
 """
 
 from pcbench.deformation.answer import Deformation, judge
+from pcbench.deformation.clouds import deform
 from pcbench.deformation.field import Field
 from pcbench.deformation.pairs import Side, residual_deformation
 from pcbench.deformation.sums import TileSums
 
-__all__ = ["Deformation", "Field", "Side", "TileSums", "judge", "residual_deformation"]
+__all__ = ["Deformation", "Field", "Side", "TileSums", "deform", "judge", "residual_deformation"]

@@ -8,12 +8,12 @@ from bends import SIZE, Cell, Halves, Scene, bends
 from data_folder import data_folder
 
 from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.deformation import deform
 from pcbench.deformation.chi_squares import chi_squares_point, chi_squares_tail
 from pcbench.deformation.model import Noise, _nonnegative_least_squares
 from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
 from pcbench.deformation.size import minimum_detectable_rms
 from pcbench.geometry.crs import euclidean_offsets
-from pcbench.report.deform_files import deform
 from pcbench.scenes.synthetic import city
 
 NOISE = Cell("gauss", 40)  # white and correlated in equal parts, over 5 m of 200 m

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation import Deformation
+from pcbench.deformation import Deformation, deform
 from pcbench.errors import PcbenchError
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
-from pcbench.report.deform_files import deform
 
 FACTORS = {
     "images": (
