@@ -9,7 +9,7 @@ import platform
 import shlex
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 import pcbench
+from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.comparison import Candidate, Comparison
 from pcbench.measure.deviation import M3C2, DeviationMap
@@ -48,8 +49,8 @@ def document(comparison: Comparison, files: dict[str, dict[str, Any]] | None = N
     return plain
 
 
-def to_json(values: dict[str, Any]) -> str:
-    """JSON text: what does not exist is null, never NaN or Infinity."""
+def to_json(values: Any) -> str:
+    """JSON text of a dictionary or a dataclass: what does not exist is null, never NaN or Infinity."""
     return json.dumps(_plain(values), indent=2, allow_nan=False) + "\n"
 
 
@@ -149,7 +150,17 @@ def _commit() -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """numpy values and tuples as JSON's own, non-finite numbers as null."""
+    """numpy values and tuples as JSON's own, non-finite numbers as null; a dataclass as its fields, but for those that
+    are written elsewhere (metadata `json` is False), with the codes of its warnings beside their texts.
+    """
+    if isinstance(value, Notice):
+        return value.text
+    if is_dataclass(value) and not isinstance(value, type):
+        written = [item.name for item in fields(value) if item.metadata.get("json", True)]
+        plain = {name: _plain(getattr(value, name)) for name in written}
+        if "warnings" in plain:
+            plain["warning_codes"] = [notice.code for notice in value.warnings]
+        return plain
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
