@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.deformation.answer import Deformation
 from pcbench.deformation.pairs import Side, residual_deformation
+from pcbench.deformation.result import Deformation
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index

@@ -2,11 +2,10 @@
 
 from pcbench.report.document import document, to_json
 from pcbench.report.folder import Inputs, report_folder, write_deformation, write_report
-from pcbench.report.table import deformation_words, markdown, print_columns, print_table, rows
+from pcbench.report.table import markdown, print_columns, print_table, rows
 
 __all__ = [
     "Inputs",
-    "deformation_words",
     "document",
     "markdown",
     "print_columns",

@@ -64,7 +64,7 @@ def _candidate(candidate: Candidate, file: dict[str, Any]) -> dict[str, Any]:
         "registration": _registration(candidate.registration),
         "metrics": candidate.metrics,
         "deviation": _deviation(candidate.deviation),
-        "deformation": candidate.deformation.values,
+        "deformation": candidate.deformation,
         "timings_s": candidate.timings_s,
         "peak_rss_bytes": candidate.peak_rss_bytes,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from pcbench.deformation import Deformation
 from pcbench.measure.scores import BACK, FORTH
 
 _ARROWS = {FORTH: "c→r", BACK: "r→c"}
@@ -44,7 +45,7 @@ def rows(doc: dict[str, Any]) -> Iterator[Row]:
     unit = doc["reference"].get("unit") or "unit"
     for candidate in doc["candidates"]:
         yield from _candidate_rows(candidate["name"], candidate["metrics"], candidate["deviation"], unit)
-        yield from _deformation_rows(candidate["name"], candidate["deformation"], unit)
+        yield from _deformation_rows(candidate["name"], Deformation.from_json(candidate["deformation"]), unit)
 
 
 def _candidate_rows(name: str, m: dict[str, Any], deviation: dict[str, Any], unit: str) -> Iterator[Row]:
@@ -89,35 +90,14 @@ def _candidate_rows(name: str, m: dict[str, Any], deviation: dict[str, Any], uni
         yield from _preset_rows(name, f"preset {preset}", values)
 
 
-def _deformation_rows(name: str, bend: dict[str, Any], unit: str) -> Iterator[Row]:
-    verdict = f"verdict: {bend['verdict']}"
-    if size := bend["amplitude"]:
+def _deformation_rows(name: str, bend: Deformation, unit: str) -> Iterator[Row]:
+    verdict = f"verdict: {bend.verdict}"
+    if size := bend.amplitude:
         text = f"along the normals, beyond affine; {verdict}"
-        yield Row(name, "deformation_rms", "", text, size["rms"], unit, *size["ci"])
-        yield Row(name, "deformation_max", "", text, size["max"], unit)
+        yield Row(name, "deformation_rms", "", text, size.rms, unit, *size.ci)
+        yield Row(name, "deformation_max", "", text, size.max, unit)
     text = f"dome found in 80 % of all cases at 1 % false alarms; {verdict}"
-    yield Row(name, "minimum_detectable_rms", "", text, bend["minimum_detectable_rms"], unit)
-
-
-def deformation_words(bend: dict[str, Any], name: str, unit: str) -> str:
-    """The verdict on one candidate in a sentence."""
-    unit = f" {unit}" if unit else ""
-    if bend["verdict"] == "undecided":
-        return f"{name}: whether it is deformed is undecided: {'; '.join(bend['warnings'])}"
-    limit = bend["minimum_detectable_rms"]
-    unseen = "" if limit is None else f" (a dome of {limit:.3g}{unit} RMS would show)"
-    if bend["verdict"] == "non-affine":
-        size = bend["amplitude"]
-        bounds = f"[{size['ci'][0]:.3g}, {size['ci'][1]:.3g}]"
-        return (
-            f"{name} is bent against the reference: {size['rms']:.3g} {bounds}{unit} RMS beyond any affine motion"
-            f" ({bend['model']} model, p = {bend['p_value']:.2g})"
-        )
-    if bend["verdict"] == "affine":
-        return f"{name} is sheared or stretched against the reference, but not bent{unseen}"
-    if bend["verdict"] == "similarity":
-        return f"{name} has another scale than the reference, but is not bent{unseen}"
-    return f"{name} is not deformed against the reference{unseen}"
+    yield Row(name, "minimum_detectable_rms", "", text, bend.minimum_detectable_rms, unit)
 
 
 def _preset_rows(name: str, definition: str, values: dict[str, Any]) -> Iterator[Row]:
@@ -202,9 +182,10 @@ def _lines(doc: dict[str, Any], *, full: bool) -> Iterator[_Line | None]:
         maps = [d["maps"][name] for d in deviations]
         label = name.replace("_distance", "")
         yield _Line(f"map {label}: bias, rms", [(_number(m["bias"]), _number(m["rms"])) for m in maps])
-    bends = [c["deformation"] for c in candidates]
-    yield _Line("deformation", [(b["verdict"], "") for b in bends])
-    cells = [(_number((b["amplitude"] or {}).get("rms")), _number(b["minimum_detectable_rms"])) for b in bends]
+    bends = [Deformation.from_json(c["deformation"]) for c in candidates]
+    yield _Line("deformation", [(b.verdict, "") for b in bends])
+    sizes = [None if b.amplitude is None else b.amplitude.rms for b in bends]
+    cells = [(_number(size), _number(b.minimum_detectable_rms)) for size, b in zip(sizes, bends, strict=True)]
     yield _Line("  bend RMS, detectable", cells)
     if all(d["m3c2"] for d in deviations):
         found = [d["m3c2"] for d in deviations]
@@ -286,7 +267,8 @@ def markdown(doc: dict[str, Any]) -> str:
 def bends(doc: dict[str, Any]) -> Iterator[str]:
     """Is a candidate deformed? In words."""
     for candidate in doc["candidates"]:
-        yield deformation_words(candidate["deformation"], candidate["name"], doc["reference"].get("unit") or "")
+        bend = Deformation.from_json(candidate["deformation"])
+        yield bend.sentence(candidate["name"], doc["reference"].get("unit") or "")
 
 
 def verdicts(doc: dict[str, Any]) -> Iterator[str]:
@@ -318,9 +300,10 @@ def _warnings(doc: dict[str, Any]) -> Iterator[str]:
         yield from candidate.get("warnings", [])
         for warning in candidate["registration"]["warnings"]:
             yield f"{candidate['name']}: {warning}"
-        if candidate["deformation"]["verdict"] != "undecided":  # then its sentence holds them
-            for warning in candidate["deformation"]["warnings"]:
-                yield f"{candidate['name']}: {warning}"
+        bend = Deformation.from_json(candidate["deformation"])
+        if bend.verdict != "undecided":  # then its sentence holds them
+            for notice in bend.warnings:
+                yield f"{candidate['name']}: {notice}"
 
 
 def _title(doc: dict[str, Any]) -> str:
