@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
+    from pcbench.deformation import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
     from pcbench.geometry.cloud import Cloud as Cloud
     from pcbench.geometry.transform import Affine as Affine
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from pcbench.registration import register as register
     from pcbench.report.comparison import Comparison as Comparison
     from pcbench.report.comparison import compare as compare
-    from pcbench.report.deform_files import deform as deform
 
 # Looked up on first use: a name costs the import of its own room only.
 _ROOMS = {
@@ -27,7 +27,7 @@ _ROOMS = {
     "Settings": "measure.settings",
     "Similarity": "geometry.transform",
     "compare": "report.comparison",
-    "deform": "report.deform_files",
+    "deform": "deformation",
     "metrics": "measure.metrics",
     "read_cloud": "io",
     "register": "registration",

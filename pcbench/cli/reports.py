@@ -140,30 +140,29 @@ def deform(
     Example: pcbench deform ref.ply a.ply --out bend/
     """
     _multiply_on_one_thread()
-    from pcbench.report import deformation_words
     from pcbench.report.deform_files import deform_files
 
     with steps(quiet) as step:
         outcome = deform_files(reference, candidate, register, crop, seed, out, figures=not no_figures, step=step)
-    values = outcome.deformation.values
+    found = outcome.deformation
     if not quiet:
         for warning in outcome.warnings:
             warn(warning)
-        click.echo(deformation_words(values, candidate.name, outcome.unit or ""))
-        if values["verdict"] != "undecided":
-            for warning in values["warnings"]:
-                warn(warning)
-        for rung in values["rungs"]:
-            mark = "*" if rung["model"] == values["model"] else " "
-            score, error = rung["cv_score"] ** 0.5, rung["cv_se"] / (2 * rung["cv_score"] ** 0.5 or 1.0)
-            click.echo(f" {mark} {rung['model']:10} cross-validated residual {score:.4g} ± {error:.2g}")
-        if noise := values["noise"]:
+        click.echo(found.sentence(candidate.name, outcome.unit or ""))
+        if found.verdict != "undecided":  # then the sentence holds them
+            for notice in found.warnings:
+                warn(str(notice))
+        for rung in found.rungs:
+            mark = "*" if rung.model == found.model else " "
+            score, error = rung.cv_score**0.5, rung.cv_se / (2 * rung.cv_score**0.5 or 1.0)
+            click.echo(f" {mark} {rung.model:10} cross-validated residual {score:.4g} ± {error:.2g}")
+        if noise := found.noise:
             click.echo(
-                f"noise: white {noise['sigma_white']:.3g}, correlated {noise['sigma_correlated']:.3g} over"
-                f" {noise['correlation_length']:.3g}; {values['pairs']:,} pairs are worth {noise['n_eff']:,.0f}"
+                f"noise: white {noise.sigma_white:.3g}, correlated {noise.sigma_correlated:.3g} over"
+                f" {noise.correlation_length:.3g}; {found.pairs:,} pairs are worth {noise.n_eff:,.0f}"
             )
-            local = values["local"]
-            click.echo(f"local changes: {local['tiles_changed']} of {local['tiles_tested']} tiles")
+        if local := found.local:
+            click.echo(f"local changes: {local.tiles_changed} of {local.tiles_tested} tiles")
         if out is not None:
             click.echo(f"report: {out}")
     if outcome.without_figures:

@@ -19,9 +19,39 @@ reconstructions is correlated over metres, and a million points then hold a few 
 Everything is computed from `TileSums`, which add up: tiles may come from anywhere. Lengths are in the clouds' unit.
 """
 
-from pcbench.deformation.answer import Deformation, judge
-from pcbench.deformation.field import Field
+from pcbench.deformation.answer import judge
+from pcbench.deformation.clouds import deform
 from pcbench.deformation.pairs import Side, residual_deformation
+from pcbench.deformation.result import (
+    Amplitude,
+    Bin,
+    Deformation,
+    Field,
+    Growth,
+    LocalChanges,
+    NoiseSize,
+    Observable,
+    Rung,
+    Tiles,
+    Trend,
+)
 from pcbench.deformation.sums import TileSums
 
-__all__ = ["Deformation", "Field", "Side", "TileSums", "judge", "residual_deformation"]
+__all__ = [
+    "Amplitude",
+    "Bin",
+    "Deformation",
+    "Field",
+    "Growth",
+    "LocalChanges",
+    "NoiseSize",
+    "Observable",
+    "Rung",
+    "Side",
+    "TileSums",
+    "Tiles",
+    "Trend",
+    "deform",
+    "judge",
+    "residual_deformation",
+]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,39 +10,15 @@ from numpy.typing import NDArray
 from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import SEEN, Geometry, Noise, Scores
 from pcbench.deformation.polynomials import monomials
+from pcbench.deformation.result import Bin, Trend
 from pcbench.deformation.sums import TileSums
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray
 
 FDR = 0.05
 _LEAST_TESTED, _SMOOTH_TESTED = 3.0, 0.1  # weight of smooth surface in a cell and a pair: bushes change by themselves
 
 
-@dataclass(frozen=True, eq=False)
-class Field:
-    """The deformation on the cells, one row each (M,): what the table `NAME_deformation.csv` holds.
-
-    Attributes:
-        places: (M, 3) mean places of the pairs.
-        displacements: (M, 3) of the candidate against the reference by the chosen model, beyond the rigid motion; only
-            along directions that the surface in the cell shows.
-        vertical: measured mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN where no
-            surface there shows it.
-        sigma: standard deviation of `vertical` under the noise.
-        local: length of what the largest model leaves of the cell's displacement.
-        changed: whether that is more than noise, at a false discovery rate of 5 %.
-        counts: pairs.
-    """
-
-    places: FloatArray
-    displacements: FloatArray
-    vertical: FloatArray
-    sigma: FloatArray
-    local: FloatArray
-    changed: NDArray[np.bool_]
-    counts: IntArray
-
-
-class Measured:
+class CellDisplacements:
     """What single cells say: vertical displacements, their noise, and where something changed."""
 
     def __init__(self, geometry: Geometry, scores: Scores, noise: Noise, sums: TileSums) -> None:
@@ -65,8 +39,8 @@ class Measured:
         self.distance = np.hypot(*(geometry.means - middle)[:, :2].T)
         self.height = geometry.means[:, 2] - geometry.means[:, 2].min()
 
-    def growth(self, along: FloatArray) -> dict[str, Any] | None:
-        """Slope of the vertical displacement, its 95 % interval, and a profile in up to eight bins of equal weight."""
+    def trend(self, along: FloatArray) -> Trend | None:
+        """How the vertical displacement goes with a coordinate (C,): its slope, and means in up to eight bins."""
         x, y, w = along[self._seen], self.vertical[self._seen], self._weights
         if len(x) < 3 or np.ptp(x) == 0:
             return None
@@ -83,14 +57,14 @@ class Measured:
             mean = float(within @ y)
             error = math.sqrt(float(np.square(within) @ np.square(y - mean)))
             profile.append(
-                {
-                    "at": float(within @ x),
-                    "mean": mean,
-                    "ci": [mean - 1.96 * error, mean + 1.96 * error],
-                    "null": 1.96 * math.sqrt(float(within @ self._covariance @ within)),
-                }
+                Bin(
+                    at=float(within @ x),
+                    mean=mean,
+                    ci=(mean - 1.96 * error, mean + 1.96 * error),
+                    null=1.96 * math.sqrt(float(within @ self._covariance @ within)),
+                )
             )
-        return {"slope": slope, "ci": [slope - 1.96 * sigma, slope + 1.96 * sigma], "profile": profile}
+        return Trend(slope, (slope - 1.96 * sigma, slope + 1.96 * sigma), tuple(profile))
 
     def displacements(self, model: str) -> FloatArray:
         """(C, 3) of a model beyond the rigid motion, along the directions that the cells' surfaces show."""

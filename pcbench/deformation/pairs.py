@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.answer import Deformation, judge
+from pcbench.deformation.answer import judge
 from pcbench.deformation.displacement import Displacement, share_of
+from pcbench.deformation.result import Deformation
 from pcbench.deformation.sums import TileSums
+from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import euclidean_offsets
@@ -95,7 +97,8 @@ def residual_deformation(
     pairs = find_pairs(reference, candidate)
     if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST or _extent(pairs.places[pairs.weights > 0]) == 0:
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
-        return Deformation.unanswered(f"{count} pairs of points: too few to tell a bend from noise")
+        text = f"{count} pairs of points: too few to tell a bend from noise"
+        return Deformation.unanswered(Notice("few-pairs", text))
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and registration.method.partition(":")[0] != "similarity"
     return judge_pairs(pairs, metric=metric, seed=seed).shifted(origin).with_warnings(notes)
@@ -205,7 +208,7 @@ def tile_sums(pairs: Pairs) -> TileSums:
 
 def _without_map_projection(
     pairs: Pairs, reference: Side, candidate: Side, registration: Registration, origin: FloatArray
-) -> tuple[Pairs, list[str]]:
+) -> tuple[Pairs, list[Notice]]:
     """The pairs in a Euclidean frame where one cloud alone is on a map grid and the residuals agree with that.
 
     A map's heights follow the Earth and its scale varies: against a Euclidean cloud it is bent (2 cm at 500 m).
@@ -215,10 +218,11 @@ def _without_map_projection(
     if ours is None and theirs is None and float(np.abs(origin).max()) > _MAP_COORDINATES:
         sagitta = _extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
         if sagitta > 0.2 * noise:
-            return pairs, [
+            text = (
                 "coordinates look like a map's, but no file says which: against a Euclidean cloud the Earth's"
                 f" curvature alone bends it by {sagitta:.2g} (if the unit is the metre)"
-            ]
+            )
+            return pairs, [Notice("map-not-named", text)]
     name = ours if theirs is None else theirs
     if name is None or (ours is not None and theirs is not None):
         return pairs, []
@@ -233,9 +237,8 @@ def _without_map_projection(
     share, size = share_of(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
     if share < 0.5 or size < 0.1 * noise:
         return pairs, []
-    return replace(pairs, residuals=pairs.residuals - bend), [
-        f"one cloud is on a map grid: its bend of {size:.2g} RMS against Euclidean space was taken off first"
-    ]
+    text = f"one cloud is on a map grid: its bend of {size:.2g} RMS against Euclidean space was taken off first"
+    return replace(pairs, residuals=pairs.residuals - bend), [Notice("map-bend-taken-off", text)]
 
 
 def _smoothness(surface: Surface, rows: IntArray) -> FloatArray:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_point
 from pcbench.deformation.model import SEEN, Geometry, Noise, Scores, Step
+from pcbench.deformation.result import Amplitude, Observable
 from pcbench.deformation.sums import TileSums, added
 from pcbench.geometry.arrays import IntArray
 
 
-def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> dict[str, Any]:
-    """Size of the displacement along the normals beyond an affine one; what noise adds to its square is taken off.
-
-    `rms` with its 95 % interval over all pairs; `p95` and `max` of the RMS in a cell.
-    """
+def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> Amplitude:
+    """Size of the displacement along the normals that a step explains; what noise adds to its square is taken off."""
     modes = step.modes.T @ scores.total
     covariance = geometry.covariance(step, noise)
     power, bias = float(modes @ modes), float(np.trace(covariance))
@@ -35,12 +32,13 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> d
     rms = shrink * np.sqrt(np.maximum(per_cell[held], 0) / weight[held])
     order = np.argsort(rms)
     below = np.cumsum(weight[held][order]) / weight[held].sum()
-    return {
-        "rms": math.sqrt(size / geometry.total),
-        "p95": float(rms[order][np.searchsorted(below, 0.95)]),
-        "max": float(rms.max()),
-        "ci": [math.sqrt(max(0.0, power - bias + sign * 1.96 * spread) / geometry.total) for sign in (-1, 1)],
-    }
+    low, high = (math.sqrt(max(0.0, power - bias + sign * 1.96 * spread) / geometry.total) for sign in (-1, 1))
+    return Amplitude(
+        rms=math.sqrt(size / geometry.total),
+        p95=float(rms[order][np.searchsorted(below, 0.95)]),
+        max=float(rms.max()),
+        ci=(low, high),
+    )
 
 
 def effective_count(geometry: Geometry, noise: Noise) -> float:
@@ -75,9 +73,9 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     return math.sqrt(high * power / geometry.total)
 
 
-def observable(sums: TileSums, tile: IntArray) -> dict[str, float]:
+def observable(sums: TileSums, tile: IntArray) -> Observable:
     """Share of the tiles whose surfaces fix a displacement along each axis, whatever it is along the others."""
     spread = added(sums.spread, tile)
     mean = spread / np.maximum(np.trace(spread, axis1=1, axis2=2), 1e-300)[:, None, None]
     fixed = 1 / np.diagonal(np.linalg.inv(mean + 1e-9 * np.eye(3)), axis1=1, axis2=2) >= SEEN
-    return {name: float(share) for name, share in zip("xyz", fixed.mean(axis=0), strict=True)}
+    return Observable(*(float(share) for share in fixed.mean(axis=0)))

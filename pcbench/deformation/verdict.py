@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import FACTORS, TILE, Geometry, Noise, Scores
 from pcbench.deformation.polynomials import MODELS, PARAMETERS
+from pcbench.deformation.result import Rung
 from pcbench.deformation.size import amplitude, effective_count
 from pcbench.deformation.sums import added
+from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 
 FEWEST_TILES = 40
@@ -47,7 +49,7 @@ class Finding(NamedTuple):
     model: str
     evidence: Evidence  # that there is a non-affine part
     agreement: float  # share of the tile sizes at which the bootstrap says the same as in the middle one
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
 
 
 def decide(
@@ -66,7 +68,7 @@ def decide(
 
     def largest(smaller: str, larger: str) -> float:
         step = geometry.step(smaller, larger)
-        return float(amplitude(geometry, scores, noise, step)["ci"][1]) if step.modes.shape[1] else 0.0
+        return float(amplitude(geometry, scores, noise, step).ci[1]) if step.modes.shape[1] else 0.0
 
     def is_needed(smaller: str, larger: str) -> bool:
         return weigh(smaller, larger).sure and largest(smaller, larger) > resolution
@@ -76,12 +78,14 @@ def decide(
     tiles = len(geometry.tile_matrices)
     warnings = []
     if bent.modes == 0:
-        warnings.append("no bend can be seen here: the surfaces show no direction well enough")
+        text = "no bend can be seen here: the surfaces show no direction well enough"
+        warnings.append(Notice("nothing-observable", text))
     if tiles < FEWEST_TILES:
-        warnings.append(
+        text = (
             f"only {tiles} tiles of {FACTORS[TILE] * geometry.side:.3g} hold points (expected {FEWEST_TILES}): a"
             " larger or better covered scene would settle it"
         )
+        warnings.append(Notice("few-tiles", text))
     bend = largest("affine", "cubic")
     shown = bend > resolution
     if bent.sure and shown and not warnings:
@@ -93,21 +97,21 @@ def decide(
     elif is_needed("rigid", "similarity"):
         verdict, model = ("similarity" if metric else "none"), "similarity"
         if not metric:
-            warnings.append("the scales differ; that counts as deformation only where both clouds' unit is known")
+            text = "the scales differ; that counts as deformation only where both clouds' unit is known"
+            warnings.append(Notice("scale-differs", text))
     else:
         verdict, model = "none", "rigid"
     matters = shown and bend > _SMALL * math.sqrt(noise.white + noise.correlated)
     if bent.doubtful and matters:
         side = geometry.side * FACTORS[TILE]
-        warnings.append(
-            "what remains looks bent, but noise may have done it: "
-            + (
-                f"it is correlated over {noise.correlation_length:.3g}, with tiles of {side:.3g}; a scene of more than"
-                f" {40 * noise.correlation_length:.3g} would settle it"
-                if noise.correlation_length > side / 6
-                else "more points, or a larger scene, would settle it"
-            )
+        remedy = (
+            f"it is correlated over {noise.correlation_length:.3g}, with tiles of {side:.3g}; a scene of more than"
+            f" {40 * noise.correlation_length:.3g} would settle it"
+            if noise.correlation_length > side / 6
+            else "more points, or a larger scene, would settle it"
         )
+        text = f"what remains looks bent, but noise may have done it: {remedy}"
+        warnings.append(Notice("noise-or-bend", text))
     if (bent.doubtful and matters) or bent.modes == 0 or tiles < FEWEST_TILES:
         verdict = "undecided"
     return Finding(verdict, model, bent, float(np.mean(same)), tuple(warnings))
@@ -139,7 +143,7 @@ def bootstrap_signs(geometry: Geometry, seed: int) -> list[FloatArray]:
     return [rng.choice([-1.0, 1.0], size=(_REPLICATES, int(tile.max()) + 1)) for tile in geometry.tiles]
 
 
-def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[dict[str, Any]]:
+def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[Rung]:
     """Each model's cross-validated mean square residual (whole tiles are left out) and its BIC with n_eff."""
     tile = geometry.tiles[TILE]
     matrices, rows = geometry.tile_matrices, added(scores.cells, tile)
@@ -160,13 +164,13 @@ def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[d
         explained = geometry.explained(scores, model)
         left = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
         found.append(
-            {
-                "model": model,
-                "parameters": PARAMETERS[model],
-                "cv_score": score,
-                "cv_se": float(np.std(loss - score * weight) * math.sqrt(len(loss)) / weight.sum()),
-                "bic_eff": effective * math.log(left) + PARAMETERS[model] * math.log(max(effective, 2.0)),
-                "rms_explained": math.sqrt(max(0.0, explained - rigid) / geometry.total),
-            }
+            Rung(
+                model=model,
+                parameters=PARAMETERS[model],
+                cv_score=score,
+                cv_se=float(np.std(loss - score * weight) * math.sqrt(len(loss)) / weight.sum()),
+                bic_eff=effective * math.log(left) + PARAMETERS[model] * math.log(max(effective, 2.0)),
+                rms_explained=math.sqrt(max(0.0, explained - rigid) / geometry.total),
+            )
         )
     return found

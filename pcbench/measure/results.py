@@ -257,7 +257,7 @@ class Comparison:
             lines.append(
                 f"  {candidate.name}: {candidate.points:,} points, mean distance"
                 f" {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c{unit},"
-                f" deformation {candidate.deformation.values['verdict']}"
+                f" deformation {candidate.deformation.verdict}"
             )
         return "\n".join(lines)
 

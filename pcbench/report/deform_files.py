@@ -1,4 +1,4 @@
-"""`pcbench deform`: from two files to a verdict on their deformation, and to a folder with it."""
+"""`pcbench deform`: from two files to a folder with the verdict on their deformation."""
 
 from __future__ import annotations
 
@@ -6,17 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from pcbench.deformation import Deformation, Side, residual_deformation
-from pcbench.errors import InputError
+from pcbench.deformation import Deformation, deform
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.neighbors import Index
-from pcbench.geometry.normals import Surface
-from pcbench.geometry.regions import parse_region
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
-from pcbench.registration import Registration, Target, local_origin, register
+from pcbench.registration import Registration
 from pcbench.report import report_folder, write_deformation
 from pcbench.report.plot import draw_if_possible
 
@@ -30,36 +24,6 @@ class Outcome:
     warnings: tuple[str, ...]
     unit: str | None
     without_figures: str | None
-
-
-def deform(
-    reference: Cloud, candidate: Cloud, method: str = "icp", crop: str = "none", seed: int = 0
-) -> tuple[Registration, Deformation]:
-    """Register a candidate and say whether it is deformed beyond that, how much, and where.
-
-    Args:
-        reference, candidate: clouds.
-        method: how they are registered, see `pcbench.registration.METHODS`.
-        crop: which part counts, in the reference's coordinates, see `pcbench.geometry.regions.parse_region`.
-        seed: of the bootstrap.
-
-    Raises:
-        InputError: a region is not usable, or holds no points of either cloud.
-        RegistrationError: the clouds do not overlap.
-    """
-    origin = local_origin(reference)
-    surface = Surface(Index(reference.points - origin), given=reference.normals)
-    found = register(reference, candidate, method, target=Target(surface))
-    aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
-    region = parse_region(crop, reference)
-    region = None if region is None else region.shifted(origin)
-    sides = []
-    for name, points, cloud in (("reference", surface, reference), ("candidate", aligned, candidate)):
-        inside = np.ones(len(points), dtype=bool) if region is None else region.contains(points.points)
-        if not inside.any():
-            raise InputError(f"the crop {crop!r} leaves none of the {name}'s {len(points)} points")
-        sides.append(Side(points, inside, cloud))
-    return found, residual_deformation(sides[0], sides[1], found, origin, seed=seed)
 
 
 def deform_files(

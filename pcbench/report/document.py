@@ -53,8 +53,8 @@ def document(comparison: Comparison) -> dict[str, Any]:
     return plain
 
 
-def to_json(values: dict[str, Any]) -> str:
-    """JSON text: what does not exist is null, never NaN or Infinity."""
+def to_json(values: Any) -> str:
+    """JSON text of a dictionary or a dataclass: what does not exist is null, never NaN or Infinity."""
     return json.dumps(_plain(values), indent=2, allow_nan=False) + "\n"
 
 
@@ -73,7 +73,7 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "registration": _registration(candidate.registration),
         "metrics": _metrics(candidate.metrics),
         "deviation": _deviation(candidate.deviation),
-        "deformation": candidate.deformation.values,
+        "deformation": candidate.deformation,
         "timings_s": candidate.timings_s,
         "peak_rss_bytes": candidate.peak_rss_bytes,
     }
@@ -214,11 +214,16 @@ def _commit() -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """numpy values, tuples and dataclasses as JSON's own, notices as their text, non-finite numbers as null."""
+    """numpy values and tuples as JSON's own, non-finite numbers as null; a dataclass as its fields, but for those that
+    are written elsewhere (metadata `json` is False), with the codes of its warnings beside their texts.
+    """
     if isinstance(value, Notice):
         return value.text
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        items: dict[str, Any] = {f.name: getattr(value, f.name) for f in fields(value) if f.metadata.get("json", True)}
+        if "warnings" in items:
+            items["warning_codes"] = [notice.code for notice in items["warnings"]]
+        return _plain(items)
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -182,7 +182,7 @@ def write_deformation(
     folder: Path, deformation: Deformation, aligned: Cloud, transform: Similarity, crs: str | None, unit: str | None
 ) -> None:
     """Write what `pcbench deform` leaves, but for the pictures, into an empty folder."""
-    (folder / _DEFORM_MARK).write_text(to_json(deformation.values), encoding="utf-8")
+    (folder / _DEFORM_MARK).write_text(to_json(deformation), encoding="utf-8")
     write_field(f"{folder}/deformation", deformation, crs, unit)
     write_cloud(folder / "aligned.ply", aligned)
     (folder / "T.txt").write_text(format_matrix(transform), encoding="utf-8")

@@ -7,8 +7,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from html import escape
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from pcbench.deformation import Deformation
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.metrics import FScore as Shares
 from pcbench.measure.presets import BothWays, Preset
@@ -46,7 +47,7 @@ def rows(comparison: Comparison) -> Iterator[Row]:
     unit = comparison.reference.unit or "unit"
     for candidate in comparison.candidates:
         yield from _candidate_rows(candidate, unit)
-        yield from _deformation_rows(candidate.name, candidate.deformation.values, unit)
+        yield from _deformation_rows(candidate.name, candidate.deformation, unit)
 
 
 def _candidate_rows(candidate: Candidate, unit: str) -> Iterator[Row]:
@@ -102,35 +103,14 @@ def _row(name: str, metric: str, way: str, definition: str, estimate: Estimate, 
     return Row(name, metric, way, definition, estimate.value, unit, *(estimate.interval or (None, None)))
 
 
-def _deformation_rows(name: str, bend: dict[str, Any], unit: str) -> Iterator[Row]:
-    verdict = f"verdict: {bend['verdict']}"
-    if size := bend["amplitude"]:
+def _deformation_rows(name: str, bend: Deformation, unit: str) -> Iterator[Row]:
+    verdict = f"verdict: {bend.verdict}"
+    if size := bend.amplitude:
         text = f"along the normals, beyond affine; {verdict}"
-        yield Row(name, "deformation_rms", "", text, size["rms"], unit, *size["ci"])
-        yield Row(name, "deformation_max", "", text, size["max"], unit)
+        yield Row(name, "deformation_rms", "", text, size.rms, unit, *size.ci)
+        yield Row(name, "deformation_max", "", text, size.max, unit)
     text = f"dome found in 80 % of all cases at 1 % false alarms; {verdict}"
-    yield Row(name, "minimum_detectable_rms", "", text, bend["minimum_detectable_rms"], unit)
-
-
-def deformation_words(bend: dict[str, Any], name: str, unit: str) -> str:
-    """The verdict on one candidate in a sentence."""
-    unit = f" {unit}" if unit else ""
-    if bend["verdict"] == "undecided":
-        return f"{name}: whether it is deformed is undecided: {'; '.join(bend['warnings'])}"
-    limit = bend["minimum_detectable_rms"]
-    unseen = "" if limit is None else f" (a dome of {limit:.3g}{unit} RMS would show)"
-    if bend["verdict"] == "non-affine":
-        size = bend["amplitude"]
-        bounds = f"[{size['ci'][0]:.3g}, {size['ci'][1]:.3g}]"
-        return (
-            f"{name} is bent against the reference: {size['rms']:.3g} {bounds}{unit} RMS beyond any affine motion"
-            f" ({bend['model']} model, p = {bend['p_value']:.2g})"
-        )
-    if bend["verdict"] == "affine":
-        return f"{name} is sheared or stretched against the reference, but not bent{unseen}"
-    if bend["verdict"] == "similarity":
-        return f"{name} has another scale than the reference, but is not bent{unseen}"
-    return f"{name} is not deformed against the reference{unseen}"
+    yield Row(name, "minimum_detectable_rms", "", text, bend.minimum_detectable_rms, unit)
 
 
 def _preset_rows(name: str, definition: str, preset: Preset) -> Iterator[Row]:
@@ -228,9 +208,10 @@ def _preset_lines(name: str, presets: Sequence[Preset]) -> Iterator[_Line]:
 
 
 def _bend_lines(candidates: Sequence[Candidate]) -> Iterator[_Line]:
-    bends = [c.deformation.values for c in candidates]
-    yield _Line("deformation", [(b["verdict"], "") for b in bends])
-    cells = [(_number((b["amplitude"] or {}).get("rms")), _number(b["minimum_detectable_rms"])) for b in bends]
+    bends = [c.deformation for c in candidates]
+    yield _Line("deformation", [(b.verdict, "") for b in bends])
+    sizes = [None if b.amplitude is None else b.amplitude.rms for b in bends]
+    cells = [(_number(size), _number(b.minimum_detectable_rms)) for size, b in zip(sizes, bends, strict=True)]
     yield _Line("  bend RMS, detectable", cells)
 
 
@@ -324,7 +305,7 @@ def html(comparison: Comparison) -> str:
 def _sentences(comparison: Comparison) -> Iterator[str]:
     """Is a candidate deformed, and is a better than b? In words."""
     for candidate in comparison:
-        yield deformation_words(candidate.deformation.values, candidate.name, comparison.reference.unit or "")
+        yield candidate.deformation.sentence(candidate.name, comparison.reference.unit or "")
     for difference in comparison.differences:
         if difference.metric in (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared"):
             yield _difference_words(difference)
@@ -353,10 +334,9 @@ def _warnings(comparison: Comparison) -> Iterator[str]:
         yield from map(str, candidate.warnings)
         for warning in candidate.registration.warnings:
             yield f"{candidate.name}: {warning}"
-        bend = candidate.deformation.values
-        if bend["verdict"] != "undecided":  # then its sentence holds them
-            for warning in bend["warnings"]:
-                yield f"{candidate.name}: {warning}"
+        if candidate.deformation.verdict != "undecided":  # then its sentence holds them
+            for notice in candidate.deformation.warnings:
+                yield f"{candidate.name}: {notice}"
 
 
 def _title(comparison: Comparison) -> str:

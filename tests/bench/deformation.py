@@ -46,7 +46,7 @@ def rivals(scene: Scene, judged: Judged, count: int) -> tuple[str, str]:
         for m, p in PARAMETERS.items()
     }
     rungs = climb(g, scores, judged.noise, 0)
-    return min(bic, key=lambda m: bic[m]), str(min(rungs, key=lambda rung: rung["cv_score"])["model"])
+    return min(bic, key=lambda m: bic[m]), min(rungs, key=lambda rung: rung.cv_score).model
 
 
 def null(scenes: dict[int, Scene], runs: int, which: list[int] | None) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.deformation import Deformation, Growth, Trend
 from pcbench.geometry.cloud import Cloud
 from pcbench.report.plot.maps import framed_panels
 
@@ -14,7 +15,7 @@ _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _ARROW = 0.1  # of the scene: how long the 95th percentile of the arrows is drawn
 
 
-def evidence(values: dict[str, Any], field: Cloud, title: str, unit: str, path: Path) -> bool:
+def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path) -> bool:
     """Growth with distance and height, the models' cross-validation, and the map of local changes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -23,11 +24,12 @@ def evidence(values: dict[str, Any], field: Cloud, title: str, unit: str, path: 
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13)
     (near, high), (score, place) = figure.subplots(2, 2)
-    factor, short = _readable(values, unit)
-    _growth(near, values["growth"]["with_distance"], "horizontal distance from the centre", unit, factor, short)
-    _growth(high, values["growth"]["with_height"], "height above the lowest place", unit, factor, short)
-    _rungs(score, values, factor, short)
-    _changes(place, values, field, unit, factor, short)
+    factor, short = _readable(bend, unit)
+    growth = bend.growth or Growth(None, None)
+    _growth(near, growth.with_distance, "horizontal distance from the centre", unit, factor, short)
+    _growth(high, growth.with_height, "height above the lowest place", unit, factor, short)
+    _rungs(score, bend, factor, short)
+    _changes(place, bend, field, unit, factor, short)
     for axis in (near, high, score, place):
         axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path)
@@ -71,46 +73,44 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, path: Path) -> boo
     return True
 
 
-def _readable(values: dict[str, Any], unit: str) -> tuple[float, str]:
+def _readable(bend: Deformation, unit: str) -> tuple[float, str]:
     """Factor and name of the unit for small displacements: millimetres where metres are known."""
-    return (1000.0, "mm") if unit == "m" and (values["remaining_rms"] or 1.0) < 0.5 else (1.0, unit)
+    return (1000.0, "mm") if unit == "m" and (bend.remaining_rms or 1.0) < 0.5 else (1.0, unit)
 
 
-def _growth(axis: Any, growth: dict[str, Any] | None, along: str, unit: str, factor: float, short: str) -> None:
+def _growth(axis: Any, trend: Trend | None, along: str, unit: str, factor: float, short: str) -> None:
     axis.set_xlabel(f"{along} [{unit}]")
     axis.set_ylabel(f"vertical displacement [{short}]")
     axis.axhline(0, color=_GREY, linewidth=0.8)
-    if growth is None:
+    if trend is None:
         axis.text(0.5, 0.5, "not enough surface to tell", transform=axis.transAxes, ha="center", color=_GREY)
         return
-    rows = growth["profile"]
-    x = np.array([row["at"] for row in rows])
-    mean = factor * np.array([row["mean"] for row in rows])
-    low, high = factor * np.array([row["ci"] for row in rows]).T
-    null = factor * np.array([row["null"] for row in rows])
+    x = np.array([row.at for row in trend.profile])
+    mean = factor * np.array([row.mean for row in trend.profile])
+    low, high = factor * np.array([row.ci for row in trend.profile]).T
+    null = factor * np.array([row.null for row in trend.profile])
     axis.fill_between(x, -null, null, color=_GREY, alpha=0.3, linewidth=0, label="noise alone (95 %)")
     axis.fill_between(x, low, high, color=_BLUE, alpha=0.25, linewidth=0, label="95 % over blocks")
     axis.plot(x, mean, color=_BLUE, marker="o", markersize=4, linewidth=1.6, label="mean of the candidate")
-    slope, bounds = growth["slope"], growth["ci"]
+    bounds = trend.ci
     scale = 1000.0  # per 1000 units: mm per m, or thousandths
-    text = f"slope {scale * slope:.3g} [{scale * bounds[0]:.3g}, {scale * bounds[1]:.3g}] ‰"
+    text = f"slope {scale * trend.slope:.3g} [{scale * bounds[0]:.3g}, {scale * bounds[1]:.3g}] ‰"
     axis.set_title(text, fontsize=10, loc="left")
     axis.legend(framealpha=0.9, edgecolor="none", fontsize=9)
     axis.grid(alpha=0.25)
 
 
-def _rungs(axis: Any, values: dict[str, Any], factor: float, short: str) -> None:
-    rungs = values["rungs"]
-    score = np.sqrt([rung["cv_score"] for rung in rungs])
-    error = np.array([rung["cv_se"] for rung in rungs]) / np.maximum(2 * score, 1e-300)
-    place = np.arange(len(rungs))
+def _rungs(axis: Any, bend: Deformation, factor: float, short: str) -> None:
+    score = np.sqrt([rung.cv_score for rung in bend.rungs])
+    error = np.array([rung.cv_se for rung in bend.rungs]) / np.maximum(2 * score, 1e-300)
+    place = np.arange(len(bend.rungs))
     axis.errorbar(place, factor * score, factor * error, color=_BLUE, marker="o", capsize=4, linewidth=1.4)
-    chosen = [rung["model"] for rung in rungs].index(values["model"])
+    chosen = [rung.model for rung in bend.rungs].index(bend.model)
     axis.plot(
         chosen, factor * score[chosen], "o", color=_RED, markersize=11, fillstyle="none", markeredgewidth=2,
         label="chosen",
     )  # fmt: skip
-    axis.set_xticks(place, [f"{rung['model']}\n{rung['parameters']}" for rung in rungs])
+    axis.set_xticks(place, [f"{rung.model}\n{rung.parameters}" for rung in bend.rungs])
     axis.set_xlabel("model, parameters")
     axis.set_ylabel(f"residual of tiles left out, RMS [{short}]")
     axis.set_title("cross-validation, ± standard error", fontsize=10, loc="left")
@@ -118,7 +118,7 @@ def _rungs(axis: Any, values: dict[str, Any], factor: float, short: str) -> None
     axis.grid(alpha=0.25)
 
 
-def _changes(axis: Any, values: dict[str, Any], field: Cloud, unit: str, factor: float, short: str) -> None:
+def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: float, short: str) -> None:
     tested = np.asarray(field.attributes["pairs"]) >= 20
     if not tested.any():
         return
@@ -134,9 +134,10 @@ def _changes(axis: Any, values: dict[str, Any], field: Cloud, unit: str, factor:
     axis.set_aspect("equal")
     axis.set_xlabel(f"x [{unit}]")
     axis.set_ylabel(f"y [{unit}]")
-    counts = values["local"]
+    if bend.local is None:
+        return
     axis.set_title(
-        f"local changes: {counts['tiles_changed']} of {counts['tiles_tested']} tiles (red, FDR {counts['fdr']:.0%})",
+        f"local changes: {bend.local.tiles_changed} of {bend.local.tiles_tested} tiles (red, FDR {bend.local.fdr:.0%})",
         fontsize=10,
         loc="left",
     )

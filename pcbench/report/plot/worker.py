@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.deformation import Deformation
 from pcbench.errors import PcbenchError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
@@ -91,20 +92,18 @@ def _pictures_of_bench(folder: Path) -> dict[str, Callable[[Path], bool]]:
 
 def _pictures_of_deformation(folder: Path) -> dict[str, Callable[[Path], bool]]:
     """Those of a folder that `pcbench deform` wrote."""
-    values = json.loads((folder / "deformation.json").read_text(encoding="utf-8"))
+    bend = Deformation.from_json(json.loads((folder / "deformation.json").read_text(encoding="utf-8")))
     if not (folder / "deformation.ply").is_file():
         return {}
     cloud, field = read_cloud(folder / "aligned.ply"), read_cloud(folder / "deformation.ply")
-    return _bends("", values, cloud, field, cloud.unit or field.unit or "units of the file")
+    return _bends("", bend, cloud, field, cloud.unit or field.unit or "units of the file")
 
 
-def _bends(
-    name: str, values: dict[str, Any], cloud: Cloud, field: Cloud, unit: str
-) -> dict[str, Callable[[Path], bool]]:
-    title = f"{name or 'candidate'} against the reference: {values['verdict']} ({values['model']} model)"
+def _bends(name: str, bend: Deformation, cloud: Cloud, field: Cloud, unit: str) -> dict[str, Callable[[Path], bool]]:
+    title = f"{name or 'candidate'} against the reference: {bend.verdict} ({bend.model} model)"
     prefix = f"{name}_" if name else ""
     return {
-        f"{prefix}deformation": lambda path: bends.evidence(values, field, title, unit, path),
+        f"{prefix}deformation": lambda path: bends.evidence(bend, field, title, unit, path),
         f"{prefix}displacement": lambda path: bends.arrows(cloud, field, title, unit, path),
     }
 
@@ -122,7 +121,7 @@ def _pictures_of_comparison(folder: Path) -> dict[str, Callable[[Path], bool]]:
     found = {candidate["name"]: candidate.get("deformation") for candidate in report.document["candidates"]}
     for name, field in report.fields.items():
         if found[name]:
-            pictures |= _bends(name, found[name], report.deviations[name], field, report.unit)
+            pictures |= _bends(name, Deformation.from_json(found[name]), report.deviations[name], field, report.unit)
     return pictures
 
 

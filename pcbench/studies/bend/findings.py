@@ -5,18 +5,17 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation import Deformation
-from pcbench.errors import PcbenchError
+from pcbench.deformation import Deformation, deform
+from pcbench.errors import Notice, PcbenchError
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
-from pcbench.report.deform_files import deform
 
 FACTORS = {
     "images": (
@@ -227,22 +226,22 @@ def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> 
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
     except PcbenchError as error:
-        return Deformation.unanswered(str(error)), candidate
+        return Deformation.unanswered(Notice("not-registered", str(error))), candidate
     return found, candidate.transformed(registration.T_reference_candidate)
 
 
 def _summary(found: Deformation) -> dict[str, Any]:
-    values = found.values
-    size = values["amplitude"] or {"rms": None, "ci": None}
+    """What a row keeps of a verdict, as JSON holds it."""
+    size, growth = found.amplitude, found.growth
     return {
-        "verdict": values["verdict"],
-        "model": values["model"],
-        "rms": size["rms"],
-        "ci": size["ci"],
-        "p_value": values["p_value"],
-        "detectable": values["minimum_detectable_rms"],
-        "growth": values["growth"],
-        "warnings": values["warnings"],
+        "verdict": found.verdict,
+        "model": found.model,
+        "rms": None if size is None else size.rms,
+        "ci": None if size is None else list(size.ci),
+        "p_value": found.p_value,
+        "detectable": found.minimum_detectable_rms,
+        "growth": None if growth is None else asdict(growth),
+        "warnings": [str(notice) for notice in found.warnings],
     }
 
 

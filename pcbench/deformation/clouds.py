@@ -1,0 +1,56 @@
+"""From two clouds to the answer: register, cut to a region, and ask what is left."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pcbench.deformation.pairs import Side, residual_deformation
+from pcbench.deformation.result import Deformation
+from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.regions import Region, parse_region
+from pcbench.registration import Registration, Target, local_origin, register
+
+
+def deform(
+    reference: Cloud | ArrayLike,
+    candidate: Cloud | ArrayLike,
+    method: str = "icp",
+    crop: Region | str = "none",
+    seed: int = 0,
+) -> tuple[Registration, Deformation]:
+    """Register a candidate and say whether it is deformed beyond that, how much (in the reference's unit), and where.
+
+    Args:
+        reference, candidate: clouds, or (N, 3) arrays. Without a unit or a coordinate system the scale is not known,
+            and another one is no deformation.
+        method: how the candidate is registered, as `pcbench.register` takes it.
+        crop: which part counts: a region in the reference's coordinates, or its text, see
+            `pcbench.geometry.regions.parse_region`. Points outside are still searched.
+        seed: of the bootstrap.
+
+    Raises:
+        InputError: a cloud or the region is not usable, or the region holds no points of either cloud.
+        RegistrationError: the clouds do not overlap.
+    """
+    reference, candidate = as_cloud(reference), as_cloud(candidate)
+    origin = local_origin(reference)
+    surface = Surface(Index(reference.points - origin), given=reference.normals)
+    found = register(reference, candidate, method, target=Target(surface))
+    aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
+    region = parse_region(crop, reference) if isinstance(crop, str) else crop
+    region = None if region is None else region.shifted(origin)
+    sides = []
+    for name, points, cloud in (("reference", surface, reference), ("candidate", aligned, candidate)):
+        inside = np.ones(len(points), dtype=bool) if region is None else region.contains(points.points)
+        if not inside.any():
+            raise InputError(f"the crop {_name(crop)!r} leaves none of the {name}'s {len(points)} points")
+        sides.append(Side(points, inside, cloud))
+    return found, residual_deformation(sides[0], sides[1], found, origin, seed=seed)
+
+
+def _name(crop: Region | str) -> str:
+    return crop if isinstance(crop, str) else crop.describe()

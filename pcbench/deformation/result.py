@@ -1,0 +1,306 @@
+"""The answer as types: the names and the order of their fields are those of the JSON that a report holds.
+
+A number that does not exist is None. Lengths are in the clouds' unit, shares from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import NoneType
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import Notice
+from pcbench.geometry.arrays import FloatArray, IntArray
+
+Interval = tuple[float, float]  # lower and upper end, 95 %
+
+
+@dataclass(frozen=True)
+class Rung:
+    """How well one of the five nested models does.
+
+    Attributes:
+        model: rigid, similarity, affine, quadratic or cubic.
+        parameters: their number.
+        cv_score: mean square residual of tiles that were left out of the fit, in squared units.
+        cv_se: standard error of `cv_score`, in squared units.
+        bic_eff: Bayesian information criterion with the effective number of pairs.
+        rms_explained: along the normals, beyond the rigid model, in the clouds' unit.
+    """
+
+    model: str
+    parameters: int
+    cv_score: float
+    cv_se: float
+    bic_eff: float
+    rms_explained: float
+
+
+@dataclass(frozen=True)
+class Amplitude:
+    """Size of the displacement along the normals beyond an affine one, in the clouds' unit, freed of noise.
+
+    Attributes:
+        rms: over all pairs.
+        p95, max: of the RMS in a cell.
+        ci: 95 % interval of `rms`.
+    """
+
+    rms: float
+    p95: float
+    max: float
+    ci: Interval
+
+
+@dataclass(frozen=True)
+class NoiseSize:
+    """The residuals' noise, in the clouds' unit.
+
+    Attributes:
+        sigma_white: standard deviation of what differs from pair to pair.
+        sigma_correlated: standard deviation of what neighbouring pairs share.
+        correlation_length: l of the kernel exp(-d^2 / 2 l^2) that covers the same area.
+        n_eff: independent pairs that would fix a bend as well.
+    """
+
+    sigma_white: float
+    sigma_correlated: float
+    correlation_length: float
+    n_eff: float
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The tiles of the bootstrap.
+
+    Attributes:
+        count: tiles that hold pairs.
+        side: their edge, in the clouds' unit.
+        agreement: share of the three sizes of tiles at which the bootstrap says the same.
+    """
+
+    count: int
+    side: float
+    agreement: float
+
+
+@dataclass(frozen=True)
+class Bin:
+    """One place of a profile, in the clouds' unit: where it is `at`, the `mean` vertical displacement there with its
+    95 % interval `ci`, and `null`, half the width of the band that noise alone would fill in 95 % of all cases.
+    """
+
+    at: float
+    mean: float
+    ci: Interval
+    null: float
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How the vertical displacement goes with a coordinate.
+
+    Attributes:
+        slope: displacement per length.
+        ci: its 95 % interval.
+        profile: means in up to eight bins of equal weight, in ascending order.
+    """
+
+    slope: float
+    ci: Interval
+    profile: tuple[Bin, ...]
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Trends of the vertical displacement with the horizontal distance from the centre and with the height; None where
+    too little of the surface shows it.
+    """
+
+    with_distance: Trend | None
+    with_height: Trend | None
+
+
+@dataclass(frozen=True)
+class Observable:
+    """Share of the tiles whose surfaces show a displacement along each axis."""
+
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(frozen=True)
+class LocalChanges:
+    """Cells that changed by themselves, at the false discovery rate `fdr`, among those that hold enough to tell."""
+
+    tiles_tested: int
+    tiles_changed: int
+    fdr: float
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """The deformation on the cells, one row each (M,): what the table `NAME_deformation.csv` holds.
+
+    Attributes:
+        places: (M, 3) mean places of the pairs.
+        displacements: (M, 3) of the candidate against the reference by the chosen model, beyond the rigid motion; only
+            along directions that the surface in the cell shows.
+        vertical: measured mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN where no
+            surface there shows it.
+        sigma: standard deviation of `vertical` under the noise.
+        local: length of what the largest model leaves of the cell's displacement.
+        changed: whether that is more than noise, at a false discovery rate of 5 %.
+        counts: pairs.
+    """
+
+    places: FloatArray
+    displacements: FloatArray
+    vertical: FloatArray
+    sigma: FloatArray
+    local: FloatArray
+    changed: NDArray[np.bool_]
+    counts: IntArray
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """Is the candidate deformed against the reference, how much, and where?
+
+    Attributes:
+        verdict: none, similarity, affine, non-affine or undecided.
+        model: the smallest that is needed: rigid, similarity, affine, quadratic or cubic.
+        parameters: of that model.
+        p_value: that there is no non-affine part, by the wild bootstrap over tiles.
+        p_value_noise: the same under the estimated noise.
+        rungs: all five models, from the smallest.
+        amplitude: of the non-affine part.
+        remaining_rms: RMS residual of the chosen model, in the clouds' unit.
+        noise, tiles: see there.
+        pairs: of points, of which everything is computed.
+        growth, observable, local: see there.
+        minimum_detectable_rms: of a dome that would be found in 80 % of all cases at 1 % false alarms.
+        warnings: codes and texts; of an undecided verdict the reasons.
+        field: the displacement on the cells, which a report holds as a table of its own; None where nothing could be
+            asked, and in what `from_json` reads.
+    """
+
+    verdict: str
+    model: str
+    parameters: int | None = None
+    p_value: float | None = None
+    p_value_noise: float | None = None
+    rungs: tuple[Rung, ...] = ()
+    amplitude: Amplitude | None = None
+    remaining_rms: float | None = None
+    noise: NoiseSize | None = None
+    tiles: Tiles | None = None
+    pairs: int | None = None
+    growth: Growth | None = None
+    observable: Observable | None = None
+    local: LocalChanges | None = None
+    minimum_detectable_rms: float | None = None
+    warnings: tuple[Notice, ...] = ()
+    field: Field | None = dataclasses.field(default=None, compare=False, metadata={"json": False})
+
+    def __repr__(self) -> str:
+        size = "" if self.amplitude is None else f", bend {self.amplitude.rms:.3g} RMS"
+        p = "" if self.p_value is None else f", p = {self.p_value:.2g}"
+        return f"<Deformation: {self.verdict} ({self.model} model{size}{p})>"
+
+    @classmethod
+    def unanswered(cls, reason: Notice) -> Deformation:
+        """Undecided, for want of anything to decide on."""
+        return cls("undecided", "rigid", warnings=(reason,))
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Deformation:
+        """What `deformation.json`, or a candidate's `deformation` in `comparison.json`, holds; without the field.
+
+        Raises:
+            KeyError, TypeError: it holds something else.
+        """
+        texts = values["warnings"]
+        codes = values.get("warning_codes") or [""] * len(texts)  # older reports hold none
+        notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
+        found: Deformation = _structured(cls, {**values, "warnings": notices})
+        return found
+
+    def sentence(self, name: str = "the candidate", unit: str = "") -> str:
+        """The verdict on a candidate of that name in words; `unit` is the clouds'."""
+        unit = f" {unit}" if unit else ""
+        if self.verdict == "undecided":
+            return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}"
+        limit = self.minimum_detectable_rms
+        unseen = "" if limit is None else f" (a dome of {limit:.3g}{unit} RMS would show)"
+        if self.verdict == "non-affine" and self.amplitude is not None:
+            low, high = self.amplitude.ci
+            return (
+                f"{name} is bent against the reference: {self.amplitude.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS"
+                f" beyond any affine motion ({self.model} model, p = {self.p_value:.2g})"
+            )
+        if self.verdict == "affine":
+            return f"{name} is sheared or stretched against the reference, but not bent{unseen}"
+        if self.verdict == "similarity":
+            return f"{name} has another scale than the reference, but is not bent{unseen}"
+        return f"{name} is not deformed against the reference{unseen}"
+
+    def shifted(self, origin: FloatArray) -> Deformation:
+        """The same in coordinates that still carry `origin` (3,)."""
+        return (
+            self if self.field is None else replace(self, field=replace(self.field, places=self.field.places + origin))
+        )
+
+    def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
+        return replace(self, warnings=(*self.warnings, *notes))
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """(C,) which cells changed by themselves."""
+        return np.zeros(0, dtype=bool) if self.field is None else self.field.changed
+
+    @property
+    def changed_share(self) -> float:
+        return float(np.mean(self.changed)) if len(self.changed) else 0.0
+
+    def with_changes(self, earlier: Deformation) -> Deformation:
+        """This answer, which left out cells that an earlier one found changed, with these in its field and counts."""
+        if self.field is None or earlier.field is None:
+            return self
+        left_out = earlier.field.changed
+        parts = {
+            name: np.concatenate([getattr(self.field, name), getattr(earlier.field, name)[left_out]])
+            for name in Field.__annotations__
+        }
+        return replace(self, local=earlier.local, field=Field(**parts))
+
+
+def rounded(value: Any) -> Any:
+    """Six digits: what a statistic is worth, and the same at any number of threads of the linear algebra."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, tuple):
+        return tuple(map(rounded, value))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{item.name: rounded(getattr(value, item.name)) for item in dataclasses.fields(value)})
+    return value
+
+
+def _structured(kind: Any, value: Any) -> Any:
+    """A value of JSON as the type (a dataclass, a tuple, a plain type, or one of them or None) that was written so."""
+    if value is None:
+        return None
+    kind = next((part for part in get_args(kind) if NoneType in get_args(kind) and part is not NoneType), kind)
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        hints = get_type_hints(kind)
+        names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
+        return kind(**{name: _structured(hints[name], value[name]) for name in names})
+    if get_args(kind):  # tuple[X, ...] or tuple[X, X]
+        return tuple(_structured(get_args(kind)[0], part) for part in value)
+    return value
