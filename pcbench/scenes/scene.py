@@ -20,7 +20,7 @@ from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.geodesy import enu_from_wgs84
+from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import (
     check_model_output,
@@ -30,7 +30,6 @@ from pcbench.io.colmap_model import (
     write_colmap_model,
 )
 from pcbench.io.earth_studio import read_earth_studio
-from pcbench.io.exif_gps import Gps
 from pcbench.io.files import check_output, digest
 from pcbench.io.image_header import EXTENSIONS, read_image_header
 from pcbench.io.strecha import read_strecha
