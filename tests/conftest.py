@@ -12,7 +12,7 @@ import pytest
 
 from pcbench import cli
 from pcbench.errors import MissingExtra
-from pcbench.report.plot import NoFiguresError
+from pcbench.opengl import NoFiguresError
 from pcbench.scenes.synthetic.render import check_renderer
 
 

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.io.exif_gps import Gps
 
 _SEMI_MAJOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84 (NIMA TR8350.2)
+
+
+class Gps(NamedTuple):
+    """A position as the camera wrote it: WGS84 latitude and longitude in degrees, altitude in metres.
+
+    The altitude is 0 where the file has none; above the sea or the ellipsoid, cameras do not agree.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude: float
 
 
 def enu_from_wgs84(positions: Sequence[Gps], origin: Gps) -> FloatArray:

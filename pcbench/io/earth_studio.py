@@ -18,8 +18,8 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.geodesy import Gps
 from pcbench.geometry.transform import Similarity, fit_similarity
-from pcbench.io.exif_gps import Gps
 
 EARTH_RADIUS = 6_371_010.0  # metres
 _GLOBAL = 0.5 * EARTH_RADIUS  # positions nearer to zero than this are relative to a track point

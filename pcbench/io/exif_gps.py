@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 import struct
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+
+from pcbench.geometry.geodesy import Gps
 
 _GPS_DIRECTORY = 0x8825
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}  # bytes of a value, by TIFF type
-
-
-class Gps(NamedTuple):
-    """A position as the camera wrote it: WGS84 latitude and longitude in degrees, altitude in metres.
-
-    The altitude is 0 where the file has none; above the sea or the ellipsoid, cameras do not agree.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude: float
 
 
 def gps_from_exif(tiff: bytes) -> Gps | None:

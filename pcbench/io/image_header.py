@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from pcbench.errors import InputError
-from pcbench.io.exif_gps import Gps, gps_from_exif
+from pcbench.geometry.geodesy import Gps
+from pcbench.io.exif_gps import gps_from_exif
 
 EXTENSIONS = (".jpg", ".jpeg", ".png")
 

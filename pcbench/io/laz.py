@@ -6,19 +6,16 @@ Martin Isenburg, "LASzip: lossless compression of LiDAR data", Photogrammetric E
 from __future__ import annotations
 
 import importlib.util
-import json
-import os
 import struct
-import subprocess
 import sys
 from io import BytesIO
 from pathlib import Path
-from threading import Timer
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.io.las_header import Header
 
@@ -55,47 +52,22 @@ def decompress(file: BinaryIO, header: Header) -> NDArray[np.uint8]:
         )
     total = header.count * header.record_bytes
     points = np.empty(total, dtype=np.uint8)
-    job = {
-        "start": header.start,
-        "laszip": header.records[LASZIP].hex(),
-        "count": header.count,
-        "record_bytes": header.record_bytes,
-        "memory": _WORKER_MEMORY + 2 * total,
-        "sys_path": sys.path,
-    }
-    # -I -S: neither the working directory nor the environment decides what is imported, sys_path does.
-    process = subprocess.Popen(
-        [sys.executable, "-I", "-S", _WORKER, json.dumps(job)],
+    done = run_script(
+        _WORKER,
+        str(header.start),
+        header.records[LASZIP].hex(),
+        str(header.count),
+        str(header.record_bytes),
+        limits=Limits(seconds=_WORKER_SECONDS + total / _WORKER_SPEED, memory=_WORKER_MEMORY + 2 * total),
+        environment={"MALLOC_ARENA_MAX": "4"},  # each arena takes 64 MiB of the address space allowed
         stdin=file,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        bufsize=0,
-        env=os.environ | {"MALLOC_ARENA_MAX": "4"},  # each arena takes 64 MiB of the address space allowed
+        into=points.data,
     )
-    watch = Timer(_WORKER_SECONDS + total / _WORKER_SPEED, process.kill)
-    watch.start()
-    try:
-        got = _receive(process, points)
-        status = process.wait()
-    finally:
-        watch.cancel()
-        process.kill()
-        process.wait()
-    if status == 3:
+    if done.code == 3:
         raise MissingExtra("lazrs", "las", "it is installed but does not load")
-    if status or got < total:
-        raise _damaged(f"{got // header.record_bytes} of {header.count} points could be decompressed")
+    if done.code or done.received < total:
+        raise _damaged(f"{done.received // header.record_bytes} of {header.count} points could be decompressed")
     return points
-
-
-def _receive(process: subprocess.Popen[bytes], points: NDArray[np.uint8]) -> int:
-    """Fills the buffer from the worker's output; how many bytes came."""
-    assert process.stdout is not None
-    got = 0
-    with process.stdout as pipe:
-        while got < len(points) and (more := pipe.readinto(points[got:].data)):  # type: ignore[attr-defined]
-            got += more
-    return got
 
 
 def _damaged(reason: str) -> InputError:

@@ -7,8 +7,6 @@ import json
 import os
 import re
 import struct
-import subprocess
-import sys
 import tempfile
 import warnings
 from array import array
@@ -18,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.mesh import Mesh
@@ -281,27 +280,18 @@ def _read_with_trimesh(path: Path) -> Mesh:
     size = path.stat().st_size
     memory, seconds = (2 << 30) + 60 * size, 30 + size // 1_000_000
     # One thread: a thread pool takes address space, which is what is limited.
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
+    one_thread = {"OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory(prefix="pcbench-") as folder:
         outputs = [Path(folder) / "vertices.npy", Path(folder) / "faces.npy"]
-        command = [
-            sys.executable,
-            "-P",
-            trimesh_child.__file__,
-            str(path.resolve()),
-            *map(str, outputs),
-            str(memory),
-            str(seconds),
-        ]
-        try:
-            done = subprocess.run(command, env=environment, capture_output=True, timeout=2 * seconds)
-        except subprocess.TimeoutExpired:
-            raise InputError(f"cannot be read: trimesh is not through with it after {2 * seconds} s") from None
-        if done.returncode:
-            said = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [
-                f"it ended with {done.returncode}"
-            ]
-            reason = "".join(c if c.isprintable() else " " for c in said[0])[:200]
+        limits = Limits(seconds=2 * seconds, cpu_seconds=seconds, memory=memory)
+        done = run_script(
+            trimesh_child.__file__, str(path.resolve()), *map(str, outputs), limits=limits, environment=one_thread
+        )
+        if done.timed_out:
+            raise InputError(f"cannot be read: trimesh is not through with it after {2 * seconds} s")
+        if done.code:
+            said = done.last_words or f"it ended with {done.code}"
+            reason = "".join(c if c.isprintable() else " " for c in said)[:200]
             raise InputError(f"trimesh cannot read it: {reason}")
         vertices, faces = (np.load(output, allow_pickle=False) for output in outputs)
     return _merged(Mesh(vertices, faces, unit="m"))

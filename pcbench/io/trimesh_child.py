@@ -1,17 +1,14 @@
-"""Reads a mesh with trimesh in a process of its own: `trimesh_child.py FILE VERTICES.npy FACES.npy BYTES SECONDS`.
+"""Reads a mesh with trimesh in a process of its own: `trimesh_child.py FILE VERTICES.npy FACES.npy`.
 
 Parsers of formats as rich as glTF believe what a file says of itself. Here they may crash, hang or ask for all the
-memory there is: the system ends them, and the parent says which file it was. Nothing of pcbench is imported.
+memory there is: the limits that the process is started with end them, and the parent says which file it was. Nothing of
+pcbench is imported.
 """
 
-import resource
 import sys
 
 
-def main(source: str, vertices: str, faces: str, memory: str, seconds: str) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (int(memory), int(memory)))
-    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds)))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+def main(source: str, vertices: str, faces: str) -> None:
     import numpy as np
     import trimesh
 

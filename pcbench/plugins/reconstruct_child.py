@@ -4,11 +4,9 @@ outcome.json, and where it went well cloud.ply and cameras.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import resource
 import shutil
-import signal
 import sys
 import traceback
 from dataclasses import fields
@@ -23,11 +21,8 @@ from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
 from pcbench.plugins.run import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
 from pcbench.scenes import Scene, read_scene
 
-_PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
-
 
 def main(workspace: Path) -> None:
-    _end_with_parent()
     job = json.loads((workspace / JOB).read_text(encoding="utf-8"))
     warnings: list[str] = []
     outcome: dict[str, Any] = {"warnings": warnings}
@@ -76,12 +71,6 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
         write_colmap_model(workspace / CAMERAS, list(result.cameras.values()))
     notes = [str(note) for note in result.notes]
     return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes}
-
-
-def _end_with_parent() -> None:
-    """Where the process that waits for this one is killed, nobody would stop it: it would be in the way of the next."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _peak_rss_bytes() -> int:

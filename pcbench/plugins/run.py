@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
@@ -112,24 +109,20 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
     (workspace / OUTCOME).unlink(missing_ok=True)
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
-    command = [sys.executable, "-P", "-m", "pcbench.plugins.reconstruct_child", str(workspace.absolute())]
     start = time.perf_counter()
     with (workspace / LOG).open("wb") as log:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=_environment(),
-            start_new_session=True,  # its children can be ended with it
+        ended = run_module(
+            "pcbench.plugins.reconstruct_child",
+            str(workspace.absolute()),
+            limits=Limits(seconds=time_limit_s),
+            log=log,
         )
-        code, cpu_s = _wait(process, time_limit_s)
     wall_s = time.perf_counter() - start
     try:
         outcome = _read_outcome(workspace)
     except (OSError, ValueError):  # none, or what the plugin left in its place
-        outcome = {"status": "crashed", "message": _how_it_ended(code, workspace / LOG)}
-    if code is None:
+        outcome = {"status": "crashed", "message": _how_it_ended(ended.code, workspace / LOG)}
+    if ended.timed_out:
         outcome |= {"status": "timeout", "message": f"it took longer than the limit of {time_limit_s:g} s"}
     made = None
     if outcome["status"] == "ok":
@@ -144,7 +137,7 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
             c if c.isprintable() else "?" for c in outcome.get("message", "")
         ),  # no plugin paints terminals
         wall_s=wall_s,
-        cpu_s=cpu_s,
+        cpu_s=ended.cpu_s,
         peak_rss_bytes=outcome.get("peak_rss_bytes"),
         gpu_bytes=outcome.get("gpu_bytes"),
         log=workspace / LOG,
@@ -152,32 +145,6 @@ def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
         warnings=tuple(outcome.get("warnings", ())),
         reconstruction=made,
     )
-
-
-def _wait(process: subprocess.Popen[bytes], limit_s: float | None) -> tuple[int | None, float]:
-    """Exit code (None: it was stopped at the limit) and CPU seconds; afterwards nothing of its session is left."""
-    deadline = None if limit_s is None else time.monotonic() + limit_s
-    code: int | None = None
-    try:
-        while True:
-            pid, status, usage = os.wait4(process.pid, os.WNOHANG)
-            if pid:
-                code = os.waitstatus_to_exitcode(status)
-                break
-            if deadline is not None and time.monotonic() > deadline:
-                break
-            time.sleep(0.02)
-    finally:
-        _end_session(process.pid)
-        if code is None:
-            _, _, usage = os.wait4(process.pid, 0)
-        process.returncode = code if code is not None else -signal.SIGKILL  # it is waited for already
-    return code, usage.ru_utime + usage.ru_stime
-
-
-def _end_session(pid: int) -> None:
-    with suppress(ProcessLookupError, PermissionError):  # all gone
-        os.killpg(pid, signal.SIGKILL)
 
 
 def is_workspace(folder: Path) -> bool:
@@ -195,13 +162,13 @@ def _read_outcome(workspace: Path) -> dict[str, Any]:
     return outcome
 
 
-def _how_it_ended(code: int | None, log: Path) -> str:
+def _how_it_ended(code: int, log: Path) -> str:
     try:
         text = log.read_bytes()[-4000:].decode(errors="replace")
     except OSError as error:
         return f"the process ended with code {code} and without its log: {error.strerror}"
     last = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it printed nothing")
-    if code is not None and code < 0:
+    if code < 0:
         name = signal.Signals(-code).name
         hint = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
         return f"the process was ended by {name}{hint}; its last line: {last[:200]}"
@@ -241,16 +208,9 @@ def describe(plugin: str, time_limit_s: float = 120.0) -> Description:
     """Look at a reconstructor in a process of its own: importing one can do anything."""
     with tempfile.TemporaryDirectory(prefix="pcbench-describe-") as folder:
         file = Path(folder) / "description.json"
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "pcbench.plugins.describe_child", _absolute(plugin), str(file)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=_environment(),
-            start_new_session=True,
-        )
-        code, _ = _wait(process, time_limit_s)
-        if code is None:
+        limits = Limits(seconds=time_limit_s)
+        ended = run_module("pcbench.plugins.describe_child", _absolute(plugin), str(file), limits=limits)
+        if ended.timed_out:
             return Description(problem=f"importing it takes longer than {time_limit_s:g} s")
         try:
             outcome = json.loads(file.read_text(encoding="utf-8"))
@@ -262,9 +222,3 @@ def describe(plugin: str, time_limit_s: float = 120.0) -> Description:
 def _absolute(plugin: str) -> str:
     left, colon, name = plugin.rpartition(":")
     return f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else plugin
-
-
-def _environment() -> dict[str, str]:
-    # The process must find this very package; -P: and not what lies in the current folder.
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]))
-    return {**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}

@@ -7,14 +7,13 @@ Several are kept: which of them is right, and whether one is, the pairs alone do
 from __future__ import annotations
 
 import importlib.util
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra, RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.transform import Similarity, fit_similarity
@@ -50,11 +49,10 @@ def matched(clouds: list[Pairs]) -> list[Pairs]:
         source, target = Path(folder, "clouds.npz"), Path(folder, "pairs.npz")
         arrays = {f"{name}{k}": part for k, two in enumerate(clouds) for name, part in two._asdict().items()}
         np.savez(source, **arrays)
-        command = [sys.executable, "-P", kiss_child.__file__, str(source), str(target)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-            raise RegistrationError(f"KISS-Matcher failed: {reason}")
+        # One thread gives the same matches every time: TBB and OpenMP both count the CPUs they may use.
+        done = run_script(kiss_child.__file__, str(source), str(target), limits=Limits(one_cpu=True))
+        if done.code:
+            raise RegistrationError(f"KISS-Matcher failed: {done.last_words or f'exit code {done.code}'}")
         with np.load(target) as found:
             both = [[found[f"{name}{k}"].astype(np.float64) for name in Pairs._fields] for k in range(len(clouds))]
     return [Pairs(*two) for two in both]

@@ -1,16 +1,14 @@
 """Matches features of clouds with KISS-Matcher in a process of its own: `kiss_child.py PAIRS.npz MATCHES.npz`.
 
-The library writes remarks to standard output and takes as many threads as it finds. Here the remarks go nowhere and one
-thread gives the same matches every time. Nothing of pcbench is imported.
+The library writes remarks to standard output, where they go nowhere, and takes as many threads as there are CPUs: it is
+started on one. Nothing of pcbench is imported.
 """
 
-import os
 import sys
 from typing import Any
 
 
 def main(pairs: str, matches: str) -> None:
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # TBB and OpenMP both count the CPUs they may use
     import numpy as np
     from kiss_matcher import KISSMatcher, KISSMatcherConfig
 

@@ -16,10 +16,10 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
 from pcbench.io.earth_studio import read_earth_studio
-from pcbench.io.exif_gps import Gps
 from pcbench.io.image_header import EXTENSIONS, read_image_header
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms

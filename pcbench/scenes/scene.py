@@ -15,8 +15,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.geodesy import enu_from_wgs84
-from pcbench.io.exif_gps import Gps
+from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.io.files import digest
 from pcbench.scenes.decode import Size, decode_image, decode_mask, resize_image
 

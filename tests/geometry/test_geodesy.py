@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pcbench.geometry.geodesy import enu_from_wgs84
-from pcbench.io.exif_gps import Gps
+from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 
 POSITIONS = [Gps(46.8426, -91.9946, 198.3), Gps(46.8526, -91.9846, 298.3), Gps(-33.9, 151.2, -20.0), Gps(89.99, 0, 0)]
 

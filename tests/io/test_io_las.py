@@ -4,6 +4,7 @@ import os
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import las_bytes
 import numpy as np
@@ -342,15 +343,25 @@ def test_an_aborting_decompressor_is_one_line(tmp_path, monkeypatch):
         assert message == "damaged LAZ data: 0 of 10 points could be decompressed: copy or export the file again"
 
 
-def test_memory_of_the_decompressor_is_limited():
-    script = (
-        "import resource, runpy, sys\n"
-        "try: runpy.run_path(sys.argv.pop(1), run_name='__main__')\n"
-        "except SystemExit as end: print(end.code, resource.getrlimit(resource.RLIMIT_AS)[0])\n"
+def test_memory_of_the_decompressor_is_limited(tmp_path, monkeypatch):
+    needs_lazrs()
+    worker, seen = tmp_path / "worker.py", tmp_path / "seen"
+    worker.write_text(
+        f"import resource\nopen({str(seen)!r}, 'w').write(str(resource.getrlimit(resource.RLIMIT_AS)[0]))"
     )
-    job = f'{{"memory": {1 << 30}, "sys_path": []}}'  # without a path there is no lazrs: status 3
-    done = subprocess.run([sys.executable, "-c", script, laz._WORKER, job], capture_output=True, text=True, timeout=60)
-    assert done.stdout == f"3 {1 << 30}\n", done.stderr
+    monkeypatch.setattr(laz, "_WORKER", str(worker))
+    refusal(tmp_path, las(0, 10, compress="chunks"))
+    assert int(seen.read_text()) == (1 << 30) + 2 * 10 * 20  # points of 20 bytes
+
+
+def test_a_lazrs_that_does_not_load(tmp_path, monkeypatch):
+    needs_lazrs()
+    worker = tmp_path / "worker.py"
+    worker.write_text("import sys\nsys.path[:] = []\n" + Path(laz._WORKER).read_text())
+    monkeypatch.setattr(laz, "_WORKER", str(worker))
+    (tmp_path / "a.laz").write_bytes(las(0, 10, compress="chunks"))
+    with pytest.raises(MissingExtra, match="it is installed but does not load"):
+        read_cloud(tmp_path / "a.laz")
 
 
 def test_laz_from_any_program(tmp_path):

@@ -21,6 +21,7 @@ from mesh_shapes import cube, icosphere
 from ply_bytes import FORMATS, XYZ, damaged, ply
 from repository import TESTS
 
+from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.io.meshes import holds_mesh, read_mesh
 
@@ -305,21 +306,9 @@ def test_a_reader_that_crashes_hangs_or_grows_ends_in_one_line(tmp_path, monkeyp
     from pcbench.io import trimesh_child  # the real one, with little memory
 
     monkeypatch.undo()
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-P",
-            trimesh_child.__file__,
-            path,
-            tmp_path / "v.npy",
-            tmp_path / "f.npy",
-            str(60 << 20),
-            "9",
-        ],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode != 0
+    outputs = str(tmp_path / "v.npy"), str(tmp_path / "f.npy")
+    done = run_script(trimesh_child.__file__, str(path), *outputs, limits=Limits(memory=60 << 20, cpu_seconds=9))
+    assert done.code != 0
 
 
 MEMORY = 2 << 30  # bytes of address space

@@ -208,7 +208,7 @@ def test_no_reconstructors(tmp_path):
 
 def test_entry_points(monkeypatch):
     points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
-    monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+    monkeypatch.setattr("pcbench.plugins.plugin.entry_points", lambda group: points)
     assert plugins.installed() == ("one", "two")
     with pytest.raises(InputError, match=r"two reconstructors are named 'two', of a and b\.c"):
         find_plugin("two")

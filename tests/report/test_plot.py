@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import shapes
 
 from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError, MissingExtra
+from pcbench.opengl import NoFiguresError
 from pcbench.report import plot
 from pcbench.report.colors import ramp
-from pcbench.report.plot import NoFiguresError, draw
+from pcbench.report.plot import draw
 from pcbench.report.plot.maps import limits
 
 
@@ -99,7 +101,7 @@ def test_ramp_runs_from_blue_to_red():
 
 
 def test_without_opengl_it_says_so(monkeypatch, report):
-    monkeypatch.setattr(plot, "_OPENGL", ("libNoSuchThing.so",))
+    monkeypatch.setattr("pcbench.opengl._LIBRARIES", ("libNoSuchThing.so",))
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(NoFiguresError, match="neither a display nor EGL nor OSMesa"):
         draw(report)
@@ -112,7 +114,7 @@ def test_without_pyvista_it_names_the_extra(monkeypatch, report):
 
 
 def test_a_crash_while_drawing_is_one_line(monkeypatch, report):
-    monkeypatch.setattr(plot.sys, "executable", shutil.which("false"))
+    monkeypatch.setattr(sys, "executable", shutil.which("false"))
     with pytest.raises(NoFiguresError, match="drawing failed"):
         draw(report)
 

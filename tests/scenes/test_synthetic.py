@@ -461,7 +461,7 @@ def test_mistakes_are_one_line(run, renderer, tmp_path, monkeypatch, options, me
 
 def test_without_opengl_nothing_is_begun(run, tmp_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setattr("pcbench.report.plot._OPENGL", ("libNoSuchGL.so",))
+    monkeypatch.setattr("pcbench.opengl._LIBRARIES", ("libNoSuchGL.so",))
     code, _, err = run("synth", "city", "--out", tmp_path / "city", *TINY.split())
     assert code == 2
     assert "libegl1" in err

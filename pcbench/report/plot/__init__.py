@@ -6,21 +6,14 @@ loaded, and the numbers must be delivered all the same.
 
 from __future__ import annotations
 
-import ctypes
-import os
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.opengl import OFF_SCREEN, NoFiguresError, check_opengl
 
 _TIME_LIMIT_S = 600
-_OPENGL = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
-
-
-class NoFiguresError(PcbenchError):
-    """Pictures cannot be drawn on this machine; the numbers are not concerned."""
 
 
 def draw(report: Path, names: tuple[str, ...] = ()) -> list[Path]:
@@ -39,19 +32,20 @@ def draw(report: Path, names: tuple[str, ...] = ()) -> list[Path]:
         _check_library("matplotlib")
     else:
         check_libraries()
-    command = [sys.executable, "-m", "pcbench.report.plot.worker", str(report.absolute()), *names]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=_TIME_LIMIT_S, env=drawing_environment(), check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise NoFiguresError(f"no pictures: drawing took longer than {_TIME_LIMIT_S} s") from None
-    lines = done.stdout.splitlines()
-    if done.returncode == 2 and lines:
+    done = run_module(
+        "pcbench.report.plot.worker",
+        str(report.absolute()),
+        *names,
+        limits=Limits(seconds=_TIME_LIMIT_S),
+        environment=OFF_SCREEN,
+    )
+    if done.timed_out:
+        raise NoFiguresError(f"no pictures: drawing took longer than {_TIME_LIMIT_S} s")
+    lines = done.output.splitlines()
+    if done.code == 2 and lines:
         raise InputError(lines[-1])
-    if done.returncode != 0:
-        reason = next((line for line in reversed(done.stderr.splitlines()) if line.strip()), "it crashed")
-        raise NoFiguresError(f"no pictures: drawing failed ({reason.strip()})")
+    if done.code != 0:
+        raise NoFiguresError(f"no pictures: drawing failed ({done.last_words or 'it crashed'})")
     return [report / line for line in lines]
 
 
@@ -82,28 +76,3 @@ def check_libraries() -> None:
 def _check_library(name: str) -> None:
     if find_spec(name) is None:
         raise MissingExtra(name, "plot", "pictures")
-
-
-def check_opengl() -> None:
-    """Say that VTK cannot draw here.
-
-    Raises:
-        NoFiguresError: neither a display nor EGL nor OSMesa is there.
-    """
-    if not sys.platform.startswith("linux") or os.environ.get("DISPLAY"):
-        return
-    for name in _OPENGL:
-        try:
-            ctypes.CDLL(name)
-            return
-        except OSError:
-            continue
-    raise NoFiguresError(
-        "no pictures: neither a display nor EGL nor OSMesa is there; install Debian's libegl1 (or libosmesa6)"
-    )
-
-
-def drawing_environment() -> dict[str, str]:
-    """Environment variables of a drawing process: it must find this very package, wherever it is run from."""
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH")]))
-    return {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "agg", "PYVISTA_OFF_SCREEN": "true"}

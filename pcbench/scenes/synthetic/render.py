@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -12,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.geometry.cameras import Camera, Intrinsics
-from pcbench.report.plot import check_opengl, drawing_environment
+from pcbench.opengl import OFF_SCREEN, check_opengl
 from pcbench.scenes.synthetic.render_worker import FINER
 from pcbench.scenes.synthetic.surface import CitySurface
 
@@ -95,19 +94,15 @@ def render(
             for camera in cameras
         ]
         (job / "job.json").write_text(json.dumps({"cameras": rows, "optics": asdict(optics or Optics()), "seed": seed}))
-        command = [sys.executable, "-m", "pcbench.scenes.synthetic.render_worker", str(job), str(folder.absolute())]
-        try:
-            done = subprocess.run(
-                command,
-                capture_output=True,
-                text=True,
-                timeout=_TIME_LIMIT_S * (1 + len(cameras)),
-                env=drawing_environment(),
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise PcbenchError(f"no images: drawing took longer than {_TIME_LIMIT_S} s an image") from None
+        done = run_module(
+            "pcbench.scenes.synthetic.render_worker",
+            str(job),
+            str(folder.absolute()),
+            limits=Limits(seconds=_TIME_LIMIT_S * (1 + len(cameras))),
+            environment=OFF_SCREEN,
+        )
+    if done.timed_out:
+        raise PcbenchError(f"no images: drawing took longer than {_TIME_LIMIT_S} s an image")
     missing = [camera.name for camera in cameras if not (folder / camera.name).is_file()]
-    if done.returncode != 0 or missing:
-        reason = next((line for line in reversed(done.stderr.splitlines()) if line.strip()), "it crashed")
-        raise PcbenchError(f"no images: drawing failed ({reason.strip()})")
+    if done.code != 0 or missing:
+        raise PcbenchError(f"no images: drawing failed ({done.last_words or 'it crashed'})")

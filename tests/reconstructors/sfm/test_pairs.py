@@ -7,7 +7,7 @@ import pytest
 
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
-from pcbench.io.exif_gps import Gps
+from pcbench.geometry.geodesy import Gps
 from pcbench.scenes import Scene
 from reconstructors.sfm.pairs import choose_pairs
 

@@ -11,9 +11,8 @@ from data_folder import data_folder
 from PIL import Image
 
 from pcbench.errors import InputError, ReconstructionError
-from pcbench.geometry.geodesy import enu_from_wgs84
+from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.io.exif_gps import Gps
 from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors

@@ -1,0 +1,184 @@
+"""Child processes: what they find, what they may take, and that nothing of them is left.
+
+Libraries that crash, hang or print, and reconstructors that anybody wrote, run in Python processes of their own. A
+child never reads the terminal, ends with its parent, and when it ends everything that it started is ended too.
+"""
+
+from __future__ import annotations
+
+import locale
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Timer
+from typing import BinaryIO
+
+import pcbench
+
+_START = str(Path(__file__).with_name("start.py"))
+_PACKAGES = str(Path(pcbench.__file__).parent.parent)  # what this very package is imported from
+_MAX_TAIL = 1 << 20  # bytes of a child's output that are kept
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a child may take; None: as much as its parent.
+
+    Args:
+        seconds: from its start until it and all that it started are killed.
+        cpu_seconds: of all its threads, until the system kills it.
+        memory: bytes of address space. A child with this limit leaves no core file either.
+        one_cpu: whether it runs on one CPU: libraries that count CPUs then start one thread.
+    """
+
+    seconds: float | None = None
+    cpu_seconds: int | None = None
+    memory: int | None = None
+    one_cpu: bool = False
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a child ended.
+
+    Args:
+        code: its exit code; minus the signal's number where a signal ended it.
+        timed_out: whether it was killed for taking too long.
+        cpu_s: seconds of CPU time that it and the children it waited for took.
+        output, errors: the last part of its standard output and error; empty where they went elsewhere.
+        received: bytes of its standard output that were written into the buffer given for them.
+    """
+
+    code: int
+    timed_out: bool
+    cpu_s: float
+    output: str
+    errors: str
+    received: int
+
+    @property
+    def last_words(self) -> str:
+        """The last line of its standard error that is not blank; empty where there is none."""
+        return next((line.strip() for line in reversed(self.errors.splitlines()) if line.strip()), "")
+
+
+def run_module(
+    name: str,
+    *arguments: str,
+    limits: Limits | None = None,
+    environment: Mapping[str, str] | None = None,
+    log: BinaryIO | None = None,
+) -> Ended:
+    """Run a module of pcbench as a program, and wait for it. It finds this very package, wherever it is run from.
+
+    Args:
+        environment: variables beside those of this process.
+        log: an open file that gets standard output and error.
+    """
+    # What lies in the current folder is not imported, what the user's own PYTHONPATH names is.
+    path = [_PACKAGES, os.environ.get("PYTHONPATH", "")]
+    return _run([name, *arguments], path, limits, environment, log=log)
+
+
+def run_script(
+    file: str | Path,
+    *arguments: str,
+    limits: Limits | None = None,
+    environment: Mapping[str, str] | None = None,
+    stdin: BinaryIO | None = None,
+    into: memoryview | None = None,
+) -> Ended:
+    """Run a Python file that imports nothing of pcbench, and wait for it. It imports what this program would import.
+
+    Args:
+        file: a .py file.
+        environment: variables beside those of this process.
+        stdin: an open file that it reads as standard input.
+        into: bytes that its standard output is written into, until they are full.
+    """
+    return _run([str(file), *arguments], sys.path, limits, environment, stdin=stdin, into=into)
+
+
+def _run(
+    program: list[str],
+    path: list[str],
+    limits: Limits | None,
+    environment: Mapping[str, str] | None,
+    *,
+    log: BinaryIO | None = None,
+    stdin: BinaryIO | None = None,
+    into: memoryview | None = None,
+) -> Ended:
+    limits = limits or Limits()
+    own = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "PYTHONUNBUFFERED": "1"}
+    obeyed = [str(limits.cpu_seconds or 0), str(limits.memory or 0), str(int(limits.one_cpu))]
+    with ExitStack() as stack:
+        output, errors = (stack.enter_context(tempfile.TemporaryFile()) for _ in range(2))
+        process = subprocess.Popen(
+            [sys.executable, "-P", _START, *obeyed, *program],
+            stdin=subprocess.DEVNULL if stdin is None else stdin,
+            stdout=subprocess.PIPE if into is not None else log or output,
+            stderr=subprocess.STDOUT if log is not None else errors,
+            bufsize=0,
+            env={**os.environ, **own, **(environment or {})},
+            start_new_session=True,  # all that it starts can be ended with it
+        )
+        code, timed_out, cpu_s, received = _wait(process, limits.seconds, into)
+        return Ended(code, timed_out, cpu_s, _tail(output), _tail(errors), received)
+
+
+def _wait(
+    process: subprocess.Popen[bytes], seconds: float | None, into: memoryview | None
+) -> tuple[int, bool, float, int]:
+    """Exit code, whether it was killed at the limit, CPU seconds, and the bytes received. Nothing of it is left."""
+    expired: list[bool] = []
+
+    def expire() -> None:
+        expired.append(True)
+        _end_session(process.pid)
+
+    watch = Timer(seconds, expire) if seconds is not None else None
+    received = 0
+    try:
+        if watch is not None:
+            watch.daemon = True
+            watch.start()
+        if into is not None:
+            received = _receive(process, into)
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    finally:
+        if watch is not None:
+            watch.cancel()
+            watch.join()
+        # Before it is waited for: until then its number, which is that of its session, is given to no other process.
+        _end_session(process.pid)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, bool(expired), usage.ru_utime + usage.ru_stime, received
+
+
+def _receive(process: subprocess.Popen[bytes], into: memoryview) -> int:
+    """Fills the buffer from the child's standard output; how many bytes came."""
+    assert process.stdout is not None
+    got = 0
+    with process.stdout as pipe:
+        while got < len(into) and (more := pipe.readinto(into[got:])):  # type: ignore[attr-defined]
+            got += more
+    return got
+
+
+def _end_session(pid: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):  # all gone
+        os.killpg(pid, signal.SIGKILL)
+
+
+def _tail(file: BinaryIO) -> str:
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - _MAX_TAIL))
+    return file.read().decode(locale.getpreferredencoding(False), errors="replace")
