@@ -93,8 +93,8 @@ struct Lanes {
 struct Mask {
     int64_t v[kLanes];  // 0 or -1
 };
-#define PCB_EACH(type, expression)                      \
-    type out;                                           \
+#define PCB_EACH(type, expression)                            \
+    type out;                                                 \
     for (int i = 0; i < kLanes; ++i) out.v[i] = (expression); \
     return out
 inline Lanes load(const double* p) { PCB_EACH(Lanes, p[i]); }

@@ -56,10 +56,10 @@ struct Item {  // a triangle while the tree is built
 };
 
 class Builder {
-  public:
-    static constexpr uint32_t kLeaf = 2;         // triangles at most
-    static constexpr int kBins = 12;             // candidates for a cut
-    static constexpr int kHalving = 40;          // levels after which ranges are halved, which bounds the depth
+public:
+    static constexpr uint32_t kLeaf = 2;          // triangles at most
+    static constexpr int kBins = 12;              // candidates for a cut
+    static constexpr int kHalving = 40;           // levels after which ranges are halved, which bounds the depth
     static constexpr int kDepth = kHalving + 32;  // levels at most
 
     explicit Builder(std::vector<Item>& items) : items_(items) {}
@@ -85,7 +85,7 @@ class Builder {
         return nodes;
     }
 
-  private:
+private:
     struct Range {
         uint32_t begin = 0, end = 0;
         Box box;
@@ -237,7 +237,7 @@ inline std::vector<uint32_t> morton_order(const double* points, size_t count) {
 // ---- query ----------------------------------------------------------------------------------------------------------
 
 class MeshIndex {
-  public:
+public:
     // vertices (V, 3), finite; faces (F, 3), indices in range, 1 <= F < 2^31.
     MeshIndex(const double* vertices, size_t vertex_count, const int64_t* faces, size_t face_count) {
         frame_ = frame_of(vertices, vertex_count);
@@ -311,7 +311,7 @@ class MeshIndex {
                  [&](size_t row, const Ray& ray) { blocked[row] = first_hit(ray, limit, true).face >= 0; });
     }
 
-  private:
+private:
     template <typename Visit>
     static void each_ray(const double* origins, const double* directions, size_t count, Visit visit) {
         constexpr size_t kChunk = 1024;

@@ -126,8 +126,13 @@ inline PlaneSystem plane_system(size_t count, const double* moved, Rows normals,
         if (w == 0) return;
         const double *p = moved + 3 * i, *n = normals[i];
         const double a[3] = {p[0] - out.center[0], p[1] - out.center[1], p[2] - out.center[2]};
-        const double row[7] = {a[1] * n[2] - a[2] * n[1], a[2] * n[0] - a[0] * n[2], a[0] * n[1] - a[1] * n[0],
-                               n[0], n[1], n[2], (a[0] * n[0] + a[1] * n[1]) + a[2] * n[2]};
+        const double row[7] = {a[1] * n[2] - a[2] * n[1],
+                               a[2] * n[0] - a[0] * n[2],
+                               a[0] * n[1] - a[1] * n[0],
+                               n[0],
+                               n[1],
+                               n[2],
+                               (a[0] * n[0] + a[1] * n[1]) + a[2] * n[2]};
         size_t at = 0;
         for (int r = 0; r < 7; ++r)
             for (int c = r; c < 7; ++c) sum[at++] += w * row[r] * row[c];

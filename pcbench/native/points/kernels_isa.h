@@ -13,7 +13,7 @@ namespace pcbench::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, knearest, in_balls, in_cylinders,
-                                planes, PlaneScratch::bytes};
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, knearest, in_balls, in_cylinders, planes,
+                                PlaneScratch::bytes};
 
 }  // namespace pcbench::PCB_ISA

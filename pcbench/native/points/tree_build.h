@@ -9,9 +9,9 @@
 
 namespace pcbench::PCB_ISA {
 
-constexpr size_t kBlock = 64;     // up to here ranks are counted instead of partitioning
-constexpr size_t kCounted = 16;   // ranks counted side by side
-constexpr size_t kTask = 16384;   // smaller parts are not worth a task
+constexpr size_t kBlock = 64;    // up to here ranks are counted instead of partitioning
+constexpr size_t kCounted = 16;  // ranks counted side by side
+constexpr size_t kTask = 16384;  // smaller parts are not worth a task
 
 inline int widest_axis(const Item* items, size_t count) {
     // A sample is enough: the axis decides how good the boxes are, never what is found.
@@ -149,8 +149,7 @@ inline void arrange_part(Item* items, size_t count, Node* nodes, Interrupt& inte
 
 // Sorts points into leaves that are near each other in space, with their nodes unless null is given for them. False
 // when a coordinate is not finite or above `limit`.
-inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes,
-                    Interrupt& interrupt) {
+inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt& interrupt) {
     Item* items = reinterpret_cast<Item*>(leaves);
     bool valid = true;
 #pragma omp parallel if (count > 2 * kTask)
