@@ -260,10 +260,7 @@ public:
 #pragma omp parallel for schedule(static)
         for (size_t i = 0; i < face_count; ++i) {
             const int64_t* corners = faces + 3 * static_cast<size_t>(items[i].face);
-            const auto vertex = [&](int k) {
-                const double* v = vertices + 3 * corners[k];
-                return Vec3{v[0], v[1], v[2]};
-            };
+            const auto vertex = [&](int k) { return vec3(vertices + 3 * corners[k]); };
             triangles_[i] = {vertex(0), vertex(1), vertex(2)};
             faces_[i] = items[i].face;
         }
@@ -283,11 +280,12 @@ public:
             uint32_t triangle = 0;  // the answer to the query before: a good first bound
             for (size_t i = begin; i < end; ++i) {
                 const size_t row = order[i];
-                const Vec3 p{points[3 * row], points[3 * row + 1], points[3 * row + 2]};
+                const Vec3 p = vec3(points + 3 * row);
                 triangle = search(p, triangle);
                 const Nearest nearest = nearest_on_triangle(p, triangles_[triangle]);
                 distances[row] = std::sqrt(nearest.squared);
-                feet[3 * row] = nearest.foot.x, feet[3 * row + 1] = nearest.foot.y, feet[3 * row + 2] = nearest.foot.z;
+                feet[3 * row] = nearest.closest.x, feet[3 * row + 1] = nearest.closest.y,
+                         feet[3 * row + 2] = nearest.closest.z;
                 faces[row] = faces_[triangle];
                 features[row] = nearest.feature;
             }
@@ -319,8 +317,7 @@ private:
 #pragma omp parallel for schedule(dynamic, 1)
         for (int64_t chunk = 0; chunk < chunks; ++chunk)
             for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
-                const double *o = origins + 3 * i, *d = directions + 3 * i;
-                visit(i, Ray({o[0], o[1], o[2]}, {d[0], d[1], d[2]}));
+                visit(i, Ray(vec3(origins + 3 * i), vec3(directions + 3 * i)));
             }
     }
 

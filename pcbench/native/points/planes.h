@@ -95,8 +95,8 @@ public:
             }
         }
         const Lanes share = splat(1.0 / static_cast<double>(k_));
-        Symmetric covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
-                             yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
+        Symmetric<Lanes> covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
+                                    yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
         const SmallestEigen smallest = smallest_eigen(covariance);
         // Signs agree: z up, then y, then x where the others are zero.
         const Mask down = (smallest.z < zero) |
