@@ -55,6 +55,7 @@ compilers: $(VENV)/.all
 lint: $(VENV)/.all
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp')
 
 types: $(VENV)/.all
 	$(BIN)/mypy

@@ -10,9 +10,9 @@
 #include <omp.h>
 
 #include "common/arrays.h"
-#include "points/index.h"
-#include "pairs/loops_module.h"
 #include "mesh/mesh_module.h"
+#include "pairs/loops_module.h"
+#include "points/index.h"
 
 namespace {
 
@@ -43,18 +43,16 @@ constexpr size_t kQueryPart = size_t{1} << 20;
 // Hands the memory to numpy.
 auto to_numpy(pcbench::Block<int64_t> block, size_t count) {
     int64_t* data = block.release();
-    return nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(data, {count}, nb::capsule(data, [](void* p) noexcept {
-                                                            pcbench::Free()(p);
-                                                        }));
+    return nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(
+        data, {count}, nb::capsule(data, [](void* p) noexcept { pcbench::Free()(p); }));
 }
 
 class PointIndex {
 public:
     explicit PointIndex(Points points) : points_(points) {
         check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoRow, "Index: 1 to 2^32 - 2 points");
-        interruptible([&](pcbench::Interrupt& interrupt) {
-            index_.emplace(points_.data(), points_.shape(0), interrupt);
-        });
+        interruptible(
+            [&](pcbench::Interrupt& interrupt) { index_.emplace(points_.data(), points_.shape(0), interrupt); });
         check(index_->valid(), kBadCoordinate);
     }
 
@@ -263,10 +261,13 @@ NB_MODULE(_core, m) {
              " that look up, and its nearest other point.")
         .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
              "Offsets (N + 1,) and the rows found, ascending for each ball.",
-             nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
+             nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> "
+                     "tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
         .def("in_cylinders", &PointIndex::in_cylinders, nb::arg("origins").noconvert(), nb::arg("axes").noconvert(),
-             nb::arg("radius"), nb::arg("half_length"), "Offsets (N + 1,) and the rows found, ascending for each cylinder.",
-             nb::sig("def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
+             nb::arg("radius"), nb::arg("half_length"),
+             "Offsets (N + 1,) and the rows found, ascending for each cylinder.",
+             nb::sig("def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: "
+                     "float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
 
     bind_loops(m);
     bind_mesh(m);

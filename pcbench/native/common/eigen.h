@@ -1,54 +1,40 @@
-// Eight symmetric 3x3 eigenproblems at once, by cyclic Jacobi rotations: slower than the closed form, but accurate to
-// the last digits for the nearly singular covariances that planes have (the closed form loses half of them).
+// The smallest eigenvalues and eigenvectors of eight symmetric 3x3 matrices at once.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
+#include "common/jacobi.h"
 #include "common/lanes.h"
 
 namespace pcbench::PCB_ISA {
-
-struct Symmetric {
-    Lanes xx, xy, xz, yy, yz, zz;
-};
 
 struct SmallestEigen {
     Lanes x, y, z;  // unit vector
     Lanes share;    // of the smallest eigenvalue in their sum; 0 for a zero matrix
 };
 
-// Turns axes p and q so that a_pq vanishes. A lane with `done` stays as it is, to the last bit.
+// A matrix that is `done` stays as it is, to the last bit.
 inline void rotate(Lanes& pp, Lanes& qq, Lanes& pq, Lanes& rp, Lanes& rq, Lanes (&vp)[3], Lanes (&vq)[3], Mask done) {
     const Lanes zero = splat(0.0), one = splat(1.0), two = splat(2.0);
     const Lanes difference = qq - pp, twice = two * pq;
     const Lanes root = sqrt(difference * difference + twice * twice);
     const Lanes signed_twice = select(difference < zero, zero - twice, twice);
     const Lanes tangent = select(done | (pq == zero), zero, signed_twice / (abs(difference) + root));
-    const Lanes c = one / sqrt(tangent * tangent + one), s = tangent * c;
-    pp = pp - tangent * pq;
-    qq = qq + tangent * pq;
+    turn(tangent, one, pp, qq, pq, rp, rq, vp, vq);
     pq = select(done, pq, zero);
-    const Lanes p = rp, q = rq;
-    rp = c * p - s * q;
-    rq = s * p + c * q;
-    for (int a = 0; a < 3; ++a) {
-        const Lanes from_p = vp[a], from_q = vq[a];
-        vp[a] = c * from_p - s * from_q;
-        vq[a] = s * from_p + c * from_q;
-    }
 }
 
-inline SmallestEigen smallest_eigen(Symmetric m) {
+inline SmallestEigen smallest_eigen(Symmetric<Lanes> m) {
     const Lanes zero = splat(0.0), one = splat(1.0);
     // Scaled to a trace of one, nothing overflows or underflows that matters.
     const Lanes trace = (m.xx + m.yy) + m.zz;
     const Lanes scale = select(zero < trace, one / trace, zero);
     m = {m.xx * scale, m.xy * scale, m.xz * scale, m.yy * scale, m.yz * scale, m.zz * scale};
     Lanes v[3][3] = {{one, zero, zero}, {zero, one, zero}, {zero, zero, one}};  // one axis a row
-    for (int sweep = 0; sweep < 16; ++sweep) {
+    for (int round = 0; round < 16; ++round) {
         const Mask done = (abs(m.xy) + abs(m.xz)) + abs(m.yz) <= splat(1e-17);
         if (bits(done) == 0xff) break;
-        rotate(m.xx, m.yy, m.xy, m.xz, m.yz, v[0], v[1], done);
-        rotate(m.xx, m.zz, m.xz, m.xy, m.yz, v[0], v[2], done);
-        rotate(m.yy, m.zz, m.yz, m.xy, m.xz, v[1], v[2], done);
+        sweep(m, v, [done](Lanes& pp, Lanes& qq, Lanes& pq, Lanes& rp, Lanes& rq, Lanes(&vp)[3], Lanes(&vq)[3]) {
+            rotate(pp, qq, pq, rp, rq, vp, vq, done);
+        });
     }
     SmallestEigen out{v[0][0], v[0][1], v[0][2], m.xx};
     for (int axis = 1; axis < 3; ++axis) {

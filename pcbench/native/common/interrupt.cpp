@@ -6,6 +6,8 @@ namespace pcbench {
 
 Interrupt::Interrupt(bool (*asks)()) : asks_(asks), last_(std::chrono::steady_clock::now()) {}
 
+bool Interrupt::stopped() const { return stop_.load(std::memory_order_relaxed); }
+
 bool Interrupt::requested() {
     if (omp_get_thread_num() == 0 && !stopped()) {
         const auto now = std::chrono::steady_clock::now();

@@ -10,9 +10,9 @@ public:
     // `asks` returns true when the work shall stop; it is only ever called on the thread that made this object.
     explicit Interrupt(bool (*asks)());
 
-    // Cheap enough for every few microseconds of work. Not inline: it must exist once, for all instruction sets.
-    bool requested();
-    bool stopped() const { return stop_.load(std::memory_order_relaxed); }
+    // Neither is inline: they must exist once, for all instruction sets.
+    bool requested();  // cheap enough for every few microseconds of work
+    bool stopped() const;
 
 private:
     bool (*asks_)();

@@ -3,6 +3,7 @@
 // Included once for each instruction set, inside its own namespace PCB_ISA: see kernels_isa.h.
 #pragma once
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 
 #if defined(__AVX2__)
@@ -93,8 +94,8 @@ struct Lanes {
 struct Mask {
     int64_t v[kLanes];  // 0 or -1
 };
-#define PCB_EACH(type, expression)                      \
-    type out;                                           \
+#define PCB_EACH(type, expression)                            \
+    type out;                                                 \
     for (int i = 0; i < kLanes; ++i) out.v[i] = (expression); \
     return out
 inline Lanes load(const double* p) { PCB_EACH(Lanes, p[i]); }
@@ -125,6 +126,9 @@ inline unsigned bits(Mask m) {
 #undef PCB_EACH
 
 #endif
+
+// Not std::min, of which the linker would keep one copy for all instruction sets.
+inline size_t smaller(size_t a, size_t b) { return b < a ? b : a; }
 
 // Exchanges two runs of four doubles, 32-byte aligned, which may be the same.
 inline void exchange(double* a, double* b) {

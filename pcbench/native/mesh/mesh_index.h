@@ -56,10 +56,10 @@ struct Item {  // a triangle while the tree is built
 };
 
 class Builder {
-  public:
-    static constexpr uint32_t kLeaf = 2;         // triangles at most
-    static constexpr int kBins = 12;             // candidates for a cut
-    static constexpr int kHalving = 40;          // levels after which ranges are halved, which bounds the depth
+public:
+    static constexpr uint32_t kLeaf = 2;          // triangles at most
+    static constexpr int kBins = 12;              // candidates for a cut
+    static constexpr int kHalving = 40;           // levels after which ranges are halved, which bounds the depth
     static constexpr int kDepth = kHalving + 32;  // levels at most
 
     explicit Builder(std::vector<Item>& items) : items_(items) {}
@@ -85,7 +85,7 @@ class Builder {
         return nodes;
     }
 
-  private:
+private:
     struct Range {
         uint32_t begin = 0, end = 0;
         Box box;
@@ -237,7 +237,7 @@ inline std::vector<uint32_t> morton_order(const double* points, size_t count) {
 // ---- query ----------------------------------------------------------------------------------------------------------
 
 class MeshIndex {
-  public:
+public:
     // vertices (V, 3), finite; faces (F, 3), indices in range, 1 <= F < 2^31.
     MeshIndex(const double* vertices, size_t vertex_count, const int64_t* faces, size_t face_count) {
         frame_ = frame_of(vertices, vertex_count);
@@ -260,10 +260,7 @@ class MeshIndex {
 #pragma omp parallel for schedule(static)
         for (size_t i = 0; i < face_count; ++i) {
             const int64_t* corners = faces + 3 * static_cast<size_t>(items[i].face);
-            const auto vertex = [&](int k) {
-                const double* v = vertices + 3 * corners[k];
-                return Vec3{v[0], v[1], v[2]};
-            };
+            const auto vertex = [&](int k) { return vec3(vertices + 3 * corners[k]); };
             triangles_[i] = {vertex(0), vertex(1), vertex(2)};
             faces_[i] = items[i].face;
         }
@@ -283,11 +280,12 @@ class MeshIndex {
             uint32_t triangle = 0;  // the answer to the query before: a good first bound
             for (size_t i = begin; i < end; ++i) {
                 const size_t row = order[i];
-                const Vec3 p{points[3 * row], points[3 * row + 1], points[3 * row + 2]};
+                const Vec3 p = vec3(points + 3 * row);
                 triangle = search(p, triangle);
                 const Nearest nearest = nearest_on_triangle(p, triangles_[triangle]);
                 distances[row] = std::sqrt(nearest.squared);
-                feet[3 * row] = nearest.foot.x, feet[3 * row + 1] = nearest.foot.y, feet[3 * row + 2] = nearest.foot.z;
+                feet[3 * row] = nearest.closest.x, feet[3 * row + 1] = nearest.closest.y,
+                         feet[3 * row + 2] = nearest.closest.z;
                 faces[row] = faces_[triangle];
                 features[row] = nearest.feature;
             }
@@ -311,7 +309,7 @@ class MeshIndex {
                  [&](size_t row, const Ray& ray) { blocked[row] = first_hit(ray, limit, true).face >= 0; });
     }
 
-  private:
+private:
     template <typename Visit>
     static void each_ray(const double* origins, const double* directions, size_t count, Visit visit) {
         constexpr size_t kChunk = 1024;
@@ -319,8 +317,7 @@ class MeshIndex {
 #pragma omp parallel for schedule(dynamic, 1)
         for (int64_t chunk = 0; chunk < chunks; ++chunk)
             for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
-                const double *o = origins + 3 * i, *d = directions + 3 * i;
-                visit(i, Ray({o[0], o[1], o[2]}, {d[0], d[1], d[2]}));
+                visit(i, Ray(vec3(origins + 3 * i), vec3(directions + 3 * i)));
             }
     }
 

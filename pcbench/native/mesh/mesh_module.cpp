@@ -18,8 +18,9 @@ void init(MeshIndex* self, Points vertices, In<int64_t, nb::shape<-1, 3>> faces)
     new (self) MeshIndex(vertices.data(), vertices.shape(0), faces.data(), count);
 }
 
-void query(const MeshIndex& self, Points points, Out<double, nb::shape<-1>> distances, Out<double, nb::shape<-1, 3>> feet,
-           Out<int64_t, nb::shape<-1>> faces, Out<uint8_t, nb::shape<-1>> features) {
+void query(const MeshIndex& self, Points points, Out<double, nb::shape<-1>> distances,
+           Out<double, nb::shape<-1, 3>> feet, Out<int64_t, nb::shape<-1>> faces,
+           Out<uint8_t, nb::shape<-1>> features) {
     const size_t count = points.shape(0);
     if (distances.shape(0) != count || feet.shape(0) != count || faces.shape(0) != count || features.shape(0) != count)
         throw nb::value_error("MeshIndex: every output needs one row for each point");
@@ -33,16 +34,15 @@ void check_rays(size_t origins, size_t directions, size_t outputs) {
         throw nb::value_error("MeshIndex: every ray needs an origin, a direction and a row of each output");
 }
 
-void cast(const MeshIndex& self, Points origins, Points directions, double limit,
-          Out<double, nb::shape<-1>> distances, Out<int64_t, nb::shape<-1>> faces) {
+void cast(const MeshIndex& self, Points origins, Points directions, double limit, Out<double, nb::shape<-1>> distances,
+          Out<int64_t, nb::shape<-1>> faces) {
     check_rays(origins.shape(0), directions.shape(0), distances.shape(0));
     check_rays(origins.shape(0), directions.shape(0), faces.shape(0));
     nb::gil_scoped_release release;
     self.cast(origins.data(), directions.data(), origins.shape(0), limit, distances.data(), faces.data());
 }
 
-void blocked(const MeshIndex& self, Points origins, Points directions, double limit,
-             Out<bool, nb::shape<-1>> blocked) {
+void blocked(const MeshIndex& self, Points origins, Points directions, double limit, Out<bool, nb::shape<-1>> blocked) {
     check_rays(origins.shape(0), directions.shape(0), blocked.shape(0));
     nb::gil_scoped_release release;
     self.blocked(origins.data(), directions.data(), origins.shape(0), limit, blocked.data());
@@ -56,7 +56,8 @@ void bind_mesh(nb::module_& m) {
         .def("__len__", &MeshIndex::size)
         .def("query", &query, nb::arg("points"), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
              nb::arg("faces").noconvert(), nb::arg("features").noconvert(),
-             "Nearest points of the mesh, written in place: distances (N,), feet (N, 3), faces (N,), and features (N,):\n"
+             "Nearest points of the mesh, written in place: distances (N,), feet (N, 3), faces (N,), and features "
+             "(N,):\n"
              "0-2 the face's corners, 3-5 its edges 01, 12, 20, 6 its inside.")
         .def("cast", &cast, nb::arg("origins"), nb::arg("directions"), nb::arg("limit"),
              nb::arg("distances").noconvert(), nb::arg("faces").noconvert(),

@@ -35,7 +35,7 @@ struct Ray {
         return (u * az + v * bz + w * cz) * along_ / area;
     }
 
-  private:
+private:
     static double part(const Vec3& v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
 
     int x_, y_, z_;

@@ -3,22 +3,11 @@
 #include <cmath>
 #include <cstdint>
 
+#include "common/vec3.h"
+
 namespace pcbench::mesh {
 
-struct Vec3 {
-    double x, y, z;
-};
-
-inline Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Vec3 operator-(const Vec3& a, const Vec3& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Vec3 operator*(double s, const Vec3& a) { return {s * a.x, s * a.y, s * a.z}; }
-inline double dot(const Vec3& a, const Vec3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-inline Vec3 cross(const Vec3& a, const Vec3& b) {
-    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-inline bool before(const Vec3& a, const Vec3& b) {
-    return a.x != b.x ? a.x < b.x : a.y != b.y ? a.y < b.y : a.z < b.z;
-}
+inline bool before(const Vec3& a, const Vec3& b) { return a.x != b.x ? a.x < b.x : a.y != b.y ? a.y < b.y : a.z < b.z; }
 
 struct Triangle {
     Vec3 a, b, c;
@@ -29,7 +18,7 @@ enum Feature : uint8_t { kCorner = 0, kEdge = 3, kFace = 6 };
 
 struct Nearest {
     double squared;  // distance
-    Vec3 foot;
+    Vec3 closest;
     uint8_t feature;
 };
 
@@ -41,23 +30,23 @@ inline void nearest_on_edge(const Vec3& p, const Vec3& first, const Vec3& second
     const Vec3 &a = swap ? second : first, &b = swap ? first : second;
     const Vec3 ab = b - a, ap = p - a;
     const double along = dot(ap, ab), length = dot(ab, ab);
-    Vec3 offset, foot;
+    Vec3 offset, closest;
     uint8_t feature;
     if (!(along > 0)) {
-        offset = ap, foot = a, feature = static_cast<uint8_t>(kCorner + (swap ? j : i));
+        offset = ap, closest = a, feature = static_cast<uint8_t>(kCorner + (swap ? j : i));
     } else if (along >= length) {
-        offset = p - b, foot = b, feature = static_cast<uint8_t>(kCorner + (swap ? i : j));
+        offset = p - b, closest = b, feature = static_cast<uint8_t>(kCorner + (swap ? i : j));
     } else {
         const Vec3 part = (along / length) * ab;
-        offset = ap - part, foot = a + part, feature = static_cast<uint8_t>(kEdge + edge);
+        offset = ap - part, closest = a + part, feature = static_cast<uint8_t>(kEdge + edge);
     }
     const double squared = dot(offset, offset);
-    if (squared < nearest.squared) nearest = {squared, foot, feature};
+    if (squared < nearest.squared) nearest = {squared, closest, feature};
 }
 
 // Ericson, Real-Time Collision Detection (2005), 5.1.5, with barycentric coordinates from cross products: their errors
-// grow with the slenderness of the triangle, not with its square. A foot outside the face lies on an edge that the
-// query's projection is beyond, so only those are looked at; a triangle without area is its three edges.
+// grow with the slenderness of the triangle, not with its square. A closest point outside the face lies on an edge that
+// the query's projection is beyond, so only those are looked at; a triangle without area is its three edges.
 inline Nearest nearest_on_triangle(const Vec3& p, const Triangle& t) {
     const Vec3 ab = t.b - t.a, ac = t.c - t.a, ap = p - t.a;
     const Vec3 normal = cross(ab, ac);
@@ -77,7 +66,7 @@ inline Nearest nearest_on_triangle(const Vec3& p, const Triangle& t) {
     if (!flat && u > 0 && v > 0 && w > 0) {
         // The height over the plane, measured from a point of it: a slender triangle's normal is not exact, so from one
         // close by.
-        const double height = dot(normal, slender ? p - nearest.foot : ap);
+        const double height = dot(normal, slender ? p - nearest.closest : ap);
         const double squared = height / area * height;
         if (squared < nearest.squared) nearest = {squared, p - (height / area) * normal, kFace};
     }

@@ -9,10 +9,10 @@
 #include <vector>
 
 #include "common/arrays.h"
-#include "points/cells.h"
-#include "points/normals.h"
 #include "pairs/pairs.h"
 #include "pairs/polynomials.h"
+#include "points/cells.h"
+#include "points/normals.h"
 
 namespace {
 
@@ -42,7 +42,8 @@ nb::tuple group_by_cell(Points points, double side, In<double, nb::shape<3>> low
     pcbench::Occupied occupied;
     {
         nb::gil_scoped_release release;
-        occupied = pcbench::group_by_cell(points.data(), points.shape(0), pcbench::Grid(side, lower.data()), cells.data());
+        occupied =
+            pcbench::group_by_cell(points.data(), points.shape(0), pcbench::Grid(side, lower.data()), cells.data());
     }
     return nb::make_tuple(to_numpy(occupied.first), to_numpy(occupied.counts));
 }
@@ -77,8 +78,8 @@ void rounded_squares(Points queries, Points feet, Indices rows, Out<double, nb::
     pcbench::rounded_squares(count, q, f, squares.data());
 }
 
-nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Points normals, double gate, bool robust, double kept,
-                Out<double, nb::shape<-1>> residuals, Out<double, nb::shape<-1>> weights) {
+nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Points normals, double gate, bool robust,
+                double kept, Out<double, nb::shape<-1>> residuals, Out<double, nb::shape<-1>> weights) {
     const size_t count = moved.shape(0);
     check(0 <= kept && kept <= 1, "weigh: expected a share from 0 to 1");
     check(distances.shape(0) == count && residuals.shape(0) == count && weights.shape(0) == count,
@@ -94,8 +95,8 @@ nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Point
 }
 
 double plane_system(Points moved, Points normals, Indices rows, Column residuals, Column weights,
-                       Out<double, nb::shape<7, 7>> hessian, Out<double, nb::shape<7>> gradient,
-                       Out<double, nb::shape<3>> center) {
+                    Out<double, nb::shape<7, 7>> hessian, Out<double, nb::shape<7>> gradient,
+                    Out<double, nb::shape<3>> center) {
     const size_t count = moved.shape(0);
     check(residuals.shape(0) == count && weights.shape(0) == count,
           "plane_system: every argument needs one row for each pair");
@@ -122,8 +123,9 @@ void normal_equations(Points places, Points normals, Column weights, Column resi
     std::array<pcbench::Step, pcbench::kProducts - 1> step;
     for (size_t a = 0; a < step.size(); ++a) {
         step[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
-        check(0 <= step[a].earlier && step[a].earlier <= static_cast<int64_t>(a) && 0 <= step[a].axis && step[a].axis < 3,
-              "normal_equations: a monomial is an earlier one times a coordinate");
+        check(
+            0 <= step[a].earlier && step[a].earlier <= static_cast<int64_t>(a) && 0 <= step[a].axis && step[a].axis < 3,
+            "normal_equations: a monomial is an earlier one times a coordinate");
     }
     std::vector<size_t> bounds(starts.data(), starts.data() + groups);
     bounds.push_back(count);
@@ -131,23 +133,25 @@ void normal_equations(Points places, Points normals, Column weights, Column resi
     nb::gil_scoped_release release;
 #pragma omp parallel for schedule(dynamic) if (groups > 1 && count > pcbench::kWorthThreads / 8)
     for (size_t g = 0; g < groups; ++g)
-        pcbench::normal_equations(bounds[g], bounds[g + 1], places.data(), normals.data(), weights.data(), residuals.data(),
-                                  step.data(), moments.data() + g * pcbench::kProducts * 6,
+        pcbench::normal_equations(bounds[g], bounds[g + 1], places.data(), normals.data(), weights.data(),
+                                  residuals.data(), step.data(), moments.data() + g * pcbench::kProducts * 6,
                                   scores.data() + g * pcbench::kMonomials * 3);
 }
 
 }  // namespace
 
 void bind_loops(nb::module_& m) {
-    m.def("group_by_cell", &group_by_cell, nb::arg("points").noconvert(), nb::arg("side"), nb::arg("lower"),
-          nb::arg("cells").noconvert(),
-          "Number the occupied cubic cells in the order of their first points: cells (N,) are written in place; the\n"
-          "rows of their first points (M,) and their numbers of points (M,) are returned.",
-          nb::sig("def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: "
-                  "NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
-    m.def("plane_fits", &plane_fits, nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(),
-          nb::arg("variation").noconvert(),
-          "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
+    m.def(
+        "group_by_cell", &group_by_cell, nb::arg("points").noconvert(), nb::arg("side"), nb::arg("lower"),
+        nb::arg("cells").noconvert(),
+        "Number the occupied cubic cells in the order of their first points: cells (N,) are written in place; the\n"
+        "rows of their first points (M,) and their numbers of points (M,) are returned.",
+        nb::sig("def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: "
+                "NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
+    m.def(
+        "plane_fits", &plane_fits, nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(),
+        nb::arg("variation").noconvert(),
+        "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
     m.def("plane_distances", &plane_distances, nb::arg("queries").noconvert(), nb::arg("query_rows").noconvert().none(),
           nb::arg("feet").noconvert(), nb::arg("feet_rows").noconvert().none(), nb::arg("normals").noconvert(),
           nb::arg("normal_rows").noconvert().none(), nb::arg("distances").noconvert(),
@@ -156,12 +160,13 @@ void bind_loops(nb::module_& m) {
           nb::arg("feet_rows").noconvert(), nb::arg("squares").noconvert(),
           "Squared distances (M,), written in place, from differences that were rounded to float32.");
     m.def("weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
-          nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("gate"), nb::arg("robust"), nb::arg("kept"),
-          nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
+          nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("gate"), nb::arg("robust"),
+          nb::arg("kept"), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
           "Residuals and weights (M,) of pairs, written in place; the number of pairs within the gate and their sigma.",
           nb::sig("def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet: "
                   "NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], gate: float, "
-                  "robust: bool, kept: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]"));
+                  "robust: bool, kept: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> "
+                  "tuple[int, float]"));
     m.def("plane_system", &plane_system, nb::arg("moved").noconvert(), nb::arg("normals").noconvert(),
           nb::arg("rows").noconvert(), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
           nb::arg("hessian").noconvert(), nb::arg("gradient").noconvert(), nb::arg("center").noconvert(),
@@ -174,5 +179,6 @@ void bind_loops(nb::module_& m) {
           nb::arg("weights").noconvert(), nb::arg("residuals").noconvert(), nb::arg("starts").noconvert(),
           nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
           "Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
-          "w phi n r, for the monomials that the steps (83, 2) build: an earlier one and the coordinate it is multiplied by.");
+          "w phi n r, for the monomials that the steps (83, 2) build: an earlier one and the coordinate it is "
+          "multiplied by.");
 }

@@ -8,6 +8,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/vec3.h"
+
 namespace pcbench {
 
 // Fewer pairs take less time than waking a thread does where the processor is shared.
@@ -30,33 +32,29 @@ std::array<double, N> sum_in_blocks(size_t count, Add add) {
     return total;
 }
 
-inline double along(const double* from, const double* to, const double* normal) {
-    return ((to[0] - from[0]) * normal[0] + (to[1] - from[1]) * normal[1]) + (to[2] - from[2]) * normal[2];
-}
-
 // Rows of an array, in order or as a list names them.
 struct Rows {
     const double* data;
     const int64_t* list;  // null: in order
-    const double* operator[](size_t i) const { return data + 3 * (list ? static_cast<size_t>(list[i]) : i); }
+    Vec3 operator[](size_t i) const { return vec3(data + 3 * (list ? static_cast<size_t>(list[i]) : i)); }
 };
 
 inline void plane_distances(size_t count, Rows queries, Rows feet, Rows normals, double* distances) {
 #pragma omp parallel for schedule(static) if (count > kWorthThreads)
-    for (size_t i = 0; i < count; ++i) distances[i] = along(feet[i], queries[i], normals[i]);
+    for (size_t i = 0; i < count; ++i) distances[i] = dot(queries[i] - feet[i], normals[i]);
+}
+
+// As float32, infinite beyond its range.
+inline double rounded(double exact) {
+    return std::fabs(exact) > 3.4028234663852886e38 ? HUGE_VAL : static_cast<float>(exact);
 }
 
 // Squared distances from differences that were rounded to float32.
 inline void rounded_squares(size_t count, Rows queries, Rows feet, double* squares) {
 #pragma omp parallel for schedule(static) if (count > kWorthThreads)
     for (size_t i = 0; i < count; ++i) {
-        const double *q = queries[i], *f = feet[i];
-        double d[3];
-        for (int a = 0; a < 3; ++a) {
-            const double exact = q[a] - f[a];
-            d[a] = std::fabs(exact) > 3.4028234663852886e38 ? HUGE_VAL : static_cast<float>(exact);
-        }
-        squares[i] = (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2];
+        const Vec3 exact = queries[i] - feet[i], d{rounded(exact.x), rounded(exact.y), rounded(exact.z)};
+        squares[i] = dot(d, d);
     }
 }
 
@@ -124,15 +122,13 @@ inline PlaneSystem plane_system(size_t count, const double* moved, Rows normals,
     const auto second = sum_in_blocks<36>(count, [&](size_t i, std::array<double, 36>& sum) {
         const double w = weights[i];
         if (w == 0) return;
-        const double *p = moved + 3 * i, *n = normals[i];
-        const double a[3] = {p[0] - out.center[0], p[1] - out.center[1], p[2] - out.center[2]};
-        const double row[7] = {a[1] * n[2] - a[2] * n[1], a[2] * n[0] - a[0] * n[2], a[0] * n[1] - a[1] * n[0],
-                               n[0], n[1], n[2], (a[0] * n[0] + a[1] * n[1]) + a[2] * n[2]};
+        const Vec3 n = normals[i], a = vec3(moved + 3 * i) - vec3(out.center), turning = cross(a, n);
+        const double row[7] = {turning.x, turning.y, turning.z, n.x, n.y, n.z, dot(a, n)};
         size_t at = 0;
         for (int r = 0; r < 7; ++r)
             for (int c = r; c < 7; ++c) sum[at++] += w * row[r] * row[c];
         for (int r = 0; r < 7; ++r) sum[28 + r] += w * row[r] * residuals[i];
-        sum[35] += w * ((a[0] * a[0] + a[1] * a[1]) + a[2] * a[2]);
+        sum[35] += w * dot(a, a);
     });
     out.radius = first[3] > 0 ? std::sqrt(second[35] / first[3]) : 0.0;
     if (!(out.radius > 0)) out.radius = 1.0;

@@ -16,8 +16,9 @@ struct Step {
 };
 
 // For the pairs in [begin, end): moments (84, 6), sums of w phi n n', and scores (20, 3), sums of w phi n r.
-inline void normal_equations(size_t begin, size_t end, const double* places, const double* normals, const double* weights,
-                             const double* residuals, const Step* steps, double* moments, double* scores) {
+inline void normal_equations(size_t begin, size_t end, const double* places, const double* normals,
+                             const double* weights, const double* residuals, const Step* steps, double* moments,
+                             double* scores) {
     constexpr size_t kRow[6] = {0, 1, 2, 0, 0, 1}, kColumn[6] = {0, 1, 2, 1, 2, 2};
     // Transposed: the inner loops run over monomials.
     std::array<std::array<double, kProducts>, 6> squares{};

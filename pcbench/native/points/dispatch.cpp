@@ -14,8 +14,8 @@ struct Choice {
 
 const Kernels& choose() {
 #ifdef PCB_X86
-    const bool bits = __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2") &&
-                      __builtin_cpu_supports("popcnt");
+    const bool bits =
+        __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt");
 #endif
     const Choice choices[] = {
 #ifdef PCB_X86

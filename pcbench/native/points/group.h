@@ -9,14 +9,15 @@ struct Group {
     alignas(64) double x[kLanes], y[kLanes], z[kLanes];
     size_t row[kLanes];    // of the result
     size_t point[kLanes];  // of the tree, for queries that are its own points
-    int count;  // lanes beyond repeat the first query
+    int count;             // lanes beyond repeat the first query
     Box box;
 
     explicit Group(const Leaf& leaf) : count(0) {
         for (size_t l = 0; l < kFan; ++l) {
             const size_t from = leaf.row[l] == kNoRow ? 0 : l;
             count += from == l;
-            x[l] = leaf.x[from], y[l] = leaf.y[from], z[l] = leaf.z[from], row[l] = point[l] = static_cast<size_t>(leaf.row[from]);
+            x[l] = leaf.x[from], y[l] = leaf.y[from], z[l] = leaf.z[from],
+            row[l] = point[l] = static_cast<size_t>(leaf.row[from]);
         }
         const double* axes[3] = {x, y, z};
         for (int a = 0; a < 3; ++a) {

@@ -17,8 +17,8 @@ struct Kernels {
     void (*bound)(Tree&);
     void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
                     double* distances, int64_t* indices, Ties, Interrupt&);
-    void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances,
-                     int64_t* indices, Interrupt&);
+    void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances, int64_t* indices,
+                     Interrupt&);
     // Both write the number of points found for query row i to offsets[i + 1] when rows is null; else the rows
     // themselves, from rows[offsets[i]] on, in no particular order.
     void (*in_balls)(const Tree&, const Leaf* centres, size_t leaf_count, double radius, int64_t* offsets,

@@ -1,2 +1,5 @@
+#ifndef __AVX2__
+#error "kernels_avx2.cpp must be compiled with -mavx2: see CMakeLists.txt"
+#endif
 #define PCB_ISA avx2
 #include "points/kernels_isa.h"

@@ -1,8 +1,8 @@
 // The k nearest points of one query after the other.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "points/group.h"
 #include "common/interrupt.h"
+#include "points/group.h"
 
 namespace pcbench::PCB_ISA {
 

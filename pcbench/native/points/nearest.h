@@ -1,8 +1,8 @@
 // The nearest point of each query, eight queries at a time.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "points/group.h"
 #include "common/interrupt.h"
+#include "points/group.h"
 
 namespace pcbench::PCB_ISA {
 
@@ -72,11 +72,9 @@ public:
     bool tied(int lane) const { return second_[lane] - best_[lane] < slack_; }
 
 private:
-    // Squared distances that matter. Rounding is monotone: d - best < slack implies d <= best + slack, each rounded once.
-    // A lane with a tie needs only its answer: what is skipped from then on is no nearer than that tie.
-    Lanes limits() const {
-        return kTies ? select(untied(), load(best_) + splat(slack_), load(best_)) : load(best_);
-    }
+    // Squared distances that matter. Rounding is monotone: d - best < slack implies d <= best + slack, each rounded
+    // once. A lane with a tie needs only its answer: what is skipped from then on is no nearer than that tie.
+    Lanes limits() const { return kTies ? select(untied(), load(best_) + splat(slack_), load(best_)) : load(best_); }
     Mask untied() const { return splat(slack_) <= load(second_) - load(best_); }
 
     // One point after the other, against eight queries.

@@ -5,8 +5,8 @@
 #include <omp.h>
 
 #include "common/eigen.h"
-#include "points/group.h"
 #include "common/interrupt.h"
+#include "points/group.h"
 
 namespace pcbench::PCB_ISA {
 
@@ -55,8 +55,7 @@ public:
         const Leaf& leaf = tree_.leaves[id];
         const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), limit = load(limit_);
         for (size_t i = 0; i < kFan; ++i) {
-            const Lanes squared =
-                squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
+            const Lanes squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
             store(squared_ + count_ * kLanes, squared);
             slots_[count_] = kFan * id + i;
             count_ += bits(squared <= limit) != 0;
@@ -96,12 +95,12 @@ public:
             }
         }
         const Lanes share = splat(1.0 / static_cast<double>(k_));
-        Symmetric covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
-                             yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
+        Symmetric<Lanes> covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
+                                    yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
         const SmallestEigen smallest = smallest_eigen(covariance);
         // Signs agree: z up, then y, then x where the others are zero.
-        const Mask down = (smallest.z < zero) | ((smallest.z == zero) & ((smallest.y < zero) |
-                          ((smallest.y == zero) & (smallest.x < zero))));
+        const Mask down = (smallest.z < zero) |
+                          ((smallest.z == zero) & ((smallest.y < zero) | ((smallest.y == zero) & (smallest.x < zero))));
         alignas(64) double out[6][kLanes];
         store(out[0], select(down, zero - smallest.x, smallest.x));
         store(out[1], select(down, zero - smallest.y, smallest.y));

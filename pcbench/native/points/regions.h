@@ -27,7 +27,8 @@ struct Cylinder {
 
     double bound() const { return 0.0; }
 
-    // 0 for a child that may hold a point inside. Its box is taken as the ball around it, and as its shadow on the axis.
+    // 0 for a child that may hold a point inside. Its box is taken as the ball around it, and as its shadow on the
+    // axis.
     Lanes gaps(const Node& node) const {
         Lanes offset[3], along = splat(0.0), shadow = splat(0.0), magnitude = splat(radius + half_length), half[3];
         for (int a = 0; a < 3; ++a) {
@@ -44,7 +45,8 @@ struct Cylinder {
                                                  offset[2] - along * splat(axis[2])));
         const Lanes reach = sqrt(squared_length(half[0], half[1], half[2]));
         // Written so that the NaN of a missing child is outside.
-        const Mask maybe = (abs(along) <= splat(half_length) + shadow + slack) & (across <= splat(radius) + reach + slack);
+        const Mask maybe =
+            (abs(along) <= splat(half_length) + shadow + slack) & (across <= splat(radius) + reach + slack);
         return select(maybe, splat(0.0), splat(HUGE_VAL));
     }
 
@@ -52,8 +54,8 @@ struct Cylinder {
         const Lanes x = load(leaf.x) - splat(origin[0]), y = load(leaf.y) - splat(origin[1]),
                     z = load(leaf.z) - splat(origin[2]);
         const Lanes along = (x * splat(axis[0]) + y * splat(axis[1])) + z * splat(axis[2]);
-        const Lanes squared = squared_length(x - along * splat(axis[0]), y - along * splat(axis[1]),
-                                             z - along * splat(axis[2]));
+        const Lanes squared =
+            squared_length(x - along * splat(axis[0]), y - along * splat(axis[1]), z - along * splat(axis[2]));
         return bits((abs(along) <= splat(half_length)) & (squared <= splat(radius * radius)));
     }
 };

@@ -1,17 +1,15 @@
 // Building the tree: points are halved at the median of their widest axis until eight are left, all leaves full.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include <algorithm>
-
 #include "common/interrupt.h"
 #include "common/lanes.h"
 #include "points/tree.h"
 
 namespace pcbench::PCB_ISA {
 
-constexpr size_t kBlock = 64;     // up to here ranks are counted instead of partitioning
-constexpr size_t kCounted = 16;   // ranks counted side by side
-constexpr size_t kTask = 16384;   // smaller parts are not worth a task
+constexpr size_t kBlock = 64;    // up to here ranks are counted instead of partitioning
+constexpr size_t kCounted = 16;  // ranks counted side by side
+constexpr size_t kTask = 16384;  // smaller parts are not worth a task
 
 inline int widest_axis(const Item* items, size_t count) {
     // A sample is enough: the axis decides how good the boxes are, never what is found.
@@ -54,7 +52,7 @@ inline void select(Item* items, size_t count, size_t rank, int axis) {
         }
         // A little beyond the wanted rank, seen from the shorter side: that side, with the rank in it, is what remains.
         const size_t position = rank * samples / count, shift = samples > 31 ? 8 : samples > 7 ? 3 : 0;
-        const double pivot = sample[2 * rank < count ? std::min(position + shift, samples - 1)
+        const double pivot = sample[2 * rank < count ? smaller(position + shift, samples - 1)
                                                      : (position > shift ? position - shift : 0)];
         size_t below = partition(items, count, [=](const Item& item) { return item.p[axis] < pivot; });
         if (below >= rank) {
@@ -103,7 +101,7 @@ inline void bound_leaves(const Leaf* leaves, size_t count, Node& node) {
 inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
     Item sorted[kBlock];
     if (count <= kFan) {
-        std::copy(items, items + count, sorted);
+        for (size_t i = 0; i < count; ++i) sorted[i] = items[i];
         return write_leaf(sorted, count, *leaves);
     }
     // Quantised coordinates are enough to halve well; the position in the lowest bits makes them distinct.
@@ -149,8 +147,7 @@ inline void arrange_part(Item* items, size_t count, Node* nodes, Interrupt& inte
 
 // Sorts points into leaves that are near each other in space, with their nodes unless null is given for them. False
 // when a coordinate is not finite or above `limit`.
-inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes,
-                    Interrupt& interrupt) {
+inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt& interrupt) {
     Item* items = reinterpret_cast<Item*>(leaves);
     bool valid = true;
 #pragma omp parallel if (count > 2 * kTask)
@@ -158,7 +155,7 @@ inline bool arrange(const double* points, size_t count, double limit, Leaf* leav
 #pragma omp for schedule(static) reduction(&& : valid)
         for (size_t start = 0; start < count; start += kTask) {
             if (interrupt.requested()) continue;
-            for (size_t i = start; i < std::min(start + kTask, count); ++i) {
+            for (size_t i = start; i < smaller(start + kTask, count); ++i) {
                 const double* p = points + 3 * i;
                 items[i] = {{p[0], p[1], p[2], static_cast<double>(i)}};
                 valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
@@ -196,7 +193,7 @@ inline void bound(Tree& tree) {
         // Waking threads costs more than a few hundred nodes, much more where the processor is shared.
 #pragma omp parallel for schedule(static) if (count > 2048)
         for (size_t j = 0; j < count; ++j)
-            bound_nodes(below + kFan * j, std::min(kFan, below_count - kFan * j), nodes[j]);
+            bound_nodes(below + kFan * j, smaller(kFan, below_count - kFan * j), nodes[j]);
     }
 }
 

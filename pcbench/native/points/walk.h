@@ -32,8 +32,9 @@ inline void prefetch(const Leaf& leaf) {
     __builtin_prefetch(leaf.x), __builtin_prefetch(leaf.y), __builtin_prefetch(leaf.z), __builtin_prefetch(leaf.row);
 }
 
-// Visitor: gaps(node), for each child a squared distance that no point inside goes below; bound(), the squared distance above which nothing matters; last_tie(), the highest row at that very
-// distance that may still be beaten; leaf(id, parent, child).
+// Visitor: gaps(node), for each child a squared distance that no point inside goes below; bound(), the squared distance
+// above which nothing matters; last_tie(), the highest row at that very distance that may still be beaten; leaf(id,
+// parent, child).
 template <typename Visitor>
 inline void walk(const Tree& tree, Visitor& visitor) {
     struct Entry {
