@@ -8,7 +8,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*/*.cpp pcbench/native/*/*.h)
 
-.PHONY: demo test lint types slow sanitize compilers bench gallery clean
+.PHONY: demo test lint types docs slow sanitize compilers bench gallery clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -60,6 +60,10 @@ lint: $(VENV)/.all
 types: $(VENV)/.all
 	$(BIN)/mypy
 
+# Into site/, from docs/ and the docstrings; whatever does not resolve is an error. Nothing is fetched.
+docs: $(VENV)/.all
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+
 bench: $(VENV)/.all
 	$(BIN)/python tests/bench/compare.py
 
@@ -67,4 +71,4 @@ gallery: $(VENV)/.all
 	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/python docs/gallery.py
 
 clean:
-	rm -rf $(VENV) build dist demo
+	rm -rf $(VENV) build dist demo site

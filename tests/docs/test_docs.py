@@ -1,0 +1,182 @@
+"""Every block of the documents is run, or says which committed command makes it; what is shown is what is printed."""
+
+import contextlib
+import io
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from docs_blocks import Block, agrees, blocks, commands
+from repository import ROOT
+
+from pcbench import cli
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SHELL = "cat", "head", "ls"  # what a console block may call beside pcbench
+
+# Inputs that several pages make in the same words: each is made once.
+SHARED = (
+    "pcbench demo --points 200000 --no-bench --no-figures --out demo",
+    "pcbench synth city --images 12 --size 240x160 --extent 100 --points 20000 --out city",
+)
+
+
+def _name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def _call(command: str, folder: Path) -> str:
+    """What a command prints, on standard output and standard error together. It must succeed."""
+    words = shlex.split(command)
+    if words[0] in SHELL:
+        return subprocess.run(words, cwd=folder, check=True, capture_output=True, text=True).stdout
+    assert words[0] == "pcbench", f"expected a command of pcbench or one of {', '.join(SHELL)}; got {command!r}"
+    said = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        try:
+            sys.argv, argv = words, sys.argv
+            cli.main()
+        except SystemExit as stop:
+            assert not stop.code, f"{command}: {said.getvalue()}"
+        finally:
+            sys.argv = argv
+    return said.getvalue()
+
+
+@pytest.fixture(scope="module")
+def call(tmp_path_factory):
+    """Run a command of a page in a page's folder; commands of SHARED are run once, and their results copied."""
+    made = {}
+
+    def run(command: str, folder: Path) -> str:
+        if command not in SHARED:
+            return _call(command, folder)
+        if command not in made:
+            home = tmp_path_factory.mktemp("shared")
+            made[command] = home, _call(command, home)
+        home, said = made[command]
+        shutil.copytree(home, folder, dirs_exist_ok=True)
+        return said
+
+    return run
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch):
+    found = blocks(page)
+    runs = [block for block in found if block.mark is None]
+    if any("synth city" in block.text for block in runs):
+        request.getfixturevalue("renderer")
+    if any("reconstruct sfm" in block.text for block in runs):
+        pytest.importorskip("pycolmap")
+    monkeypatch.setenv("COLUMNS", "132")
+    namespace, said = {"__name__": "__main__"}, ""
+    for block in found:
+        where = f"{_name(page)}:{block.line}"
+        if block.title is not None:
+            (tmp_path / block.title).write_text(block.text)
+        elif block.mark is not None:
+            _check_mark(block, where)
+        elif block.language == "console":
+            for command, shown in commands(block):
+                printed = call(command, tmp_path)
+                assert not shown or agrees(shown, printed), f"{where}: {command}\nshown:\n{shown}\nprinted:\n{printed}"
+        elif block.language == "python":
+            out = io.StringIO()
+            with contextlib.chdir(tmp_path), contextlib.redirect_stdout(out):
+                exec(compile(block.text, where, "exec"), namespace)
+            said = out.getvalue()
+        elif block.language == "text" and block.follows:
+            assert agrees(block.text, said), f"{where}\nshown:\n{block.text}\nprinted:\n{said}"
+        else:
+            pytest.fail(f"{where}: neither run nor marked, see tests/docs_blocks.py")
+
+
+def _check_mark(block: Block, where: str) -> None:
+    how, what = block.mark
+    if how == "checked by":
+        file, function = what.split("::")
+        assert f"def {function}(" in (ROOT / file).read_text(), f"{where}: no {what}"
+    elif how == "part of":
+        whole = {" ".join(line.split()) for line in (ROOT / what).read_text().splitlines()}
+        for line in block.text.splitlines():
+            assert " ".join(line.split()) in whole | {""}, f"{where}: {line!r} is not in {what}"
+    else:
+        _check_command(what, where)
+
+
+def _check_command(command: str, where: str) -> None:
+    """A target of the Makefile, a script of the repository, or a command of pcbench, with options that it has."""
+    words = shlex.split(command)
+    if words[0] == "make":
+        assert re.search(rf"^{re.escape(words[1])}:", (ROOT / "Makefile").read_text(), re.MULTILINE), (
+            f"{where}: no target {words[1]}"
+        )
+        return
+    if words[0] == "python":
+        told = (ROOT / words[1]).read_text()
+    else:
+        assert words[0] == "pcbench", f"{where}: expected make, python or pcbench; got {command!r}"
+        told = _call(" ".join([*_names(words), "--help"]), ROOT)
+    for option in (word for word in words if word.startswith("--")):
+        assert option in told, f"{where}: {words[0]} {words[1]} has no option {option}"
+
+
+def _names(words: list[str]) -> list[str]:
+    return words[: 3 if words[1] in ("synth", "experiment") else 2]
+
+
+def test_commands_of_the_readme(call, tmp_path):
+    """Its first command works on any clouds of these names, and those of make are in the Makefile."""
+    call(SHARED[0], tmp_path)
+    for name, made in (("ref", "reference"), ("a", "sparse"), ("b", "densified")):
+        (tmp_path / "demo" / "clouds" / f"{made}.ply").rename(tmp_path / f"{name}.ply")
+    marked = [b for b in blocks(ROOT / "README.md") if b.mark and b.mark[1].endswith("test_commands_of_the_readme")]
+    (compare,), makes = (commands(block) for block in marked)
+    assert "report: report" in call(f"{compare[0]} --no-figures", tmp_path)
+    for command, _ in makes:
+        _check_command(command.partition("#")[0], "README.md")
+
+
+@pytest.mark.slow
+def test_the_readmes_table_is_what_the_demo_prints(tmp_path):
+    """The demo at its full size, as in the README."""
+    (shown,) = (b.text for b in blocks(ROOT / "README.md") if b.mark == ("made by", "pcbench demo --out demo"))
+    assert agrees(shown, _call("pcbench demo --out demo --no-bench --no-figures", tmp_path))
+
+
+@pytest.mark.parametrize(
+    "shown, printed, same",
+    [
+        ("a 1.234  b", "a 1.235 b", True),  # one in the last digit
+        ("a 1,234 b", "a 1,300 b", False),
+        ("0 of 418 tiles", "4 of 418 tiles", False),
+        ("took ... s", "took 12.3 s", True),
+        ("1.50 none", "1.50 affine", False),
+    ],
+)
+def test_texts_are_compared_by_words_and_numbers(shown, printed, same):
+    assert agrees(shown, printed) is same
+
+
+def test_a_block_without_a_mark_is_found(call, tmp_path, request, monkeypatch):
+    page = SimpleNamespace(read_text=lambda: "```text\nsaid by nobody\n```\n", relative_to=lambda root: "page.md")
+    with pytest.raises(pytest.fail.Exception, match=r"page\.md:1: neither run nor marked"):
+        test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch)
+
+
+def test_the_readme_is_short():
+    """Who lands there knows in a minute what this is; the rest has pages of its own."""
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 200
+
+
+def test_links_and_pictures_lead_somewhere():
+    """mkdocs checks those between its pages; these are the ones of the two files outside."""
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
+            assert target.startswith("http") or (ROOT / target).exists(), f"{_name(page)}: no {target}"
