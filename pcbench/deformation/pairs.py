@@ -97,7 +97,7 @@ def residual_deformation(
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
         return Deformation.unanswered(f"{count} pairs of points: too few to tell a bend from noise")
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
-    metric = reference.is_metric and candidate.is_metric and registration.method.partition(":")[0] != "similarity"
+    metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     return judge_pairs(pairs, metric=metric, seed=seed).shifted(origin).with_warnings(notes)
 
 
@@ -229,7 +229,7 @@ def _without_map_projection(
         return pairs, []
     # What is at q on the map is at q + offset in space: there a Euclidean candidate lies, and seems displaced by it.
     bend = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
-    gauge = "similarity" if registration.method == "similarity" else "rigid"
+    gauge = "similarity" if registration.solved_scale else "rigid"
     share, size = share_of(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
     if share < 0.5 or size < 0.1 * noise:
         return pairs, []
