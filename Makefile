@@ -56,6 +56,7 @@ lint: $(VENV)/.all
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp')
+	$(BIN)/lint-imports --no-logo
 
 types: $(VENV)/.all
 	$(BIN)/mypy

@@ -22,6 +22,7 @@ from pcbench.cli.options import (
     seed_option,
     words,
 )
+from pcbench.errors import InputError
 
 if TYPE_CHECKING:
     from pcbench.report.compare_files import Job
@@ -177,11 +178,15 @@ def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
     a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
     """
-    from pcbench.report.plot import draw
+    from pcbench.report.plot import REPORT, draw
+    from pcbench.studies.bench.charts import CHARTS
 
+    drawer = next((drawer for drawer in (REPORT, CHARTS) if drawer.fits(report)), None)
+    if drawer is None:
+        raise InputError(f"{report}: expected a report folder (with comparison.json) or a bench's (with bench.json)")
     with steps(quiet) as step:
         step("drawing")
-        written = draw(report, names)
+        written = draw(report, names, drawer)
     if not quiet:
         for path in written:
             click.echo(path)

@@ -164,6 +164,7 @@ def bench(
 
 def _bench_and_print(job: BenchJob, out: Path, *, figures: bool, quiet: bool) -> None:
     from pcbench.report.plot import draw_if_possible
+    from pcbench.studies.bench.charts import CHARTS
     from pcbench.studies.bench.runs import Done
     from pcbench.studies.bench.runs import bench as run_bench
     from pcbench.studies.bench.table import print_bench
@@ -176,7 +177,7 @@ def _bench_and_print(job: BenchJob, out: Path, *, figures: bool, quiet: bool) ->
         doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))
         if figures:
             step("drawing the charts")
-            without = draw_if_possible(out)
+            without = draw_if_possible(out, CHARTS)
     if not quiet:
         click.echo()
         print_bench(doc)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 _KEY = "stage.json"
-_LIBRARIES = ("numpy", "pycolmap", "torch", "open3d", "pyvista")
+_LIBRARIES = ("pcbench", "numpy", "pycolmap", "torch", "open3d", "pyvista")
 
 
 def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Path], None]) -> Path:
@@ -43,9 +43,7 @@ def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[
 
 def library_versions() -> dict[str, str]:
     """Of all that decides what reconstructors do: an input of every stage."""
-    import pcbench
-
-    found = {"pcbench": pcbench.__version__}
+    found = {}
     for library in _LIBRARIES:
         try:
             found[library] = version(library)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.report.plot import Drawer, Picture
 from pcbench.studies.bench.pareto import Configuration, configurations, front_of
 from pcbench.studies.bench.plan import IMAGE_SCALE
 
@@ -37,6 +39,20 @@ _SPLIT = (
     _Quantity("mean_c2r", "accuracy: cloud to reference", "mean distance c→r [{unit}]", False),
     _Quantity("mean_r2c", "completeness: reference to cloud", "mean distance r→c [{unit}]", False),
 )
+
+
+# Draws the charts of a bench's folder.
+CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",), is_spatial=False)
+
+
+def pictures(folder: Path) -> dict[str, Picture]:
+    """The charts of a folder that `pcbench bench` wrote."""
+    document = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
+    why_not = "no run was measured"
+    return {
+        "speed": Picture(lambda path: speed(document, path), why_not),
+        "accuracy_completeness": Picture(lambda path: split(document, path), why_not),
+    }
 
 
 def speed(document: dict[str, Any], path: Path) -> bool:

@@ -1,0 +1,123 @@
+"""A small scene to bench on, reconstructors that behave and that do not, and what tests ask of them."""
+
+from pathlib import Path
+
+import numpy as np
+import shapes
+
+from pcbench import Cloud
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.transform import Similarity
+from pcbench.plugins import Reconstruction
+from pcbench.studies.bench.runs import BenchJob
+
+K = Intrinsics(40, 30, 35, 35, 20, 15)
+RIG = [
+    Camera(f"{number}.png", K, look_at([20 + 30 * np.cos(a), 20 + 30 * np.sin(a), 25 + number], [20, 20, 3]))
+    for number, a in enumerate(np.radians([0, 60, 130, 200, 290]))
+]
+TRUTH = Cloud(
+    shapes.city(10_000, seed=1)[0],
+    attributes={"visible": (shapes.city(10_000, seed=1)[0][:, 0] > 10).astype(np.uint8)},
+    unit="m",
+)
+# A frame of its own: another scale, turned, far away.
+OWN = Similarity(shapes.rotation([1, 2, 3], 70), np.array([100.0, -50.0, 7.0]), 0.37)
+
+# Reconstructors that do well, badly, or nothing at all.
+METHODS = """
+import os, time
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from pcbench import Cloud, read_cloud
+from pcbench.errors import ReconstructionError
+from pcbench.plugins import Reconstruction
+
+HERE = Path(__file__).parent
+
+def ran(name):
+    with (HERE / "ran.txt").open("a") as file:
+        file.write(name + "\\n")
+
+@dataclass(frozen=True)
+class Good:
+    noise: float = 0.05
+    seed: int = 0
+
+    def reconstruct(self, scene, workspace):
+        ran("Good")
+        print("a line of mine")
+        (workspace / "big.bin").write_bytes(bytes(1000))
+        points = read_cloud(HERE / "made.ply").points
+        noise = np.random.default_rng(self.seed).normal(0, self.noise * scene.image_scale, points.shape)
+        return Reconstruction(Cloud(points + noise), "georeferenced", scene.cameras, ["all well"])
+
+@dataclass(frozen=True)
+class Crash:
+    def reconstruct(self, scene, workspace):
+        ran("Crash")
+        print("last words", flush=True)
+        os.abort()
+
+@dataclass(frozen=True)
+class Hang:
+    def reconstruct(self, scene, workspace):
+        ran("Hang")
+        (HERE / "pid.txt").write_text(str(os.getpid()))
+        time.sleep(600)
+
+@dataclass(frozen=True)
+class Garbage:
+    def reconstruct(self, scene, workspace):
+        return "a cloud"
+
+@dataclass(frozen=True)
+class Cannot:
+    def reconstruct(self, scene, workspace):
+        ran("Cannot")
+        raise ReconstructionError("too few features")
+
+@dataclass(frozen=True)
+class Elsewhere:
+    def reconstruct(self, scene, workspace):
+        return Reconstruction(Cloud(read_cloud(HERE / "made.ply").points + 5000), "georeferenced")
+
+@dataclass(frozen=True)
+class Missing:
+    @classmethod
+    def missing(cls):
+        return None if (HERE / "installed").exists() else "a library is not installed"
+
+    def reconstruct(self, scene, workspace):
+        return Reconstruction(read_cloud(HERE / "made.ply"), "georeferenced")
+"""
+POINTS = shapes.city(3000, seed=2)[0]
+
+
+def job(*methods, **options):
+    """What to bench in the current folder, as the fixture `here` fills it."""
+    return BenchJob(Path("photos"), Path("truth.ply"), [f"methods.py:{name}" for name in methods], **options)
+
+
+def counted():
+    """Which methods have run, in their order."""
+    path = Path("ran.txt")
+    return path.read_text().split() if path.exists() else []
+
+
+def row(method, wall_s, fscore, status="ok", seed=0, **more):
+    """A row of a bench's document, as far as tables and fronts look at it."""
+    scored = {"fscore": fscore, "chamfer": 1 - (fscore or 0)} if status == "ok" else {}
+    return {"method": method, "choices": {}, "seed": seed, "status": status, "wall_s": wall_s, **scored, **more}
+
+
+def made_of(points, gauge, frame=None, cameras=RIG):
+    """A reconstruction whose world is `frame` of the true one."""
+    frame = frame or Similarity.identity()
+    moved = {}
+    for camera in cameras:
+        rotation = camera.cam_from_world.rotation @ frame.rotation.T
+        position = frame.apply(camera.position[None])[0]
+        moved[camera.name] = Camera(camera.name, K, Similarity(rotation, -rotation @ position))
+    return Reconstruction(Cloud(frame.apply(points)), gauge, moved)

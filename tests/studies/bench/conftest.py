@@ -1,0 +1,53 @@
+import contextlib
+import io
+import os
+from pathlib import Path
+
+import pytest
+import shapes
+from benches import METHODS, RIG, TRUTH
+
+from pcbench import Cloud, write_cloud
+from pcbench.children import Ended
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.plugins import describe_child, reconstruct_child
+from pcbench.studies.bench.score import read_truth
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with photos/, truth.ply, made.ply and methods.py; the current one."""
+    image = pytest.importorskip("PIL.Image")
+    (tmp_path / "photos/images").mkdir(parents=True)
+    for camera in RIG:
+        image.new("RGB", (40, 30), (len(camera.name), 0, 0)).save(tmp_path / "photos/images" / camera.name)
+    write_colmap_model(tmp_path / "photos/sparse", RIG)
+    write_cloud(tmp_path / "truth.ply", TRUTH)
+    write_cloud(tmp_path / "made.ply", Cloud(shapes.city(3000, seed=2)[0]))
+    (tmp_path / "methods.py").write_text(METHODS)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def truth(here):
+    return read_truth(here / "truth.ply", None, {camera.name: camera for camera in RIG}, print)
+
+
+@pytest.fixture
+def one_process(monkeypatch):
+    """Reconstructors run in this process: half a second less each, for tests of what the bench makes of their runs.
+
+    That a process of their own keeps the bench from their crashes is shown by tests without this.
+    """
+
+    def run_module(name, *arguments, limits, log=None):
+        with io.TextIOWrapper(io.BytesIO() if log is None else io.FileIO(os.dup(log.fileno()), "w")) as output:
+            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+                if name == "pcbench.plugins.reconstruct_child":
+                    reconstruct_child.main(Path(arguments[0]))
+                else:
+                    describe_child.main(arguments[0], Path(arguments[1]))
+        return Ended(code=0, timed_out=False, cpu_s=0.0, output="", errors="", received=0)
+
+    monkeypatch.setattr("pcbench.plugins.run.run_module", run_module)

@@ -1,0 +1,316 @@
+"""A bench from its methods to its folder: whatever they do is a row, and what is done is kept."""
+
+import csv
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from benches import METHODS, OWN, counted, job
+from processes import ends
+
+from pcbench import Cloud, write_cloud
+from pcbench.errors import InputError
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.plugins.run import Description, describe
+from pcbench.studies.bench import runs
+from pcbench.studies.bench.plan import Axis
+from pcbench.studies.bench.runs import COLUMNS, BenchJob, bench
+
+
+def test_whatever_methods_do_is_a_row(here, run):
+    names = ("Good", "Crash", "Garbage", "Cannot", "Elsewhere", "Missing", "Nobody")
+    methods = [word for name in names for word in ("--method", f"methods.py:{name}")]
+    sweeps = ("--sweep", "Good.image_scale=0.5,1", "--set", "Good.noise=1", "--seeds", "2")
+    code, out, err = run("bench", "photos", "--reference", "truth.ply", *methods, *sweeps, "--out", "out")
+    assert (code, err) == (0, "")
+    with Path("out/bench.csv").open() as file:
+        table = csv.DictReader(file)
+        rows = list(table)
+    assert tuple(table.fieldnames) == COLUMNS
+    assert " ".join(COLUMNS) == (
+        "method settings seed status wall_s cpu_s peak_rss_bytes gpu_bytes points registration d1_c2r d1_r2c chamfer"
+        " hausdorff threshold precision recall fscore recall_visible pareto message"
+    )
+    good, bad = rows[:4], rows[4:]
+    assert [(row["settings"], row["seed"]) for row in good] == [
+        (f"noise=1 image_scale={scale}", seed) for scale in ("0.5", "1") for seed in "01"
+    ]
+    assert {(row["status"], row["registration"], row["points"]) for row in good} == {("ok", "none", "3000")}
+    assert len({row["threshold"] for row in good}) == 1
+    for row in good:
+        assert float(row["wall_s"]) > 0 < float(row["cpu_s"])
+        assert 10e6 < int(row["peak_rss_bytes"]) < 10e9
+        assert row["gpu_bytes"] == ""
+        assert 0 < float(row["recall_visible"]) <= 1
+    assert float(good[0]["fscore"]) > float(good[2]["fscore"])
+    assert good[2]["d1_c2r"] != good[3]["d1_c2r"]  # of another seed
+    assert [(row["method"], row["status"]) for row in bad] == [
+        ("Crash", "crashed"),
+        ("Garbage", "garbage"),
+        ("Cannot", "failed"),
+        ("Elsewhere", "unmeasured"),
+        ("Missing", "refused"),
+        ("Nobody", "refused"),
+    ]
+    for row, words in zip(
+        bad,
+        ("SIGABRT", "got str", "too few features", "does not overlap", "library is not", "has Cannot"),
+        strict=True,
+    ):
+        assert words in row["message"]
+        assert (row["fscore"], row["pareto"]) == ("", "")
+        assert words in out
+    for line in ("1/10 Good noise=1 image_scale=0.5 seed 0:", "Crash has no setting 'seed': one run instead of 2"):
+        assert line in out
+    doc = json.loads(Path("out/bench.json").read_text())
+    assert doc["schema"] == "pcbench.bench/1"
+    assert len(doc["rows"]) == 10
+    assert doc["scene"]["sha256"]
+    assert doc["reference"]["sha256"]
+    assert {"pcbench", "numpy"} <= set(doc["provenance"]["versions"])
+    first = doc["rows"][0]
+    assert first["settings"] == {"noise": "1.0", "seed": "0"}
+    assert first["comparison"]["metrics"]["d1_mse"]["candidate_to_reference"] == first["d1_c2r"]
+    folder = Path("out") / first["folder"]
+    assert (folder / "log.txt").read_text() == "a line of mine\n"
+    assert (folder / "cloud.ply").is_file()
+    assert not (folder / "plugin").exists()
+    assert {p.name for p in Path("out/figures").iterdir()} == {"speed.png", "accuracy_completeness.png"}
+    with Path("out/bench.md").open() as file:
+        assert sum(line.startswith("| Good") for line in file) == 2
+    # The same threshold, registration and matrix by the other command.
+    code, text, _ = run(
+        "compare", "truth.ply", folder / "cloud.ply", "--register", f"matrix:{folder / 'T.txt'}", "--json", "-"
+    )
+    assert code == 0
+    assert json.loads(text)["candidates"][0]["metrics"]["fscore"][-1]["fscore"] == first["fscore"]
+
+
+def test_done_rows_are_kept(here, run, one_process):
+    command = ("bench", "photos", "--reference", "truth.ply", "--no-figures", "--out", "out")
+    command += ("--method", "methods.py:Good", "--method", "methods.py:Cannot", "--sweep")
+    assert run(*command, "noise=0.02,1")[0] == 0
+    assert counted() == ["Good", "Good", "Cannot"]
+    before = Path("out/bench.csv").read_text()
+    code, out, _ = run(*command, "noise=0.02,1")
+    assert code == 0
+    assert out.count("(done before)") == 3
+    assert len(counted()) == 3
+    assert Path("out/bench.csv").read_text() == before
+    # Fewer rows: the others are not in the tables, which is said.
+    _, out, _ = run(*command, "noise=1")
+    assert len(counted()) == 3
+    assert "1 runs in out/runs are of other settings" in out
+    assert len(Path("out/bench.csv").read_text().splitlines()) == 3
+    # Another threshold measures again, and runs nothing.
+    run(*command, "noise=1", "--threshold", "0.5")
+    assert len(counted()) == 3
+    with Path("out/bench.csv").open() as file:
+        assert [row["threshold"] for row in csv.DictReader(file)] == ["0.5", ""]
+    # Another reconstructor under the same name, and another image.
+    Path("methods.py").write_text(METHODS + "\n# changed\n")
+    run(*command, "noise=1")
+    assert len(counted()) == 5
+    with Path("photos/images/0.png").open("ab") as file:
+        file.write(b"\0")
+    run(*command, "noise=1")
+    assert len(counted()) == 7
+
+
+@pytest.mark.parametrize("name", ["outcome.json", "cloud.ply", "run.json", "score.json"])
+@pytest.mark.parametrize("content", [None, "[]", "{}"])
+def test_a_damaged_run_is_made_again(here, one_process, name, content):
+    whole = BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"])
+    first = bench(whole, Path("out"))["rows"][0]
+    (file,) = Path("out").glob(f"runs/*/{name}")
+    file.unlink()
+    if content is not None:
+        file.write_text(content)
+    again = bench(whole, Path("out"))["rows"][0]
+    assert (again["status"], again["fscore"]) == ("ok", first["fscore"])
+
+
+def test_a_method_that_breaks_its_folder_is_a_row(here, monkeypatch):
+    deeds = (
+        "(workspace.parent / 'outcome.json').write_text('{}'); os._exit(0)",
+        "(workspace.parent / 'outcome.json').write_text('[]'); os._exit(0)",
+        "(workspace.parent / 'outcome.json').write_text('{\"status\": \"ok\"}'); os._exit(0)",
+        "(workspace.parent / 'outcome.json').mkdir(); os._exit(0)",
+        "shutil.rmtree(workspace.parent); os._exit(0)",
+    )
+    vandals = [f"Vandal{number}" for number in range(len(deeds))]
+    classes = [
+        f"@dataclass(frozen=True)\nclass {name}:\n    def reconstruct(self, scene, workspace):\n        {deed}\n"
+        for name, deed in zip(vandals, deeds, strict=True)
+    ]
+    Path("methods.py").write_text("\n".join(["import shutil", METHODS, *classes]))
+    monkeypatch.setattr(runs, "describe", lambda *_: Description())  # they do nothing when they are looked at
+    rows = bench(job(*vandals, "Good"), Path("out"))["rows"]
+    assert [row["status"] for row in rows] == ["crashed"] * len(deeds) + ["ok"]
+
+
+def test_an_interrupted_bench_goes_on(here, one_process):
+    class Stop(Exception):
+        pass
+
+    def stop(done):
+        if done.number == 2:
+            raise Stop
+
+    whole = job("Good", axes=[Axis.sweep("noise=0.02,0.1,1")])
+    with pytest.raises(Stop):
+        bench(whole, Path("out"), on_row=stop)
+    assert len(json.loads(Path("out/bench.json").read_text())["rows"]) == 2
+    kept = []
+    doc = bench(whole, Path("out"), on_row=lambda done: kept.append(done.kept))
+    assert kept == [True, True, False]
+    assert counted() == ["Good"] * 3
+    assert len(doc["rows"]) == 3
+    shutil.rmtree(Path("out") / doc["rows"][1]["folder"])
+    bench(whole, Path("out"))
+    assert counted() == ["Good"] * 4
+    # A half-written record is none.
+    (Path("out") / doc["rows"][0]["folder"] / "run.json").write_text('{"key"')
+    bench(whole, Path("out"))
+    assert counted() == ["Good"] * 5
+
+
+def test_a_timeout_stands_for_shorter_limits(here, monkeypatch):
+    monkeypatch.setattr(runs, "describe", lambda *_: Description())  # which may take longer or not
+    first = bench(job("Hang", time_limit_s=0.2), Path("out"))["rows"][0]
+    assert (first["status"], first["message"]) == ("timeout", "it took longer than the limit of 0.2 s")
+    assert bench(job("Hang", time_limit_s=0.1), Path("out"))["rows"][0]["time_limit_s"] == 0.2
+    assert bench(job("Hang", time_limit_s=0.3), Path("out"))["rows"][0]["time_limit_s"] == 0.3
+
+
+def test_a_refusal_stands_for_no_later_run(here, one_process):
+    assert bench(job("Missing"), Path("out"))["rows"][0]["status"] == "refused"
+    Path("installed").touch()
+    assert bench(job("Missing"), Path("out"))["rows"][0]["status"] == "ok"
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
+    command = [sys.executable, "-m", "pcbench.cli", "bench", "photos", "--reference", "truth.ply", "--out", "out"]
+    command += ["--method", "methods.py:Good", "--method", "methods.py:Hang"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    try:
+        said = Path("pid.txt")
+        while process.poll() is None and not (said.exists() and said.read_text()):  # however busy the machine is
+            time.sleep(0.05)
+        child = int(said.read_text())
+        process.send_signal(how)
+        _, err = process.communicate()
+    finally:
+        process.kill()
+    if how == signal.SIGINT:
+        assert (process.returncode, err.strip()) == (130, "interrupted")
+    assert len(Path("out/bench.csv").read_text().splitlines()) == 2
+    assert ends(child)
+
+
+def test_one_bench_a_folder(here, one_process):
+    inside = []
+
+    def again(_):
+        with pytest.raises(InputError, match="another bench is at work"):
+            bench(job("Good"), Path("out"))
+        inside.append(True)
+
+    bench(job("Good"), Path("out"), on_row=again)
+    assert inside
+    with pytest.raises(InputError, match="not empty and holds no bench"):
+        bench(job("Good"), Path("photos"))
+    with pytest.raises(InputError, match="got a file"):
+        bench(job("Good"), Path("truth.ply"))
+
+
+@pytest.mark.parametrize(
+    ("body", "limit"), [("import os; os._exit(3)", None), ("import time; time.sleep(600)", 0.5), ("1 / 0", None)]
+)
+def test_a_method_that_cannot_be_looked_at_is_a_row(here, body, limit):
+    Path("bad.py").write_text(body)
+    described = describe("bad.py:A", limit or 120)
+    assert described.problem
+    assert described.settings == ()
+    whole = BenchJob(Path("photos"), Path("truth.ply"), ["bad.py:A"], time_limit_s=limit)
+    assert bench(whole, Path("out"))["rows"][0]["status"] in ("crashed", "timeout", "refused")
+
+
+def test_gpu_memory_is_what_torch_held(here, one_process, monkeypatch):
+    """There need be no GPU: a torch of our own says what it held."""
+
+    def yes():
+        return True
+
+    cuda = SimpleNamespace(
+        is_available=yes, is_initialized=yes, device_count=lambda: 2, max_memory_reserved=lambda device: 1000 + device
+    )
+    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(cuda=cuda))
+    assert bench(job("Good"), Path("out"))["rows"][0]["gpu_bytes"] == 2001
+
+
+def test_with_cameras_withheld_they_still_register(here, one_process):
+    """--cameras none is what methods get; the truth is what the scene has."""
+    frame = np.array2string(OWN.matrix, separator=",")
+    Path("own.py").write_text(
+        METHODS
+        + f"""
+from pcbench.geometry.transform import Similarity
+from pcbench.geometry.cameras import Camera
+from pcbench.scenes import read_scene
+@dataclass(frozen=True)
+class Own:
+    def reconstruct(self, scene, workspace):
+        assert not scene.cameras
+        frame = Similarity.from_matrix(np.array({frame}))
+        found = {{}}
+        for name, camera in read_scene(scene.folder.parent).cameras.items():
+            rotation = camera.cam_from_world.rotation @ frame.rotation.T
+            position = frame.apply(camera.position[None])[0]
+            found[name] = Camera(name, camera.intrinsics, Similarity(rotation, -rotation @ position))
+        return Reconstruction(Cloud(frame.apply(read_cloud(HERE / "made.ply").points)), "arbitrary", found)
+"""
+    )
+    whole = BenchJob(Path("photos"), Path("truth.ply"), ["own.py:Own", "methods.py:Good"], [Axis.fixed("noise=0")])
+    whole = replace(whole, cameras="none")
+    own, good = bench(whole, Path("out"))["rows"]
+    assert (own["status"], own["registration"], good["registration"]) == ("ok", "cameras", "none")
+    assert own["d1_c2r"] == pytest.approx(good["d1_c2r"], rel=1e-4)  # printed with eight digits
+
+
+def test_sfm_on_photographs_whose_truth_is_known(tmp_path, run):
+    pytest.importorskip("pycolmap")
+    import textured_corner as corner
+    from PIL import Image
+
+    lens = corner.standard_intrinsics(320, 240)
+    cameras = corner.cameras(5, lens)
+    (tmp_path / "photos/images").mkdir(parents=True)
+    for camera in cameras:
+        Image.fromarray(corner.photograph(camera)).save(tmp_path / "photos/images" / camera.name)
+    write_colmap_model(tmp_path / "photos/sparse", cameras)
+    rng = np.random.default_rng(0)
+    planes = rng.uniform(0, corner.SIDE, (30_000, 3))
+    planes[np.arange(30_000), np.arange(30_000) % 3] = 0
+    write_cloud(tmp_path / "truth.ply", Cloud(planes, unit="m"))
+    command = ("bench", tmp_path / "photos", "--reference", tmp_path / "truth.ply", "--method", "sfm")
+    code, _, err = run(
+        *command, "--set", "upsample=false", "--sweep", "image_scale=0.5,1", "--threshold", "0.05", "--no-figures",
+        "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    half, full = json.loads((tmp_path / "out/bench.json").read_text())["rows"]
+    assert (half["status"], full["status"]) == ("ok", "ok")
+    assert half["wall_s"] > 0
+    assert half["points"] < full["points"]
+    assert half["fscore"] < full["fscore"]
+    assert full["precision"] > 0.9
