@@ -50,15 +50,15 @@ def test_recovers_a_known_motion(scene, method, bound):
 def test_the_normal_equations_are_those_of_the_definition(robust):
     rng = np.random.default_rng(6)
     count, gate = 3001, 1.2
-    feet, moved = rng.normal(size=(2, count, 3)) + [3, -2, 40]
+    closest, moved = rng.normal(size=(2, count, 3)) + [3, -2, 40]
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     rows = rng.integers(0, count, count)
-    distances = np.linalg.norm(moved - feet[rows], axis=1)
+    distances = np.linalg.norm(moved - closest[rows], axis=1)
     residuals, weights = np.empty(count), np.empty(count)
-    near, sigma = _core.weigh(moved, distances, feet, rows, normals, gate, robust, 0.9, residuals, weights)
+    near, sigma = _core.weigh(moved, distances, closest, rows, normals, gate, robust, 0.9, residuals, weights)
 
-    expected = ((moved - feet[rows]) * normals[rows]).sum(axis=1)
+    expected = ((moved - closest[rows]) * normals[rows]).sum(axis=1)
     inside = distances <= gate
     np.testing.assert_allclose(residuals, expected, rtol=0, atol=1e-14)
     assert near == inside.sum()

@@ -287,8 +287,8 @@ public:
     size_t size() const { return faces_.size(); }
 
     // For each of `count` < 2^32 points: distance, nearest point, face (the lowest of equals) and feature on it.
-    void query(const double* points, size_t count, double* distances, double* feet, int64_t* faces, uint8_t* features,
-               Interrupt& interrupt) const {
+    void query(const double* points, size_t count, double* distances, double* closest, int64_t* faces,
+               uint8_t* features, Interrupt& interrupt) const {
         constexpr size_t kChunk = 512;
         const std::vector<uint32_t> order = morton_order(points, count);
         const int64_t chunks = static_cast<int64_t>((count + kChunk - 1) / kChunk);
@@ -303,8 +303,7 @@ public:
                 triangle = search(p, triangle);
                 const Nearest nearest = nearest_on_triangle(p, triangles_[triangle]);
                 distances[row] = std::sqrt(nearest.squared);
-                feet[3 * row] = nearest.closest.x, feet[3 * row + 1] = nearest.closest.y,
-                         feet[3 * row + 2] = nearest.closest.z;
+                write(nearest.closest, closest + 3 * row);
                 faces[row] = faces_[triangle];
                 features[row] = nearest.feature;
             }

@@ -28,14 +28,15 @@ void init(MeshIndex* self, Points vertices, In<int64_t, nb::shape<-1, 3>> faces)
 }
 
 void query(const MeshIndex& self, Points points, Out<double, nb::shape<-1>> distances,
-           Out<double, nb::shape<-1, 3>> feet, Out<int64_t, nb::shape<-1>> faces,
+           Out<double, nb::shape<-1, 3>> closest, Out<int64_t, nb::shape<-1>> faces,
            Out<uint8_t, nb::shape<-1>> features) {
     const size_t count = points.shape(0);
-    if (distances.shape(0) != count || feet.shape(0) != count || faces.shape(0) != count || features.shape(0) != count)
+    if (distances.shape(0) != count || closest.shape(0) != count || faces.shape(0) != count ||
+        features.shape(0) != count)
         throw nb::value_error("MeshIndex: every output needs one row for each point");
     if (count >> 32) throw nb::value_error("MeshIndex: expected fewer than 2^32 points at once");
     interruptible([&](Interrupt& interrupt) {
-        self.query(points.data(), count, distances.data(), feet.data(), faces.data(), features.data(), interrupt);
+        self.query(points.data(), count, distances.data(), closest.data(), faces.data(), features.data(), interrupt);
     });
 }
 
@@ -67,9 +68,9 @@ void bind_mesh(nb::module_& m) {
     nb::class_<MeshIndex>(m, "MeshIndex", "A box tree over triangles; the caller has checked that vertices are finite.")
         .def("__init__", &init, nb::arg("vertices"), nb::arg("faces"))
         .def("__len__", &MeshIndex::size)
-        .def("query", &query, nb::arg("points"), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
+        .def("query", &query, nb::arg("points"), nb::arg("distances").noconvert(), nb::arg("closest").noconvert(),
              nb::arg("faces").noconvert(), nb::arg("features").noconvert(),
-             "Nearest points of the mesh, written in place: distances (N,), feet (N, 3), faces (N,), and features "
+             "Nearest points of the mesh, written in place: distances (N,), closest (N, 3), faces (N,), and features "
              "(N,):\n"
              "0-2 the face's corners, 3-5 its edges 01, 12, 20, 6 its inside.")
         .def("cast", &cast, nb::arg("origins"), nb::arg("directions"), nb::arg("limit"),
