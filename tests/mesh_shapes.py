@@ -60,3 +60,10 @@ def height_field(n, seed=0):
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     return np.column_stack([x.ravel(), y.ravel(), z.ravel()]), faces
+
+
+def triangle_soup(count):
+    """Vertices and faces without neighbours, spread through a cube."""
+    rng = np.random.default_rng(21)
+    corners = rng.random((count, 1, 3)) + rng.normal(0, 1e-2, (count, 3, 3))
+    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)

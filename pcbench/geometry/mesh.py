@@ -133,7 +133,7 @@ class MeshMatches(NamedTuple):
     """For each query its distance (N,), the nearest point of the mesh (N, 3), and the face (N,) that it lies on."""
 
     distances: FloatArray
-    feet: FloatArray
+    closest: FloatArray
     faces: IntArray
 
 
@@ -186,7 +186,7 @@ class MeshIndex:
         self._tree.query(queries, *matches, features)
         if not signed:
             return matches
-        side = np.einsum("ni,ni->n", queries - matches.feet, self._pseudo_normals.at(matches.faces, features))
+        side = np.einsum("ni,ni->n", queries - matches.closest, self._pseudo_normals.at(matches.faces, features))
         return matches._replace(distances=np.where(side < 0, -matches.distances, matches.distances))
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:

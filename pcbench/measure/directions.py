@@ -101,14 +101,14 @@ def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) 
     planes = None
     if reference.has_normals:
         n = reference.surface.with_normals_at(closest)
-        planes = metrics.plane_distances(queries, reference.points, n, feet_rows=closest, normal_rows=closest)
+        planes = metrics.plane_distances(queries, reference.points, n, closest_rows=closest, normal_rows=closest)
     floor = None
     if reference.nearest_other is not None:
         other = reference.nearest_other.indices[closest]
         floor_planes = None
         if reference.has_normals:
             n, a = reference.surface.with_normals_at(other), reference.points
-            floor_planes = metrics.plane_distances(a, a, n, query_rows=closest, feet_rows=other, normal_rows=other)
+            floor_planes = metrics.plane_distances(a, a, n, query_rows=closest, closest_rows=other, normal_rows=other)
         floor = Distances(reference.nearest_other.distances[closest], floor_planes)
     blocks = reference.blocks.of_point[closest]
     return Direction(queries, Distances(distances, planes), _floors(floor), blocks)
@@ -124,8 +124,8 @@ def from_reference(reference: Reference, candidate: Index, forth: Matches, back:
     planes = floor_planes = None
     if reference.has_normals:
         n = reference.surface.with_normals_at(rows)
-        planes = metrics.plane_distances(queries, candidate.points, n, feet_rows=back.indices, normal_rows=rows)
-        floor_planes = metrics.plane_distances(queries, pseudo.points, n, feet_rows=nearest, normal_rows=rows)
+        planes = metrics.plane_distances(queries, candidate.points, n, closest_rows=back.indices, normal_rows=rows)
+        floor_planes = metrics.plane_distances(queries, pseudo.points, n, closest_rows=nearest, normal_rows=rows)
     blocks = reference.blocks.of_point if rows is None else reference.blocks.of_point[rows]
     floors = _floors(Distances(floor, floor_planes))
     return Direction(queries, Distances(back.distances, planes), floors, blocks)

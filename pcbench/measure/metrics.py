@@ -27,20 +27,20 @@ class FScore(NamedTuple):
 
 def plane_distances(
     queries: FloatArray,
-    feet: FloatArray,
+    closest: FloatArray,
     normals: FloatArray,
     *,
     query_rows: IntArray | None = None,
-    feet_rows: IntArray | None = None,
+    closest_rows: IntArray | None = None,
     normal_rows: IntArray | None = None,
 ) -> FloatArray:
-    """Signed distances (M,) of queries (M, 3) along unit normals (M, 3) through feet (M, 3): point to tangent plane.
+    """Signed distances (M,) of queries (M, 3) along unit normals (M, 3) through the closest points (M, 3): point to tangent plane.
 
     Each array is taken in order, or by rows (M,) into it: then none of it is copied.
     """
     distances = np.empty(len(queries) if query_rows is None else len(query_rows))
-    arrays = [np.ascontiguousarray(array, np.float64) for array in (queries, feet, normals)]
-    _core.plane_distances(arrays[0], query_rows, arrays[1], feet_rows, arrays[2], normal_rows, distances)
+    arrays = [np.ascontiguousarray(array, np.float64) for array in (queries, closest, normals)]
+    _core.plane_distances(arrays[0], query_rows, arrays[1], closest_rows, arrays[2], normal_rows, distances)
     return distances
 
 

@@ -133,13 +133,13 @@ def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> Gao2025:
     Chamfer is the sum of both mean squares. The paper's "point to surface" is read in two ways, both named: `d2_mse` to
     tangent planes of the reference, `d2_poisson_mse` to its Poisson mesh (None unless that was asked for).
     """
-    a, feet = pair.to_reference
+    a, closest = pair.to_reference
     b = pair.to_candidate.distances
     d2 = None
     if pair.normals is not None:
         d2 = metrics.mean_square(
             metrics.plane_distances(
-                pair.candidate.points, pair.reference.points, pair.normals, feet_rows=feet, normal_rows=feet
+                pair.candidate.points, pair.reference.points, pair.normals, closest_rows=closest, normal_rows=closest
             )
         )
     return Gao2025(
@@ -262,7 +262,7 @@ def _averaged_normals(normals_a: FloatArray, ab: _Choices, ba: _Choices, count: 
 def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, choices: _Choices) -> FloatArray:
     rows, indices = choices
     distances = metrics.plane_distances(
-        queries, others, normals, query_rows=rows, feet_rows=indices, normal_rows=indices
+        queries, others, normals, query_rows=rows, closest_rows=indices, normal_rows=indices
     )
     squares: FloatArray = np.square(distances)
     return squares if rows is None else _row_means(squares[:, None], rows, len(queries))[:, 0]

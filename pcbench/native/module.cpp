@@ -10,6 +10,7 @@
 #include <omp.h>
 
 #include "common/arrays.h"
+#include "common/interruptible.h"
 #include "mesh/mesh_module.h"
 #include "pairs/loops_module.h"
 #include "points/index.h"
@@ -19,23 +20,6 @@ namespace {
 using Flags = Out<bool, nb::shape<-1>>;
 
 constexpr const char* kBadCoordinate = "a coordinate is not finite or beyond 1e100";
-
-// True when Ctrl-C has raised KeyboardInterrupt, which then waits to be thrown.
-bool python_interrupts() {
-    nb::gil_scoped_acquire acquire;
-    return PyErr_CheckSignals() != 0;
-}
-
-// Runs a loop without the GIL; Ctrl-C ends it early and is raised here.
-template <typename Loop>
-void interruptible(Loop loop) {
-    pcbench::Interrupt interrupt(python_interrupts);
-    {
-        nb::gil_scoped_release release;
-        loop(interrupt);
-    }
-    if (interrupt.stopped()) throw nb::python_error();
-}
 
 // Queries are sorted in parts of this many, which bounds the memory.
 constexpr size_t kQueryPart = size_t{1} << 20;
@@ -51,7 +35,7 @@ class PointIndex {
 public:
     explicit PointIndex(Points points) : points_(points) {
         check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoRow, "Index: 1 to 2^32 - 2 points");
-        interruptible(
+        pcbench::interruptible(
             [&](pcbench::Interrupt& interrupt) { index_.emplace(points_.data(), points_.shape(0), interrupt); });
         check(index_->valid(), kBadCoordinate);
     }
@@ -73,7 +57,7 @@ public:
         const pcbench::Tree& from = queries.tree();
         check(distances.shape(0) == from.count && indices.shape(0) == from.count, "nearest_of: one row for each query");
         check(!tied || tied->shape(0) == from.count, "nearest_of: one flag for each query");
-        interruptible([&](pcbench::Interrupt& interrupt) {
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             pcbench::kernels().nearest(tree(), from.leaves, from.leaf_count, nullptr, &queries == this,
                                        distances.data(), indices.data(), {slack, tied ? tied->data() : nullptr},
                                        interrupt);
@@ -92,7 +76,7 @@ public:
             check_rows(*hints, "nearest_of_moved: a hint lies outside the points");
         }
         bool valid = true;
-        interruptible([&](pcbench::Interrupt& interrupt) {
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             const pcbench::Block<pcbench::Leaf> leaves = pcbench::allocate<pcbench::Leaf>(from.leaf_count);
             valid = move_leaves(from, motion.data(), leaves.get(), moved.data());
             if (!valid) return;
@@ -151,7 +135,7 @@ public:
         const pcbench::Block<double> memory = pcbench::allocate<double>(stride * threads);
         std::vector<double*> scratch;
         for (size_t t = 0; t < threads; ++t) scratch.push_back(memory.get() + t * stride);
-        interruptible([&](pcbench::Interrupt& interrupt) {
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             const auto fit = [&](const pcbench::Leaf* queries, size_t leaf_count) {
                 kernels.planes(tree(), queries, leaf_count, rows ? rows->data() : nullptr, k, normals.data(),
                                variation.data(), distances.data(), indices.data(), scratch.data(), interrupt);
@@ -195,7 +179,7 @@ private:
         pcbench::Block<int64_t> offsets = pcbench::allocate<int64_t>(count + 1), rows;
         offsets[0] = 0;
         bool valid = true;
-        interruptible([&](pcbench::Interrupt& interrupt) {
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             if (count == 0) return;
             const pcbench::SortedPoints sorted(queries.data(), count, interrupt);
             valid = sorted.valid;
@@ -217,7 +201,7 @@ private:
     template <typename Search>
     void in_parts(Points queries, Search search) const {
         bool valid = true;
-        interruptible([&](pcbench::Interrupt& interrupt) {
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             for (size_t offset = 0; offset < queries.shape(0); offset += kQueryPart) {
                 const size_t count = std::min(kQueryPart, queries.shape(0) - offset);
                 const pcbench::SortedPoints part(queries.data() + 3 * offset, count, interrupt);

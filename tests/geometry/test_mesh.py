@@ -55,8 +55,8 @@ def winding(points, vertices, faces):
     return np.arctan2(volume, flat).sum(axis=1) / (2 * np.pi)
 
 
-def foot_distance(matches, points):
-    return np.linalg.norm(points - matches.feet, axis=1)
+def distance_to_closest(matches, points):
+    return np.linalg.norm(points - matches.closest, axis=1)
 
 
 # ---- distances ----
@@ -77,7 +77,7 @@ def test_tetrahedron_closed_form():
     matches = index.query([(1, 1, 1), (-1, -2, -2), (0.25, 0.25, -3), (3, 0, 0), (0.1, 0.1, 0.1)], signed=True)
     expected = [2 / np.sqrt(3), 3, 3, 2, -0.1]
     np.testing.assert_allclose(matches.distances, expected, rtol=1e-15)
-    np.testing.assert_allclose(matches.feet[:4], [[1 / 3] * 3, [0, 0, 0], [0.25, 0.25, 0], [1, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(matches.closest[:4], [[1 / 3] * 3, [0, 0, 0], [0.25, 0.25, 0], [1, 0, 0]], atol=1e-15)
     assert matches.faces[0] == 3
     assert matches.faces[1] == 0  # the origin belongs to three faces: the lowest
 
@@ -130,7 +130,7 @@ def test_against_every_triangle(seed, origin):
     np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=1e-9 if origin.any() else 1e-8)
     own = brute_one(points - origin, (vertices - origin)[faces[matches.faces]])
     np.testing.assert_allclose(own, distances, rtol=1e-12, atol=1e-8)
-    np.testing.assert_allclose(foot_distance(matches, points), matches.distances, rtol=1e-12, atol=3e-9)
+    np.testing.assert_allclose(distance_to_closest(matches, points), matches.distances, rtol=1e-12, atol=3e-9)
 
 
 def brute_one(points, corners):
@@ -147,7 +147,7 @@ def test_points_of_a_large_mesh():
     np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=1e-15)
     on = MeshIndex(Mesh(vertices, faces)).query(vertices)
     assert (on.distances == 0).all()
-    np.testing.assert_array_equal(on.feet, vertices)
+    np.testing.assert_array_equal(on.closest, vertices)
 
 
 def test_ties_go_to_the_lowest_face():

@@ -1,18 +1,14 @@
 """The search against a brute force in numpy that shares no code with it: equal to the last bit, ties by index."""
 
-import json
-import os
-import signal
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from repository import TESTS
+from point_shapes import SHAPES, clustered, grid, oblique_plane, uniform
 
 from pcbench.errors import InputError
 from pcbench.geometry.neighbors import Index, match_both_ways
@@ -35,67 +31,6 @@ def assert_matches(found, expected):
     np.testing.assert_array_equal(found.distances, expected[0])
     np.testing.assert_array_equal(found.indices, expected[1])
     assert found.distances.dtype == np.float64 and found.indices.dtype == np.int64
-
-
-def uniform(rng, n):
-    return rng.uniform(-1, 1, (n, 3))
-
-
-def clustered(rng, n):
-    centers = rng.uniform(-1000, 1000, (12, 3))
-    return centers[rng.integers(0, 12, n)] + rng.normal(0, 1, (n, 3)) * 10.0 ** rng.uniform(-4, 1, (n, 1))
-
-
-def planar(rng, n):
-    return np.column_stack([rng.uniform(-50, 50, (n, 2)), np.full(n, 3.25)])
-
-
-def oblique_plane(rng, n):
-    return rng.uniform(-50, 50, (n, 2)) @ np.array([[0.6, 0.64, 0.48], [0.8, -0.48, -0.36]])
-
-
-def collinear(rng, n):
-    return rng.uniform(-1, 1, (n, 1)) * np.array([[3.0, -2.0, 0.5]])
-
-
-def duplicated(rng, n):
-    return rng.uniform(0, 1, (max(1, n // 5), 3))[rng.integers(0, max(1, n // 5), n)]
-
-
-def grid(rng, n):
-    return rng.integers(0, 8, (n, 3)).astype(np.float64)
-
-
-def identical(rng, n):
-    return np.full((n, 3), 7.5)
-
-
-def half_at_the_origin(rng, n):
-    return np.where(rng.random((n, 1)) < 0.5, 0.0, rng.uniform(-5, 5, (n, 3)))
-
-
-def utm(rng, n):
-    return rng.uniform(0, 300, (n, 3)) + np.array([5e5, 4.8e6, 100.0])
-
-
-def tiny(rng, n):
-    return rng.uniform(-1e-12, 1e-12, (n, 3))
-
-
-def huge(rng, n):
-    return rng.uniform(-1e12, 1e12, (n, 3))
-
-
-def far_outlier(rng, n):
-    points = rng.uniform(0, 1, (n, 3))
-    points[0] = 1e12
-    return points
-
-
-SHAPES = [
-    uniform, clustered, planar, oblique_plane, collinear, duplicated, grid, identical, half_at_the_origin, utm, tiny,
-    huge, far_outlier,
-]  # fmt: skip
 
 
 @pytest.fixture(params=SHAPES, ids=lambda shape: shape.__name__)
@@ -391,74 +326,6 @@ def test_nearest_of_moved_is_a_query_with_moved_points(shape):
             np.testing.assert_array_equal(column, expected)
     with pytest.raises(InputError, match="finite coordinates"):
         index.nearest_of_moved(source, np.hstack([turn, np.full((3, 1), 1e200)]))
-
-
-ANSWERS = """
-import hashlib, json, sys
-import numpy as np
-sys.path[:0] = {path!r}
-from test_neighbors import SHAPES
-from pcbench.native import _core
-from pcbench.geometry.neighbors import Index, match_both_ways
-
-digest = hashlib.sha256()
-for shape in SHAPES:
-    rng = np.random.default_rng(1)
-    large = shape.__name__ in ("uniform", "clustered", "utm")  # enough for several tasks in the build
-    a, b = shape(rng, 40_000 if large else 4_000), shape(rng, 3_000)
-    index, axes = Index(a), np.tile([0.6, 0.0, 0.8], (20, 1))
-    extent = np.ptp(a, axis=0).max()
-    answers = [*match_both_ways(index, Index(b)), index.query(b), index.query(b[:500], 7), index.nearest_other()]
-    planes, turn = index.local_planes(8, np.arange(0, len(a), 11)), np.eye(4)[[1, 0, 2, 3]]
-    answers += [planes[:2], planes.nearest_other, index.nearest_of_moved(Index(b), turn)[1]]
-    answers += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]
-    answers += [index.nearest_of_with_ties(Index(b), slack)[1:] for slack in ((0.01 * extent) ** 2, 1e-8)]
-    for answer in answers:
-        for array in answer:
-            digest.update(array.tobytes())
-print(json.dumps([_core.isa(), digest.hexdigest()]))
-"""
-
-
-def answers_with(**environment):
-    """A digest of many answers from a fresh process."""
-    script = ANSWERS.format(path=[str(TESTS)])
-    return subprocess.run(
-        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
-    )
-
-
-def test_the_same_bits_with_any_instruction_set_and_any_number_of_threads():
-    expected = answers_with(OMP_NUM_THREADS="1")
-    assert expected.returncode == 0, expected.stderr
-    digest = json.loads(expected.stdout)[1]
-    assert json.loads(answers_with(OMP_NUM_THREADS="3").stdout)[1] == digest
-    ran = []
-    for isa in ("baseline", "avx2", "avx512"):
-        done = answers_with(PCBENCH_ISA=isa, OMP_NUM_THREADS="2")
-        if done.returncode:
-            assert "PCBENCH_ISA: expected one that this machine runs" in done.stderr
-        else:
-            assert json.loads(done.stdout) == [isa, digest]
-            ran.append(isa)
-    assert "baseline" in ran
-
-
-def test_an_unknown_instruction_set_is_refused():
-    done = answers_with(PCBENCH_ISA="sse9")
-    assert done.returncode != 0
-    assert "PCBENCH_ISA: expected one that this machine runs (" in done.stderr and "got 'sse9'" in done.stderr
-
-
-def test_ctrl_c_stops_a_search():
-    points = uniform(np.random.default_rng(12), 100_000)
-    index = Index(points)
-    timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
-    timer.start()
-    with pytest.raises(KeyboardInterrupt):  # uninterrupted, it takes about a minute
-        index.query(points, 1_500)
-    timer.join()
-    assert_matches(index.query(points[:9]), (np.zeros(9), np.arange(9)))
 
 
 def test_importing_the_room_costs_no_scipy():

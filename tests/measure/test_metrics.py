@@ -104,14 +104,14 @@ def test_percentiles_of_a_ramp():
 
 def test_plane_distances_by_rows_are_those_of_copies():
     rng = np.random.default_rng(5)
-    queries, feet, normals = rng.normal(size=(3, 50, 3))
-    rows = dict(zip(("query_rows", "feet_rows", "normal_rows"), rng.integers(0, 50, (3, 700)), strict=True))
-    copies = [array[which] for array, which in zip((queries, feet, normals), rows.values(), strict=True)]
-    found = metrics.plane_distances(queries, feet, normals, **rows)
+    queries, closest, normals = rng.normal(size=(3, 50, 3))
+    rows = dict(zip(("query_rows", "closest_rows", "normal_rows"), rng.integers(0, 50, (3, 700)), strict=True))
+    copies = [array[which] for array, which in zip((queries, closest, normals), rows.values(), strict=True)]
+    found = metrics.plane_distances(queries, closest, normals, **rows)
     np.testing.assert_array_equal(found, metrics.plane_distances(*copies))
     np.testing.assert_allclose(found, ((copies[0] - copies[1]) * copies[2]).sum(axis=1), rtol=0, atol=1e-14)
     with pytest.raises(IndexError, match="outside"):
-        metrics.plane_distances(queries, feet, normals, feet_rows=np.full(50, 50))
+        metrics.plane_distances(queries, closest, normals, closest_rows=np.full(50, 50))
 
 
 def test_area_weighting_counts_voxels_not_points():

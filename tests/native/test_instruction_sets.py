@@ -1,5 +1,6 @@
-"""The search loops are compiled once for each instruction set: no copy may stand in for another."""
+"""The search loops are compiled once for each instruction set: the same bits from each, and no mixing of them."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -7,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from repository import ROOT
+from repository import ROOT, TESTS
 
 NATIVE = ROOT / "pcbench" / "native"
 # As in CMakeLists.txt.
@@ -80,3 +81,67 @@ def test_what_this_machine_can_do_is_used(isa, needs):
         [sys.executable, "-c", script], env={**os.environ, "PCBENCH_ISA": isa}, capture_output=True, text=True
     )
     assert done.stdout == isa + "\n", done.stderr
+
+
+ANSWERS = """
+import hashlib, json, sys
+import numpy as np
+sys.path[:0] = {path!r}
+from point_shapes import SHAPES
+from pcbench.native import _core
+from pcbench.geometry.neighbors import Index, match_both_ways
+
+digest = hashlib.sha256()
+for shape in SHAPES:
+    rng = np.random.default_rng(1)
+    large = shape.__name__ in ("uniform", "clustered", "utm")  # enough for several tasks in the build
+    a, b = shape(rng, 40_000 if large else 4_000), shape(rng, 3_000)
+    index, axes = Index(a), np.tile([0.6, 0.0, 0.8], (20, 1))
+    extent = np.ptp(a, axis=0).max()
+    answers = [*match_both_ways(index, Index(b)), index.query(b), index.query(b[:500], 7), index.nearest_other()]
+    planes, turn = index.local_planes(8, np.arange(0, len(a), 11)), np.eye(4)[[1, 0, 2, 3]]
+    answers += [planes[:2], planes.nearest_other, index.nearest_of_moved(Index(b), turn)[1]]
+    answers += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]
+    answers += [index.nearest_of_with_ties(Index(b), slack)[1:] for slack in ((0.01 * extent) ** 2, 1e-8)]
+    for answer in answers:
+        for array in answer:
+            digest.update(array.tobytes())
+print(json.dumps([_core.isa(), digest.hexdigest()]))
+"""
+
+
+def answers_with(**environment):
+    """A digest of many answers from a fresh process."""
+    script = ANSWERS.format(path=[str(TESTS)])
+    return subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
+    )
+
+
+@pytest.fixture(scope="module")
+def baseline_answers():
+    done = answers_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
+    assert done.returncode == 0, done.stderr
+    isa, digest = json.loads(done.stdout)
+    assert isa == "baseline"
+    return digest
+
+
+def test_the_same_bits_with_any_number_of_threads(baseline_answers):
+    for threads in ("2", "3"):
+        done = answers_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)
+        assert json.loads(done.stdout) == ["baseline", baseline_answers]
+
+
+@pytest.mark.parametrize("isa", ["avx2", "avx512"])
+def test_the_same_bits_with_any_instruction_set(baseline_answers, isa):
+    done = answers_with(PCBENCH_ISA=isa, OMP_NUM_THREADS="2")
+    if "PCBENCH_ISA: expected one that this machine runs" in done.stderr:
+        pytest.skip(f"this machine has no {isa}: there is nothing to compare with the baseline")
+    assert json.loads(done.stdout) == [isa, baseline_answers], done.stderr
+
+
+def test_an_unknown_instruction_set_is_refused():
+    done = answers_with(PCBENCH_ISA="sse9")
+    assert done.returncode != 0
+    assert "PCBENCH_ISA: expected one that this machine runs (" in done.stderr and "got 'sse9'" in done.stderr

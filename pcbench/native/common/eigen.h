@@ -2,50 +2,51 @@
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include "common/jacobi.h"
-#include "common/lanes.h"
+#include "common/simd.h"
 
 namespace pcbench::PCB_ISA {
 
 struct SmallestEigen {
-    Lanes x, y, z;  // unit vector
-    Lanes share;    // of the smallest eigenvalue in their sum; 0 for a zero matrix
+    Vector x, y, z;  // unit vector
+    Vector share;    // of the smallest eigenvalue in their sum; 0 for a zero matrix
 };
 
 // A matrix that is `done` stays as it is, to the last bit.
-inline void rotate(Lanes& pp, Lanes& qq, Lanes& pq, Lanes& rp, Lanes& rq, Lanes (&vp)[3], Lanes (&vq)[3], Mask done) {
-    const Lanes zero = splat(0.0), one = splat(1.0), two = splat(2.0);
-    const Lanes difference = qq - pp, twice = two * pq;
-    const Lanes root = sqrt(difference * difference + twice * twice);
-    const Lanes signed_twice = select(difference < zero, zero - twice, twice);
-    const Lanes tangent = select(done | (pq == zero), zero, signed_twice / (abs(difference) + root));
+inline void rotate(Vector& pp, Vector& qq, Vector& pq, Vector& rp, Vector& rq, Vector (&vp)[3], Vector (&vq)[3],
+                   Mask done) {
+    const Vector zero = splat(0.0), one = splat(1.0), two = splat(2.0);
+    const Vector difference = qq - pp, twice = two * pq;
+    const Vector root = sqrt(difference * difference + twice * twice);
+    const Vector signed_twice = select(difference < zero, zero - twice, twice);
+    const Vector tangent = select(done | (pq == zero), zero, signed_twice / (abs(difference) + root));
     turn(tangent, one, pp, qq, pq, rp, rq, vp, vq);
     pq = select(done, pq, zero);
 }
 
-inline SmallestEigen smallest_eigen(Symmetric<Lanes> m) {
-    const Lanes zero = splat(0.0), one = splat(1.0);
+inline SmallestEigen smallest_eigen(Symmetric<Vector> m) {
+    const Vector zero = splat(0.0), one = splat(1.0);
     // Scaled to a trace of one, nothing overflows or underflows that matters.
-    const Lanes trace = (m.xx + m.yy) + m.zz;
-    const Lanes scale = select(zero < trace, one / trace, zero);
+    const Vector trace = (m.xx + m.yy) + m.zz;
+    const Vector scale = select(zero < trace, one / trace, zero);
     m = {m.xx * scale, m.xy * scale, m.xz * scale, m.yy * scale, m.yz * scale, m.zz * scale};
-    Lanes v[3][3] = {{one, zero, zero}, {zero, one, zero}, {zero, zero, one}};  // one axis a row
+    Vector v[3][3] = {{one, zero, zero}, {zero, one, zero}, {zero, zero, one}};  // one axis a row
     for (int round = 0; round < 16; ++round) {
         const Mask done = (abs(m.xy) + abs(m.xz)) + abs(m.yz) <= splat(1e-17);
         if (bits(done) == 0xff) break;
-        sweep(m, v, [done](Lanes& pp, Lanes& qq, Lanes& pq, Lanes& rp, Lanes& rq, Lanes(&vp)[3], Lanes(&vq)[3]) {
+        sweep(m, v, [done](Vector& pp, Vector& qq, Vector& pq, Vector& rp, Vector& rq, Vector(&vp)[3], Vector(&vq)[3]) {
             rotate(pp, qq, pq, rp, rq, vp, vq, done);
         });
     }
     SmallestEigen out{v[0][0], v[0][1], v[0][2], m.xx};
     for (int axis = 1; axis < 3; ++axis) {
-        const Lanes value = axis == 1 ? m.yy : m.zz;
+        const Vector value = axis == 1 ? m.yy : m.zz;
         const Mask smaller = value < out.share;
         out.share = select(smaller, value, out.share);
         out.x = select(smaller, v[axis][0], out.x);
         out.y = select(smaller, v[axis][1], out.y);
         out.z = select(smaller, v[axis][2], out.z);
     }
-    const Lanes length = sqrt(squared_length(out.x, out.y, out.z));
+    const Vector length = sqrt(squared_length(out.x, out.y, out.z));
     return {out.x / length, out.y / length, out.z / length, max(out.share, zero)};
 }
 

@@ -7,8 +7,9 @@ struct Vec3 {
     double x, y, z;
 };
 
-// The three numbers that a row of an array holds.
-inline Vec3 vec3(const double* p) { return {p[0], p[1], p[2]}; }
+// A row of an array (N, 3), read and written.
+inline Vec3 vec3(const double* row) { return {row[0], row[1], row[2]}; }
+inline void write(const Vec3& v, double* row) { row[0] = v.x, row[1] = v.y, row[2] = v.z; }
 
 inline Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
 inline Vec3 operator-(const Vec3& a, const Vec3& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }

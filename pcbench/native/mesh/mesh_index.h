@@ -4,12 +4,15 @@
 // looking at every triangle in float64 would give, to the last bit, whatever the tree's shape or the threads.
 #pragma once
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <new>
 #include <vector>
 
+#include "common/interrupt.h"
 #include "mesh/ray.h"
 #include "mesh/triangle.h"
 
@@ -57,22 +60,33 @@ struct Item {  // a triangle while the tree is built
 
 class Builder {
 public:
-    static constexpr uint32_t kLeaf = 2;          // triangles at most
-    static constexpr int kBins = 12;              // candidates for a cut
-    static constexpr int kHalving = 40;           // levels after which ranges are halved, which bounds the depth
-    static constexpr int kDepth = kHalving + 32;  // levels at most
+    static constexpr uint32_t kLeaf = 2;             // triangles at most
+    static constexpr uint32_t kUninterrupted = 256;  // triangles that take no time worth asking after
+    static constexpr int kBins = 12;                 // candidates for a cut
+    static constexpr int kHalving = 40;              // levels after which ranges are halved, which bounds the depth
+    static constexpr int kDepth = kHalving + 32;     // levels at most
 
-    explicit Builder(std::vector<Item>& items) : items_(items) {}
+    Builder(std::vector<Item>& items, Interrupt& interrupt) : items_(items), interrupt_(interrupt) {}
 
-    // The nodes in an order that depends on the triangles alone; the first is the root.
+    // The nodes in an order that depends on the triangles alone; the first is the root. Not all of them when
+    // interrupted.
     std::vector<Node> build() {
         const uint32_t size = static_cast<uint32_t>(items_.size());
         std::vector<Node> nodes;
         std::vector<Job> jobs;
         grow(nodes, Range(items_, 0, size), 0, std::max(1u << 14, size / 64), &jobs);
         std::vector<std::vector<Node>> parts(jobs.size());
+        std::atomic<bool> out_of_memory{false};  // no exception may leave a parallel region
 #pragma omp parallel for schedule(dynamic, 1)
-        for (size_t j = 0; j < jobs.size(); ++j) grow(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr);
+        for (size_t j = 0; j < jobs.size(); ++j) {
+            if (out_of_memory) continue;
+            try {
+                grow(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr);
+            } catch (const std::bad_alloc&) {
+                out_of_memory = true;
+            }
+        }
+        if (out_of_memory) throw std::bad_alloc();
         for (size_t j = 0; j < jobs.size(); ++j) {
             const uint32_t offset = static_cast<uint32_t>(nodes.size());
             nodes[jobs[j].node].first[jobs[j].slot] = offset;
@@ -104,6 +118,7 @@ private:
 
     // Ranges of at most `small` triangles are not grown but noted in `jobs`.
     uint32_t grow(std::vector<Node>& nodes, const Range& range, int depth, uint32_t small, std::vector<Job>* jobs) {
+        if (range.size() > kUninterrupted && interrupt_.requested()) return 0;
         Range children[4];
         children[0] = range;
         int count = 1;
@@ -194,6 +209,7 @@ private:
     static uint32_t halve(const Range& range) { return range.begin + range.size() / 2; }
 
     std::vector<Item>& items_;
+    Interrupt& interrupt_;
 };
 
 // ---- order ----------------------------------------------------------------------------------------------------------
@@ -238,8 +254,9 @@ inline std::vector<uint32_t> morton_order(const double* points, size_t count) {
 
 class MeshIndex {
 public:
-    // vertices (V, 3), finite; faces (F, 3), indices in range, 1 <= F < 2^31.
-    MeshIndex(const double* vertices, size_t vertex_count, const int64_t* faces, size_t face_count) {
+    // vertices (V, 3), finite; faces (F, 3), indices in range, 1 <= F < 2^31. Not to be used when interrupted.
+    MeshIndex(const double* vertices, size_t vertex_count, const int64_t* faces, size_t face_count,
+              Interrupt& interrupt) {
         frame_ = frame_of(vertices, vertex_count);
         std::vector<Item> items(face_count);
 #pragma omp parallel for schedule(static)
@@ -254,7 +271,8 @@ public:
                 items[f].box.include(low, high);
             }
         }
-        nodes_ = Builder(items).build();
+        nodes_ = Builder(items, interrupt).build();
+        if (interrupt.requested()) return;
         triangles_.resize(face_count);
         faces_.resize(face_count);
 #pragma omp parallel for schedule(static)
@@ -269,8 +287,8 @@ public:
     size_t size() const { return faces_.size(); }
 
     // For each of `count` < 2^32 points: distance, nearest point, face (the lowest of equals) and feature on it.
-    void query(const double* points, size_t count, double* distances, double* feet, int64_t* faces,
-               uint8_t* features) const {
+    void query(const double* points, size_t count, double* distances, double* closest, int64_t* faces,
+               uint8_t* features, Interrupt& interrupt) const {
         constexpr size_t kChunk = 512;
         const std::vector<uint32_t> order = morton_order(points, count);
         const int64_t chunks = static_cast<int64_t>((count + kChunk - 1) / kChunk);
@@ -279,13 +297,13 @@ public:
             const size_t begin = chunk * kChunk, end = std::min(count, begin + kChunk);
             uint32_t triangle = 0;  // the answer to the query before: a good first bound
             for (size_t i = begin; i < end; ++i) {
+                if (i % kAsk == 0 && interrupt.requested()) break;
                 const size_t row = order[i];
                 const Vec3 p = vec3(points + 3 * row);
                 triangle = search(p, triangle);
                 const Nearest nearest = nearest_on_triangle(p, triangles_[triangle]);
                 distances[row] = std::sqrt(nearest.squared);
-                feet[3 * row] = nearest.closest.x, feet[3 * row + 1] = nearest.closest.y,
-                         feet[3 * row + 2] = nearest.closest.z;
+                write(nearest.closest, closest + 3 * row);
                 faces[row] = faces_[triangle];
                 features[row] = nearest.feature;
             }
@@ -295,8 +313,8 @@ public:
     // Where each of `count` rays origin + t * direction first meets the mesh with t in (0, limit): t and the face, the
     // lowest of equals; infinity and -1 where it meets none. Neighbours in the arrays should be neighbours in space.
     void cast(const double* origins, const double* directions, size_t count, double limit, double* distances,
-              int64_t* faces) const {
-        each_ray(origins, directions, count, [&](size_t row, const Ray& ray) {
+              int64_t* faces, Interrupt& interrupt) const {
+        each_ray(origins, directions, count, interrupt, [&](size_t row, const Ray& ray) {
             const RayHit hit = first_hit(ray, limit, false);
             distances[row] = hit.face < 0 ? HUGE_VAL : hit.t;
             faces[row] = hit.face;
@@ -304,19 +322,22 @@ public:
     }
 
     // Whether each ray meets the mesh at all with t in (0, limit): stops at the first triangle found.
-    void blocked(const double* origins, const double* directions, size_t count, double limit, bool* blocked) const {
-        each_ray(origins, directions, count,
+    void blocked(const double* origins, const double* directions, size_t count, double limit, bool* blocked,
+                 Interrupt& interrupt) const {
+        each_ray(origins, directions, count, interrupt,
                  [&](size_t row, const Ray& ray) { blocked[row] = first_hit(ray, limit, true).face >= 0; });
     }
 
 private:
     template <typename Visit>
-    static void each_ray(const double* origins, const double* directions, size_t count, Visit visit) {
+    static void each_ray(const double* origins, const double* directions, size_t count, Interrupt& interrupt,
+                         Visit visit) {
         constexpr size_t kChunk = 1024;
         const int64_t chunks = static_cast<int64_t>((count + kChunk - 1) / kChunk);
 #pragma omp parallel for schedule(dynamic, 1)
         for (int64_t chunk = 0; chunk < chunks; ++chunk)
             for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
+                if (i % kAsk == 0 && interrupt.requested()) break;
                 visit(i, Ray(vec3(origins + 3 * i), vec3(directions + 3 * i)));
             }
     }
@@ -380,6 +401,8 @@ private:
         }
         return best;
     }
+
+    static constexpr size_t kAsk = 16;  // queries between two looks at the interrupt
 
     static float to_bound(double t) { return static_cast<float>(std::min(t * kRayMargin, 1e38)); }
 

@@ -62,34 +62,34 @@ void plane_fits(Points points, In<int64_t, nb::ndim<2>> neighbors, Out<double, n
     if (!in_range) throw nb::index_error("plane_fits: a neighbour index lies outside points");
 }
 
-void plane_distances(Points queries, OptionalIndices query_rows, Points feet, OptionalIndices feet_rows, Points normals,
-                     OptionalIndices normal_rows, Out<double, nb::shape<-1>> distances) {
+void plane_distances(Points queries, OptionalIndices query_rows, Points closest, OptionalIndices closest_rows,
+                     Points normals, OptionalIndices normal_rows, Out<double, nb::shape<-1>> distances) {
     const size_t count = distances.shape(0);
-    const pcbench::Rows q = rows_of(queries, query_rows, count), f = rows_of(feet, feet_rows, count),
+    const pcbench::Rows q = rows_of(queries, query_rows, count), c = rows_of(closest, closest_rows, count),
                         n = rows_of(normals, normal_rows, count);
     nb::gil_scoped_release release;
-    pcbench::plane_distances(count, q, f, n, distances.data());
+    pcbench::plane_distances(count, q, c, n, distances.data());
 }
 
-void rounded_squares(Points queries, Points feet, Indices rows, Out<double, nb::shape<-1>> squares) {
+void rounded_squares(Points queries, Points closest, Indices rows, Out<double, nb::shape<-1>> squares) {
     const size_t count = squares.shape(0);
-    const pcbench::Rows q = rows_of(queries, std::nullopt, count), f = rows_of(feet, rows, count);
+    const pcbench::Rows q = rows_of(queries, std::nullopt, count), c = rows_of(closest, rows, count);
     nb::gil_scoped_release release;
-    pcbench::rounded_squares(count, q, f, squares.data());
+    pcbench::rounded_squares(count, q, c, squares.data());
 }
 
-nb::tuple weigh(Points moved, Column distances, Points feet, Indices rows, Points normals, double gate, bool robust,
-                double kept, Out<double, nb::shape<-1>> residuals, Out<double, nb::shape<-1>> weights) {
+nb::tuple weigh(Points moved, Column distances, Points closest, Indices rows, Points normals, double max_distance,
+                bool robust, double kept, Out<double, nb::shape<-1>> residuals, Out<double, nb::shape<-1>> weights) {
     const size_t count = moved.shape(0);
     check(0 <= kept && kept <= 1, "weigh: expected a share from 0 to 1");
     check(distances.shape(0) == count && residuals.shape(0) == count && weights.shape(0) == count,
           "weigh: every argument needs one row for each pair");
-    const pcbench::Rows f = rows_of(feet, rows, count), n = rows_of(normals, rows, count);
+    const pcbench::Rows c = rows_of(closest, rows, count), n = rows_of(normals, rows, count);
     pcbench::Weighing found;
     {
         nb::gil_scoped_release release;
-        found = pcbench::weigh(count, moved.data(), distances.data(), f, n, gate, robust, kept, residuals.data(),
-                               weights.data());
+        found = pcbench::weigh(count, moved.data(), distances.data(), c, n, max_distance, robust, kept,
+                               residuals.data(), weights.data());
     }
     return nb::make_tuple(found.near, found.sigma);
 }
@@ -153,20 +153,23 @@ void bind_loops(nb::module_& m) {
         nb::arg("variation").noconvert(),
         "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
     m.def("plane_distances", &plane_distances, nb::arg("queries").noconvert(), nb::arg("query_rows").noconvert().none(),
-          nb::arg("feet").noconvert(), nb::arg("feet_rows").noconvert().none(), nb::arg("normals").noconvert(),
+          nb::arg("closest").noconvert(), nb::arg("closest_rows").noconvert().none(), nb::arg("normals").noconvert(),
           nb::arg("normal_rows").noconvert().none(), nb::arg("distances").noconvert(),
           "Signed distances (M,) along normals, written in place; each array is taken in order or by its rows.");
-    m.def("rounded_squares", &rounded_squares, nb::arg("queries").noconvert(), nb::arg("feet").noconvert(),
-          nb::arg("feet_rows").noconvert(), nb::arg("squares").noconvert(),
+    m.def("rounded_squares", &rounded_squares, nb::arg("queries").noconvert(), nb::arg("closest").noconvert(),
+          nb::arg("closest_rows").noconvert(), nb::arg("squares").noconvert(),
           "Squared distances (M,), written in place, from differences that were rounded to float32.");
-    m.def("weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("feet").noconvert(),
-          nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("gate"), nb::arg("robust"),
-          nb::arg("kept"), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
-          "Residuals and weights (M,) of pairs, written in place; the number of pairs within the gate and their sigma.",
-          nb::sig("def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], feet: "
-                  "NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], gate: float, "
-                  "robust: bool, kept: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> "
-                  "tuple[int, float]"));
+    m.def(
+        "weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("closest").noconvert(),
+        nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("max_distance"), nb::arg("robust"),
+        nb::arg("kept"), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
+        "Residuals and weights (M,) of pairs, written in place; the number of pairs within the maximum correspondence\n"
+        "distance and their sigma.",
+        nb::sig(
+            "def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], closest: "
+            "NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], max_distance: float, "
+            "robust: bool, kept: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> "
+            "tuple[int, float]"));
     m.def("plane_system", &plane_system, nb::arg("moved").noconvert(), nb::arg("normals").noconvert(),
           nb::arg("rows").noconvert(), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
           nb::arg("hessian").noconvert(), nb::arg("gradient").noconvert(), nb::arg("center").noconvert(),

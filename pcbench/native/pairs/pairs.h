@@ -39,9 +39,9 @@ struct Rows {
     Vec3 operator[](size_t i) const { return vec3(data + 3 * (list ? static_cast<size_t>(list[i]) : i)); }
 };
 
-inline void plane_distances(size_t count, Rows queries, Rows feet, Rows normals, double* distances) {
+inline void plane_distances(size_t count, Rows queries, Rows closest, Rows normals, double* distances) {
 #pragma omp parallel for schedule(static) if (count > kWorthThreads)
-    for (size_t i = 0; i < count; ++i) distances[i] = dot(queries[i] - feet[i], normals[i]);
+    for (size_t i = 0; i < count; ++i) distances[i] = dot(queries[i] - closest[i], normals[i]);
 }
 
 // As float32, infinite beyond its range.
@@ -50,10 +50,10 @@ inline double rounded(double exact) {
 }
 
 // Squared distances from differences that were rounded to float32.
-inline void rounded_squares(size_t count, Rows queries, Rows feet, double* squares) {
+inline void rounded_squares(size_t count, Rows queries, Rows closest, double* squares) {
 #pragma omp parallel for schedule(static) if (count > kWorthThreads)
     for (size_t i = 0; i < count; ++i) {
-        const Vec3 exact = queries[i] - feet[i], d{rounded(exact.x), rounded(exact.y), rounded(exact.z)};
+        const Vec3 exact = queries[i] - closest[i], d{rounded(exact.x), rounded(exact.y), rounded(exact.z)};
         squares[i] = dot(d, d);
     }
 }
@@ -65,19 +65,19 @@ inline double of_rank(std::vector<double>& values, size_t rank) {
 }
 
 struct Weighing {
-    size_t near;   // pairs within the gate
+    size_t near;   // pairs no farther apart than the maximum correspondence distance
     double sigma;  // 1.4826 times the median of their absolute residuals
 };
 
-// Residuals of all pairs along their planes' normals, and weights: 0 beyond the gate; within it Tukey's biweight at
-// 95 % efficiency where `robust`, else 1 for the share `kept` of nearest pairs.
-inline Weighing weigh(size_t count, const double* moved, const double* distances, Rows feet, Rows normals, double gate,
-                      bool robust, double kept, double* residuals, double* weights) {
-    plane_distances(count, {moved, nullptr}, feet, normals, residuals);
+// Residuals of all pairs along their planes' normals, and weights: 0 beyond the maximum correspondence distance; within
+// it Tukey's biweight at 95 % efficiency where `robust`, else 1 for the share `kept` of nearest pairs.
+inline Weighing weigh(size_t count, const double* moved, const double* distances, Rows closest, Rows normals,
+                      double max_distance, bool robust, double kept, double* residuals, double* weights) {
+    plane_distances(count, {moved, nullptr}, closest, normals, residuals);
     std::vector<double> sizes;
     sizes.reserve(count);
     for (size_t i = 0; i < count; ++i)
-        if (distances[i] <= gate) sizes.push_back(std::fabs(residuals[i]));
+        if (distances[i] <= max_distance) sizes.push_back(std::fabs(residuals[i]));
     const size_t near = sizes.size();
     if (near == 0) {
         std::fill_n(weights, count, 0.0);
@@ -88,16 +88,16 @@ inline Weighing weigh(size_t count, const double* moved, const double* distances
     const double sigma = 1.4826 * (0.5 * (lower + upper));
     if (robust) {
         // Exact copies have residuals of nothing but rounding.
-        const double width = 4.685 * std::max({sigma, 1e-12 * gate, 2.2250738585072014e-308});
+        const double width = 4.685 * std::max({sigma, 1e-12 * max_distance, 2.2250738585072014e-308});
 #pragma omp parallel for schedule(static) if (count > kWorthThreads)
         for (size_t i = 0; i < count; ++i) {
             const double r = residuals[i] / width, rest = std::max(1 - r * r, 0.0);
-            weights[i] = distances[i] <= gate ? rest * rest : 0.0;
+            weights[i] = distances[i] <= max_distance ? rest * rest : 0.0;
         }
     } else {
         sizes.clear();
         for (size_t i = 0; i < count; ++i)
-            if (distances[i] <= gate) sizes.push_back(distances[i]);
+            if (distances[i] <= max_distance) sizes.push_back(distances[i]);
         const double limit = of_rank(sizes, static_cast<size_t>(kept * static_cast<double>(near - 1)));
         for (size_t i = 0; i < count; ++i) weights[i] = distances[i] <= limit ? 1.0 : 0.0;
     }

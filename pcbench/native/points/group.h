@@ -1,4 +1,4 @@
-// Eight queries that lie near each other and walk the tree together, one in each lane.
+// Eight queries that lie near each other and walk the tree together, one in each lane of the SIMD vectors.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include "points/walk.h"
@@ -9,7 +9,7 @@ struct Group {
     alignas(64) double x[kLanes], y[kLanes], z[kLanes];
     size_t row[kLanes];    // of the result
     size_t point[kLanes];  // of the tree, for queries that are its own points
-    int count;             // lanes beyond repeat the first query
+    int count;             // real queries; the lanes beyond repeat the first
     Box box;
 
     explicit Group(const Leaf& leaf) : count(0) {
@@ -30,11 +30,11 @@ struct Group {
     }
 
     // Squared distance of each query to one of the node's children.
-    Lanes gaps_to(const Node& node, int child) const {
+    Vector gaps_to(const Node& node, int child) const {
         const double* axes[3] = {x, y, z};
-        Lanes gap[3];
+        Vector gap[3];
         for (int a = 0; a < 3; ++a) {
-            const Lanes q = load(axes[a]);
+            const Vector q = load(axes[a]);
             gap[a] = axis_gap(q, q, splat(node.low[a][child]), splat(node.high[a][child]));
         }
         return squared_length(gap[0], gap[1], gap[2]);

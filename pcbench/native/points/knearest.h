@@ -12,14 +12,14 @@ public:
     NearestK(const Tree& tree, const double* query, size_t k, double* squared, int64_t* rows)
         : tree_(tree), query_(query), box_(point_box(query)), k_(k), squared_(squared), rows_(rows) {}
 
-    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, box_); }
+    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, box_); }
     double bound() const { return found_ < k_ ? kFarAway : squared_[k_ - 1]; }
     uint32_t last_tie() const { return found_ < k_ ? UINT32_MAX : static_cast<uint32_t>(rows_[k_ - 1]); }
 
     void leaf(uint32_t id, const Node&, int) {
         const Leaf& leaf = tree_.leaves[id];
-        const Lanes d = squared_length(splat(query_[0]) - load(leaf.x), splat(query_[1]) - load(leaf.y),
-                                       splat(query_[2]) - load(leaf.z));
+        const Vector d = squared_length(splat(query_[0]) - load(leaf.x), splat(query_[1]) - load(leaf.y),
+                                        splat(query_[2]) - load(leaf.z));
         alignas(64) double squared[kLanes];
         store(squared, d);
         for (unsigned near = bits(d <= splat(bound())); near; near &= near - 1) {

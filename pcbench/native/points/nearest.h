@@ -20,14 +20,14 @@ public:
     // Where the walk starts decides how much it prunes: any leaf will do, the previous group's answer is best.
     void start(uint32_t leaf) {
         seed_ = near_ = leaf;
-        visit_all_lanes(leaf);
+        visit_all(leaf);
         bound_ = largest(limits());
     }
 
     // Starts in the queries' own leaf, where a query is not its own neighbour.
     void start_at_own(uint32_t leaf) {
         seed_ = near_ = leaf;
-        visit_all_lanes<true>(leaf);
+        visit_all<true>(leaf);
         bound_ = largest(limits());
     }
 
@@ -41,7 +41,7 @@ public:
         bound_ = largest(load(best_));
     }
 
-    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
+    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
     double bound() const { return bound_; }
 
     uint32_t last_tie() const {
@@ -58,9 +58,9 @@ public:
         if (!lanes) return;
         bool improved = false;
         if (__builtin_popcount(lanes) > 2)
-            improved = visit_all_lanes(leaf);
+            improved = visit_all(leaf);
         else
-            for (; lanes; lanes &= lanes - 1) improved |= visit_one_lane(leaf, __builtin_ctz(lanes));
+            for (; lanes; lanes &= lanes - 1) improved |= visit_one(leaf, __builtin_ctz(lanes));
         if (!improved) return;
         near_ = leaf;
         bound_ = largest(limits());
@@ -73,20 +73,20 @@ public:
 
 private:
     // Squared distances that matter. Rounding is monotone: d - best < slack implies d <= best + slack, each rounded
-    // once. A lane with a tie needs only its answer: what is skipped from then on is no nearer than that tie.
-    Lanes limits() const { return kTies ? select(untied(), load(best_) + splat(slack_), load(best_)) : load(best_); }
+    // once. A query with a tie needs only its answer: what is skipped from then on is no nearer than that tie.
+    Vector limits() const { return kTies ? select(untied(), load(best_) + splat(slack_), load(best_)) : load(best_); }
     Mask untied() const { return splat(slack_) <= load(second_) - load(best_); }
 
     // One point after the other, against eight queries.
     template <bool kOwnLeaf = false>
-    bool visit_all_lanes(uint32_t id) {
+    bool visit_all(uint32_t id) {
         const Leaf& leaf = tree_.leaves[id];
-        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), before = load(best_);
-        Lanes best = before, row = load(row_), second = kTies ? load(second_) : before;
+        const Vector x = load(group_.x), y = load(group_.y), z = load(group_.z), before = load(best_);
+        Vector best = before, row = load(row_), second = kTies ? load(second_) : before;
         for (size_t i = 0; i < kFan; ++i) {
-            Lanes squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
+            Vector squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
             if (kOwnLeaf) squared = select(from_bits(1u << i), splat(HUGE_VAL), squared);
-            const Lanes index = splat(leaf.row[i]);
+            const Vector index = splat(leaf.row[i]);
             const Mask better = (squared < best) | ((squared == best) & (index < row));
             if (kTies) second = min(second, max(best, squared));
             best = min(best, squared);
@@ -99,11 +99,11 @@ private:
     }
 
     // One query, against eight points.
-    bool visit_one_lane(uint32_t id, int lane) {
+    bool visit_one(uint32_t id, int lane) {
         const Leaf& leaf = tree_.leaves[id];
         alignas(64) double squared[kLanes];
-        const Lanes d = squared_length(splat(group_.x[lane]) - load(leaf.x), splat(group_.y[lane]) - load(leaf.y),
-                                       splat(group_.z[lane]) - load(leaf.z));
+        const Vector d = squared_length(splat(group_.x[lane]) - load(leaf.x), splat(group_.y[lane]) - load(leaf.y),
+                                        splat(group_.z[lane]) - load(leaf.z));
         unsigned near = bits(d <= splat(kTies && !tied(lane) ? best_[lane] + slack_ : best_[lane]));
         if (!near) return false;
         store(squared, d);

@@ -67,8 +67,7 @@ inline bool plane_fits(const double* points, size_t count, const int64_t* neighb
             covariance.yy += d.y * d.y, covariance.yz += d.y * d.z, covariance.zz += d.z * d.z;
         }
         const Eigen found = eigen(covariance);
-        normals[3 * row] = found.smallest.x, normals[3 * row + 1] = found.smallest.y;
-        normals[3 * row + 2] = found.smallest.z;
+        write(found.smallest, normals + 3 * row);
         const double total = found.values[0] + found.values[1] + found.values[2];
         variation[row] = total > 0 ? found.values[0] / total : 0.0;
     }

@@ -45,7 +45,7 @@ public:
         store(last_row_, splat(kNoRow));
     }
 
-    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
+    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
     double bound() const { return bound_; }
     uint32_t last_tie() const { return UINT32_MAX; }
 
@@ -53,9 +53,9 @@ public:
         if (!bits(group_.gaps_to(parent, child) <= load(limit_))) return;
         if (count_ + kFan > room_) tighten(0);
         const Leaf& leaf = tree_.leaves[id];
-        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), limit = load(limit_);
+        const Vector x = load(group_.x), y = load(group_.y), z = load(group_.z), limit = load(limit_);
         for (size_t i = 0; i < kFan; ++i) {
-            const Lanes squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
+            const Vector squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
             store(squared_ + count_ * kLanes, squared);
             slots_[count_] = kFan * id + i;
             count_ += bits(squared <= limit) != 0;
@@ -67,11 +67,11 @@ public:
     // share its group and the way they came; a candidate that is not its neighbour adds zero, which changes no bit.
     void fit(double* normals, double* variation, double* distances, int64_t* indices) {
         tighten(0);
-        const Lanes x = load(group_.x), y = load(group_.y), z = load(group_.z), zero = splat(0.0);
-        Lanes sx = zero, sy = zero, sz = zero, xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
+        const Vector x = load(group_.x), y = load(group_.y), z = load(group_.z), zero = splat(0.0);
+        Vector sx = zero, sy = zero, sz = zero, xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
         alignas(64) double own[kLanes];
         for (int l = 0; l < kLanes; ++l) own[l] = static_cast<double>(group_.point[l]);
-        Lanes nearest = splat(HUGE_VAL), nearest_row = splat(kNoRow);
+        Vector nearest = splat(HUGE_VAL), nearest_row = splat(kNoRow);
         const size_t run_count = sort_runs();
         for (size_t run = 0; run < run_count; ++run) {
             const uint64_t id = runs_[run] >> 32;
@@ -80,23 +80,23 @@ public:
                 const Mask selected = is_selected(c);
                 const size_t i = slots_[c] % kFan;
                 // Differences to the query, which is one of the points: large coordinates cost no digits.
-                const Lanes dx = select(selected, splat(leaf.x[i]) - x, zero);
-                const Lanes dy = select(selected, splat(leaf.y[i]) - y, zero);
-                const Lanes dz = select(selected, splat(leaf.z[i]) - z, zero);
+                const Vector dx = select(selected, splat(leaf.x[i]) - x, zero);
+                const Vector dy = select(selected, splat(leaf.y[i]) - y, zero);
+                const Vector dz = select(selected, splat(leaf.z[i]) - z, zero);
                 sx = sx + dx, sy = sy + dy, sz = sz + dz;
                 xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
                 yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
-                const Lanes candidate = splat(leaf.row[i]);
-                const Lanes other = select(candidate == load(own), splat(HUGE_VAL), squared(c));
+                const Vector candidate = splat(leaf.row[i]);
+                const Vector other = select(candidate == load(own), splat(HUGE_VAL), squared(c));
                 // Its own row may stand here at infinity, until another one comes: there is one, as k >= 2.
                 const Mask better = (other < nearest) | ((other == nearest) & (candidate < nearest_row));
                 nearest = min(nearest, other);
                 nearest_row = select(better, candidate, nearest_row);
             }
         }
-        const Lanes share = splat(1.0 / static_cast<double>(k_));
-        Symmetric<Lanes> covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
-                                    yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
+        const Vector share = splat(1.0 / static_cast<double>(k_));
+        Symmetric<Vector> covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
+                                     yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
         const SmallestEigen smallest = smallest_eigen(covariance);
         // Signs agree: z up, then y, then x where the others are zero.
         const Mask down = (smallest.z < zero) |
@@ -116,17 +116,17 @@ public:
     }
 
 private:
-    Lanes squared(size_t c) const { return load(squared_ + c * kLanes); }
+    Vector squared(size_t c) const { return load(squared_ + c * kLanes); }
     double row(size_t c) const { return tree_.leaves[slots_[c] / kFan].row[slots_[c] % kFan]; }
 
     Mask is_selected(size_t c) const {
-        const Lanes limit = load(limit_);
+        const Vector limit = load(limit_);
         return (squared(c) < limit) | ((squared(c) == limit) & (splat(row(c)) <= load(last_row_)));
     }
 
-    Lanes count_up_to(Lanes limit) const {
-        const Lanes zero = splat(0.0), one = splat(1.0);
-        Lanes count[4] = {zero, zero, zero, zero};  // four sums at a time: an addition need not wait for the last
+    Vector count_up_to(Vector limit) const {
+        const Vector zero = splat(0.0), one = splat(1.0);
+        Vector count[4] = {zero, zero, zero, zero};  // four sums at a time: an addition need not wait for the last
         size_t c = 0;
         for (; c + 4 <= count_; c += 4)
             for (size_t i = 0; i < 4; ++i) count[i] = count[i] + select(squared(c + i) <= limit, one, zero);
@@ -137,10 +137,10 @@ private:
     // Lowers each query's limit until between k and k + surplus candidates are within it. Their number grows about
     // linearly with the squared distance on a surface, so interpolation needs few rounds; ties need a look one by one.
     void tighten(size_t surplus) {
-        const Lanes k = splat(static_cast<double>(k_)), enough = splat(static_cast<double>(k_ + surplus));
+        const Vector k = splat(static_cast<double>(k_)), enough = splat(static_cast<double>(k_ + surplus));
         // Too few are within `low`, unless it is the answer already; enough are within `high`.
-        const Lanes zero = splat(0.0), one = splat(1.0), limit = load(limit_);
-        Lanes low = zero, below = zero, high = zero, within = zero;
+        const Vector zero = splat(0.0), one = splat(1.0), limit = load(limit_);
+        Vector low = zero, below = zero, high = zero, within = zero;
         for (size_t c = 0; c < count_; ++c) {
             const Mask inside = squared(c) <= limit;
             below = below + select(squared(c) <= zero, one, zero);
@@ -150,11 +150,11 @@ private:
         const Mask at_zero = k <= below;
         high = select(at_zero, low, high), within = select(at_zero, below, within);
         for (int round = 0; round < 9 && bits(within <= enough) != 0xff; ++round) {
-            const Lanes aim = splat(static_cast<double>(k_) + 0.5 * static_cast<double>(surplus + 1));
-            Lanes part = (aim - below) / (within - below + splat(1.0));
+            const Vector aim = splat(static_cast<double>(k_) + 0.5 * static_cast<double>(surplus + 1));
+            Vector part = (aim - below) / (within - below + splat(1.0));
             if (round % 3 == 2) part = splat(0.5);
-            const Lanes middle = select(within <= enough, high, low + (high - low) * part);
-            const Lanes count = count_up_to(middle);
+            const Vector middle = select(within <= enough, high, low + (high - low) * part);
+            const Vector count = count_up_to(middle);
             const Mask over = k <= count;
             high = select(over, middle, high), within = select(over, count, within);
             low = select(over, low, middle), below = select(over, below, count);

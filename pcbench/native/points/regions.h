@@ -10,12 +10,12 @@ struct Ball {
     double centre[3];
     double squared_radius;
 
-    Lanes gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, point_box(centre)); }
+    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, point_box(centre)); }
     double bound() const { return squared_radius; }
 
     unsigned inside(const Leaf& leaf) const {
-        const Lanes squared = squared_length(splat(centre[0]) - load(leaf.x), splat(centre[1]) - load(leaf.y),
-                                             splat(centre[2]) - load(leaf.z));
+        const Vector squared = squared_length(splat(centre[0]) - load(leaf.x), splat(centre[1]) - load(leaf.y),
+                                              splat(centre[2]) - load(leaf.z));
         return bits(squared <= splat(squared_radius));
     }
 };
@@ -29,10 +29,10 @@ struct Cylinder {
 
     // 0 for a child that may hold a point inside. Its box is taken as the ball around it, and as its shadow on the
     // axis.
-    Lanes gaps(const Node& node) const {
-        Lanes offset[3], along = splat(0.0), shadow = splat(0.0), magnitude = splat(radius + half_length), half[3];
+    Vector gaps(const Node& node) const {
+        Vector offset[3], along = splat(0.0), shadow = splat(0.0), magnitude = splat(radius + half_length), half[3];
         for (int a = 0; a < 3; ++a) {
-            const Lanes low = load(node.low[a]), high = load(node.high[a]);
+            const Vector low = load(node.low[a]), high = load(node.high[a]);
             offset[a] = (low + high) * splat(0.5) - splat(origin[a]);
             half[a] = (high - low) * splat(0.5);
             along = along + offset[a] * splat(axis[a]);
@@ -40,10 +40,11 @@ struct Cylinder {
             magnitude = magnitude + abs(low) + abs(high) + splat(std::fabs(origin[a]));
         }
         // Some twenty roundings, each below 2^-53 of the magnitude.
-        const Lanes slack = magnitude * splat(1e-13);
-        const Lanes across = sqrt(squared_length(offset[0] - along * splat(axis[0]), offset[1] - along * splat(axis[1]),
-                                                 offset[2] - along * splat(axis[2])));
-        const Lanes reach = sqrt(squared_length(half[0], half[1], half[2]));
+        const Vector slack = magnitude * splat(1e-13);
+        const Vector across =
+            sqrt(squared_length(offset[0] - along * splat(axis[0]), offset[1] - along * splat(axis[1]),
+                                offset[2] - along * splat(axis[2])));
+        const Vector reach = sqrt(squared_length(half[0], half[1], half[2]));
         // Written so that the NaN of a missing child is outside.
         const Mask maybe =
             (abs(along) <= splat(half_length) + shadow + slack) & (across <= splat(radius) + reach + slack);
@@ -51,10 +52,10 @@ struct Cylinder {
     }
 
     unsigned inside(const Leaf& leaf) const {
-        const Lanes x = load(leaf.x) - splat(origin[0]), y = load(leaf.y) - splat(origin[1]),
-                    z = load(leaf.z) - splat(origin[2]);
-        const Lanes along = (x * splat(axis[0]) + y * splat(axis[1])) + z * splat(axis[2]);
-        const Lanes squared =
+        const Vector x = load(leaf.x) - splat(origin[0]), y = load(leaf.y) - splat(origin[1]),
+                     z = load(leaf.z) - splat(origin[2]);
+        const Vector along = (x * splat(axis[0]) + y * splat(axis[1])) + z * splat(axis[2]);
+        const Vector squared =
             squared_length(x - along * splat(axis[0]), y - along * splat(axis[1]), z - along * splat(axis[2]));
         return bits((abs(along) <= splat(half_length)) & (squared <= splat(radius * radius)));
     }
@@ -65,7 +66,7 @@ class PointsInside {
 public:
     PointsInside(const Tree& tree, const Region& region, int64_t* rows) : tree_(tree), region_(region), rows_(rows) {}
 
-    Lanes gaps(const Node& node) const { return region_.gaps(node); }
+    Vector gaps(const Node& node) const { return region_.gaps(node); }
     double bound() const { return region_.bound(); }
     uint32_t last_tie() const { return UINT32_MAX; }
 

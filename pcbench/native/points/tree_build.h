@@ -2,7 +2,7 @@
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include "common/interrupt.h"
-#include "common/lanes.h"
+#include "common/simd.h"
 #include "points/tree.h"
 
 namespace pcbench::PCB_ISA {

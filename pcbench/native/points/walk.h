@@ -1,7 +1,7 @@
 // Visiting the leaves near a query, nearest first, as long as they can change an answer.
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "common/lanes.h"
+#include "common/simd.h"
 #include "points/tree.h"
 
 namespace pcbench::PCB_ISA {
@@ -15,14 +15,14 @@ struct Box {
 
 inline Box point_box(const double* p) { return {{p[0], p[1], p[2]}, {p[0], p[1], p[2]}}; }
 
-inline Lanes axis_gap(Lanes low, Lanes high, Lanes other_low, Lanes other_high) {
+inline Vector axis_gap(Vector low, Vector high, Vector other_low, Vector other_high) {
     return max(max(other_low - high, low - other_high), splat(0.0));
 }
 
 // Squared distance between the box and each of the node's children; rounding is monotone, so no squared distance
 // computed between points inside them is lower.
-inline Lanes gaps(const Node& node, const Box& box) {
-    Lanes gap[3];
+inline Vector gaps(const Node& node, const Box& box) {
+    Vector gap[3];
     for (int a = 0; a < 3; ++a)
         gap[a] = axis_gap(splat(box.low[a]), splat(box.high[a]), load(node.low[a]), load(node.high[a]));
     return squared_length(gap[0], gap[1], gap[2]);
@@ -49,7 +49,7 @@ inline void walk(const Tree& tree, Visitor& visitor) {
         double bound = visitor.bound();
         if (entry.gap > bound) continue;
         const Node& node = tree.levels[entry.level][entry.node];
-        const Lanes gap = visitor.gaps(node);
+        const Vector gap = visitor.gaps(node);
         unsigned open = bits(gap <= splat(bound));
         for (unsigned equal = bits(gap == splat(bound)) & open; equal; equal &= equal - 1)
             if (node.first[__builtin_ctz(equal)] > visitor.last_tie()) open &= ~(equal & -equal);
