@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.chi_squares import chi_squares_tail
+from pcbench.deformation.chi_squares import chi_square_tails
 from pcbench.deformation.model import SEEN, Geometry, Noise, Scores
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.result import Bin, Trend
@@ -94,12 +94,7 @@ class CellDisplacements:
         statistic, freedom = squares.sum(axis=1), np.maximum(fixed.sum(axis=1), 1)
         ratio = statistic / (freedom * (1 - 2 / (9 * freedom)) ** 3)
         scale = max(float(np.median(ratio[tested])), 0.25) if tested.any() else 1.0
-        p = np.array(
-            [
-                chi_squares_tail(float(s) / scale, np.ones(k)) if t else 1.0
-                for s, k, t in zip(statistic, freedom, tested, strict=True)
-            ]
-        )
+        p = np.where(tested, chi_square_tails(statistic / scale, freedom), 1.0)
         order = np.argsort(p, kind="stable")
         limits = FDR * np.arange(1, len(p) + 1) / max(1, int(tested.sum()))
         passed = np.flatnonzero(p[order] <= limits)

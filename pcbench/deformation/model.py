@@ -30,6 +30,7 @@ SEEN = 0.02  # information of a field against a field seen along its direction e
 _HARDLY_SEEN = 1e-4
 _RIDGE = 1e-12
 _FEW = 32
+_MAX_PIVOTS = 1000  # of the non-negative fit, which takes about as many as it has unknowns
 PLACE_NOISE = 100 / SEEN  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
@@ -223,6 +224,8 @@ class Scores:
 
 def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
     """Variances of white noise and of the kernels, by least squares on moments of the largest model's residuals."""
+    from scipy.optimize import nnls
+
     expected, masks, kept = geometry.noise_design
     coefficients = geometry.fit("cubic", scores.total)
     left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
@@ -245,37 +248,8 @@ def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
         values.append(moment)
         sigmas.append(0.05 * moment)  # thousands of sub-cells, but noise of long range is the same in many of them
     scale = 1 / np.maximum(sigmas, 1e-300)
-    found = _nonnegative_least_squares(np.array(rows) * scale[:, None], np.array(values) * scale)
+    found, _ = nnls(np.array(rows) * scale[:, None], np.array(values) * scale, maxiter=_MAX_PIVOTS)
     return Noise(float(found[0]), found[1:], geometry.lengths)
-
-
-def _nonnegative_least_squares(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """argmin |matrix x - values| over x >= 0 (Lawson & Hanson 1974, chapter 23)."""
-    size = matrix.shape[1]
-    x = np.zeros(size)
-    free = np.zeros(size, dtype=bool)
-    scale = np.abs(matrix.T @ values).max() or 1.0
-    for _ in range(3 * size):
-        gradient = matrix.T @ (values - matrix @ x)
-        gradient[free] = -np.inf
-        best = int(np.argmax(gradient))
-        if free.all() or gradient[best] <= 1e-10 * scale:
-            break
-        free[best] = True
-        while True:
-            trial = np.zeros(size)
-            trial[free] = np.linalg.lstsq(matrix[:, free], values, rcond=None)[0]
-            if (trial[free] > 0).all():
-                break
-            falling = free & (trial <= 0)
-            ratio = float(np.min(x[falling] / np.maximum(x[falling] - trial[falling], 1e-300)))
-            x += ratio * (trial - x)
-            free &= x > 1e-12 * np.abs(x).max()
-            x[~free] = 0.0
-            if not free.any():
-                return x
-        x = trial
-    return x
 
 
 def _dome() -> FloatArray:

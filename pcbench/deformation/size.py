@@ -12,6 +12,9 @@ from pcbench.deformation.result import Amplitude, Observable
 from pcbench.deformation.sums import TileSums, added
 from pcbench.geometry.arrays import IntArray
 
+_FALSE_ALARMS = 0.01
+_POWER_Z = 0.842  # normal deviate of a power of 80 %
+
 
 def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> Amplitude:
     """Size of the displacement along the normals that a step explains; what noise adds to its square is taken off."""
@@ -58,17 +61,17 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     if power <= SEEN * geometry.total * float(geometry.dome @ geometry.dome):
         return None
     covariance = geometry.covariance(step, noise)
-    limit = chi_squares_point(2.326, np.linalg.eigvalsh(covariance).astype(np.float64))
+    limit = chi_squares_point(_FALSE_ALARMS, np.linalg.eigvalsh(covariance).astype(np.float64))
     base, scatter = float(np.trace(covariance)), 2 * float((covariance**2).sum())
     along = float(modes @ covariance @ modes)
     low, high = 0.0, 1.0
-    while base + high * power - 0.842 * math.sqrt(scatter + 4 * high * along) < limit:
+    while base + high * power - _POWER_Z * math.sqrt(scatter + 4 * high * along) < limit:
         high *= 2
         if high > 1e300:
             return None
     for _ in range(100):
         middle = (low + high) / 2
-        found = base + middle * power - 0.842 * math.sqrt(scatter + 4 * middle * along) >= limit
+        found = base + middle * power - _POWER_Z * math.sqrt(scatter + 4 * middle * along) >= limit
         low, high = (low, middle) if found else (middle, high)
     return math.sqrt(high * power / geometry.total)
 

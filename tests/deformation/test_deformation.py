@@ -9,8 +9,7 @@ from data_folder import data_folder
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.deformation import Observable, deform
-from pcbench.deformation.chi_squares import chi_squares_point, chi_squares_tail
-from pcbench.deformation.model import Noise, _nonnegative_least_squares
+from pcbench.deformation.model import Noise
 from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
 from pcbench.deformation.size import minimum_detectable_rms
 from pcbench.geometry.crs import euclidean_offsets
@@ -75,26 +74,6 @@ def test_rigid_fields_keep_distances_and_similar_ones_shapes():
             symmetric = gradient + gradient.T
             np.testing.assert_allclose(symmetric, symmetric[0, 0] * np.eye(3), atol=1e-12)
         assert model_columns(model).shape[1] == columns
-
-
-def test_tail_of_a_sum_of_chi_squares():
-    weights = np.array([3.0, 1.0, 1.0, 0.5, 0.5, 0.5])
-    draws = np.square(np.random.default_rng(0).normal(size=(200_000, 6))) @ weights
-    for share in (0.1, 0.01):
-        value = float(np.quantile(draws, 1 - share))
-        # An approximation by two moments: with weights so uneven it is a third short at 1 %.
-        assert chi_squares_tail(value, weights) == pytest.approx(share, rel=0.4)
-    assert chi_squares_tail(chi_squares_point(2.326, weights), weights) == pytest.approx(0.01, rel=1e-2)
-    assert chi_squares_tail(0.0, np.zeros(3)) == 1.0
-
-
-def test_nonnegative_least_squares_against_scipy():
-    from scipy.optimize import nnls
-
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        matrix, values = rng.normal(size=(12, 6)), rng.normal(size=12)
-        np.testing.assert_allclose(_nonnegative_least_squares(matrix, values), nnls(matrix, values)[0], atol=1e-9)
 
 
 @pytest.mark.slow

@@ -1,0 +1,91 @@
+"""Tails of weighted sums of chi squares against long simulations: python tests/bench/chi_squares.py [--draws 400000000]
+
+Each family of weights at the place where our tail is 1e-5: its share of plain draws, or of draws from normals that are
+tilted towards the tail and weighted for it (importance sampling), with standard errors; beside them the scaled chi
+square of the same two moments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+from measure import limit_threads, setting
+
+from pcbench.deformation.chi_squares import chi_squares_point, chi_squares_tail
+
+TAIL = 1e-5
+FAMILIES = {
+    "uneven": np.array([3.0, 1.0, 1.0, 0.5, 0.5, 0.5]),
+    "modes": np.logspace(0, -3, 48),  # as of the modes of a cubic field under noise of long range
+    "one and many": np.concatenate([[1.0], np.full(300, 1e-2)]),
+}
+CHUNK = 2_000_000
+
+
+def plain(value: float, weights: np.ndarray, draws: int, rng: np.random.Generator) -> tuple[float, float]:
+    """Share of draws beyond a value, and its standard error."""
+    beyond = 0
+    for start in range(0, draws, CHUNK):
+        total = np.zeros(min(CHUNK, draws - start))
+        for weight in weights:
+            total += weight * np.square(rng.standard_normal(len(total)))
+        beyond += int(np.count_nonzero(total > value))
+    share = beyond / draws
+    return share, float(np.sqrt(share / draws))
+
+
+def tilted(value: float, weights: np.ndarray, draws: int, rng: np.random.Generator) -> tuple[float, float]:
+    """The same from normals of variance 1 / (1 - 2 t w): E[exp(K(t) - t Q); Q > value], with t that brings the mean
+    there.
+    """
+    low, high = 0.0, 0.5 / weights.max()
+    for _ in range(100):
+        t = 0.5 * (low + high)
+        low, high = (low, t) if (weights / (1 - 2 * t * weights)).sum() > value else (t, high)
+    spread = weights / (1 - 2 * t * weights)
+    log_mean = -0.5 * np.log(1 - 2 * t * weights).sum()
+    first = second = 0.0
+    for start in range(0, draws, CHUNK):
+        total = np.zeros(min(CHUNK, draws - start))
+        for weight in spread:
+            total += weight * np.square(rng.standard_normal(len(total)))
+        mass = np.where(total > value, np.exp(log_mean - t * total), 0.0)
+        first, second = first + float(mass.sum()), second + float(np.square(mass).sum())
+    share = first / draws
+    return share, float(np.sqrt(second / draws - share**2) / np.sqrt(draws))
+
+
+def two_moments(value: float, weights: np.ndarray) -> float:
+    from scipy.stats import chi2
+
+    mean, square = weights.sum(), np.square(weights).sum()
+    return float(chi2.sf(value * mean / square, mean**2 / square))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--draws", type=int, default=400_000_000, help="plain ones; a hundredth of them are tilted")
+    options = parser.parse_args()
+    limit_threads(1)
+    print(setting())
+    print(f"{'weights':14}{'value':>14}{'ours':>12}{'two moments':>13}{'tilted draws':>24}{'plain draws':>24}{'us':>7}")
+    for name, weights in FAMILIES.items():
+        value = float(f"{chi_squares_point(TAIL, weights):.6g}")
+        start = time.perf_counter()
+        for _ in range(100):
+            tail = chi_squares_tail(value, weights)
+        micro = 1e4 * (time.perf_counter() - start)
+        few = tilted(value, weights, options.draws // 100, np.random.default_rng(0))
+        many = plain(value, weights, options.draws, np.random.default_rng(1)) if len(weights) < 10 else None
+        shares = [f"{s:.4e} +- {e:.1e}" if s else "" for s, e in (few, many or (0.0, 0.0))]
+        print(
+            f"{name:14}{value:14.6g}{tail:12.4e}{two_moments(value, weights):13.2e}{shares[0]:>24}{shares[1]:>24}"
+            f"{micro:7.0f}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
