@@ -145,6 +145,15 @@ def test_commands_of_the_readme(call, tmp_path):
         _check_command(command.partition("#")[0], "README.md")
 
 
+def test_targets_of_make():
+    for block in blocks(ROOT / "CONTRIBUTING.md"):
+        for command, _ in commands(block):
+            make, *targets = command.partition("#")[0].split()
+            assert make == "make"
+            for target in targets:
+                _check_command(f"make {target}", "CONTRIBUTING.md")
+
+
 @pytest.mark.slow
 def test_the_readmes_table_is_what_the_demo_prints(tmp_path):
     """The demo at its full size, as in the README."""
