@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import re
 import shlex
 import shutil
@@ -34,7 +35,8 @@ def _call(command: str, folder: Path) -> str:
     """What a command prints, on standard output and standard error together. It must succeed."""
     words = shlex.split(command)
     if words[0] in SHELL:
-        return subprocess.run(words, cwd=folder, check=True, capture_output=True, text=True).stdout
+        plain = {**os.environ, "LC_ALL": "C"}  # the order of names depends on the language
+        return subprocess.run(words, cwd=folder, env=plain, check=True, capture_output=True, text=True).stdout
     assert words[0] == "pcbench", f"expected a command of pcbench or one of {', '.join(SHELL)}; got {command!r}"
     said = io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
@@ -141,6 +143,15 @@ def test_commands_of_the_readme(call, tmp_path):
     assert "report: report" in call(f"{compare[0]} --no-figures", tmp_path)
     for command, _ in makes:
         _check_command(command.partition("#")[0], "README.md")
+
+
+def test_targets_of_make():
+    for block in blocks(ROOT / "CONTRIBUTING.md"):
+        for command, _ in commands(block):
+            make, *targets = command.partition("#")[0].split()
+            assert make == "make"
+            for target in targets:
+                _check_command(f"make {target}", "CONTRIBUTING.md")
 
 
 @pytest.mark.slow

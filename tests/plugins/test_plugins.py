@@ -66,13 +66,13 @@ def plugin(tmp_path):
 GOOD = 'return Reconstruction(scene.points, "georeferenced", scene.cameras, ["all well"])'
 
 
-def test_the_readmes_plugin_runs_as_it_is_written(scene, tmp_path):
+def test_the_documented_plugin_runs_as_it_is_written(scene, tmp_path):
     """From a folder that is not the repository, by the command that stands below it."""
-    readme = (ROOT / "README.md").read_text()
-    code = re.search(r"```python\n(# mine.py\n.*?)```\n\n    (pcbench reconstruct [^\n]*)\n", readme, re.DOTALL)
+    page = (ROOT / "docs" / "reconstructors.md").read_text()
+    code = re.search(r'```python title="mine.py"\n(.*?)```\n.*?\n\$ (pcbench reconstruct mine[^\n]*)\n', page, re.DOTALL)
     (tmp_path / "mine.py").write_text(code[1])
     command = code[2].split()
-    assert command[:4] == ["pcbench", "reconstruct", "mine.py:Thinned", "photos/"]
+    assert command[:4] == ["pcbench", "reconstruct", "mine.py:Subsampled", "photos/"]
     done = subprocess.run(
         [sys.executable, "-m", "pcbench.cli", *command[1:]], cwd=tmp_path, capture_output=True, text=True, check=False
     )

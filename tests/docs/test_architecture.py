@@ -1,0 +1,44 @@
+"""The page that says where a change belongs is right about the folders and files that it names."""
+
+import re
+
+from docs_blocks import blocks
+from repository import ROOT
+
+PAGE = ROOT / "docs" / "architecture.md"
+
+
+def test_the_tree_is_the_one_on_disk():
+    """Every folder of the packages is in it, where it is, and nothing else."""
+    (tree,) = (block.text for block in blocks(PAGE) if block.mark and block.mark[0] == "checked by")
+    listed, above = set(), []
+    for line in tree.splitlines():
+        depth = (len(line) - len(line.lstrip())) // 2
+        above = [*above[:depth], line.split()[0]]
+        listed.add("".join(above))
+    for path in listed:
+        assert (ROOT / path).is_dir() if path.endswith("/") else (ROOT / path).is_file(), path
+    for package in ("pcbench", "reconstructors"):
+        folders = {source.parent for kind in ("*.py", "*.h") for source in (ROOT / package).rglob(kind)}
+        missing = {f"{folder.relative_to(ROOT)}/" for folder in folders} - listed
+        assert not missing, f"not in the tree of {PAGE.name}: {missing}"
+
+
+def test_files_that_are_named_exist():
+    """METHOD.py and the like stand for a file to write."""
+    for page in (PAGE, ROOT / "CONTRIBUTING.md"):
+        for path in re.findall(r"`((?:pcbench|tests|reconstructors|docs)/[\w/.]*)`", page.read_text()):
+            assert re.search(r"[A-Z]{3,}\.py", path) or (ROOT / path).exists(), f"{page.name}: {path}"
+
+
+def test_names_that_are_promised_are_there():
+    """What a newcomer is told to add a line to."""
+    for path, name in (
+        ("pcbench/io/__init__.py", "_FORMATS = {"),
+        ("pcbench/io/meshes.py", "_READERS = {"),
+        ("pcbench/measure/directions.py", "MEAN_METRICS = ("),
+        ("pcbench/measure/presets.py", "def measure_preset("),
+        ("pcbench/registration/methods.py", "def parse_method("),
+        ("pyproject.toml", '[project.entry-points."pcbench.reconstructors"]'),
+    ):
+        assert name in (ROOT / path).read_text(), f"{path}: {name}"
