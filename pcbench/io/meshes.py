@@ -105,8 +105,8 @@ def _fans(lengths: IntArray, corners: IntArray, warn: Warn) -> IntArray:
 
 
 def _read_ply(path: Path, warn: Warn) -> Mesh:
-    fields, lengths, corners = read_ply_faces(path)
-    return Mesh(fields["points"], _fans(lengths, corners, warn), crs=fields["crs"], unit=fields["unit"])
+    fields, polygons = read_ply_faces(path)
+    return Mesh(fields["points"], _fans(*polygons, warn), crs=fields["crs"], unit=fields["unit"])
 
 
 # ---- STL ----------------------------------------------------------------------------------------------------------

@@ -147,7 +147,7 @@ def test_out_of_memory_is_one_line(tmp_path, monkeypatch):
     def full(file):
         raise MemoryError
 
-    monkeypatch.setattr("pcbench.io.ply.read_rest", full)
+    monkeypatch.setattr("pcbench.io.ply_body.read_rest", full)
     assert refusal(path) == "does not fit into memory"
 
 

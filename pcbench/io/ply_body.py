@@ -1,0 +1,311 @@
+"""The body of a PLY file, ascii or binary, in one pass over its elements.
+
+The body is read in one go into a buffer of the size the file has, and every count is checked against that buffer.
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Collection, Sequence
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError
+from pcbench.io.files import read_rest
+from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, Header, Property, shown
+
+Columns = dict[str, NDArray[Any]]
+
+
+class Polygons(NamedTuple):
+    """The vertex numbers of rows: `lengths` (rows,) how many each has, `corners` all of them in a row."""
+
+    lengths: NDArray[np.int64]
+    corners: NDArray[np.int64]
+
+
+class Table(NamedTuple):
+    """What was asked for of an element: its scalar properties by name, each (rows,), and its polygons."""
+
+    columns: Columns
+    polygons: Polygons | None
+
+
+class _Wanted(NamedTuple):
+    scalars: bool
+    polygons: bool
+
+
+def read_elements(
+    file: BinaryIO, header: Header, *, scalars: Collection[str], polygons: Collection[str] = ()
+) -> dict[str, Table]:
+    """The elements of a file that stands at its body, by name; those not asked for are checked for their size only.
+
+    Coordinates of an ascii file are float64 whatever type it declares: they keep the digits of the text. All other
+    columns have their declared type; those of a binary file are strided views into the bytes read where they can be.
+
+    Args:
+        file: where `read_header` left it.
+        header: its header.
+        scalars: the elements whose scalar properties are returned.
+        polygons: the elements whose list of vertex numbers (`Element.polygon`) is returned.
+
+    Raises:
+        InputError: the body is not as long as the header says, or holds something else.
+        OSError: the file cannot be read.
+    """
+    body = read_rest(file)
+    wanted = {
+        element.name: _Wanted(element.name in scalars, element.name in polygons and element.polygon is not None)
+        for element in header.elements
+    }
+    return _ascii_tables(body.tobytes(), header, wanted) if header.byte_order is None else _tables(body, header, wanted)
+
+
+def _polygons(lengths: NDArray[np.int64], numbers: NDArray[Any]) -> Polygons:
+    """Vertex numbers may be declared as floats."""
+    corners = numbers.astype(np.int64)
+    if numbers.dtype.kind == "f" and not (corners == numbers).all():
+        raise InputError("expected whole numbers of vertices in the faces, got fractions: the file is damaged")
+    return Polygons(lengths, corners)
+
+
+# ---- binary -------------------------------------------------------------------------------------------------------
+
+
+def _tables(body: NDArray[np.uint8], header: Header, wanted: dict[str, _Wanted]) -> dict[str, Table]:
+    tables: dict[str, Table] = {}
+    start = 0
+    for element in header.elements:
+        tables[element.name], start = _table(body, start, element, wanted[element.name])
+    if start < len(body):
+        raise InputError(
+            f"{len(body) - start} bytes after the last element: header and body disagree, export the file again"
+        )
+    return tables
+
+
+def _table(body: NDArray[np.uint8], start: int, element: Element, wanted: _Wanted) -> tuple[Table, int]:
+    """What is wanted of an element, and where the next one starts."""
+    if not element.count or not element.properties:
+        return Table({}, Polygons(np.empty(0, np.int64), np.empty(0, np.int64)) if wanted.polygons else None), start
+    # Most lists have one length throughout (triangles): suppose that of the first row, and check.
+    first = _list_lengths(body, start, element, rows=1)[0]
+    even = _even_rows(body, start, element, first.tolist(), wanted)
+    if even is not None:
+        return even
+    lengths = _list_lengths(body, start, element, rows=element.count)
+    return _uneven_rows(body, start, element, lengths, wanted)
+
+
+def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: int) -> NDArray[np.int64]:
+    """Lengths (rows, lists) of the lists in the first `rows` rows, which are walked one by one."""
+    steps = []  # for each list: bytes of scalars before it, how to read its length, bytes of that and of an item
+    before = 0
+    for prop in element.properties:
+        if prop.length is None:
+            before += prop.dtype.itemsize
+        else:
+            order = ">" if prop.length.str[0] == ">" else "<"
+            counter = struct.Struct(order + prop.length.char)
+            steps.append((before, counter.unpack_from, counter.size, prop.dtype.itemsize))
+            before = 0
+    lengths = array("q")
+    data = body.data
+    place = start
+    for row in range(rows if steps else 0):
+        for skip, unpack, counter_bytes, item_bytes in steps:
+            place += skip
+            if place + counter_bytes > len(data):
+                raise element.truncated(row)
+            length = unpack(data, place)[0]
+            if length < 0:
+                raise InputError(f"{element.counted(row)} read, then a list of length {length}: the file is damaged")
+            lengths.append(length)
+            place += counter_bytes + length * item_bytes
+        if place + before > len(data):
+            raise element.truncated(row)
+        place += before
+    return np.frombuffer(lengths, dtype=np.int64).reshape(rows, len(steps)) if steps else np.empty((rows, 0), np.int64)
+
+
+def _even_rows(
+    body: NDArray[np.uint8], start: int, element: Element, lengths: Sequence[int], wanted: _Wanted
+) -> tuple[Table, int] | None:
+    """Columns as strided views, if every row's lists have the given lengths (lists,); else None."""
+    remaining = iter(lengths)
+    scalars: list[tuple[Property, int]] = []
+    lists: list[tuple[Property, np.dtype[Any], int, int]] = []
+    row_bytes = 0
+    for prop in element.properties:
+        if prop.length is None:
+            scalars.append((prop, row_bytes))
+            row_bytes += prop.dtype.itemsize
+        else:
+            length = next(remaining)
+            lists.append((prop, prop.length, row_bytes, length))
+            row_bytes += prop.length.itemsize + length * prop.dtype.itemsize
+    end = start + element.count * row_bytes
+    if end > len(body):
+        if not lists:
+            raise element.truncated((len(body) - start) // row_bytes)
+        return None
+
+    def column(dtype: np.dtype[Any], place: int) -> NDArray[Any]:
+        return np.ndarray(element.count, dtype, body.data, start + place, (row_bytes,))
+
+    if not all((column(counter, place) == length).all() for _, counter, place, length in lists):
+        return None
+    columns = {prop.name: column(prop.dtype, place) for prop, place in scalars} if wanted.scalars else {}
+    if not wanted.polygons:
+        return Table(columns, None), end
+    prop, counter, place, length = next(entry for entry in lists if entry[0] is element.polygon)
+    items = start + place + counter.itemsize
+    strides = (row_bytes, prop.dtype.itemsize)
+    numbers: NDArray[Any] = np.ndarray((element.count, length), prop.dtype, body.data, items, strides)
+    return Table(columns, _polygons(np.full(element.count, length), numbers.reshape(-1))), end
+
+
+def _uneven_rows(
+    body: NDArray[np.uint8], start: int, element: Element, lengths: NDArray[np.int64], wanted: _Wanted
+) -> tuple[Table, int]:
+    """Columns gathered row by row; lengths (rows, lists) are known to stay inside the body."""
+    fixed = sum((prop.length or prop.dtype).itemsize for prop in element.properties)
+    row_bytes = fixed + lengths @ np.array([prop.dtype.itemsize for prop in element.lists], dtype=np.int64)
+    ends = start + np.cumsum(row_bytes)
+    places = ends - row_bytes  # of the property that the loop is at, in each row
+    columns: Columns = {}
+    polygons: Polygons | None = None
+    counts = iter(lengths.T)
+    for prop in element.properties:
+        if prop.length is None:
+            if wanted.scalars:
+                columns[prop.name] = _gathered(body, places, prop.dtype)
+            places = places + prop.dtype.itemsize
+            continue
+        count = next(counts)
+        places = places + prop.length.itemsize
+        if wanted.polygons and prop is element.polygon:
+            within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+            items = np.repeat(places, count) + within * prop.dtype.itemsize
+            polygons = _polygons(count, _gathered(body, items, prop.dtype))
+        places = places + count * prop.dtype.itemsize
+    return Table(columns, polygons), int(ends[-1])
+
+
+def _gathered(body: NDArray[np.uint8], places: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """One value at each place (N,), in bytes."""
+    if not len(places):
+        return np.empty(0, dtype)
+    return np.lib.stride_tricks.sliding_window_view(body, dtype.itemsize)[places].view(dtype)[:, 0]
+
+
+# ---- ascii --------------------------------------------------------------------------------------------------------
+
+
+def _ascii_tables(text: bytes, header: Header, wanted: dict[str, _Wanted]) -> dict[str, Table]:
+    lines = [line for line in text.splitlines() if line.strip()]
+    tables: dict[str, Table] = {}
+    start = 0
+    for element in header.elements:
+        if not element.properties:
+            continue
+        rows = lines[start : start + element.count]
+        if len(rows) < element.count:
+            raise element.truncated(len(rows))
+        start += len(rows)
+        tables[element.name] = _ascii_table(rows, element, wanted[element.name])
+    if start < len(lines):
+        raise InputError(
+            f"{len(lines) - start} lines after the last element: header and body disagree, export it again"
+        )
+    return tables
+
+
+def _ascii_table(rows: list[bytes], element: Element, wanted: _Wanted) -> Table:
+    values = _plain_rows(rows, element) if wanted.scalars and not element.lists else None
+    polygons: Polygons | None = None
+    if values is None:
+        scalars: list[list[float]] = []
+        lengths, words = array("q"), list[bytes]()
+        for number, row in enumerate(rows):
+            line, polygon = _ascii_row(row, number, element)
+            if wanted.scalars:
+                scalars.append(line)
+            if wanted.polygons:
+                lengths.append(len(polygon))
+                words += polygon
+        if wanted.polygons:
+            polygons = _polygons(np.frombuffer(lengths, dtype=np.int64), _numbers(words))
+        values = np.array(scalars, dtype=np.float64)
+    if not wanted.scalars:
+        return Table({}, polygons)
+    values = values.reshape(len(rows), len(element.scalars))
+    return Table({prop.name: _typed(values[:, k], prop) for k, prop in enumerate(element.scalars)}, polygons)
+
+
+def _plain_rows(rows: list[bytes], element: Element) -> NDArray[np.float64] | None:
+    """The scalars (rows, scalars) of an element without lists, the fast way; float64 holds every PLY type exactly.
+
+    None where a row is not as it should be: the walk over the rows says which one.
+    """
+    try:
+        values = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return values if values.shape == (element.count, len(element.scalars)) else None
+
+
+def _ascii_row(row: bytes, number: int, element: Element) -> tuple[list[float], list[bytes]]:
+    """The scalars of one line and the words of its polygon.
+
+    There must be as many words as the properties and list lengths say.
+    """
+    words = row.split()
+    values: list[float] = []
+    polygon: list[bytes] = []
+    wanted = element.polygon
+    place = 0
+    try:
+        for prop in element.properties:
+            if prop.length is None:
+                values.append(float(words[place]))
+                place += 1
+            else:
+                length = int(words[place])
+                if length < 0:
+                    raise ValueError
+                if prop is wanted:
+                    polygon = words[place + 1 : place + 1 + length]
+                place += 1 + length
+    except IndexError:
+        place += 1
+    except ValueError:
+        place = -1
+    if place < 0 or b"_" in row:  # Python reads 1_000 as a number; PLY does not
+        raise InputError(f"{element.counted(number)} read, then expected numbers, got {shown(row)}")
+    if place != len(words):
+        more = "at least " if place > len(words) else ""
+        raise InputError(f"{element.counted(number)} read, then expected {more}{place} values, got {len(words)}")
+    return values, polygon
+
+
+def _numbers(words: list[bytes]) -> NDArray[np.float64]:
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError as error:
+        raise InputError(f"expected vertex numbers in the faces, got something else: {str(error)[:60]}") from error
+
+
+def _typed(values: NDArray[np.float64], prop: Property) -> NDArray[Any]:
+    """An ascii column in its declared type; coordinates keep the digits of the text even if they are declared float."""
+    if prop.dtype.kind == "f":
+        return values if prop.name in XYZ else values.astype(prop.dtype)
+    typed = values.astype(prop.dtype)
+    if len(wrong := np.flatnonzero(typed != values)):
+        name = TYPE_NAMES[prop.dtype.str[1:]]
+        raise InputError(f"vertex {wrong[0]}: expected {prop.name!r} as {name}, got {values[wrong[0]]:g}")
+    return typed
