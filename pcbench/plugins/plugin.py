@@ -120,6 +120,8 @@ class Plugin:
         values = {name: _convert(name, text, hints[name]) for name, text in settings.items()}
         try:
             reconstructor: Reconstructor = self.cls(**values)
+        except InputError:  # a ValueError too, but it says all already
+            raise
         except (TypeError, ValueError) as error:
             raise InputError(f"{self.name}: {error}") from error
         return reconstructor
