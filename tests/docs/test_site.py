@@ -37,7 +37,9 @@ def test_the_site_asks_no_other_host(tmp_path):
     pages = list(tmp_path.rglob("*.html"))
     assert len(pages) > 20
     for page in pages:
-        fetched = re.findall(r"<(?:script|link|img|iframe|source)\b[^>]*?(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)", page.read_text())
+        fetched = re.findall(
+            r"<(?:script|link|img|iframe|source)\b[^>]*?(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)", page.read_text()
+        )
         assert not fetched, f"{page.relative_to(tmp_path)} fetches {fetched[0]}"
     for style in tmp_path.rglob("*.css"):
         assert not re.search(r"url\([\"']?(?:https?:)?//", style.read_text()), style.name
