@@ -8,28 +8,50 @@ if TYPE_CHECKING:
     from pcbench.deformation import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
     from pcbench.geometry.cloud import Cloud as Cloud
+    from pcbench.geometry.mesh import Mesh as Mesh
+    from pcbench.geometry.neighbors import Index as Index
+    from pcbench.geometry.regions import Box as Box
+    from pcbench.geometry.regions import Polygon as Polygon
+    from pcbench.geometry.regions import Region as Region
+    from pcbench.geometry.regions import Sphere as Sphere
+    from pcbench.geometry.regions import Union as Union
     from pcbench.geometry.transform import Affine as Affine
     from pcbench.geometry.transform import Similarity as Similarity
     from pcbench.io import read_cloud as read_cloud
     from pcbench.io import write_cloud as write_cloud
+    from pcbench.io.meshes import read_mesh as read_mesh
     from pcbench.measure import metrics as metrics
     from pcbench.measure.settings import Settings as Settings
+    from pcbench.registration import Registration as Registration
     from pcbench.registration import register as register
     from pcbench.report.comparison import Comparison as Comparison
     from pcbench.report.comparison import compare as compare
+    from pcbench.scenes import Scene as Scene
+    from pcbench.scenes import read_scene as read_scene
 
 # Looked up on first use: a name costs the import of its own room only.
 _ROOMS = {
     "Affine": "geometry.transform",
+    "Box": "geometry.regions",
     "Cloud": "geometry.cloud",
     "Comparison": "report.comparison",
+    "Index": "geometry.neighbors",
+    "Mesh": "geometry.mesh",
     "PcbenchError": "errors",
+    "Polygon": "geometry.regions",
+    "Region": "geometry.regions",
+    "Registration": "registration",
+    "Scene": "scenes",
     "Settings": "measure.settings",
     "Similarity": "geometry.transform",
+    "Sphere": "geometry.regions",
+    "Union": "geometry.regions",
     "compare": "report.comparison",
     "deform": "deformation",
     "metrics": "measure.metrics",
     "read_cloud": "io",
+    "read_mesh": "io.meshes",
+    "read_scene": "scenes",
     "register": "registration",
     "write_cloud": "io",
 }
@@ -48,6 +70,10 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'pcbench' has no attribute {name!r}")
     globals()[name] = value
     return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 def _version() -> str:

@@ -10,7 +10,7 @@ class PcbenchError(Exception):
     """Base of every error a user can mend: the message says what was expected, what came, and what to do."""
 
 
-class InputError(PcbenchError):
+class InputError(PcbenchError, ValueError):
     """A file, an array or an option is not what it has to be."""
 
 
@@ -22,7 +22,7 @@ class ReconstructionError(PcbenchError):
     """A reconstructor gave no cloud: the images do not allow it, or it broke down."""
 
 
-class MissingExtra(PcbenchError):
+class MissingExtra(PcbenchError, ImportError):
     """An optional library is not installed or does not load."""
 
     def __init__(self, library: str, extra: str, reason: str = "") -> None:

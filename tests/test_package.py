@@ -33,6 +33,11 @@ def test_import_needs_numpy_alone():
     assert not modules_after(code) & set(HEAVY)
 
 
+def test_names_are_listed_before_they_are_imported():
+    listed = modules_after("import pcbench\nassert {'Cloud', 'Mesh', 'read_scene'} <= set(dir(pcbench))")
+    assert "numpy" not in listed
+
+
 def test_help_imports_nothing_heavy():
     code = "from pcbench import cli\ntry: cli.app(['--help'])\nexcept SystemExit: pass"
     assert not modules_after(code) & {*HEAVY, "numpy"}
@@ -40,6 +45,8 @@ def test_help_imports_nothing_heavy():
 
 def test_public_names():
     import pcbench
+
+    assert set(pcbench.__all__) <= set(dir(pcbench))
 
     for name in pcbench.__all__:
         assert getattr(pcbench, name) is not None

@@ -114,9 +114,7 @@ def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, qu
 @click.argument("clouds", type=FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
     """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes."""
-    import numpy as np
-
-    from pcbench.geometry.neighbors import Index
+    from pcbench.geometry.neighbors import Index, median_spacing
     from pcbench.io import read_cloud
 
     for path in clouds:
@@ -127,9 +125,8 @@ def info(clouds: tuple[Path, ...]) -> None:
         click.echo(f"  to     {_triple(upper)}")
         click.echo(f"  size   {_triple(upper - lower)} {cloud.unit or ''}".rstrip())
         if len(cloud) > 1:
-            points = cloud.points - lower  # small numbers search more exactly
-            which = np.arange(0, len(points), max(1, len(points) // 100_000))
-            spacing = float(np.median(Index(points).query(points[which], k=2).distances[:, 1]))
+            index = Index(cloud.points - lower)  # small numbers search more exactly
+            spacing = median_spacing(index, index.nearest_other())  # of all points, as a comparison says it
             click.echo(f"  median distance to the nearest other point {spacing:.4g}")
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}, crs {cloud.crs or 'unknown'}")

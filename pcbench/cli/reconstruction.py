@@ -80,7 +80,7 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
-    from pcbench.plugins.run import Job, is_workspace, run
+    from pcbench.plugins.run import ReconstructionJob, is_workspace, run
     from pcbench.scenes.write import check_cameras_output
     from pcbench.scenes.write import write_cameras as write
 
@@ -90,7 +90,7 @@ def reconstruct(
         if write_cameras.resolve().is_relative_to(scene.resolve()):
             raise InputError(f"{write_cameras}: the cameras would be written into the scene: choose another place")
     values = dict(key_value(text) for text in settings)
-    job = Job(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
+    job = ReconstructionJob(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
         work = workspace or out.with_suffix(".work")

@@ -25,7 +25,7 @@ from pcbench.cli.options import (
 from pcbench.errors import InputError
 
 if TYPE_CHECKING:
-    from pcbench.report.compare_files import Job
+    from pcbench.report.compare_files import ComparisonJob
     from pcbench.report.comparison import Comparison
 
 
@@ -72,13 +72,13 @@ def compare(
     """
     _multiply_on_one_thread()
     from pcbench.measure.settings import Settings
-    from pcbench.report.compare_files import Job
+    from pcbench.report.compare_files import ComparisonJob
 
     if settings_file is not None:
         options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
         if reference is not None or any(given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
-        job = Job.recorded(settings_file)
+        job = ComparisonJob.recorded(settings_file)
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -92,11 +92,13 @@ def compare(
             classes=numbers("--classes", classes, int),
             returns=las_returns(returns),
         )
-        job = Job.of(reference, candidates, settings)
+        job = ComparisonJob.of(reference, candidates, settings)
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet)
 
 
-def compare_and_print(job: Job, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool) -> Comparison:
+def compare_and_print(
+    job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool
+) -> Comparison:
     """Compare files, write what is asked for, and print the table or the JSON document."""
     from pcbench.report import document, print_table, to_json
     from pcbench.report.compare_files import Outputs, compare_files

@@ -49,7 +49,7 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     """
     from pcbench.io import write_cloud
     from pcbench.measure.settings import Settings
-    from pcbench.report.compare_files import Job
+    from pcbench.report.compare_files import ComparisonJob
     from pcbench.scenes.synthetic import demo as make_demo
 
     mark = out / ".demo"
@@ -67,7 +67,7 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
         for name, path in paths.items():
             write_cloud(path, scene.reference if name == "reference" else scene.candidates[name])
     reference = paths.pop("reference")
-    job = Job(reference, paths, Settings(seed=seed), {})
+    job = ComparisonJob(reference, paths, Settings(seed=seed), {})
     comparison = compare_and_print(job, out / "report", None, figures=not no_figures, quiet=quiet)
     if not quiet:
         import numpy as np

@@ -1,10 +1,14 @@
-"""What arrays are called here, how far their coordinates may go, and the box they lie in."""
+"""What arrays are called here, how far their coordinates may go, the box they lie in, and who may change them."""
+
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+_Array = TypeVar("_Array", bound=NDArray[Any])
 
 MAX_COORDINATE = 1e100  # squared distances between coordinates beyond it overflow
 
@@ -14,3 +18,28 @@ def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     # One axis at a time: several times faster than numpy's reduction of rows of three.
     columns = [points[:, axis] for axis in range(3)]
     return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
+
+
+def freeze(array: _Array) -> _Array:
+    """The same array, read-only from now on: one that was just made and is handed over can be kept without a copy."""
+    part: Any = array
+    while isinstance(part, np.ndarray):  # a view is frozen with what it looks at
+        part.flags.writeable = False
+        part = part.base
+    return array
+
+
+def is_frozen(array: NDArray[Any]) -> bool:
+    """Whether no array, neither this one nor what it is a view of, gives leave to change its numbers."""
+    part: Any = array
+    while isinstance(part, np.ndarray):
+        if part.flags.writeable:
+            return False
+        part = part.base
+    return part is None or isinstance(part, bytes)
+
+
+def kept(array: _Array, given: Any) -> _Array:
+    """An array that its giver cannot change: itself where it is frozen or was converted from `given`, else a copy."""
+    converted = isinstance(given, np.ndarray | list | tuple) and array is not given and array.base is None
+    return array if is_frozen(array) else freeze(array if converted else array.copy())

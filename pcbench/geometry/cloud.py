@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.errors import InputError
-from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, bounds
+from pcbench.errors import InputError, MissingExtra
+from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, bounds, freeze, kept
 
 if TYPE_CHECKING:
     from pcbench.geometry.transform import Affine, Similarity
@@ -22,7 +22,7 @@ _FRAME_BOUND = ("rot_", "scale_", "f_rest_")
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A point cloud, checked once at birth.
+    """A point cloud, checked once at birth. Its arrays are read-only, and no later change to a given array reaches it.
 
     Args:
         points: (N, 3) finite coordinates, N >= 1, kept as C-contiguous float64.
@@ -67,7 +67,7 @@ class Cloud:
         for what, text in (("crs", self.crs), ("unit", self.unit)):
             if not isinstance(text, str | None):
                 raise InputError(f"expected {what} as text, got {type(text).__name__}")
-        attributes = {name: np.asarray(values) for name, values in self.attributes.items()}
+        attributes = {name: kept(np.asarray(values), values) for name, values in self.attributes.items()}
         for name, values in attributes.items():
             self._matching(f"attribute {name!r}", values, (len(points),))
         object.__setattr__(self, "attributes", attributes)
@@ -93,8 +93,78 @@ class Cloud:
         if not keep.any():
             raise InputError(f"all {len(array)} points are NaN or Inf")
         # With the dropped points at the origin the fields are checked against the points they came with.
-        checked = cls(np.where(keep[:, None], array, 0.0), **fields)
+        checked = cls(freeze(np.where(keep[:, None], array, 0.0)), **fields)
         return checked.select(keep), int(len(array) - np.count_nonzero(keep))
+
+    @classmethod
+    def from_open3d(cls, cloud: Any) -> Cloud:
+        """A copy of an `open3d.geometry.PointCloud` or an `open3d.t.geometry.PointCloud`.
+
+        Positions become float64; colours, which Open3D may hold as 0 to 1, become whole numbers 0 to 255. Of a tensor's
+        other attributes those with one number a point are taken.
+
+        Raises:
+            InputError: it is neither, or is no valid cloud: see `Cloud`.
+        """
+        if hasattr(cloud, "point"):
+            columns = {name: cloud.point[name].cpu().numpy() for name in cloud.point}
+        elif hasattr(cloud, "points") and hasattr(cloud, "has_normals"):
+            columns = {"positions": np.asarray(cloud.points)}
+            columns |= {"normals": np.asarray(cloud.normals)} if cloud.has_normals() else {}
+            columns |= {"colors": np.asarray(cloud.colors)} if cloud.has_colors() else {}
+        else:
+            raise InputError(f"expected an open3d PointCloud, got {type(cloud).__name__}")
+        points, normals, colors = (columns.pop(name, None) for name in ("positions", "normals", "colors"))
+        if points is None:
+            raise InputError("expected a point cloud with at least one point, got none")
+        if colors is not None and colors.dtype.kind == "f":
+            colors = np.round(255 * colors)
+        single = {name: values.ravel() for name, values in columns.items() if values.size == len(points)}
+        return cls(points, normals, colors, single)
+
+    def to_open3d(self) -> Any:
+        """A copy as an `open3d.geometry.PointCloud`: points, normals, and colours as 0 to 1. It has no attributes.
+
+        Raises:
+            MissingExtra: Open3D is not installed.
+        """
+        open3d = _open3d()
+        vectors = open3d.utility.Vector3dVector  # copies, but only what it could change
+        cloud = open3d.geometry.PointCloud(vectors(self.points.copy()))
+        if self.normals is not None:
+            cloud.normals = vectors(self.normals.copy())
+        if self.colors is not None:
+            cloud.colors = vectors(self.colors / 255)
+        return cloud
+
+    def to_open3d_tensor(self) -> Any:
+        """A copy as an `open3d.t.geometry.PointCloud` on the CPU: float64 positions and normals, uint8 colours, and the
+        attributes as columns (N, 1).
+
+        Raises:
+            MissingExtra: Open3D is not installed.
+        """
+        open3d = _open3d()
+        columns = {"positions": self.points, "normals": self.normals, "colors": self.colors}
+        columns |= {name: values[:, None] for name, values in self.attributes.items()}
+        cloud = open3d.t.geometry.PointCloud()
+        for name, values in columns.items():
+            if values is not None:
+                cloud.point[name] = open3d.core.Tensor.from_numpy(np.array(values, order="C"))
+        return cloud
+
+    @classmethod
+    def from_trimesh(cls, geometry: Any) -> Cloud:
+        """A copy of a `trimesh.PointCloud`, or of the vertices of a `trimesh.Trimesh`, with their colours.
+
+        Raises:
+            InputError: it is neither, or is no valid cloud: see `Cloud`.
+        """
+        if not hasattr(geometry, "vertices") or not hasattr(geometry, "visual"):
+            what = type(geometry).__name__
+            raise InputError(f"expected a trimesh PointCloud or Trimesh, got {what}: a Scene has to_mesh()")
+        colors: Any = geometry.visual.vertex_colors if geometry.visual.kind == "vertex" else ()
+        return cls(np.asarray(geometry.vertices), colors=colors[:, :3] if len(colors) else None)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -113,22 +183,30 @@ class Cloud:
         """The points picked by a boolean mask (N,) or by indices (M,)."""
         return replace(
             self,
-            points=self.points[which],
-            normals=None if self.normals is None else self.normals[which],
-            colors=None if self.colors is None else self.colors[which],
-            attributes={name: values[which] for name, values in self.attributes.items()},
+            points=freeze(self.points[which]),
+            normals=None if self.normals is None else freeze(self.normals[which]),
+            colors=None if self.colors is None else freeze(self.colors[which]),
+            attributes={name: freeze(values[which]) for name, values in self.attributes.items()},
         )
 
     def transformed(self, transform: Similarity | Affine) -> Cloud:
         """The cloud in another frame. Gaussian rotations, scales and view-dependent colours do not survive it."""
-        normals = None if self.normals is None else transform.apply_normals(self.normals)
+        normals = None if self.normals is None else freeze(transform.apply_normals(self.normals))
         kept = {name: a for name, a in self.attributes.items() if not name.startswith(_FRAME_BOUND)}
-        return replace(self, points=transform.apply(self.points), normals=normals, attributes=kept)
+        return replace(self, points=freeze(transform.apply(self.points)), normals=normals, attributes=kept)
 
 
 def as_cloud(data: Cloud | ArrayLike) -> Cloud:
     """A `Cloud` as it is, or one around an (N, 3) array."""
     return data if isinstance(data, Cloud) else Cloud(_triples("points", data))
+
+
+def _open3d() -> Any:
+    try:
+        import open3d
+    except (ImportError, OSError) as error:  # OSError: a library that it needs is missing
+        raise MissingExtra("open3d", "open3d", str(error).partition("\n")[0]) from error
+    return open3d
 
 
 def _triples(what: str, data: ArrayLike) -> FloatArray:
@@ -141,14 +219,14 @@ def _triples(what: str, data: ArrayLike) -> FloatArray:
         raise InputError(f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}") from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
-    return array
+    return kept(array, data)
 
 
 def _bytes(data: ArrayLike) -> NDArray[np.uint8]:
     array = np.asarray(data)
     if array.dtype == np.uint8:
-        return np.ascontiguousarray(array)
+        return kept(np.ascontiguousarray(array), data)
     # A cast alone would turn 0..1 floats into black and let 256 wrap round to 0.
     if array.dtype.kind not in "iuf" or not ((array >= 0) & (array <= 255) & (array == array.round())).all():
         raise InputError(f"expected colors as whole numbers 0 to 255, got {type(data).__name__} of {array.dtype}")
-    return np.ascontiguousarray(array, dtype=np.uint8)
+    return freeze(np.ascontiguousarray(array, dtype=np.uint8))

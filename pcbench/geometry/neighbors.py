@@ -13,7 +13,10 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.native import _core
 
-__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways"]
+__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways", "median_spacing"]
+
+_SPACING_SAMPLE = 20_000  # points that a spacing is estimated from
+_MAX_DUPLICATES = 8  # nearest points, itself included, among which one in another place is looked for
 
 
 class Matches(NamedTuple):
@@ -201,6 +204,36 @@ def match_both_ways(reference: Index, candidate: Index) -> tuple[Matches, Matche
         itself = reference.query(reference.points)
         return itself, itself
     return reference.nearest_of(candidate), candidate.nearest_of(reference)
+
+
+def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
+    """Median distance from a point to the nearest point in another place; 0 where all points lie in one place.
+
+    This is what "spacing" means everywhere in pcbench. A duplicate is no neighbour: the spacing of a cloud that was
+    merged with itself is that of either copy. Points that are there more than seven times do not count.
+
+    Args:
+        nearest_other: of every point, where it is known already (`Index.nearest_other`): the median is then of all
+            points, otherwise of an even sample of about 20,000.
+    """
+    if len(index) < 2:
+        return 0.0
+    if nearest_other is None:
+        found = _nearest_elsewhere(index, np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE)))
+    else:
+        found = nearest_other.distances
+        doubled = np.flatnonzero(found == 0)
+        if len(doubled):
+            found = np.concatenate([found[found > 0], _nearest_elsewhere(index, doubled)])
+    return float(np.median(found)) if len(found) else 0.0
+
+
+def _nearest_elsewhere(index: Index, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Distances of points to the nearest that is no duplicate, without those that have none among their nearest."""
+    distances = index.query(index.points[rows], k=min(_MAX_DUPLICATES, len(index))).distances
+    other = np.where(distances > 0, distances, np.inf).min(axis=1)
+    found: NDArray[np.float64] = other[np.isfinite(other)]
+    return found
 
 
 def _as_points(values: ArrayLike, name: str) -> NDArray[np.float64]:

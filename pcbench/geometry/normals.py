@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index, LocalPlanes, Matches
+from pcbench.geometry.neighbors import Index, LocalPlanes, Matches, median_spacing
 from pcbench.native import _core
-
-_ASKED = 20_000  # points that the spacing is taken from
-_TWINS = 8  # nearest points among which one is looked for that is no duplicate
 
 
 class Normals(NamedTuple):
@@ -58,10 +55,11 @@ class Surface:
     def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None) -> None:
         self.index = index
         self.k = k
-        self._normals: FloatArray = np.empty((len(index), 3))
+        self._normals: FloatArray | None = None  # NaN where it is not known
         self._known = np.zeros(len(index), dtype=bool)
         if given is not None:
             self._normals, self._known = unit(given)
+            self._normals[~self._known] = np.nan
         self._complete = bool(self._known.all())
         self._variation = np.full(len(index), np.nan, dtype=np.float32)
         self._nearest_other: Matches | None = None
@@ -87,7 +85,9 @@ class Surface:
         return self.with_normals_at(which)[which]
 
     def with_normals_at(self, which: IntArray | None) -> FloatArray:
-        """All normals (N, 3), not a copy; those at the indices `which` (M,) are there (None: at every index)."""
+        """All normals (N, 3), not a copy: unit ones at the indices `which` (M,) (None: at every index), and NaN where
+        one was never computed.
+        """
         if not self._complete:
             if which is None or len(which) == len(self):
                 missing = np.flatnonzero(~self._known)
@@ -96,9 +96,15 @@ class Surface:
             if len(missing) == len(self):
                 self._normals, self._variation[:], self._nearest_other = self._planes(None)
             elif len(missing):
-                self._normals[missing], self._variation[missing], _ = self._planes(missing)
+                directions, self._variation[missing], _ = self._planes(missing)
+                self._all_normals()[missing] = directions
             self._known[missing] = True
             self._complete = bool(self._known.all())
+        return self._all_normals()
+
+    def _all_normals(self) -> FloatArray:
+        if self._normals is None:
+            self._normals = np.full((len(self), 3), np.nan)
         return self._normals
 
     def variation(self, which: IntArray) -> FloatArray:
@@ -114,14 +120,8 @@ class Surface:
 
     @cached_property
     def spacing(self) -> float:
-        """Median distance to the nearest other point, of an even sample, duplicates left out; 0 where there is none."""
-        if len(self) < 2:
-            return 0.0
-        which = np.arange(0, len(self), max(1, len(self) // _ASKED))
-        distances = self.index.query(self.points[which], k=min(_TWINS, len(self))).distances
-        other = np.where(distances > 0, distances, np.inf).min(axis=1)
-        found = other[np.isfinite(other)]
-        return float(np.median(found)) if len(found) else 0.0
+        """See `median_spacing`; of an even sample."""
+        return median_spacing(self.index)
 
     def nearest_other(self) -> Matches:
         """See `Index.nearest_other`."""

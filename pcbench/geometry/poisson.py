@@ -10,7 +10,7 @@ from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
-from pcbench.geometry.neighbors import Index
+from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.normals import unit
 from pcbench.geometry.voxels import voxel_downsample_to
 
@@ -47,7 +47,7 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
     origin = low / 2 + high / 2
     points, normals = cloud.points[valid] - origin, normals[valid]
     index = Index(points)
-    spacing = float(np.median(index.nearest_other().distances))
+    spacing = median_spacing(index, index.nearest_other())
     if depth is None:
         cells = float((high - low).max()) / spacing if spacing > 0 else np.inf
         depth = int(np.clip(np.ceil(np.log2(max(cells, 1.0))), 5, 11))

@@ -354,6 +354,8 @@ def _wkt_parts(multi: bool, body: str) -> list[_Part]:
 def _wkt_ring(text: str) -> Sequence[Sequence[float]]:
     try:
         return _vertices([[float(word) for word in vertex.split()] for vertex in text.split(",")], 2)
+    except InputError:  # a ValueError too, but it says all already
+        raise
     except ValueError as error:
         raise InputError(f"expected WKT vertices as numbers, got {_brief(str(error).partition(': ')[2])}") from error
 

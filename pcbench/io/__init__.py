@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import colmap
 from pcbench.io.files import Fields, check_output, check_readable
@@ -77,7 +78,7 @@ def read_cloud(
             if path.suffix.lower() not in FILTERED:
                 raise InputError(f"classes and returns are known in {', '.join(FILTERED)} only")
             read = partial(read, classes=classes, returns=returns)
-        fields = read(path, notes.append)
+        fields = _frozen(read(path, notes.append))
         count = len(fields["points"])
         cloud, dropped = Cloud.from_finite(**fields)
     except InputError as error:
@@ -94,6 +95,19 @@ def read_cloud(
         else:
             on_warning(f"{path}: {note}")
     return cloud
+
+
+def _frozen(fields: Fields) -> Fields:
+    """A reader's arrays, which nobody else holds, as a cloud keeps them without a copy."""
+    for array in (
+        fields["points"],
+        fields.get("normals"),
+        fields.get("colors"),
+        *fields.get("attributes", {}).values(),
+    ):
+        if array is not None:
+            freeze(array)
+    return fields
 
 
 def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:

@@ -76,6 +76,8 @@ def read_npz(path: Path, warn: Warn) -> Fields:
     try:
         with zipfile.ZipFile(path) as archive:
             return _read_archive(archive, path.stat().st_size, warn)
+    except InputError:  # a ValueError too, but it says all already
+        raise
     # What zipfile lets out on damaged archives, by reading and by mutating them.
     except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, OverflowError) as error:
         raise InputError(f"damaged archive: {error}: copy or export the file again") from error

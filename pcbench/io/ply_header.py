@@ -141,7 +141,9 @@ def read_header(file: BinaryIO) -> Header:
         line = file.readline(_MAX_HEADER_BYTES - used + 1)
         used, number = used + len(line), number + 1
         if used > _MAX_HEADER_BYTES:
-            raise InputError(f"expected a PLY header of at most {_MAX_HEADER_BYTES} bytes, got no end_header until there")
+            raise InputError(
+                f"expected a PLY header of at most {_MAX_HEADER_BYTES} bytes, got no end_header until there"
+            )
         if not line:
             raise InputError(f"header without end_header: the file ends after line {number - 1}")
         if b"\0" in line:

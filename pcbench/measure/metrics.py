@@ -34,7 +34,7 @@ def plane_distances(
     closest_rows: IntArray | None = None,
     normal_rows: IntArray | None = None,
 ) -> FloatArray:
-    """Signed distances (M,) of queries (M, 3) along unit normals (M, 3) through the closest points (M, 3): point to tangent plane.
+    """Signed distances (M,) of queries (M, 3) to tangent planes, along unit normals (M, 3) at closest points (M, 3).
 
     Each array is taken in order, or by rows (M,) into it: then none of it is copied.
     """

@@ -12,7 +12,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
-from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.neighbors import Index, Matches, median_spacing
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import Region, parse_region
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
@@ -65,8 +65,7 @@ class Reference:
             inside=inside,
             rows=rows,
             nearest_other=nearest_other,
-            # Of a cloud that was merged with itself the nearest other points are twins: those do not count then.
-            spacing=0.0 if nearest_other is None else float(np.median(nearest_other.distances)) or surface.spacing,
+            spacing=median_spacing(surface.index, nearest_other),
             blocks=intervals.partition(points, settings.seed),
             voxel=robust_extent(points if rows is None else points[rows]) / _VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},

@@ -171,7 +171,7 @@ class ReferenceSummary:
 
     Attributes:
         points, points_in_region: how many there are, and how many are measured.
-        spacing_median: median distance of a point to its nearest other one, see `pcbench.geometry.normals.Surface`.
+        spacing_median: see `pcbench.geometry.neighbors.median_spacing`; of all points.
         crs, unit: of the coordinates, if known.
         normals: "given" with the points, "estimated", or None where there are too few points for normals.
         faces: of the mesh that the reference is; None for a cloud.

@@ -35,7 +35,8 @@ class Reconstruction:
         cloud: its points.
         gauge: what its coordinates mean: "arbitrary" (frame and scale of its own), "metric" (true scale, frame of its
             own) or "georeferenced" (the world of the scene: that of its cameras, its control points or its GPS).
-        cameras: by image name, in the cloud's frame, as far as it has found or used them.
+        cameras: by image name, in the cloud's frame, as far as it has found or used them; None, kept as an empty
+            mapping, for none.
         notes: lines on what a reader should know, such as images that were left out.
 
     Raises:
@@ -52,7 +53,9 @@ class Reconstruction:
             raise InputError(f"expected a pcbench.Cloud as the cloud, got {type(self.cloud).__name__}")
         if self.gauge not in get_args(Gauge):
             raise InputError(f"expected a gauge of {', '.join(get_args(Gauge))}; got {self.gauge!r}")
-        if not isinstance(self.cameras, Mapping) or not all(isinstance(c, Camera) for c in self.cameras.values()):
+        cameras: Any = {} if self.cameras is None else self.cameras
+        object.__setattr__(self, "cameras", cameras)
+        if not isinstance(cameras, Mapping) or not all(isinstance(c, Camera) for c in cameras.values()):
             raise InputError("expected cameras as a mapping from image names to pcbench.geometry.cameras.Camera")
 
 
@@ -120,6 +123,8 @@ class Plugin:
         values = {name: _convert(name, text, hints[name]) for name, text in settings.items()}
         try:
             reconstructor: Reconstructor = self.cls(**values)
+        except InputError:  # a ValueError too, but it says all already
+            raise
         except (TypeError, ValueError) as error:
             raise InputError(f"{self.name}: {error}") from error
         return reconstructor

@@ -25,7 +25,7 @@ JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt
 
 
 @dataclass(frozen=True)
-class Job:
+class ReconstructionJob:
     """A reconstructor, its settings as text, and the scene it gets: the arguments of `read_scene`, and which images of
     it (None: all).
     """
@@ -94,7 +94,7 @@ class Run:
         raise ReconstructionError(f"{self.status}: {self.message} (log: {self.log})")
 
 
-def run(job: Job, workspace: Path, time_limit_s: float | None = None) -> Run:
+def run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None = None) -> Run:
     """Run a reconstructor. Its failure is a result, not an exception.
 
     Args:

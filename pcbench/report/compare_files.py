@@ -24,7 +24,7 @@ _NAMING_A_FILE = ("matrix:", "points:", "polygon:")  # settings that do
 
 
 @dataclass(frozen=True)
-class Job:
+class ComparisonJob:
     """What to compare. `expected` holds the sha256 of files (by absolute path) that were recorded before."""
 
     reference: Path
@@ -33,11 +33,11 @@ class Job:
     expected: dict[str, str]
 
     @classmethod
-    def of(cls, reference: Path, candidates: Sequence[Path], settings: Settings) -> Job:
+    def of(cls, reference: Path, candidates: Sequence[Path], settings: Settings) -> ComparisonJob:
         return cls(reference, named(candidates), settings, {})
 
     @classmethod
-    def recorded(cls, settings_file: Path) -> Job:
+    def recorded(cls, settings_file: Path) -> ComparisonJob:
         """The comparison that a report's settings.json describes."""
         settings, inputs = read_settings(settings_file)
         candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
@@ -55,14 +55,14 @@ class Outputs:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class ComparisonOutcome:
     """A comparison, and why there are no pictures where there should be."""
 
     comparison: Comparison
     without_figures: str | None = None
 
 
-def compare_files(job: Job, outputs: Outputs, step: Callable[[str], None]) -> Outcome:
+def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], None]) -> ComparisonOutcome:
     """Compare files and write the report.
 
     Raises:
@@ -76,10 +76,10 @@ def compare_files(job: Job, outputs: Outputs, step: Callable[[str], None]) -> Ou
     if outputs.json_file is not None:
         check_output(outputs.json_file, inputs)
     if outputs.folder is None:
-        outcome = Outcome(_run(job, settings, named_files, step))
+        outcome = ComparisonOutcome(_run(job, settings, named_files, step))
     else:
         with report_folder(outputs.folder, keep=inputs) as folder:
-            outcome = Outcome(_run(job, settings, named_files, step))
+            outcome = ComparisonOutcome(_run(job, settings, named_files, step))
             step("writing the report")
             write_report(folder, outcome.comparison)
             if outputs.figures:
@@ -106,7 +106,7 @@ def named(paths: Sequence[Path]) -> dict[str, Path]:
     return result
 
 
-def _run(job: Job, settings: Settings, named_files: list[Path], step: Callable[[str], None]) -> Comparison:
+def _run(job: ComparisonJob, settings: Settings, named_files: list[Path], step: Callable[[str], None]) -> Comparison:
     clouds: dict[str, Cloud | Mesh] = {}
     files: dict[str, InputFile] = {}
     for name, path in {"reference": job.reference, **job.candidates}.items():
@@ -123,7 +123,7 @@ def _run(job: Job, settings: Settings, named_files: list[Path], step: Callable[[
     return replace(measured, inputs=Inputs(of_reference, files, others))
 
 
-def _input(job: Job, path: Path, warnings: list[str]) -> InputFile:
+def _input(job: ComparisonJob, path: Path, warnings: list[str]) -> InputFile:
     sha256 = digest(path)
     if job.expected.get(str(path), sha256) != sha256:
         warnings.append(f"{path}: the file has changed since the settings were written")

@@ -18,7 +18,7 @@ _SHOWN = 300_000  # points of the aligned candidate that pictures are drawn over
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class DeformationOutcome:
     registration: Registration
     deformation: Deformation
     warnings: tuple[str, ...]
@@ -36,7 +36,7 @@ def deform_files(
     *,
     figures: bool,
     step: Callable[[str], None],
-) -> Outcome:
+) -> DeformationOutcome:
     """`deform` from files to a folder: deformation.json, the field, the aligned candidate (thinned) and pictures.
 
     Raises:
@@ -67,6 +67,6 @@ def deform_files(
             if figures:
                 step("drawing the pictures")
                 without_figures = draw_if_possible(folder)
-    return Outcome(
+    return DeformationOutcome(
         found, deformation, (*warnings, *(notice.text for notice in found.warnings)), truth.unit, without_figures
     )

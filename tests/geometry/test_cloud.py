@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pcbench.errors import InputError, PcbenchError
+from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.transform import Affine, Similarity
+from pcbench.io import read_cloud, write_cloud
 
 POINTS = np.arange(12.0).reshape(4, 3)
 QUARTER_TURN = Similarity(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([10.0, 0, 0]), 2.0)
@@ -162,3 +163,109 @@ def test_colors_of_other_types_with_whole_values():
         colors = Cloud(POINTS, colors=np.full((4, 3), 255, kind)).colors
         assert colors.dtype == np.uint8
         assert (colors == 255).all()
+
+
+def test_later_changes_to_what_was_given_change_nothing():
+    points, normals = POINTS.copy(), np.tile([1.0, 0, 0], (4, 1))
+    colors, intensity = np.zeros((4, 3), np.uint8), np.zeros(4)
+    read_only_view = points[:]
+    read_only_view.flags.writeable = False
+    clouds = [Cloud(given, normals, colors, {"intensity": intensity}) for given in (points, read_only_view)]
+    clouds.append(Cloud.from_finite(points, normals=normals, colors=colors, attributes={"intensity": intensity})[0])
+    clouds.append(as_cloud(points))
+    for array in (points, normals, colors, intensity):
+        array += 1
+    for cloud in clouds:
+        assert (cloud.points == POINTS).all()
+    for cloud in clouds[:3]:
+        assert (cloud.normals == [1, 0, 0]).all()
+        assert not cloud.colors.any()
+        assert not cloud.attributes["intensity"].any()
+
+
+def test_arrays_are_read_only_and_not_copied_again(tmp_path):
+    write_cloud(tmp_path / "a.ply", full_cloud())
+    clouds = [full_cloud(), read_cloud(tmp_path / "a.ply")]
+    clouds += [clouds[0].select(np.array([0, 2])), clouds[0].transformed(QUARTER_TURN), Cloud(POINTS.tolist())]
+    for cloud in clouds:
+        arrays = [cloud.points, cloud.normals, cloud.colors, *cloud.attributes.values()]
+        for array in arrays:
+            if array is not None:
+                with pytest.raises(ValueError, match="read-only"):
+                    array[0] = 0
+        again = dataclasses.replace(cloud, unit="ft")
+        assert again.points is cloud.points
+        assert all(again.attributes[name] is cloud.attributes[name] for name in cloud.attributes)
+
+
+def test_open3d_there_and_back():
+    pytest.importorskip("open3d")
+    cloud = full_cloud()
+    legacy = Cloud.from_open3d(cloud.to_open3d())
+    tensor = Cloud.from_open3d(cloud.to_open3d_tensor())
+    for back in (legacy, tensor):
+        assert (back.points == cloud.points).all()
+        assert back.points.dtype == np.float64
+        assert (back.normals == cloud.normals).all()
+        assert (back.colors == cloud.colors).all()
+        assert back.colors.dtype == np.uint8
+    assert not legacy.attributes
+    assert sorted(tensor.attributes) == sorted(cloud.attributes)
+    assert all((tensor.attributes[name] == cloud.attributes[name]).all() for name in cloud.attributes)
+    bare = Cloud.from_open3d(Cloud(POINTS).to_open3d())
+    assert (bare.normals, bare.colors) == (None, None)
+
+
+def test_every_colour_survives_open3d():
+    pytest.importorskip("open3d")
+    every = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    cloud = Cloud(np.zeros((256, 3)), colors=every)
+    assert (Cloud.from_open3d(cloud.to_open3d()).colors == every).all()
+    floats = cloud.to_open3d_tensor()
+    floats.point["colors"] = floats.point["colors"].to(floats.point["positions"].dtype) / 255
+    assert (Cloud.from_open3d(floats).colors == every).all()
+
+
+def test_a_cloud_from_open3d_is_a_copy():
+    open3d = pytest.importorskip("open3d")
+    theirs = Cloud(POINTS).to_open3d()
+    tensor = Cloud(POINTS).to_open3d_tensor()
+    clouds = [Cloud.from_open3d(theirs), Cloud.from_open3d(tensor)]
+    theirs.translate([1.0, 0, 0])
+    tensor.translate(open3d.core.Tensor([1.0, 0, 0]))
+    for cloud in clouds:
+        assert (cloud.points == POINTS).all()
+
+
+def test_what_is_no_open3d_cloud():
+    with pytest.raises(InputError, match="expected an open3d PointCloud, got list"):
+        Cloud.from_open3d([1, 2])
+    open3d = pytest.importorskip("open3d")
+    for empty in (open3d.geometry.PointCloud(), open3d.t.geometry.PointCloud()):
+        with pytest.raises(InputError, match="at least one point, got none"):
+            Cloud.from_open3d(empty)
+
+
+def test_from_trimesh():
+    trimesh = pytest.importorskip("trimesh")
+    colors = np.arange(16, dtype=np.uint8).reshape(4, 4)
+    theirs = trimesh.PointCloud(POINTS.copy(), colors=colors)
+    cloud = Cloud.from_trimesh(theirs)
+    theirs.vertices += 1
+    assert (cloud.points == POINTS).all()
+    assert (cloud.colors == colors[:, :3]).all()
+    assert Cloud.from_trimesh(trimesh.PointCloud(POINTS)).colors is None
+    box = trimesh.creation.box()
+    assert (Cloud.from_trimesh(box).points == box.vertices).all()
+    assert Cloud.from_trimesh(box).colors is None
+    box.visual.vertex_colors = np.tile(colors[:1], (8, 1))
+    assert (Cloud.from_trimesh(box).colors == colors[0, :3]).all()
+    with pytest.raises(InputError, match="expected a trimesh PointCloud or Trimesh, got Scene"):
+        Cloud.from_trimesh(trimesh.Scene(box))
+
+
+def test_errors_are_of_the_kinds_that_python_programs_catch():
+    with pytest.raises(ValueError, match="at least one point"):
+        Cloud(np.zeros((0, 3)))
+    assert issubclass(MissingExtra, ImportError)
+    assert str(MissingExtra("trimesh", "mesh")) == "trimesh is needed for this: pip install 'pcbench[mesh]'"

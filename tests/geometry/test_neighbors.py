@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import numpy as np
+import oracles
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from point_shapes import SHAPES, clustered, grid, oblique_plane, uniform
 
 from pcbench.errors import InputError
-from pcbench.geometry.neighbors import Index, match_both_ways
+from pcbench.geometry.neighbors import Index, match_both_ways, median_spacing
 
 
 def squared_distances(queries, points):
@@ -331,3 +332,27 @@ def test_nearest_of_moved_is_a_query_with_moved_points(shape):
 def test_importing_the_room_costs_no_scipy():
     script = "import sys, pcbench.geometry.neighbors; print('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout == "False\n"
+
+
+def test_spacing_is_the_median_distance_to_another_place():
+    rng = np.random.default_rng(4)
+    points = rng.random((3000, 3))
+    index = Index(points)
+    nearest = oracles.leave_one_out(points)
+    assert median_spacing(index) == median_spacing(index, index.nearest_other()) == np.median(nearest)
+    # Every third point is there twice, or all are there seven times: the places are the same, and so are distances.
+    some = Index(np.concatenate([points, points[::3]]))
+    expected = np.median(np.concatenate([nearest, nearest[::3]]))
+    assert median_spacing(some) == median_spacing(some, some.nearest_other()) == expected
+    copies = Index(np.repeat(points, 7, axis=0))
+    assert median_spacing(copies) == median_spacing(copies, copies.nearest_other()) == np.median(nearest)
+    for nowhere in (points[:1], np.zeros((5, 3))):
+        alone = Index(nowhere)
+        assert median_spacing(alone) == 0
+    assert median_spacing(alone, alone.nearest_other()) == 0
+
+
+def test_spacing_of_a_sample_is_near_that_of_all_points():
+    index = Index(np.random.default_rng(5).random((100_000, 3)))
+    # The median of 20,000 distances that spread by 0.4 of it: 0.4 * 1.25 / sqrt(20,000) = 0.4 %, three times over.
+    assert median_spacing(index) == pytest.approx(median_spacing(index, index.nearest_other()), rel=0.012)

@@ -66,6 +66,17 @@ def test_surface_keeps_given_normals_and_estimates_the_missing():
     np.testing.assert_allclose(normals, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-12)
 
 
+@pytest.mark.parametrize("given", [False, True])
+def test_rows_that_were_never_computed_are_no_normals(given):
+    points = shapes.plane_grid(10)
+    normals = np.zeros((100, 3)) if given else None
+    surface = Surface(Index(points), given=normals)
+    some = surface.with_normals_at(np.array([3, 50]))
+    np.testing.assert_allclose(some[[3, 50]], [[0, 0, 1]] * 2, atol=1e-12)
+    assert np.isnan(np.delete(some, [3, 50], axis=0)).all()
+    np.testing.assert_allclose(surface.with_normals_at(None), np.tile([0, 0, 1.0], (100, 1)), atol=1e-12)
+
+
 def test_duplicates_and_too_few():
     same = np.zeros((10, 3))
     assert np.isfinite(estimate_normals(Index(same), 5).directions).all()

@@ -18,7 +18,7 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.image_header import read_image_header
 from pcbench.plugins import Reconstruction, find_plugin
-from pcbench.plugins.run import Job, run
+from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.plugins.stages import stage, stage_key
 
 POINTS = np.random.default_rng(0).normal(size=(30, 3))
@@ -69,7 +69,9 @@ GOOD = 'return Reconstruction(scene.points, "georeferenced", scene.cameras, ["al
 def test_the_documented_plugin_runs_as_it_is_written(scene, tmp_path):
     """From a folder that is not the repository, by the command that stands below it."""
     page = (ROOT / "docs" / "reconstructors.md").read_text()
-    code = re.search(r'```python title="mine.py"\n(.*?)```\n.*?\n\$ (pcbench reconstruct mine[^\n]*)\n', page, re.DOTALL)
+    code = re.search(
+        r'```python title="mine.py"\n(.*?)```\n.*?\n\$ (pcbench reconstruct mine[^\n]*)\n', page, re.DOTALL
+    )
     (tmp_path / "mine.py").write_text(code[1])
     command = code[2].split()
     assert command[:4] == ["pcbench", "reconstruct", "mine.py:Subsampled", "photos/"]
@@ -83,7 +85,9 @@ def test_the_documented_plugin_runs_as_it_is_written(scene, tmp_path):
 
 def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
     spec = plugin("print('hello'); print(self.n, self.how, file=sys.stderr);" + GOOD, "n: int = 2\nhow: str = 'x'")
-    result = run(Job(spec, scene, {"n": "5"}, image_scale=0.5, images=("0.png", "2.png")), tmp_path / "work")
+    result = run(
+        ReconstructionJob(spec, scene, {"n": "5"}, image_scale=0.5, images=("0.png", "2.png")), tmp_path / "work"
+    )
     assert (result.status, result.message) == ("ok", "")
     assert result.settings == {"n": "5", "how": "x"}
     assert result.log.read_text() == "hello\n5 x\n"
@@ -121,7 +125,7 @@ def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
     ],
 )
 def test_failures_are_results(scene, plugin, tmp_path, body, status, message):
-    result = run(Job(plugin(body), scene), tmp_path / "work")
+    result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work")
     assert result.status == status
     assert re.search(message, result.message)
     assert "\n" not in result.message
@@ -133,7 +137,7 @@ def test_failures_are_results(scene, plugin, tmp_path, body, status, message):
 
 def test_a_hanging_plugin_ends_with_its_children(scene, plugin, tmp_path):
     body = "import subprocess; p = subprocess.Popen(['sleep', '600']); print(p.pid); time.sleep(600)"
-    result = run(Job(plugin(body), scene), tmp_path / "work", time_limit_s=3)
+    result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work", time_limit_s=3)
     assert result.status == "timeout"
     assert "limit of 3 s" in result.message
     assert result.wall_s < 60
@@ -142,8 +146,8 @@ def test_a_hanging_plugin_ends_with_its_children(scene, plugin, tmp_path):
 
 
 def test_an_old_result_is_not_taken_for_a_new_one(scene, plugin, tmp_path):
-    assert run(Job(plugin(GOOD), scene), tmp_path / "work").status == "ok"
-    result = run(Job(plugin("os.abort()"), scene), tmp_path / "work")
+    assert run(ReconstructionJob(plugin(GOOD), scene), tmp_path / "work").status == "ok"
+    result = run(ReconstructionJob(plugin("os.abort()"), scene), tmp_path / "work")
     assert (result.status, result.reconstruction) == ("crashed", None)
 
 
@@ -156,14 +160,16 @@ def test_user_mistakes_are_refused(scene, plugin, tmp_path):
         with pytest.raises(InputError, match=match):
             result.required()
 
-    refused("no setting 'm': there are n, flag, how, maybe", Job(spec, scene, {"m": "1"}))
-    refused("expected n as int, got 'two'", Job(spec, scene, {"n": "two"}))
-    refused("expected how as a|b, got 'c'", Job(spec, scene, {"how": "c"}))
-    refused("there is no 'Yours' in it: it has Mine", Job(spec.replace(":Mine", ":Yours"), scene))
-    refused("no reconstructor 'nobody' is installed", Job("nobody", scene))
-    refused("expected a folder with images", Job(spec, tmp_path / "nowhere"))
+    refused("no setting 'm': there are n, flag, how, maybe", ReconstructionJob(spec, scene, {"m": "1"}))
+    refused("expected n as int, got 'two'", ReconstructionJob(spec, scene, {"n": "two"}))
+    refused("expected how as a|b, got 'c'", ReconstructionJob(spec, scene, {"how": "c"}))
+    refused("there is no 'Yours' in it: it has Mine", ReconstructionJob(spec.replace(":Mine", ":Yours"), scene))
+    refused("no reconstructor 'nobody' is installed", ReconstructionJob("nobody", scene))
+    refused("expected a folder with images", ReconstructionJob(spec, tmp_path / "nowhere"))
     (tmp_path / "broken.py").write_text("import numpy\n1 / 0\n")
-    refused(r"broken.py: cannot be imported: ZeroDivisionError.*line 2", Job(f"{tmp_path}/broken.py:A", scene))
+    refused(
+        r"broken.py: cannot be imported: ZeroDivisionError.*line 2", ReconstructionJob(f"{tmp_path}/broken.py:A", scene)
+    )
 
 
 def test_settings_are_converted(plugin):
@@ -255,7 +261,7 @@ if not (workspace / "again").exists():
     os.kill(os.getpid(), signal.SIGKILL)
 return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
 """
-    job = Job(plugin(body), scene)
+    job = ReconstructionJob(plugin(body), scene)
     first = run(job, tmp_path / "work")
     assert (first.status, first.log.read_text()) == ("crashed", "slow stage\n")
     second = run(job, tmp_path / "work")
@@ -267,11 +273,11 @@ def test_reconstruction_is_checked():
     cloud = Cloud(POINTS)
     with pytest.raises(InputError, match="mapping from image names"):
         Reconstruction(cloud, "metric", ["a"])
-    assert Reconstruction(cloud, "metric").cameras == {}
+    assert Reconstruction(cloud, "metric").cameras == Reconstruction(cloud, "metric", cameras=None).cameras == {}
 
 
 def test_the_scene_in_the_child_has_its_images(scene, plugin, tmp_path):
-    result = run(Job(plugin("print(scene.read_image('2.png')[0, 0]);" + GOOD), scene), tmp_path / "work")
+    result = run(ReconstructionJob(plugin("print(scene.read_image('2.png')[0, 0]);" + GOOD), scene), tmp_path / "work")
     assert result.log.read_text() == "[2 0 0]\n"
     assert read_image_header(scene / "images/2.png").width == 40
 

@@ -19,7 +19,7 @@ _SKY = ((0.86, 0.90, 0.94), (0.52, 0.68, 0.86))  # at the lower and at the upper
 Pixels = NDArray[np.float32]  # (rows, columns, 3), 0 to 255
 
 
-class Stage:
+class CityView:
     """The city in front of one pinhole camera that is moved about."""
 
     def __init__(self, job: Path, intrinsics: Intrinsics) -> None:
@@ -121,14 +121,14 @@ def main() -> int:
 
     job, folder = Path(sys.argv[1]), Path(sys.argv[2])
     values = json.loads((job / "job.json").read_text())
-    stage: Stage | None = None
+    view: CityView | None = None
     for number, row in enumerate(values["cameras"]):
         intrinsics = Intrinsics(**{**row["intrinsics"], "distortion": tuple(row["intrinsics"]["distortion"])})
         camera = Camera(row["name"], intrinsics, Similarity(np.array(row["rotation"]), np.array(row["translation"])))
-        if stage is None or stage.intrinsics != intrinsics:
-            stage = Stage(job, intrinsics)
+        if view is None or view.intrinsics != intrinsics:
+            view = CityView(job, intrinsics)
         rng = np.random.default_rng([values["seed"], 9, number])
-        pixels = develop(stage.photograph(camera), values["optics"], rng)
+        pixels = develop(view.photograph(camera), values["optics"], rng)
         Image.fromarray(pixels).save(folder / camera.name, compress_level=4)
     return 0
 

@@ -60,7 +60,7 @@ KINDS = tuple(_FIELDS)
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """p -> p + amplitude * field(axes (p - centre) / lengths) along the axes, then a similarity.
+    """p -> p + amplitude * field(axes (p - center) / lengths) along the axes, then a similarity.
 
     With x, y, z in lengths from the centre, the fields are: dome (0, 0, -x^2 - y^2); bowl its negative; shear
     (z^2, 0, 0): the higher, the more; twist (-z y, z x, 0): a turn about the vertical that grows with height;
@@ -69,7 +69,7 @@ class Warp:
     Args:
         kind: of `KINDS`.
         amplitude: in the cloud's unit.
-        centre: (3,).
+        center: (3,).
         axes: (3, 3) rotation from the cloud's frame to that of the field; its z is the cloud's.
         lengths: (3,) half the cloud's extent: horizontally the larger one for both axes.
         after: the similarity.
@@ -77,14 +77,14 @@ class Warp:
 
     kind: str
     amplitude: float
-    centre: FloatArray
+    center: FloatArray
     axes: FloatArray
     lengths: FloatArray
     after: Similarity
 
     def displacement(self, points: FloatArray) -> FloatArray:
         """What is added to points (N, 3) before the similarity, (N, 3)."""
-        at = (points - self.centre) @ self.axes.T / self.lengths
+        at = (points - self.center) @ self.axes.T / self.lengths
         field = self.amplitude * np.stack(_FIELDS[self.kind](*at.T), axis=1)
         moved: FloatArray = field @ self.axes
         return moved
@@ -121,7 +121,7 @@ class Warp:
             "schema": SCHEMA,
             "kind": self.kind,
             "amplitude": self.amplitude,
-            "centre": self.centre.tolist(),
+            "centre": self.center.tolist(),
             "axes": self.axes.tolist(),
             "lengths": self.lengths.tolist(),
             "after": self.after.matrix.tolist(),

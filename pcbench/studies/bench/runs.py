@@ -23,7 +23,7 @@ import numpy as np
 from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write, digest
-from pcbench.plugins.run import PLUGIN, Job, describe, read_reconstruction, run
+from pcbench.plugins.run import PLUGIN, ReconstructionJob, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
@@ -236,7 +236,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
     # From nothing: the time of a run that goes on where another stopped says nothing.
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    scene = Job(
+    scene = ReconstructionJob(
         trial.method.spec,
         job.scene,
         trial.settings,

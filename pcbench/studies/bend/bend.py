@@ -26,7 +26,7 @@ from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
 from pcbench.io.files import atomic_write
 from pcbench.io.meshes import read_mesh
 from pcbench.plugins import find_plugin
-from pcbench.plugins.run import Job, describe, run
+from pcbench.plugins.run import ReconstructionJob, describe, run
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.report import to_json
 from pcbench.report.document import provenance
@@ -267,7 +267,7 @@ def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
     """One variant's cloud in the world of the truth, and its lens; the reconstruction is kept for the next run."""
     images = inputs.images(variant)
     cameras_from = inputs.cameras(variant)
-    job = Job(PLUGIN, inputs.folder, inputs.settings(variant), cameras=cameras_from, images=tuple(images))
+    job = ReconstructionJob(PLUGIN, inputs.folder, inputs.settings(variant), cameras=cameras_from, images=tuple(images))
     control = (inputs.out / "control.txt").read_text(encoding="utf-8") if variant.control else ""
     key = {
         "job": job.to_json(),
