@@ -1,4 +1,4 @@
-"""The header of a PLY file: its elements, their properties, its comments. Greg Turk, "The PLY Polygon File Format", 1994.
+"""The header of a PLY file (Greg Turk, 1994): its elements, their properties, its comments.
 
 The header is data from a stranger: nothing is allocated on its word, and a line that is not understood is refused.
 """
