@@ -95,7 +95,9 @@ def _compare_one(
     step(f"{name}: registering")
     with _timed(timings, "registration"):
         try:
-            registration = register(reference.cloud, cloud, settings.register, target=reference.target)
+            registration = register(
+                reference.cloud, cloud, settings.register, initial=settings.initial, target=reference.target
+            )
         except RegistrationError as error:
             raise RegistrationError(f"{name}: {error}") from error
         aligned = registration.T_local.apply(cloud.points - reference.origin)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
+from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
+from pcbench.registration import Method, as_method, as_similarity
 
 MAPS = ("poisson", "m3c2")
 
@@ -18,7 +21,8 @@ class Settings:
     """What a user may change; stored with every result.
 
     Attributes:
-        register: how candidates are aligned, see `pcbench.registration.METHODS`.
+        register: how candidates are aligned: an `IcpSettings`, `FeatureSettings`, `ControlPoints` or `GivenPose`, a
+            `Similarity` or 4x4 array as the pose itself, or the text of one, see `pcbench.registration.parse_method`.
         crop: which part is measured, see `pcbench.geometry.regions.parse_region`.
         thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
         presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
@@ -27,9 +31,10 @@ class Settings:
         seed: of the bootstrap.
         normal_neighbors: points a normal of the reference is estimated from where the file has none.
         classes, returns: which points of LAS files count, see `pcbench.read_cloud`.
+        initial: the pose candidate -> reference, a `Similarity` or 4x4 array, that ICP starts from; None: the identity.
     """
 
-    register: str = "icp"
+    register: Method | Similarity | ArrayLike | str = "icp"
     crop: str = "none"
     thresholds: tuple[float, ...] | None = None
     presets: tuple[str, ...] = ("gao2025", "mpeg")
@@ -38,11 +43,15 @@ class Settings:
     normal_neighbors: int = 20
     classes: tuple[int, ...] | None = None
     returns: str | tuple[int, ...] | None = None
+    initial: Similarity | ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        for name, text in (("register", self.register), ("crop", self.crop)):
-            if not isinstance(text, str):
-                raise InputError(f"expected {name} as text, got {text!r}")
+        if not isinstance(self.register, str):  # what a text means is found out when it is used
+            object.__setattr__(self, "register", as_method(self.register))
+        if self.initial is not None:
+            object.__setattr__(self, "initial", as_similarity(self.initial))
+        if not isinstance(self.crop, str):
+            raise InputError(f"expected crop as text, got {self.crop!r}")
         if self.thresholds is not None:
             object.__setattr__(self, "thresholds", tuple(dict.fromkeys(_positive(self.thresholds))))
         if not _is_whole(self.seed) or self.seed < 0:
@@ -55,6 +64,13 @@ class Settings:
             raise InputError(f"unknown map {unknown[0]!r}: expected {' or '.join(MAPS)}")
         always = [name for name in ("gao2025", "mpeg") if name not in self.presets]
         object.__setattr__(self, "presets", (*always, *dict.fromkeys(self.presets)))
+
+    def plain(self) -> dict[str, Any]:
+        """The settings as JSON holds them: methods and regions by their texts, an initial pose where one was given."""
+        values = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "initial"}
+        for name in ("register", "crop"):
+            values[name] = getattr(values[name], "text", values[name])
+        return values if self.initial is None else {**values, "initial": as_similarity(self.initial).matrix}
 
 
 def _positive(values: Any) -> list[float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard, TypeVar
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
@@ -19,6 +19,8 @@ from pcbench.report.document import document, to_json
 from pcbench.report.folder import check_name, read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.plot import draw_if_possible
+
+_Setting = TypeVar("_Setting")
 
 _NAMING_A_FILE = ("matrix:", "points:", "polygon:")  # settings that do
 
@@ -139,11 +141,13 @@ def _read(path: Path, settings: Settings, warnings: list[str], *, may_be_mesh: b
     return read_cloud(path, on_warning=warnings.append, **filters)
 
 
-def _names_file(text: str) -> bool:
-    return text.startswith(_NAMING_A_FILE)
+def _names_file(setting: object) -> TypeGuard[str]:
+    return isinstance(setting, str) and setting.startswith(_NAMING_A_FILE)
 
 
-def _absolute(text: str) -> str:
+def _absolute(setting: _Setting) -> _Setting | str:
     """A setting that names a file, so that it means the same from any folder."""
-    kind, _, path = text.partition(":")
-    return f"{kind}:{Path(path).absolute()}" if path and _names_file(text) else text
+    if not _names_file(setting):
+        return setting
+    kind, _, path = setting.partition(":")
+    return f"{kind}:{Path(path).absolute()}" if path else setting

@@ -38,7 +38,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
     values = {
         "schema": SCHEMA,
         "reference": {**_file(None if inputs is None else inputs.reference), **asdict(comparison.reference)},
-        "settings": asdict(comparison.settings),
+        "settings": comparison.settings.plain(),
         "provenance": provenance(comparison.settings.seed),
         "candidates": [
             _candidate(candidate, None if inputs is None else inputs.candidates[candidate.name])

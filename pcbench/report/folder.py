@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -142,7 +142,7 @@ def _settings(settings: Settings, inputs: Inputs) -> dict[str, Any]:
         "reference": file(inputs.reference),
         "candidates": [{"name": name, **file(read)} for name, read in inputs.candidates.items()],
         "files": [file(read) for read in inputs.files],
-        "settings": asdict(settings),
+        "settings": settings.plain(),
     }
 
 

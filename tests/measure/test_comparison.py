@@ -12,7 +12,9 @@ import shapes
 
 from pcbench import Cloud, Settings, compare
 from pcbench.errors import InputError, RegistrationError
+from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.measure.results import BACK, FORTH
+from pcbench.registration import IcpSettings
 from pcbench.report import document, to_json
 
 UTM = np.array([500_000.0, 4_800_000.0, 0.0])
@@ -312,6 +314,27 @@ def test_a_cloud_that_was_merged_with_itself_keeps_its_spacing():
     assert doubled.reference.spacing_median == once.reference.spacing_median > 0
     maps = [comparison.candidates[0].deviation.m3c2 for comparison in (once, doubled)]
     assert maps[0].radius == maps[1].radius > 0
+
+
+def test_poses_and_methods_are_objects_or_texts(pair, tmp_path):
+    reference, candidate = pair
+    turn = Similarity.from_matrix([[0, -1, 0, 3], [1, 0, 0, 2], [0, 0, 1, 1], [0, 0, 0, 1]])
+    moved = turn.inverse().apply(candidate)
+    (tmp_path / "T.txt").write_text(format_matrix(turn))
+    by_file = numbers_of(reference, moved, Settings(register=f"matrix:{tmp_path / 'T.txt'}"))
+    for pose in (turn, turn.matrix, turn.matrix.tolist()):
+        assert numbers_of(reference, moved, Settings(register=pose)) == by_file
+    by_icp = compare(reference, moved, Settings(register=IcpSettings(), initial=turn))["candidate_1"].registration
+    assert by_icp.method == "icp"
+    np.testing.assert_allclose(by_icp.T_reference_candidate.matrix, turn.matrix, atol=0.2)  # noise and sampling
+    doc = document(compare(reference, moved, Settings(register=IcpSettings(), initial=turn.matrix)))
+    assert doc["settings"]["register"] == "icp"
+    np.testing.assert_array_equal(doc["settings"]["initial"], turn.matrix)
+    assert "initial" not in document(compare(reference, candidate, NONE))["settings"]
+    with pytest.raises(InputError, match="not the matrix of a similarity"):
+        Settings(register=np.diag([1.0, 2, 1, 1]))
+    with pytest.raises(InputError, match="expected the registration as a text"):
+        Settings(register=7)
 
 
 def test_a_comparison_is_handy(pair, tmp_path):
