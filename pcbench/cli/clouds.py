@@ -78,7 +78,7 @@ def register(
         with atomic_write(matrix) as file:
             file.write(text.encode())
     for warning in result.warnings:
-        warn(warning)
+        warn(str(warning))
     if not quiet:
         click.echo(text, nl=False)
         sigma = "not fixed" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}"

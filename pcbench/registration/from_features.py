@@ -8,12 +8,12 @@ on each other, seen from both sides? And does no clearly different pose fit abou
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError, RegistrationError
+from pcbench.errors import InputError, Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
@@ -21,54 +21,70 @@ from pcbench.geometry.normals import Surface, estimate_normals
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
 from pcbench.registration.correspondences import RUNG, Pairs, apart, likely_poses, matched
-from pcbench.registration.icp import Registration, Target, _given, _icp, local_origin
+from pcbench.registration.icp import IcpSettings, align
+from pcbench.registration.quality import Fit, assess_given
+from pcbench.registration.result import AMBIGUOUS, NO_CONVERGENCE, WEAK_EVIDENCE
+from pcbench.registration.target import Target, local_origin
 
 _CELLS = 15_000  # of the larger cloud, when features are compared: a second's work
 _COARSER = 1.6  # what finer cells do not find, coarser ones may
 _RUNGS = 7  # up and down: what either cloud covers may differ by 3.6 times a side
-_POSES = 8  # from each comparison of features
-_REFINED, _TURNED = 6, 3  # the most promising ones of those, and of the best one turned around
-_LOOKED_AT = 300_000  # points of a cloud
-_SHAPELESS = 0.12  # surface variation; edges have less, strays in the air more
-_SAMPLE = 3_000  # points that a pose is refined and judged by
-_FEWEST = 100  # points of either cloud
-_MET = 0.05  # share of either cloud that has to meet the other, and
-_MET_POINTS = 20  # of its sample
-_LEVEL = 0.85  # cosine between normals that agree
-_REFUSED, _TRUSTED = 0.45, 0.5  # agreement; different cities on one street grid reach 0.4
-_RIVAL = 0.8  # of the best pose's agreement
+_MAX_POSES = 8  # from each comparison of features
+_MAX_REFINED, _MAX_TURNED = 6, 3  # the most promising ones of those, and of the best one turned around
+_MAX_POINTS = 300_000  # of a cloud that are looked at
+_MAX_VARIATION = 0.12  # surface variation of what lies on a surface; edges have less, strays in the air more
+_MAX_SAMPLE = 3_000  # points that a pose is refined and judged by
+_MIN_POINTS = 100  # of either cloud
+_MIN_MET = 0.05  # share of either cloud that has to meet the other, and
+_MIN_MET_POINTS = 20  # of its sample
+_MIN_COSINE = 0.85  # between normals that agree
+_MIN_AGREEMENT, _MIN_SURE_AGREEMENT = 0.45, 0.5  # refused, warned of; other cities on one street grid reach 0.4
+_MIN_RIVAL = 0.8  # of the best pose's agreement
 
 
-def register_from_nothing(target: Target, points: FloatArray, origin: FloatArray, method: str) -> Registration:
-    """Registration of points (N, 3) in any pose to a target; neither carries the local origin any more.
+@dataclass(frozen=True)
+class FeatureSettings:
+    """A registration method: from any pose, by matching features; then ICP. `global` on the command line.
+
+    Attributes:
+        with_scale: whether the scale is found too (`global-similarity`).
+    """
+
+    with_scale: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.with_scale, bool):
+            raise InputError(f"expected with_scale as True or False, got {self.with_scale!r}")
+
+    @property
+    def text(self) -> str:
+        """As on the command line."""
+        return "global-similarity" if self.with_scale else "global"
+
+
+def align_by_features(target: Target, points: FloatArray, settings: FeatureSettings, origin: FloatArray) -> Fit:
+    """The pose of points (N, 3), which may lie anywhere, on a target; both are about one local origin.
 
     Args:
-        method: `global`, or `global-similarity` to find the scale too.
+        target: the reference.
+        points: (N, 3) of the candidate, minus the reference's local origin.
+        settings: whether the scale is found too.
+        origin: (3,) the local origin, which messages add again.
 
     Raises:
         MissingExtra: KISS-Matcher is not installed.
         RegistrationError: there are too few points, or no pose has the evidence.
     """
-    if min(len(points), len(target.surface)) < _FEWEST:
-        raise RegistrationError(
-            f"expected at least {_FEWEST} points in each cloud to register from nothing, got {len(points)} and"
-            f" {len(target.surface)}: use --register points:FILE, matrix:FILE or none"
-        )
-    for name, some in (("reference", target.surface.points), ("candidate", points)):
-        if len(cells(some, robust_extent(some) / 1000 or 1.0).first) < _FEWEST:
-            raise RegistrationError(
-                f"expected the {name}'s points at {_FEWEST} places at least to register from nothing: use --register"
-                " points:FILE, matrix:FILE or none"
-            )
-    kind = "similarity" if method == "global-similarity" else "icp"
+    _check_size(target, points)
+    icp = IcpSettings(with_scale=settings.with_scale)
     middle = local_origin(Cloud(points))  # turning what is far away costs digits
     local = points - middle
-    judge = _Judge(_View(target.surface.points), _View(local))
-    poses = judge.refined(judge.promising(judge.hypotheses(with_scale=kind == "similarity"), _REFINED), kind)
+    judge = _Judge(_View(target.surface.points), _View(local), icp)
+    poses = judge.refined(judge.promising(judge.hypotheses(), _MAX_REFINED))
     if poses:  # what is symmetric looks the same turned around
         turned = [poses[0] @ turn for turn in _turns(judge.candidate.sample)]
-        poses = judge.best_first(poses + judge.refined(judge.promising(turned, _TURNED), kind))
-    if not poses or judge.agreement(poses[0]) < _REFUSED:
+        poses = judge.best_first(poses + judge.refined(judge.promising(turned, _MAX_TURNED)))
+    if not poses or judge.agreement(poses[0]) < _MIN_AGREEMENT:
         why = f"of the best one only {judge.agreement(poses[0]):.0%} agrees" if poses else "none could be refined"
         raise RegistrationError(
             f"no pose of the candidate fits the reference ({why}): they show different scenes, overlap too little, or"
@@ -77,28 +93,40 @@ def register_from_nothing(target: Target, points: FloatArray, origin: FloatArray
         )
     # What does not meet the reference would only pull at a pose that starts right.
     start = poses[0]
-    fit = _icp(target, start.apply(local[judge.meets(start, local)]), np.zeros(3), kind, may_be_far=False)
-    pose = fit.T_local @ start
+    refined = align(target, local[judge.meets(start, local)], icp, start, may_be_far=False)
+    pose = refined.T_local
     agreement = judge.agreement(pose)
-    warnings = [warning for warning in fit.warnings if "converge" in warning]
-    if agreement < _TRUSTED:
-        warnings.append(f"the evidence for this pose is weak: only {agreement:.0%} of what meets agrees")
-    rivals = [other for other in poses if judge.differ(other, pose) and judge.agreement(other) > _RIVAL * agreement]
+    warnings = [notice for notice in refined.quality.warnings if notice.code == NO_CONVERGENCE]
+    if agreement < _MIN_SURE_AGREEMENT:
+        text = f"the evidence for this pose is weak: only {agreement:.0%} of what meets agrees"
+        warnings.append(Notice(WEAK_EVIDENCE, text))
+    rivals = [other for other in poses if judge.differ(other, pose) and judge.agreement(other) > _MIN_RIVAL * agreement]
     if rivals:
         away = apart(rivals[0], pose, judge.candidate.sample)
         rows = _unshifted(rivals[0], middle).about(origin).matrix[:3]
-        warnings.append(
+        text = (
             f"ambiguous: {agreement:.0%} of what meets agrees, but {judge.agreement(rivals[0]):.0%} does with the"
             f" candidate {away:.3g} away ({'; '.join(' '.join(f'{v:.6g}' for v in row) for row in rows)})"
         )
-    result = _given(target, points, np.zeros(3), method, _unshifted(pose, middle))
-    return replace(
-        result,
-        T_reference_candidate=result.T_local.about(origin),
-        iterations=fit.iterations,
-        converged=fit.converged,
-        warnings=(*result.warnings, *warnings),
-    )
+        warnings.append(Notice(AMBIGUOUS, text))
+    # The whole candidate is judged, not only the part that ICP was given.
+    quality = assess_given(target, points, _unshifted(pose, middle), origin, settings.text).quality
+    quality = quality._replace(warnings=(*quality.warnings, *warnings))
+    return Fit(_unshifted(pose, middle), quality, refined.iterations, refined.converged)
+
+
+def _check_size(target: Target, points: FloatArray) -> None:
+    if min(len(points), len(target.surface)) < _MIN_POINTS:
+        raise RegistrationError(
+            f"expected at least {_MIN_POINTS} points in each cloud to register from nothing, got {len(points)} and"
+            f" {len(target.surface)}: use --register points:FILE, matrix:FILE or none"
+        )
+    for name, some in (("reference", target.surface.points), ("candidate", points)):
+        if len(cells(some, robust_extent(some) / 1000 or 1.0).first) < _MIN_POINTS:
+            raise RegistrationError(
+                f"expected the {name}'s points at {_MIN_POINTS} places at least to register from nothing: use"
+                " --register points:FILE, matrix:FILE or none"
+            )
 
 
 class _View:
@@ -113,13 +141,13 @@ class _View:
     """
 
     def __init__(self, points: FloatArray) -> None:
-        points = points[:: max(1, len(points) // _LOOKED_AT)]
-        flat = estimate_normals(Index(points)).variation < _SHAPELESS
-        self.points = points = points[flat] if np.count_nonzero(flat) >= _FEWEST else points
+        points = points[:: max(1, len(points) // _MAX_POINTS)]
+        flat = estimate_normals(Index(points)).variation < _MAX_VARIATION
+        self.points = points = points[flat] if np.count_nonzero(flat) >= _MIN_POINTS else points
         self.side = _cell_side(points, min(_CELLS, len(points) // 2))
         self.surface = Surface(Index(cell_means(points, self.side / 3)))
         self.target = Target(self.surface)
-        which = voxel_downsample_to(self.surface.points, _SAMPLE, start=self.side)
+        which = voxel_downsample_to(self.surface.points, _MAX_SAMPLE, start=self.side)
         self.sample, self.normals = self.surface.points[which], self.surface.normals(which)
         nearest = self.surface.index.query(self.sample, k=min(10, len(self.surface))).indices[:, -1]
         steps = np.einsum("ni,ni->n", self.surface.points[nearest] - self.sample, self.normals)
@@ -133,12 +161,12 @@ class _View:
 class _Judge:
     """What two views say about a pose. Lengths are in the reference's unit unless they are counted in cells."""
 
-    def __init__(self, reference: _View, candidate: _View) -> None:
-        self.reference, self.candidate = reference, candidate
+    def __init__(self, reference: _View, candidate: _View, icp: IcpSettings) -> None:
+        self.reference, self.candidate, self.icp = reference, candidate, icp
 
-    def hypotheses(self, *, with_scale: bool) -> list[Similarity]:
+    def hypotheses(self) -> list[Similarity]:
         """Poses that features speak for; with scale, at each rung of a ladder about the ratio of the extents."""
-        if with_scale:
+        if self.icp.with_scale:
             ratio = robust_extent(self.reference.points) / robust_extent(self.candidate.points)
             tried = [(ratio * RUNG**rung, _COARSER) for rung in range(-_RUNGS, _RUNGS + 1)]
         else:
@@ -153,7 +181,7 @@ class _Judge:
         ]
         poses = []
         for (scale, _), side, pairs in zip(tried, sides, matched(clouds), strict=True):
-            for pose in likely_poses(pairs, _POSES, with_scale=with_scale):
+            for pose in likely_poses(pairs, _MAX_POSES, with_scale=self.icp.with_scale):
                 poses.append(Similarity(pose.rotation, side * pose.translation, scale * pose.scale))
         return poses
 
@@ -188,14 +216,14 @@ class _Judge:
     def best_first(self, poses: list[Similarity]) -> list[Similarity]:
         return self._different(sorted(poses, key=lambda pose: -self.agreement(pose)))
 
-    def refined(self, poses: list[Similarity], kind: str) -> list[Similarity]:
+    def refined(self, poses: list[Similarity]) -> list[Similarity]:
         """The different poses that ICP makes of these, the best first; those that it refuses are left out."""
         results = []
         for pose in poses:
             try:
                 for reaches in (4.0, 2.0):
-                    near = pose.apply(self.candidate.sample[self.meets(pose, self.candidate.sample, reaches)])
-                    pose = _icp(self.reference.target, near, np.zeros(3), kind, may_be_far=False).T_local @ pose
+                    near = self.candidate.sample[self.meets(pose, self.candidate.sample, reaches)]
+                    pose = align(self.reference.target, near, self.icp, pose, may_be_far=False).T_local
             except (InputError, RegistrationError):  # nothing to fit there
                 continue
             results.append(pose)
@@ -214,13 +242,14 @@ class _Judge:
 
 
 def _agreement(points: FloatArray, normals: FloatArray, weights: FloatArray, surface: Surface, reach: float) -> float:
-    distances, feet = surface.index.query(points)
+    """Share, by weight, of points within reach of a surface that lie in it and have its direction."""
+    distances, closest = surface.index.query(points)
     near = distances < reach
-    if np.count_nonzero(near) < max(_MET_POINTS, _MET * len(points)):
+    if np.count_nonzero(near) < max(_MIN_MET_POINTS, _MIN_MET * len(points)):
         return 0.0
-    tangent = surface.normals(feet)
-    off = np.abs(np.einsum("ni,ni->n", points - surface.points[feet], tangent))
-    level = np.abs(np.einsum("ni,ni->n", normals, tangent)) > _LEVEL
+    tangent = surface.normals(closest)
+    off = np.abs(np.einsum("ni,ni->n", points - surface.points[closest], tangent))
+    level = np.abs(np.einsum("ni,ni->n", normals, tangent)) > _MIN_COSINE
     return float(weights[near & level & (off < reach / 8)].sum() / weights[near].sum())
 
 

@@ -67,4 +67,6 @@ def deform_files(
             if figures:
                 step("drawing the pictures")
                 without_figures = draw_if_possible(folder)
-    return Outcome(found, deformation, (*warnings, *found.warnings), truth.unit, without_figures)
+    return Outcome(
+        found, deformation, (*warnings, *(notice.text for notice in found.warnings)), truth.unit, without_figures
+    )

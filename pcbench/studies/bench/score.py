@@ -18,14 +18,15 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import parse_region
-from pcbench.geometry.transform import Similarity, format_matrix, read_matrix, robust_similarity
+from pcbench.geometry.transform import Similarity, format_matrix, robust_similarity
 from pcbench.geometry.visibility import SEEN_BY, views
 from pcbench.io import read_cloud
 from pcbench.io.files import Warn, atomic_write
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, Registration, fit_pairs, local_origin
+from pcbench.registration import METHODS, Registration, local_origin, parse_method
+from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report import compare, document
 
 BY_GAUGE = "gauge"
@@ -163,10 +164,8 @@ def check_rules(rules: Rules, truth: Truth) -> None:
     if not names_file and rules.register not in (BY_GAUGE, *METHODS):
         expected = ", ".join((BY_GAUGE, *METHODS))
         raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
-    if kind == "matrix":
-        read_matrix(path)
-    if kind == "points":
-        fit_pairs(path)
+    if names_file:
+        parse_method(rules.register)  # which reads the file
     if rules.threshold is None and Surface(Index(truth.cloud.points)).spacing == 0:
         raise InputError("the reference has no two points apart, so no spacing: give --threshold")
     region = parse_region(rules.crop, truth.cloud)
@@ -229,8 +228,8 @@ def _recall_visible(
 
 def _of_registration(registration: Registration) -> list[str]:
     """Its warnings. What the geometry does not fix is none where the pose is not from the geometry."""
-    given = registration.converged is None
-    return [text for text in registration.warnings if not (given and text.startswith("the geometry"))]
+    left_out = (UNOBSERVABLE, WEAKLY_OBSERVABLE) if registration.converged is None else ()
+    return [notice.text for notice in registration.warnings if notice.code not in left_out]
 
 
 def _write(path: Path, transform: Similarity) -> None:

@@ -1,0 +1,120 @@
+"""Registration by pairs of points that somebody named: the best similarity, and what check points say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.registration.result import CheckPoint
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPoints:
+    """A registration method: pairs of points that are the same place in both clouds.
+
+    Attributes:
+        candidate, reference: (N, 3) the places in the candidate's and in the reference's coordinates, in one order.
+        names: of the pairs; their numbers from 1 on if none are given.
+        is_check: (N,) which pairs take no part in the fit and are reported as check points; none if not given.
+        with_scale: whether the scale is solved for too.
+        text: for reports; for pairs from the command line what stood there.
+
+    Raises:
+        InputError: the arrays do not fit together, or do not determine the pose (see `fit_similarity`).
+    """
+
+    candidate: FloatArray
+    reference: FloatArray
+    names: Sequence[str] = ()
+    is_check: NDArray[np.bool_] | None = None
+    with_scale: bool = True
+    text: str = "points"
+
+    def __post_init__(self) -> None:
+        candidate, reference = _points(self.candidate, "candidate"), _points(self.reference, "reference")
+        count = len(candidate)
+        names = tuple(self.names) or tuple(str(number) for number in range(1, count + 1))
+        is_check = np.zeros(count, bool) if self.is_check is None else np.array(self.is_check, bool)
+        if len(reference) != count or len(names) != count or is_check.shape != (count,):
+            raise InputError(
+                f"expected pairs of points: as many rows of candidate ({count}) as of reference ({len(reference)}),"
+                f" names ({len(names)}) and is_check {is_check.shape}"
+            )
+        values = {"candidate": candidate, "reference": reference, "names": names, "is_check": is_check}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        fit_pairs(self)  # a pose that they do not determine is said now and not after clouds were read
+
+    @classmethod
+    def read(cls, path: str | Path) -> ControlPoints:
+        """From a text file: the method `points:FILE`.
+
+        A line is a name, x y z in the candidate and x y z in the reference; names that end in * are check points.
+
+        Raises:
+            InputError: the file is not such a list, or does not determine the pose.
+        """
+        names, rows = _read_rows(path)
+        pairs = np.array(rows).reshape(-1, 6)
+        is_check = np.array([name.endswith("*") for name in names], dtype=bool)
+        try:
+            return cls(
+                pairs[:, :3], pairs[:, 3:], [name.rstrip("*") for name in names], is_check, text=f"points:{path}"
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+
+
+def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, tuple[CheckPoint, ...]]:
+    """The similarity candidate -> reference (Umeyama 1991) of the control points, and the check points' errors.
+
+    Raises:
+        InputError: fewer than three control points, or all on one line.
+    """
+    is_check = np.zeros(len(pairs.candidate), bool) if pairs.is_check is None else pairs.is_check
+    T = fit_similarity(pairs.candidate[~is_check], pairs.reference[~is_check], with_scale=pairs.with_scale)
+    errors = np.linalg.norm(T.apply(pairs.candidate) - pairs.reference, axis=1)
+    named = zip(pairs.names, errors, is_check, strict=True)
+    return T, tuple(CheckPoint(name, float(error)) for name, error, check in named if check)
+
+
+def _points(values: ArrayLike, name: str) -> FloatArray:
+    try:
+        points = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"expected the {name}'s control points as an (N, 3) array of numbers: {error}") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"expected the {name}'s control points as an (N, 3) array, got {points.shape}")
+    if not np.isfinite(points).all():
+        raise InputError(f"expected finite control points of the {name}, got NaN or Inf")
+    return points
+
+
+def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]]]:
+    try:
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise InputError(f"{path}: cannot read the pairs: {reason}") from error
+    names, rows = [], []
+    for number, line in enumerate(lines, 1):
+        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            rows.append([float(word) for word in words[1:]])
+        except ValueError:
+            if not rows and number == 1:  # a header line
+                continue
+            raise InputError(f"{path}: line {number}: expected a name and six numbers, got {line.strip()!r}") from None
+        if len(words) != 7 or not np.isfinite(rows[-1]).all():
+            raise InputError(f"{path}: line {number}: expected a name and six finite numbers, got {line.strip()!r}")
+        names.append(words[0])
+    return names, rows

@@ -1,0 +1,149 @@
+"""How well a pose fits: the same questions for every method, so that their answers can be compared."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.errors import Notice, RegistrationError
+from pcbench.geometry.arrays import FloatArray, bounds
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.transform import Similarity
+from pcbench.geometry.voxels import voxel_downsample_to
+from pcbench.registration.degeneracy import observability
+from pcbench.registration.result import FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE
+from pcbench.registration.target import Target
+from pcbench.registration.weighted_pairs import weigh
+
+MIN_EXTENT = 1e-150  # of a reference: squares of less are lost
+MIN_POINTS = 10  # that a fit is judged by
+MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before that is said
+
+_MAX_SAMPLE = 30_000  # candidate points that a given pose is judged by
+_MAX_SPACINGS_ON_SURFACE = 5  # of the reference: a candidate point nearer than that lies on it
+_MAX_NEAR = 0.05  # of the extent: where a point has its counterpart, if there is one
+_MIN_OVERLAP = 0.3  # before a small one is said
+_MAX_SPACINGS_OFF = 10  # of the candidate's nearest quarter, before that is said
+
+
+class Quality(NamedTuple):
+    """What is known of a pose; `Registration` explains the numbers."""
+
+    rmse: float
+    overlap: float
+    off_surface: float  # share of the points near the reference that do not lie on it
+    eigenvalues: tuple[float, ...]
+    weakest_sigma: float | None
+    unobservable: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
+    warnings: tuple[Notice, ...]
+
+
+class Fit(NamedTuple):
+    """A pose between local coordinates (those minus the reference's local origin), and what is known of it."""
+
+    T_local: Similarity
+    quality: Quality
+    iterations: int = 0
+    converged: bool | None = None
+
+
+def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_scale: bool) -> Quality:
+    """Residual, overlap and what the geometry fixes, at a pose that is taken as it is.
+
+    Args:
+        target: the reference.
+        sample: an even sample of the candidate's points, minus the reference's local origin.
+        T: the pose between local coordinates.
+        plane: whether the RMSE is of distances to tangent planes, or to points.
+        with_scale: whether the scale is one of the motions that the geometry has to fix.
+    """
+    surface, spacing = target.surface, target.spacing
+    moved, nearest = surface.index.nearest_of_moved(sample, T.matrix)
+    distances = nearest.distances
+    # One distance for every method: were it to follow the fit, the worse the fit, the more would count as overlap.
+    within = _MAX_SPACINGS_ON_SURFACE * spacing
+    overlap = float(np.mean(distances <= within))
+    # What the geometry fixes is asked of all pairs that the fit may have used, where density varies of far more.
+    reach = np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing)
+    limits = (within, reach) if len(surface) >= 3 and target.extent > MIN_EXTENT else ()
+    weighed = [weigh(surface, moved, nearest, limit, robust=True) for limit in limits]
+    # A part that the reference does not have lies far from it; a wrong pose leaves points beside what they belong to.
+    # Tangent planes bridge what the reference samples sparsely, such as the gaps between a scanner's lines.
+    near = distances <= max(_MAX_NEAR * target.extent, within)
+    on_surface = (np.abs(weighed[0].residuals) if weighed else distances) <= within
+    off_surface = 1 - float(np.mean(on_surface[near])) if near.any() else 1.0
+    if not weighed or min(np.count_nonzero(pairs.weights) for pairs in weighed) < MIN_POINTS:
+        rms = float(np.sqrt(np.mean(np.square(distances))))
+        nothing = np.zeros((7 if with_scale else 6, 0))
+        notice = Notice(FEW_POINTS, "too few points to say what the geometry fixes")
+        return Quality(rms, overlap, off_surface, (), None, nothing, (notice,))
+    on_it, pairs = (pairs.take(pairs.weights > 0) for pairs in weighed)
+    errors = on_it.residuals if plane else on_it.distances
+    rmse = float(np.sqrt((on_it.weights * errors**2).sum() / on_it.weights.sum()))
+    typical = float(np.percentile(distances, 25))  # the quarter that fits best: partial overlap is no failure
+    observed = observability(surface, pairs, with_scale=with_scale)
+    warnings = list(observed.warnings)
+    if overlap < _MIN_OVERLAP:
+        warnings.append(Notice(LOW_OVERLAP, f"only {overlap:.0%} of the candidate lies on the reference"))
+    if off_surface > MAX_OFF_SURFACE:
+        text = (
+            f"{off_surface:.0%} of the candidate near the reference does not lie on it: a wrong alignment, outliers or"
+            " changes"
+        )
+        warnings.append(Notice(OFF_SURFACE, text))
+    if typical > _MAX_SPACINGS_OFF * spacing > 0:
+        text = (
+            f"the candidate lies far off the reference (its nearest quarter by {typical:.3g}, {typical / spacing:.0f}"
+            " times the reference's spacing): the registration may have failed"
+        )
+        warnings.append(Notice(FAR_OFF, text))
+    return Quality(
+        rmse,
+        overlap,
+        off_surface,
+        observed.eigenvalues,
+        observed.weakest_sigma,
+        observed.unobservable,
+        tuple(warnings),
+    )
+
+
+def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin: FloatArray, text: str) -> Fit:
+    """A pose from elsewhere, assessed like one that was fitted here.
+
+    Args:
+        target: the reference.
+        points: (N, 3) of the candidate, minus the reference's local origin.
+        T_local: the pose between local coordinates.
+        origin: (3,) the local origin, which the message of a refusal adds again.
+        text: of the method, for that message.
+
+    Raises:
+        RegistrationError: the bounding boxes lie apart.
+    """
+    surface = target.surface
+    if target.spacing > 0:
+        start = max(target.extent / 500, target.spacing)
+        sample = Index(points[voxel_downsample_to(points, _MAX_SAMPLE, start=start)])
+    else:
+        sample = Index(points[:_MAX_SAMPLE])
+    moved = T_local.apply(sample.points)
+    lower, upper = bounds(surface.points)
+    margin = 0.1 * float(np.linalg.norm(upper - lower))
+    # Fewer than three points have no extent to overlap with.
+    if len(surface) >= 3 and ((moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any()):
+        raise RegistrationError(
+            f"the candidate does not overlap the reference after --register {text}: their bounding boxes lie apart"
+            f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)})"
+        )
+    return Fit(T_local, assess(target, sample, T_local, plane=True, with_scale=T_local.scale != 1))
+
+
+def _mad(values: FloatArray) -> float:
+    """Robust standard deviation about zero: 1.4826 times the median absolute value."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def _format(point: FloatArray) -> str:
+    return "(" + ", ".join(f"{v:.6g}" for v in point) + ")"

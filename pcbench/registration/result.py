@@ -1,0 +1,81 @@
+"""What a registration returns: the transform, how well it fits, and what speaks against trusting it.
+
+A registration is a result and never a bare matrix. A matrix cannot say whether the iteration converged, how much of
+the candidate lies on the reference, or along which motion the geometry does not determine the pose; all scores that are
+computed after it depend on that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from pcbench.errors import Notice
+from pcbench.geometry.transform import Similarity
+
+# The codes of a registration's warnings: programs decide by these, never by the texts.
+FEW_POINTS = "few-points"  # too few points to say what the geometry fixes
+UNOBSERVABLE = "unobservable"  # the geometry does not fix some motion at all
+WEAKLY_OBSERVABLE = "weakly-observable"  # it hardly fixes some motion
+SCALE_MISSING = "scale-missing"  # the residuals ask for a scale that was not solved for
+LOW_OVERLAP = "low-overlap"  # little of the candidate lies on the reference
+OFF_SURFACE = "off-surface"  # much of what is near the reference does not lie on it
+FAR_OFF = "far-off"  # even the best quarter is far from the reference
+NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were small
+WEAK_EVIDENCE = "weak-evidence"  # the best of the poses from features is hardly better than chance
+AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
+UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a factor that looks like a unit
+
+
+class CheckPoint(NamedTuple):
+    """A named pair that took no part in the fit, and its distance after it."""
+
+    name: str
+    error: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Registration:
+    """How the candidate was brought onto the reference, and how far that can be trusted.
+
+    Attributes:
+        method: the method's text, such as `icp`.
+        T_reference_candidate: maps candidate to reference coordinates.
+        T_local: the same motion between coordinates from which the reference's local origin was subtracted (see
+            `local_origin`); free of the rounding that large translations bring.
+        rmse: root mean square of the residuals (to the tangent plane; for `icp-point` to the point) of an even sample
+            of the candidate's points that lie on the reference, Tukey-weighted, in the clouds' unit.
+        overlap: share of the voxel-downsampled candidate that lies on the reference: within 5 of its median spacings.
+        iterations: of both stages; 0 where nothing was iterated.
+        converged: whether the last update was below the noise; None where nothing was iterated.
+        information_eigenvalues: of the information matrix of the inliers' point-to-plane pairs per pair, ascending;
+            points are centred and divided by their RMS radius, so that rotation and translation share a unit.
+        weakest_sigma: predicted standard deviation of the motion that the geometry fixes worst, as a displacement at
+            the RMS radius in the clouds' unit, by a bootstrap over tiles of an eighth of the scene; too small by up to
+            two thirds where errors are alike over more than half a tile. None where the geometry does not fix it.
+        check_points: pairs that were not used for the fit.
+        warnings: what the user should know before reading any score, as codes (those of this module) with texts.
+        solved_scale: whether the scale was estimated from the data. A scale that was given is none of these.
+    """
+
+    method: str
+    T_reference_candidate: Similarity
+    T_local: Similarity
+    rmse: float
+    overlap: float
+    iterations: int = 0
+    converged: bool | None = None
+    information_eigenvalues: tuple[float, ...] = ()
+    weakest_sigma: float | None = None
+    check_points: tuple[CheckPoint, ...] = ()
+    warnings: tuple[Notice, ...] = ()
+    solved_scale: bool = False
+
+    def __repr__(self) -> str:
+        state = {True: "converged", False: "NOT converged", None: "not iterated"}[self.converged]
+        parts = [f"{self.method}: {state}", f"rmse {self.rmse:.4g}", f"overlap {self.overlap:.1%}"]
+        if self.solved_scale or self.T_reference_candidate.scale != 1:
+            parts.append(f"scale {self.T_reference_candidate.scale:.6g} ({'solved' if self.solved_scale else 'given'})")
+        if self.warnings:
+            parts.append("warnings: " + " ".join(notice.code for notice in self.warnings))
+        return f"<Registration {', '.join(parts)}>"
