@@ -100,7 +100,7 @@ def residual_deformation(
         text = f"{count} pairs of points: too few to tell a bend from noise"
         return Deformation.unanswered(Notice("few-pairs", text))
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
-    metric = reference.is_metric and candidate.is_metric and registration.method.partition(":")[0] != "similarity"
+    metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     return judge_pairs(pairs, metric=metric, seed=seed).shifted(origin).with_warnings(notes)
 
 
@@ -233,7 +233,7 @@ def _without_map_projection(
         return pairs, []
     # What is at q on the map is at q + offset in space: there a Euclidean candidate lies, and seems displaced by it.
     bend = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
-    gauge = "similarity" if registration.method == "similarity" else "rigid"
+    gauge = "similarity" if registration.solved_scale else "rigid"
     share, size = share_of(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
     if share < 0.5 or size < 0.1 * noise:
         return pairs, []
