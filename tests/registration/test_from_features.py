@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import shapes
 from data_folder import data_folder
+from registrations import UTM, codes, error
 
 from pcbench import cli, read_cloud, write_cloud
 from pcbench.errors import InputError, MissingExtra, RegistrationError
@@ -16,10 +17,10 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity, read_matrix
 from pcbench.registration import register
 from pcbench.registration.correspondences import Pairs, likely_poses
+from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE, WEAK_EVIDENCE
 from pcbench.scenes.synthetic import city
 
 needs_kiss = pytest.mark.skipif(importlib.util.find_spec("kiss_matcher") is None, reason="kiss-matcher is missing")
-UTM = np.array([500_000.0, 4_800_000.0, 0.0])
 
 
 def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
@@ -35,11 +36,6 @@ def pose(seed, scale=1.0):
     """A random rotation of 45 to 180 degrees and a shift of up to 100 m each way."""
     rng = np.random.default_rng(seed)
     return Similarity(shapes.rotation(rng.normal(size=3), rng.uniform(45, 180)), rng.uniform(-100, 100, 3), scale)
-
-
-def error(found, true, points):
-    """RMS distance between where the true and the found pose put the candidate; points in the reference's frame."""
-    return float(np.sqrt(np.square(found.apply(true.inverse().apply(points)) - points).sum(axis=1).mean()))
 
 
 # Bounds in metres: half the noise; 1 to 5 mm was measured.
@@ -60,7 +56,8 @@ def test_finds_any_pose(method, seed, overlap, scale):
     assert error(result.T_reference_candidate, true, candidate) < 0.01
     assert result.method == method
     assert result.converged
-    assert not any("ambiguous" in w or "evidence" in w for w in result.warnings)
+    assert result.solved_scale == (method == "global-similarity")
+    assert not codes(result) & {AMBIGUOUS, WEAK_EVIDENCE}
     if method == "global":
         assert result.T_reference_candidate.scale == 1.0
 
@@ -111,7 +108,7 @@ def test_a_symmetric_scene_is_ambiguous():
     true = pose(8)
     candidate = symmetric(20_000, 2)
     result = register(symmetric(40_000, 1), true.inverse().apply(candidate), "global")
-    assert any("ambiguous" in w for w in result.warnings)
+    assert AMBIGUOUS in codes(result)
     turned = Similarity(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ true
     errors = [error(result.T_reference_candidate, truth, candidate) for truth in (true, turned)]
     # One of the two is right, which the other one is 60 m away from; quarter turns of the square ground are neither.
@@ -126,7 +123,7 @@ def test_a_plane_is_never_sure():
         result = register(reference, pose(9).inverse().apply(candidate), "global")
     except RegistrationError:
         return
-    assert any("does not fix" in w or "ambiguous" in w for w in result.warnings)
+    assert codes(result) & {UNOBSERVABLE, AMBIGUOUS}
 
 
 @needs_kiss

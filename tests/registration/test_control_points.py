@@ -1,0 +1,80 @@
+"""Control and check points: from files and from arrays."""
+
+import numpy as np
+import pytest
+from registrations import motion
+
+from pcbench.errors import InputError
+from pcbench.registration import (
+    ControlPoints,
+    register,
+)
+from pcbench.registration.control_points import fit_pairs
+
+
+def test_control_and_check_points(scene, tmp_path):
+    reference, candidate = scene
+    true = motion(1.0, scale=1.5)
+    targets = candidate[[10, 500, 4000, 9000, 15000]]
+    sources = true.inverse().apply(targets)
+    sources[4] += [0.1, 0, 0]  # a check point that is off by 0.1 of the candidate's unit
+    names = ["a", "b", "c", "d", "check*"]
+    numbers = np.hstack([sources, targets]).tolist()
+    rows = [" ".join([name, *map(repr, row)]) for name, row in zip(names, numbers, strict=True)]
+    (tmp_path / "pairs.txt").write_text("# name, candidate, reference\n" + "\n".join(rows))
+    result = register(reference, true.inverse().apply(candidate), f"points:{tmp_path / 'pairs.txt'}")
+    np.testing.assert_allclose(result.T_reference_candidate.matrix, true.matrix, atol=1e-9)
+    assert result.check_points[0].name == "check"
+    assert result.check_points[0].error == pytest.approx(0.15, rel=1e-6)
+    assert result.solved_scale
+    assert result.method == f"points:{tmp_path / 'pairs.txt'}"
+    same = ControlPoints(sources, targets, names=["a", "b", "c", "d", "check"], is_check=[False] * 4 + [True])
+    by_object = register(reference, true.inverse().apply(candidate), same)
+    np.testing.assert_array_equal(by_object.T_reference_candidate.matrix, result.T_reference_candidate.matrix)
+    assert by_object.check_points == result.check_points
+    assert by_object.method == "points"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a 1 2 3 4 5\n", "line 1: expected a name and six"),
+        ("a 1 2 3 4 5 6\nb x 2 3 4 5 6\n", "line 2"),
+        ("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\n", "at least 3 pairs"),
+        ("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 2 0 0 2 0 0\n", "on one line"),
+        ("", "at least 3 pairs"),
+    ],
+)
+def test_bad_pairs(scene, tmp_path, text, message):
+    (tmp_path / "pairs.txt").write_text(text)
+    with pytest.raises(InputError, match=message):
+        register(*scene, f"points:{tmp_path / 'pairs.txt'}")
+
+
+def test_control_points_without_scale_are_rigid():
+    places = np.random.default_rng(1).uniform(-20, 20, (6, 3))
+    true = motion()
+    T, checks = fit_pairs(ControlPoints(true.inverse().apply(places) / 1.1, places, with_scale=False))
+    assert T.scale == 1.0
+    assert checks == ()
+    # About the mean of the points a wrong scale does not turn: rounding only.
+    np.testing.assert_allclose(T.rotation, true.rotation, atol=1e-12)
+    T, _ = fit_pairs(ControlPoints(true.inverse().apply(places) / 1.1, places))
+    assert T.scale == pytest.approx(1.1, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.eye(3), np.eye(3)[:2]), "as many rows of candidate .3. as of reference .2."),
+        ((np.eye(3), np.eye(4)), "the reference's control points as an .N, 3. array, got .4, 4."),
+        ((np.eye(3) * np.nan, np.eye(3)), "finite control points of the candidate"),
+        (("abc", np.eye(3)), "array of numbers"),
+        ((np.eye(3), np.eye(3), ["a"]), "names .1."),
+        ((np.eye(3), np.eye(3), (), [True, False, False]), "at least 3 pairs"),
+        ((np.zeros((4, 3)), np.zeros((4, 3))), "on one line"),
+    ],
+)
+def test_control_points_that_are_none(arguments, message):
+    with pytest.raises(InputError, match=message):
+        ControlPoints(*arguments)

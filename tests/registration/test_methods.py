@@ -1,0 +1,128 @@
+"""Methods as texts and as objects, the reference's target, and what every method says."""
+
+import numpy as np
+import pytest
+import shapes
+from registrations import codes, motion
+
+from pcbench import Cloud, Similarity
+from pcbench.errors import InputError, RegistrationError
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.transform import format_matrix
+from pcbench.registration import (
+    ControlPoints,
+    FeatureSettings,
+    GivenPose,
+    IcpSettings,
+    Target,
+    as_method,
+    local_origin,
+    parse_method,
+    register,
+)
+from pcbench.registration.result import UNIT_MISMATCH
+
+
+def test_refusals(scene):
+    reference, candidate = scene
+    with pytest.raises(InputError, match="unknown registration 'magic'"):
+        register(reference, candidate, "magic")
+    with pytest.raises(InputError, match="no-such"):
+        register(reference, candidate, "matrix:no-such")
+    for method in ("icp", "none"):
+        with pytest.raises(RegistrationError, match="does not overlap"):
+            register(reference, candidate + 5000, method)
+    with pytest.raises(RegistrationError, match="extent"):
+        register(np.zeros((100, 3)), candidate)
+
+
+def test_suspected_units(scene):
+    reference, candidate = scene
+    in_feet = register(reference, candidate / 0.3048, "none")
+    assert UNIT_MISMATCH in codes(in_feet)
+    assert "feet against metres" in " ".join(map(str, in_feet.warnings))
+    assert not register(reference, candidate, "none").warnings
+
+
+def test_clouds_and_tiny_clouds():
+    grid = shapes.plane_grid(4)
+    result = register(Cloud(grid), Cloud(grid[:5]), "none")
+    assert result.rmse == 0.0
+    assert result.overlap == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "method", "solves_scale"),
+    [
+        ("icp", IcpSettings(), False),
+        ("icp-point", IcpSettings(residuals="point"), False),
+        ("similarity", IcpSettings(with_scale=True), True),
+        ("global", FeatureSettings(), False),
+        ("global-similarity", FeatureSettings(with_scale=True), True),
+    ],
+)
+def test_texts_and_objects_are_the_same(text, method, solves_scale):
+    assert parse_method(text) == as_method(text) == as_method(method) == method
+    assert method.text == text
+    assert method.with_scale == solves_scale
+
+
+def test_changed_numbers_are_told_in_the_text():
+    assert IcpSettings(max_iterations=5).text == "icp (max_iterations=5)"
+    assert IcpSettings(with_scale=True, max_correspondence_distance=2.0).text == (
+        "similarity (max_correspondence_distance=2.0)"
+    )
+
+
+def test_files_are_read_as_the_text_is_parsed(tmp_path):
+    (tmp_path / "T.txt").write_text(format_matrix(motion()))
+    found = parse_method(f"matrix:{tmp_path / 'T.txt'}")
+    assert isinstance(found, GivenPose)
+    assert found.text == f"matrix:{tmp_path / 'T.txt'}"
+    assert parse_method("none").text == "none"
+    for text in ("matrix", "matrix:", "points", "points:", "icp:", "none:x", "ICP", ""):
+        with pytest.raises(InputError, match="unknown registration"):
+            parse_method(text)
+
+
+@pytest.mark.parametrize("wrong", [None, 3, {"method": "icp"}, object()])
+def test_what_is_no_method(wrong):
+    with pytest.raises(InputError, match=f"expected the registration as a text, .*, got {type(wrong).__name__}"):
+        register(np.eye(3), np.eye(3), wrong)
+
+
+def test_only_icp_starts_somewhere():
+    for method in ("none", "global", Similarity.identity(), ControlPoints(np.eye(3), np.eye(3))):
+        with pytest.raises(InputError, match=r"an initial pose is where ICP starts: `.*` takes none"):
+            register(np.eye(3), np.eye(3), method, initial=np.eye(4))
+
+
+def test_a_target_of_another_reference_is_refused(scene):
+    reference, candidate = (Cloud(points) for points in scene)
+    alone = register(reference, candidate)
+    with_target = register(reference, candidate, target=Target.of(reference))
+    np.testing.assert_array_equal(with_target.T_local.matrix, alone.T_local.matrix)
+    points, origin = reference.points, local_origin(reference)
+    moved = points.copy()
+    moved[-1, 2] += 1e-6
+    other = "other points or about another origin"
+    for surface, message in (
+        (points[1:] - origin, f"this reference's {len(points)} points, got one of {len(points) - 1} points"),
+        (points, other),
+        (points - origin - [1, 0, 0], other),
+        (moved - origin, other),
+    ):
+        with pytest.raises(InputError, match=message):
+            register(reference, candidate, target=Target(Surface(Index(surface))))
+    with pytest.raises(InputError, match="expected a target made from"):
+        register(Cloud(moved), candidate, target=Target.of(reference))
+
+
+def test_a_registration_is_told_in_a_line(scene):
+    reference, candidate = scene
+    told = repr(register(reference, motion().inverse().apply(candidate), "similarity"))
+    assert told.startswith("<Registration similarity: converged, rmse 0.0")
+    assert "(solved)" in told
+    assert "\n" not in told
+    assert "warnings: " in repr(register(reference, candidate / 0.3048, "none"))
