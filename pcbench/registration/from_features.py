@@ -1,4 +1,4 @@
-"""Registration from nothing: poses from features, each refined and then held against everything both clouds show.
+"""Registration from nothing: poses from features, each refined and then compared with everything both clouds show.
 
 A wrong pose reported with confidence is the failure that counts. Flat ground fits flat ground in a thousand poses, so
 overlap and residuals say little. What counts is agreement: where the clouds meet, do surfaces of *all* directions lie

@@ -10,7 +10,7 @@ Two independent samples of one city with 2 cm noise; the truth is exact. An erro
 between where the found and the true transform put the reference's points; up to 5 cm (2.5 sigma) is a success.
 A failure is *said* where the method raises or warns; of a peer, where it reports no convergence or matches less than
 30 % of the candidate (KISS-Matcher: less than 5 inliers, its example's rule). Any other failure is *confidently wrong*.
-Peers run coarse to fine, with gates of 20, 6 and 2 m, on voxels of 0.5 m (features: 2 m).
+Peers run coarse to fine, with maximum correspondence distances of 20, 6 and 2 m, on voxels of 0.5 m (features: 2 m).
 """
 
 import argparse
@@ -37,7 +37,7 @@ from pcbench.registration import Target, local_origin
 from pcbench.scenes.synthetic import city, demo
 
 LIMIT = 0.05  # metres
-GATES = (20.0, 6.0, 2.0)
+MAX_DISTANCES = (20.0, 6.0, 2.0)
 VOXEL, FEATURE_VOXEL = 0.5, 2.0
 ENOUGH = 0.3  # share of the candidate that a peer has to match
 
@@ -77,16 +77,16 @@ def with_open3d(kind: str) -> Method:
             cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
             clouds.append(cloud)
         T, fitness = np.eye(4), 0.0
-        for gate in GATES:
+        for max_distance in MAX_DISTANCES:
             criteria = o3d.ICPConvergenceCriteria(max_iteration=60)
             if kind == "GICP":
                 estimator = o3d.TransformationEstimationForGeneralizedICP()
-                found = o3d.registration_generalized_icp(clouds[1], clouds[0], gate, T, estimator, criteria)
+                found = o3d.registration_generalized_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
             else:
-                # A robust kernel from the start keeps only what fits already: it comes with the last gate.
-                robust = kind == "Tukey" and gate == GATES[-1]
+                # A robust kernel from the start keeps only what fits already: it comes with the last distance.
+                robust = kind == "Tukey" and max_distance == MAX_DISTANCES[-1]
                 estimator = o3d.TransformationEstimationPointToPlane(*([o3d.TukeyLoss(0.3)] if robust else []))
-                found = o3d.registration_icp(clouds[1], clouds[0], gate, T, estimator, criteria)
+                found = o3d.registration_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
             T, fitness = found.transformation, found.fitness
         return Answer(_rigid(T), fitness >= ENOUGH)
 
@@ -101,10 +101,10 @@ def with_small_gicp(kind: str) -> Method:
         target, tree = small_gicp.preprocess_points(reference, VOXEL, num_threads=threads)
         source, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
         T, done = np.eye(4), None
-        for gate in GATES:
-            how = {"init_T_target_source": T, "max_correspondence_distance": gate, "num_threads": threads}
+        for max_distance in MAX_DISTANCES:
+            how = {"init_T_target_source": T, "max_correspondence_distance": max_distance, "num_threads": threads}
             if kind == "VGICP":
-                voxels = small_gicp.GaussianVoxelMap(gate / 2)
+                voxels = small_gicp.GaussianVoxelMap(max_distance / 2)
                 voxels.insert(target)
                 done = small_gicp.align(voxels, source, init_T_target_source=T, num_threads=threads)
             else:
@@ -166,7 +166,7 @@ def with_features(solver: str) -> Method:
             cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
             fine.append(cloud)
         plane = o3d.TransformationEstimationPointToPlane()
-        found = o3d.registration_icp(*fine, GATES[-1], found.transformation, plane)
+        found = o3d.registration_icp(*fine, MAX_DISTANCES[-1], found.transformation, plane)
         return Answer(_rigid(found.transformation), found.fitness >= ENOUGH)
 
     return run
@@ -340,14 +340,14 @@ def speed(runs: int) -> None:
 
         def align(kind: str) -> None:
             T = np.eye(4)
-            for gate in GATES:
+            for max_distance in MAX_DISTANCES:
                 T = small_gicp.align(
                     goal,
                     source,
                     tree,
                     T,
                     registration_type=kind,
-                    max_correspondence_distance=gate,
+                    max_correspondence_distance=max_distance,
                     max_iterations=60,
                     num_threads=threads,
                 ).T_target_source
