@@ -57,11 +57,13 @@ def register(
     start = None if initial is None else as_similarity(initial)
     if start is not None and not isinstance(method, IcpSettings):
         raise InputError(f"an initial pose is where ICP starts: `{method.text}` takes none")
-    if target is None:
-        target = Target.of(reference)
-    else:
-        target.check_belongs_to(reference)
     origin = local_origin(reference)
+    if target is None:
+        target = Target.of(reference, origin)
+    elif isinstance(target, Target):
+        target.check_belongs_to(reference, origin)
+    else:
+        raise InputError(f"expected the target as a Target, got {type(target).__name__}")
     points = candidate.points - origin
     check_points: tuple[CheckPoint, ...] = ()
 

@@ -25,11 +25,15 @@ class Target:
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
+        self._known: Cloud | None = None  # the reference that this was compared with already
 
     @classmethod
-    def of(cls, reference: Cloud) -> Target:
-        """The target of a reference, with its normals where it has some."""
-        return cls(Surface(Index(reference.points - local_origin(reference)), given=reference.normals))
+    def of(cls, reference: Cloud, origin: FloatArray | None = None) -> Target:
+        """The target of a reference, with its normals where it has some; `origin` is its local origin, if known."""
+        origin = local_origin(reference) if origin is None else origin
+        target = cls(Surface(Index(reference.points - origin), given=reference.normals))
+        target._known = reference
+        return target
 
     @cached_property
     def extent(self) -> float:
@@ -51,12 +55,14 @@ class Target:
         """The surface, one mean point a voxel of edge `coarse_side`."""
         return Surface(Index(cell_means(self.surface.points, self.coarse_side)))
 
-    def check_belongs_to(self, reference: Cloud) -> None:
-        """Raise InputError unless this target holds the reference's points, minus its local origin, bit for bit.
+    def check_belongs_to(self, reference: Cloud, origin: FloatArray) -> None:
+        """Raise InputError unless this target holds the reference's points, minus its local origin (3,), bit for bit.
 
         A target of another cloud, or about another origin, would give a transform that looks right and is not.
         """
-        ours, theirs, origin = self.surface.points, reference.points, local_origin(reference)
+        if reference is self._known:
+            return
+        ours, theirs = self.surface.points, reference.points
         if len(ours) != len(theirs):
             raise InputError(
                 f"expected a target made from this reference's {len(theirs)} points, got one of {len(ours)} points"
@@ -68,6 +74,7 @@ class Target:
                     "expected a target made from this reference's points minus local_origin(reference), got one of"
                     " other points or about another origin"
                 )
+        self._known = reference
 
 
 def local_origin(cloud: Cloud) -> FloatArray:

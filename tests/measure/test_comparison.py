@@ -128,7 +128,7 @@ def test_a_utm_offset_changes_no_metric(pair, register):
 
 
 def test_swapping_the_clouds_swaps_the_directions(pair):
-    reference, candidate = map(on_grid, pair)  # recentring is exact then
+    reference, candidate = map(on_grid, pair)  # subtracting the local origin is exact then
     one, two = metrics_of(reference, candidate), metrics_of(candidate, reference)
     for way, back in ((FORTH, BACK), (BACK, FORTH)):
         assert one.d1_mse[way].value == two.d1_mse[back].value
