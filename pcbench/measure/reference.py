@@ -14,7 +14,8 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index, Matches, median_spacing
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.regions import Region, parse_region
+from pcbench.geometry.region_text import parse_region
+from pcbench.geometry.regions import Region
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals
 from pcbench.measure.results import ReferenceSummary

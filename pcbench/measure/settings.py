@@ -19,7 +19,7 @@ class Settings:
 
     Attributes:
         register: how candidates are aligned, see `pcbench.registration.METHODS`.
-        crop: which part is measured, see `pcbench.geometry.regions.parse_region`.
+        crop: which part is measured, see `pcbench.geometry.region_text.parse_region`.
         thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
         presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
         maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
