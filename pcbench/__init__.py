@@ -8,8 +8,10 @@ if TYPE_CHECKING:
     from pcbench.deformation import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
     from pcbench.geometry.cloud import Cloud as Cloud
+    from pcbench.geometry.crop import crop as crop
     from pcbench.geometry.mesh import Mesh as Mesh
     from pcbench.geometry.neighbors import Index as Index
+    from pcbench.geometry.region_text import parse_region as parse_region
     from pcbench.geometry.regions import Box as Box
     from pcbench.geometry.regions import Polygon as Polygon
     from pcbench.geometry.regions import Region as Region
@@ -47,8 +49,10 @@ _ROOMS = {
     "Sphere": "geometry.regions",
     "Union": "geometry.regions",
     "compare": "report.comparison",
+    "crop": "geometry.crop",
     "deform": "deformation",
     "metrics": "measure.metrics",
+    "parse_region": "geometry.region_text",
     "read_cloud": "io",
     "read_mesh": "io.meshes",
     "read_scene": "scenes",

@@ -17,7 +17,6 @@ from pcbench.cli.options import (
     register_option,
     required_crop_option,
 )
-from pcbench.errors import InputError
 
 
 @click.command(short_help="Cut a cloud to a region.")
@@ -27,20 +26,13 @@ from pcbench.errors import InputError
 @quiet_option
 def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
-    from pcbench.geometry.regions import parse_region
+    from pcbench.geometry.crop import crop as crop_cloud
     from pcbench.io import read_cloud, write_cloud
     from pcbench.io.files import check_output
 
     check_output(out, (cloud,))
     data = read_cloud(cloud, on_warning=warn_unless(quiet))
-    region = parse_region(crop, data)
-    inside = data if region is None else None
-    if region is not None:
-        mask = region.contains(data.points)
-        if not mask.any():
-            raise InputError(f"{cloud}: the crop {crop!r} leaves none of its {len(data)} points")
-        inside = data.select(mask)
-    assert inside is not None
+    inside = crop_cloud(data, crop)
     write_cloud(out, inside)
     if not quiet:
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")

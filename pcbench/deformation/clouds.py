@@ -11,7 +11,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.regions import Region, parse_region
+from pcbench.geometry.region_text import as_region
+from pcbench.geometry.regions import Region
 from pcbench.registration import Registration, Target, local_origin, register
 
 
@@ -29,7 +30,7 @@ def deform(
             and another one is no deformation.
         method: how the candidate is registered, as `pcbench.register` takes it.
         crop: which part counts: a region in the reference's coordinates, or its text, see
-            `pcbench.geometry.regions.parse_region`. Points outside are still searched.
+            `pcbench.geometry.region_text.parse_region`. Points outside are still searched.
         seed: of the bootstrap.
 
     Raises:
@@ -41,7 +42,7 @@ def deform(
     surface = Surface(Index(reference.points - origin), given=reference.normals)
     found = register(reference, candidate, method, target=Target(surface))
     aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
-    region = parse_region(crop, reference) if isinstance(crop, str) else crop
+    region = as_region(crop, reference)
     region = None if region is None else region.shifted(origin)
     sides = []
     for name, points, cloud in (("reference", surface, reference), ("candidate", aligned, candidate)):
@@ -53,4 +54,4 @@ def deform(
 
 
 def _name(crop: Region | str) -> str:
-    return crop if isinstance(crop, str) else crop.describe()
+    return crop if isinstance(crop, str) else crop.text

@@ -14,7 +14,8 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index, Matches, median_spacing
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.regions import Region, parse_region
+from pcbench.geometry.region_text import as_region
+from pcbench.geometry.regions import Region
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals
 from pcbench.measure.results import ReferenceSummary
@@ -47,7 +48,7 @@ class Reference:
         cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
         origin = local_origin(cloud)
         points = cloud.points - origin
-        region = parse_region(settings.crop, cloud)
+        region = as_region(settings.crop, cloud)
         region = None if region is None else region.shifted(origin)
         inside = np.ones(len(points), bool) if region is None else region.contains(points)
         if not inside.any():

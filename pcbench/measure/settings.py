@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
+from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
 from pcbench.registration import Method, as_method, as_similarity
@@ -23,7 +24,8 @@ class Settings:
     Attributes:
         register: how candidates are aligned: an `IcpSettings`, `FeatureSettings`, `ControlPoints` or `GivenPose`, a
             `Similarity` or 4x4 array as the pose itself, or the text of one, see `pcbench.registration.parse_method`.
-        crop: which part is measured, see `pcbench.geometry.regions.parse_region`.
+        crop: which part is measured, in the reference's coordinates: a region, such as `pcbench.Box`, or the text of one,
+            see `pcbench.geometry.region_text.parse_region`.
         thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
         presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
         maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
@@ -35,7 +37,7 @@ class Settings:
     """
 
     register: Method | Similarity | ArrayLike | str = "icp"
-    crop: str = "none"
+    crop: Region | str = "none"
     thresholds: tuple[float, ...] | None = None
     presets: tuple[str, ...] = ("gao2025", "mpeg")
     maps: tuple[str, ...] = ()
@@ -50,8 +52,8 @@ class Settings:
             object.__setattr__(self, "register", as_method(self.register))
         if self.initial is not None:
             object.__setattr__(self, "initial", as_similarity(self.initial))
-        if not isinstance(self.crop, str):
-            raise InputError(f"expected crop as text, got {self.crop!r}")
+        if not isinstance(self.crop, Region | str):
+            raise InputError(f"expected crop as a region or as text, got {self.crop!r}")
         if self.thresholds is not None:
             object.__setattr__(self, "thresholds", tuple(dict.fromkeys(_positive(self.thresholds))))
         if not _is_whole(self.seed) or self.seed < 0:

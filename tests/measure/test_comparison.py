@@ -12,6 +12,7 @@ import shapes
 
 from pcbench import Cloud, Settings, compare
 from pcbench.errors import InputError, RegistrationError
+from pcbench.geometry.regions import Box
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.measure.results import BACK, FORTH
 from pcbench.registration import IcpSettings
@@ -373,3 +374,13 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     (tmp_path / "mine/notes.txt").touch()
     with pytest.raises(InputError, match="holds no report"):
         comparison.save(tmp_path / "mine", figures=False)
+
+
+def test_regions_are_objects_or_texts(pair):
+    reference, candidate = pair
+    by_text = document(compare(reference, candidate, Settings("none", crop="box:10,10,-9,25,30,9")))
+    by_object = document(compare(reference, candidate, Settings("none", crop=Box([10, 10, -9], [25, 30, 9]))))
+    assert by_object["candidates"][0]["metrics"] == by_text["candidates"][0]["metrics"]
+    assert by_object["settings"]["crop"] == "box:10,10,-9,25,30,9"
+    with pytest.raises(InputError, match="expected crop as a region or as text"):
+        Settings(crop=(0, 1))

@@ -1,30 +1,25 @@
 """The photographed city: laid out as asked, drawn where cameras say, its truth checked without the tree."""
 
-import hashlib
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from oracles import first_hits
 
-from pcbench import read_cloud
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.visibility import views
-from pcbench.io.meshes import read_mesh
-from pcbench.scenes.synthetic.files import SceneSettings, write_scene
+from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.paint import Grid, Painter
-from pcbench.scenes.synthetic.plan import CitySettings, lay_out
+from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.render import Optics, render
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
 from pcbench.scenes.synthetic.surface import CitySurface, build_city
 from pcbench.scenes.synthetic.truth import depth_map
 
 SMALL = CitySettings(extent=120.0, seed=3)
-LENS = (-0.08, 0.01, 0.002, -0.001)
+DISTORTION = (-0.08, 0.01, 0.002, -0.001)
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +189,7 @@ def centroid(outline):
     return outline[0] + [((p + np.roll(p, -1)) * cross).sum() / (3 * cross.sum()) for p in (x, y)]
 
 
-@pytest.mark.parametrize("distortion", [(0, 0, 0, 0), LENS], ids=["pinhole", "lens"])
+@pytest.mark.parametrize("distortion", [(0, 0, 0, 0), DISTORTION], ids=["pinhole", "distorted"])
 def test_pictures_and_depths_are_where_the_camera_says(distortion, renderer, tmp_path):
     from PIL import Image
 
@@ -312,157 +307,3 @@ def test_views_against_every_triangle(city):
         expected += inside & free
     np.testing.assert_array_equal(found, expected)
     assert len(set(expected)) > 2
-
-
-# ---- the scene ----
-
-SCENE = SceneSettings(SMALL, 5, replace(Intrinsics.from_fov(160, 90, 50.0), distortion=LENS), points=6000, gps=0.3)
-
-
-def contents(folder):
-    return {
-        str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file()
-    }
-
-
-@pytest.fixture(scope="module")
-def scene(renderer, tmp_path_factory):
-    out = tmp_path_factory.mktemp("scene") / "city"
-    write_scene(out, SCENE)
-    return out
-
-
-def test_the_files_of_a_scene(scene, tmp_path):
-    stems = [f"{n:04d}" for n in range(1, 6)]
-    files = {"transforms.json", "gps.txt", "truth/mesh.ply", "truth/cloud.ply"}
-    files |= {f"sparse/0/{name}.txt" for name in ("cameras", "images", "points3D")}
-    files |= {f"images/{s}.png" for s in stems} | {f"truth/depth/{s}.npy" for s in stems}
-    assert contents(scene).keys() == files
-    assert [p.name for p in scene.parent.iterdir()] == ["city"]
-    again = tmp_path / "again"
-    write_scene(again, SCENE)
-    assert contents(again) == contents(scene)
-
-
-def test_three_tellings_of_the_cameras_agree(scene):
-    pycolmap = pytest.importorskip("pycolmap")
-    values = json.loads((scene / "transforms.json").read_text())
-    assert [f["file_path"] for f in values["frames"]] == [f"images/{n:04d}.png" for n in range(1, 6)]
-    model = pycolmap.Reconstruction(scene / "sparse/0")
-    assert model.num_points3D() == 0
-    lens = model.cameras[1]
-    assert lens.model.name == "OPENCV"
-    names = ("fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2")
-    np.testing.assert_array_equal(lens.params, [values[name] for name in names])
-    by_name = {image.name: image for image in model.images.values()}
-    points = np.random.default_rng(0).uniform(-20, 20, (50, 3))
-    ground = rig("circles", 5, Site(120.0, *_heights(scene)), SCENE.intrinsics)
-    for frame, camera in zip(values["frames"], ground, strict=True):
-        pose = np.array(frame["transform_matrix"])
-        pose[:3, 1:3] *= -1
-        cam_from_world = np.linalg.inv(pose)
-        image = by_name[Path(frame["file_path"]).name]
-        np.testing.assert_allclose(image.cam_from_world().matrix(), cam_from_world[:3], atol=1e-9)
-        np.testing.assert_allclose(camera.cam_from_world.matrix, cam_from_world, atol=1e-9)
-        projected = np.array(
-            [lens.img_from_cam(p) for p in (points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3])]
-        )
-        np.testing.assert_allclose(camera.project(points)[0], projected, atol=1e-6)
-
-
-def _heights(scene):
-    plan = lay_out(SMALL)
-    return float(np.median(plan.terrain.heights)), plan.top
-
-
-def test_the_true_cloud_is_the_exposed_surface(scene):
-    cloud, mesh = read_cloud(scene / "truth/cloud.ply"), read_mesh(scene / "truth/mesh.ply")
-    assert len(cloud) == 6000
-    matches = MeshIndex(mesh).query(cloud.points)
-    assert matches.distances.max() < 1e-12 * 120
-    agreement = np.einsum("ni,ni->n", cloud.normals, mesh.normals()[matches.faces])
-    assert np.mean(agreement > 1 - 1e-6) > 0.999  # float32 normals; a point on an edge belongs to two faces
-    plan = lay_out(SMALL)
-    for solid in plan.solids:
-        x, y = np.abs(solid.local(cloud.points)).T
-        inside = (x < 0.49 * solid.width) & (y < 0.49 * solid.depth) & (cloud.points[:, 2] < solid.eaves - 0.01)
-        assert not inside.any()
-    seen = cloud.attributes["visible"]
-    assert set(np.unique(seen)) == {0, 1}
-
-
-def test_depth_files_hold_what_the_pictures_show(scene):
-    depth = np.load(scene / "truth/depth/0005.npy")
-    assert depth.dtype == np.float32
-    assert depth.shape == (90, 160)
-    mesh = read_mesh(scene / "truth/mesh.ply")
-    values = json.loads((scene / "transforms.json").read_text())
-    pose = np.array(values["frames"][4]["transform_matrix"])
-    v, u = np.nonzero(depth)
-    rays = SCENE.intrinsics.directions(np.stack([u, v], axis=1) + 0.5) * depth[v, u][:, None]
-    points = (rays * [1, -1, -1]) @ pose[:3, :3].T + pose[:3, 3]
-    assert MeshIndex(mesh).query(points).distances.max() < 3e-5  # float32 at 200 m
-
-
-def test_a_scene_needs_a_folder_of_its_own(scene, tmp_path):
-    with pytest.raises(InputError, match="not empty"):
-        write_scene(scene, SCENE)
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="got a file"):
-        write_scene(tmp_path / "file", SCENE)
-    with pytest.raises(InputError, match="does not exist"):
-        write_scene(tmp_path / "no/where", SCENE)
-    with pytest.raises(InputError, match="folds"):
-        write_scene(tmp_path / "new", replace(SCENE, intrinsics=replace(SCENE.intrinsics, distortion=(-3.0, 0, 0, 0))))
-    assert [p.name for p in tmp_path.iterdir()] == ["file"]
-
-
-# ---- the command ----
-
-TINY = "--images 2 --size 80x50 --extent 100 --points 1000 -q"
-
-
-def test_the_command(run, renderer, tmp_path):
-    code, out, err = run("synth", "city", "--out", tmp_path / "city", *TINY.split(), "--hard", "--rig", "orbit")
-    assert (code, out, err) == (0, "", "")
-    assert "transforms.json" in contents(tmp_path / "city")
-    assert "gps.txt" not in contents(tmp_path / "city")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("--size 80", "WIDTHxHEIGHT"),
-        ("--size ax9", "--size"),
-        ("--size 0x9", "at least one pixel"),
-        ("--size 20000x20000", "at most 8192"),
-        ("--rig spiral", "choose one of circles"),
-        ("--distortion 1,2", "four numbers"),
-        ("--distortion=-5,0,0,0", "folds the image over"),
-        ("--extent 5", "100 to 2000"),
-        ("--texture 2", "from 0 to 1"),
-        ("--images 0", "--images"),
-        ("--out .", "not empty"),
-    ],
-)
-def test_mistakes_are_one_line(run, renderer, tmp_path, monkeypatch, options, message):
-    monkeypatch.chdir(tmp_path)
-    Path("mine").write_text("x")
-    code, out, err = run("synth", "city", "--out", "new", *TINY.split(), *options.split())
-    assert code == 2
-    assert not out
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    assert message in err
-    assert [p.name for p in tmp_path.iterdir()] == ["mine"]
-
-
-def test_without_opengl_nothing_is_begun(run, tmp_path, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setattr("pcbench.opengl._LIBRARIES", ("libNoSuchGL.so",))
-    code, _, err = run("synth", "city", "--out", tmp_path / "city", *TINY.split())
-    assert code == 2
-    assert "libegl1" in err
-    assert not list(tmp_path.iterdir())

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.paint import Grid, Image, Painter
-from pcbench.scenes.synthetic.plan import CELLS, CitySettings, Plan, Solid, Terrain, Tree, lay_out
+from pcbench.scenes.synthetic.plan import CELLS, CitySettings, Plan, Solid, Terrain, Tree
 
 SUN = np.array([-0.52, -0.46, 0.72]) / np.linalg.norm([-0.52, -0.46, 0.72])  # towards it: an afternoon, south-west
 _SUN_COLOR = np.array([0.70, 0.65, 0.56], dtype=np.float32)

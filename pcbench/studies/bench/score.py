@@ -17,7 +17,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.regions import parse_region
+from pcbench.geometry.region_text import parse_region
 from pcbench.geometry.transform import Similarity, format_matrix, robust_similarity
 from pcbench.geometry.visibility import SEEN_BY, views
 from pcbench.io import read_cloud
@@ -144,7 +144,7 @@ class Rules:
 
     Args:
         register: `gauge`, or one of `pcbench.registration.METHODS` for all.
-        crop: see `pcbench.geometry.regions.parse_region`.
+        crop: see `pcbench.geometry.region_text.parse_region`.
         threshold: of the F-score; None: 5 times the reference's median spacing, where its sampling hardly counts.
     """
 

@@ -1,0 +1,178 @@
+"""Polygons from files: GeoJSON, WKT, and the selection volumes of Open3D and Tanks and Temples."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import MAX_COORDINATE
+from pcbench.geometry.regions import AXES, Polygon, Union
+
+_MAX_FILE_BYTES = 32 << 20
+
+
+def read_polygon(path: str | Path) -> Polygon | Union:
+    """Read a polygon from a GeoJSON or WKT file (heights are ignored), or from a selection volume.
+
+    GeoJSON may be a Polygon, a MultiPolygon, a Feature or a FeatureCollection (RFC 7946); WKT a POLYGON or
+    MULTIPOLYGON, with or without Z and M and an SRID in front. A selection volume is the JSON that Open3D writes and
+    Tanks and Temples crops by: class_name SelectionPolygonVolume. Coordinates are the reference's, whatever
+    coordinate system the file states.
+
+    Raises:
+        InputError: the file cannot be read or is none of these.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(_MAX_FILE_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise InputError(f"{path}: cannot read a polygon: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        polygon = _polygon_from(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    object.__setattr__(polygon, "file", Path(path))  # new, and seen by nobody yet
+    return polygon
+
+
+def _polygon_from(data: bytes) -> Polygon | Union:
+    expected = "expected a polygon as GeoJSON, WKT or SelectionPolygonVolume"
+    if len(data) > _MAX_FILE_BYTES:
+        raise InputError(f"{expected}, got a file of more than {_MAX_FILE_BYTES >> 20} MiB")
+    try:
+        text = data.decode("utf-8-sig").strip()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{expected}, got a binary file") from error
+    if not text:
+        raise InputError(f"{expected}, got an empty file")
+    if text.startswith(("{", "[")):
+        try:
+            content = json.loads(text)
+        except RecursionError as error:
+            raise InputError(f"{expected}, got JSON that is nested too deeply") from error
+        except ValueError as error:
+            raise InputError(f"{expected}, got invalid JSON: {error}") from error
+        if not isinstance(content, dict):
+            raise InputError(f"{expected}, got a JSON {type(content).__name__} instead of an object")
+        if "class_name" in content or "bounding_polygon" in content:
+            return _selection_volume(content)
+        return _union(_geojson_parts(content))
+    if match := _WKT.match(text):
+        return _union(_wkt_parts(bool(match["multi"]), text[match.end() :]))
+    raise InputError(f"{expected}, got a text that starts with {text[:20]!r}")
+
+
+# A part is a polygon in the files' sense: its outer ring, then its holes.
+_Part = Sequence[Sequence[Sequence[float]]]
+
+
+def _union(parts: Iterable[_Part]) -> Polygon | Union:
+    polygons = tuple(Polygon(tuple(np.array([v[:2] for v in ring]) for ring in part)) for part in parts)
+    if not polygons:
+        raise InputError("expected at least one polygon, got none")
+    return polygons[0] if len(polygons) == 1 else Union(polygons)
+
+
+def _geojson_parts(content: dict[str, Any]) -> list[_Part]:
+    kind = content.get("type")
+    if kind == "FeatureCollection":
+        features = _list("features", content.get("features"))
+        return [part for feature in features for part in _feature_parts(feature)]
+    return _feature_parts(content)
+
+
+def _feature_parts(feature: Any) -> list[_Part]:
+    geometry = feature.get("geometry") if isinstance(feature, dict) and feature.get("type") == "Feature" else feature
+    kind = geometry.get("type") if isinstance(geometry, dict) else geometry
+    if not isinstance(geometry, dict) or kind not in ("Polygon", "MultiPolygon"):
+        raise InputError(
+            f"expected GeoJSON of type Polygon, MultiPolygon, Feature or FeatureCollection, got {brief(kind)}"
+        )
+    coordinates = _list("coordinates", geometry.get("coordinates"))
+    parts = [coordinates] if kind == "Polygon" else coordinates
+    return [[_vertices(ring, 2) for ring in _list("a polygon", part)] for part in parts]
+
+
+_WKT = re.compile(r"(SRID\s*=\s*\d+\s*;\s*)?(?P<multi>MULTI)?POLYGON\s*(ZM|Z|M)?(?![a-z])\s*", re.IGNORECASE)
+_WKT_RING = re.compile(r"\(([^()]*)\)")
+_WKT_PART = re.compile(r"\((?:R,)*R\)")
+_WKT_PARTS = re.compile(r"\((?:\((?:R,)*R\),)*\((?:R,)*R\)\)")
+
+
+def _wkt_parts(multi: bool, body: str) -> list[_Part]:
+    body = body.rstrip().removesuffix(";")
+    if body.upper() == "EMPTY":
+        return []
+    # With each innermost pair of brackets as one letter, the nesting is a regular language.
+    skeleton = "".join(_WKT_RING.sub("R", body.replace("R", "?")).split())
+    if not (_WKT_PARTS if multi else _WKT_PART).fullmatch(skeleton):
+        example = "MULTIPOLYGON (((x y, ...), (hole)), ((x y, ...)))" if multi else "POLYGON ((x y, ...), (hole))"
+        raise InputError(f"expected WKT of the form {example}, got brackets of another form")
+    rings = iter(_WKT_RING.findall(body))
+    return [[_wkt_ring(next(rings)) for _ in range(part.count("R"))] for part in _WKT_PART.findall(skeleton)]
+
+
+def _wkt_ring(text: str) -> Sequence[Sequence[float]]:
+    try:
+        return _vertices([[float(word) for word in vertex.split()] for vertex in text.split(",")], 2)
+    except InputError:  # a ValueError too, but it says all already
+        raise
+    except ValueError as error:
+        raise InputError(f"expected WKT vertices as numbers, got {brief(str(error).partition(': ')[2])}") from error
+
+
+def _selection_volume(content: dict[str, Any]) -> Polygon:
+    if content.get("class_name") != "SelectionPolygonVolume":
+        raise InputError(f"expected class_name SelectionPolygonVolume, got {brief(content.get('class_name'))}")
+    axis_name = content.get("orthogonal_axis")
+    if not isinstance(axis_name, str) or len(axis_name) != 1 or axis_name.lower() not in AXES:
+        raise InputError(f"expected orthogonal_axis X, Y or Z, got {brief(axis_name)}")
+    axis = AXES.index(axis_name.lower())
+    lower, upper = (number(name, content.get(name)) for name in ("axis_min", "axis_max"))
+    vertices = np.array(_vertices(content.get("bounding_polygon"), 3))
+    return Polygon((np.delete(vertices[:, :3], axis, axis=1),), axis, lower, upper)
+
+
+# Checks of what files hold
+
+
+def _vertices(ring: Any, size: int) -> list[list[float]]:
+    """A list of vertices, cut to their first `size` numbers."""
+    result = []
+    for vertex in _list("a ring of vertices", ring):
+        values = _list("a vertex", vertex)
+        if len(values) < size:
+            raise InputError(f"expected vertices of at least {size} numbers, got {brief(vertex)}")
+        result.append([number("a coordinate", value) for value in values[:size]])
+    if not result:
+        raise InputError("expected a ring of vertices, got none")
+    return result
+
+
+def _list(what: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"expected {what} as a list, got {brief(value)}")
+    return value
+
+
+def number(what: str, value: Any) -> float:
+    # bool is an int in Python, and integers of any length come out of JSON.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_COORDINATE:
+        raise InputError(f"expected {what} as a finite number, got {brief(value)}")
+    return float(value)
+
+
+def brief(value: Any) -> str:
+    """A value on one short line."""
+    if isinstance(value, int) and abs(value) >= MAX_COORDINATE:
+        return "a number out of range"
+    if isinstance(value, list | dict):
+        return f"a {type(value).__name__} of {len(value)}"
+    text = "null" if value is None else repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."

@@ -1,0 +1,81 @@
+"""Regions as they are written on a command line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.polygon_files import brief, number, read_polygon
+from pcbench.geometry.regions import Box, Region, Sphere
+
+
+def parse_region(text: str, reference: Cloud) -> Region | None:
+    """The region that `text` names, in the reference's coordinates and unit; None for "none".
+
+    Known are:
+        none
+        box:xmin,ymin,zmin,xmax,ymax,zmax
+        sphere:x,y,z,r
+        polygon:FILE        GeoJSON, WKT, or the selection volume of Open3D and Tanks and Temples
+        reference           the reference's bounding box
+        quantile:0.99       the sphere about the reference's centre that holds this share of its points
+
+    Raises:
+        InputError: the text or the file is none of these.
+    """
+    kind, colon, rest = text.strip().partition(":")
+    kind, rest = kind.strip().lower(), rest.strip()
+    if kind in ("none", "reference"):
+        if colon:
+            raise InputError(f"region {text!r}: expected {kind!r} alone, without values")
+        return None if kind == "none" else Box.around(reference)
+    if kind == "polygon":
+        if not rest:
+            raise InputError(f"region {text!r}: expected polygon:FILE, got no file name")
+        return read_polygon(rest)
+    try:
+        match kind:
+            case "box":
+                values = _numbers(rest, "xmin,ymin,zmin,xmax,ymax,zmax")
+                return Box(np.array(values[:3]), np.array(values[3:]))
+            case "sphere":
+                values = _numbers(rest, "x,y,z,r")
+                return Sphere(np.array(values[:3]), values[3])
+            case "quantile":
+                return Sphere.around(reference, *_numbers(rest, "q"))
+    except InputError as error:
+        raise InputError(f"region {text!r}: {error}") from error
+    raise InputError(
+        f"region {text!r}: expected none, box:xmin,ymin,zmin,xmax,ymax,zmax, sphere:x,y,z,r, polygon:FILE,"
+        " reference or quantile:q"
+    )
+
+
+def as_region(region: Region | str, reference: Cloud) -> Region | None:
+    """A region as it is, or the one that a text names, see `parse_region`.
+
+    Raises:
+        InputError: it is neither, or the text names no region.
+    """
+    if isinstance(region, str):
+        return parse_region(region, reference)
+    if not isinstance(region, Region):
+        raise InputError(
+            "expected a region, such as pcbench.Box(lower, upper), or its text, such as 'box:0,0,0,1,1,1'; got"
+            f" {type(region).__name__}"
+        )
+    return region
+
+
+def _numbers(text: str, names: str) -> list[float]:
+    words = text.split(",") if text else []
+    if len(words) != (count := names.count(",") + 1):
+        raise InputError(f"expected {count} number{'s' * (count > 1)} ({names}), got {len(words)}")
+    values = []
+    for word in words:
+        try:
+            values.append(number(names, float(word)))
+        except (ValueError, InputError) as error:
+            raise InputError(f"expected finite numbers ({names}), got {brief(word.strip())}") from error
+    return values

@@ -1,0 +1,129 @@
+"""Regions as they are written on a command line, and clouds cut to them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pcbench
+from pcbench import Box, Cloud, Polygon, Sphere, crop, parse_region
+from pcbench.errors import InputError
+from pcbench.geometry.region_text import as_region
+
+unhurried = settings(deadline=None)  # a busy machine is no failure
+CLOUD = Cloud(np.random.default_rng(0).normal(size=(500, 3)))
+
+
+def test_boxes_and_spheres():
+    assert parse_region("box:0,0,0,1,2,3", CLOUD).text == "box:0,0,0,1,2,3"
+    assert parse_region(" Sphere: 1, 2, 3, 2.5 ", CLOUD).text == "sphere:1,2,3,2.5"
+
+
+def test_words_that_speak_of_the_cloud():
+    assert parse_region("none", CLOUD) is None
+    assert parse_region("REFERENCE", CLOUD).text == Box.around(CLOUD).text
+    assert parse_region("quantile:0.9", CLOUD).text == Sphere.around(CLOUD, 0.9).text
+
+
+def test_objects_and_texts_are_regions():
+    box = Box([0, 0, 0], [1, 1, 1])
+    assert as_region(box, CLOUD) is box
+    assert as_region("box:0,0,0,1,1,1", CLOUD).text == box.text
+    for wrong in (None, 3, [0, 0, 0, 1, 1, 1]):
+        with pytest.raises(InputError, match=r"expected a region, such as pcbench.Box\(lower, upper\), or its text"):
+            as_region(wrong, CLOUD)
+
+
+# Clouds cut to a region
+
+
+@pytest.mark.parametrize("region", ["sphere:0,0,0,1", Sphere([0, 0, 0], 1)], ids=["text", "object"])
+def test_a_crop_keeps_what_belongs_to_the_points(region):
+    cloud = Cloud(CLOUD.points, normals=-CLOUD.points, attributes={"row": np.arange(500)}, unit="m")
+    inside = np.flatnonzero((CLOUD.points**2).sum(axis=1) <= 1)
+    found = crop(cloud, region)
+    assert 30 < len(found) < 300
+    np.testing.assert_array_equal(found.attributes["row"], inside)
+    np.testing.assert_array_equal(found.normals, -CLOUD.points[inside])
+    assert found.unit == "m"
+    np.testing.assert_array_equal(crop(CLOUD.points, region).points, found.points)
+
+
+def test_a_crop_to_the_whole_is_the_cloud():
+    assert crop(CLOUD, "none") is CLOUD
+    np.testing.assert_array_equal(crop(CLOUD, "reference").points, CLOUD.points)
+    assert len(crop(CLOUD, "quantile:0.5")) == 250
+
+
+@pytest.mark.parametrize(
+    ("region", "message"),
+    [
+        ("box:9,9,9,10,10,10", "the crop 'box:9,9,9,10,10,10' leaves none of the cloud's 500 points"),
+        (Box([9, 9, 9], [10, 10, 10]), "the crop 'box:9,9,9,10,10,10' leaves none of the cloud's 500 points"),
+        (Polygon([[9, 9], [10, 9], [10, 10]]), "the crop 'polygon of 3 vertices in xy' leaves none"),
+        ("cube:1", "region 'cube:1': expected none, box:"),
+        (7, "expected a region"),
+    ],
+)
+def test_a_crop_that_leaves_nothing_is_refused(region, message):
+    with pytest.raises(InputError) as caught:
+        pcbench.crop(CLOUD, region)
+    assert message in str(caught.value)
+
+
+# Refusals
+
+
+KNOWN = "none, box:xmin,ymin,zmin,xmax,ymax,zmax, sphere:x,y,z,r, polygon:FILE, reference or quantile:q"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", f"region '': expected {KNOWN}"),
+        ("cube:1", f"region 'cube:1': expected {KNOWN}"),
+        ("none:1", "expected 'none' alone"),
+        ("reference:", "expected 'reference' alone"),
+        ("polygon:", "expected polygon:FILE, got no file name"),
+        ("polygon", "expected polygon:FILE, got no file name"),
+        ("box:1,2,3", "region 'box:1,2,3': expected 6 numbers (xmin,ymin,zmin,xmax,ymax,zmax), got 3"),
+        ("box", "expected 6 numbers (xmin,ymin,zmin,xmax,ymax,zmax), got 0"),
+        ("box:1,2,3,4,5,x", "expected finite numbers (xmin,ymin,zmin,xmax,ymax,zmax), got 'x'"),
+        ("box:1,2,3,4,5,nan", "got 'nan'"),
+        ("box:1,2,3,4,5,inf", "got 'inf'"),
+        ("box:1,2,3,4,5,1e200", "got '1e200'"),
+        ("box:1,2,3,4,1,6", "expected a box with lower <= upper, got y from 2 to 1"),
+        ("sphere:1,2,3", "expected 4 numbers (x,y,z,r), got 3"),
+        ("sphere:1,2,3,", "expected finite numbers (x,y,z,r), got ''"),
+        ("sphere:1,2,3,0", "expected a sphere with a positive, finite radius, got 0"),
+        ("sphere:1,2,3,-1", "got -1"),
+        ("quantile:", "expected 1 number (q), got 0"),
+        ("quantile:0", "expected a quantile in (0, 1], such as 0.99, got 0"),
+        ("quantile:1.01", "expected a quantile in (0, 1], such as 0.99, got 1.01"),
+        ("quantile:99%", "expected finite numbers (q), got '99%'"),
+        ("polygon:/nowhere/a.json", "/nowhere/a.json: cannot read a polygon: No such file or directory"),
+        ("polygon:/", "/: cannot read a polygon: Is a directory"),
+        ("polygon:a\0b", "cannot read a polygon"),
+    ],
+)
+def test_refused_texts(text, message):
+    with pytest.raises(InputError) as caught:
+        parse_region(text, CLOUD)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_refused_quantile_of_one_place():
+    with pytest.raises(InputError, match="all in one place"):
+        parse_region("quantile:0.5", Cloud(np.vstack([np.zeros((9, 3)), np.ones((1, 3))])))
+
+
+@unhurried
+@given(st.text(max_size=30) | st.from_regex(r"(box|sphere|quantile|polygon):[-0-9.,e ]{0,30}", fullmatch=True))
+def test_any_text_is_a_region_or_one_line(text):
+    try:
+        region = parse_region(text, CLOUD)
+    except InputError as error:
+        assert len(str(error).splitlines()) == 1 or "polygon" in text
+    else:
+        assert region is None or region.contains(CLOUD.points).shape == (500,)

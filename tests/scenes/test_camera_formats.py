@@ -1,0 +1,260 @@
+"""Cameras from every format, round trips, conversions by their authors, and damaged files."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from data_folder import data_folder
+from scene_folders import NAMES, K, orbit
+
+from pcbench import Cloud
+from pcbench.errors import InputError
+from pcbench.geometry.cameras import Intrinsics, look_at, rotation_from
+from pcbench.geometry.transform import Similarity
+from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
+from pcbench.io.earth_studio import EARTH_RADIUS, read_earth_studio
+from pcbench.io.strecha import read_strecha
+from pcbench.io.transforms_json import read_transforms, write_transforms
+from pcbench.scenes import read_scene, write_cameras
+
+
+def same(cameras, expected, atol=1e-12):
+    # Quaternions and inverses round in the last digits.
+    assert [c.name for c in cameras] == [c.name for c in expected]
+    for a, b in zip(cameras, expected, strict=True):
+        np.testing.assert_allclose(a.cam_from_world.matrix, b.cam_from_world.matrix, atol=atol)
+        np.testing.assert_allclose(a.intrinsics.matrix, b.intrinsics.matrix, rtol=1e-12)
+        assert a.intrinsics.distortion == pytest.approx(b.intrinsics.distortion)
+
+
+def scene_cameras(scene):
+    return [scene.cameras[name] for name in scene.images]
+
+
+@pytest.mark.parametrize("intrinsics", [K, Intrinsics(64, 48, 50, 50, 32, 24)])
+def test_colmap_text_round_trip(photographs, intrinsics):
+    cameras = orbit(NAMES, intrinsics)
+    write_colmap_model(photographs / "sparse/0", cameras, Cloud([[1.0, 2.0, 3.0]], colors=[[1, 2, 3]]))
+    scene = read_scene(photographs)
+    same(scene_cameras(scene), cameras)
+    np.testing.assert_array_equal(scene.points.points, [[1, 2, 3]])
+    np.testing.assert_array_equal(scene.points.colors, [[1, 2, 3]])
+
+
+def test_colmap_agrees_with_pycolmap(photographs, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    cameras = orbit(NAMES)
+    write_colmap_model(tmp_path / "text", cameras)
+    (tmp_path / "binary").mkdir()
+    model = pycolmap.Reconstruction(str(tmp_path / "text"))
+    by_name = {image.name: image for image in model.images.values()}
+    for camera in cameras:
+        image = by_name[camera.name]
+        np.testing.assert_allclose(image.cam_from_world().matrix(), camera.cam_from_world.matrix[:3], atol=1e-12)
+        assert list(model.cameras[image.camera_id].params) == [50, 51, 31, 25, 0.01, -0.02, 0.001, 0.002]
+        # The same pixel of the same point, distortion and all.
+        point = np.array([0.3, -0.2, 0.4])
+        expected = model.cameras[image.camera_id].img_from_cam(image.cam_from_world() * point)
+        np.testing.assert_allclose(camera.project(point[None])[0][0], expected, atol=1e-9)
+    model.write_binary(str(tmp_path / "binary"))
+    same(read_colmap_cameras(tmp_path / "binary"), cameras)
+
+
+@pytest.mark.parametrize("model, params", [("SIMPLE_RADIAL", (50, 31, 25, 0.1)), ("RADIAL", (50, 31, 25, 0.1, 0.2))])
+def test_colmap_camera_models(tmp_path, model, params):
+    write_colmap_model(tmp_path, orbit(["a.png"]))
+    (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 {' '.join(map(str, params))}\n")
+    found = read_colmap_cameras(tmp_path)[0].intrinsics
+    assert (found.fx, found.fy, found.cx, found.cy) == (50, 50, 31, 25)
+    assert found.distortion == (*params[3:], *[0] * (7 - len(params)))
+
+
+def test_transforms_round_trip(photographs):
+    cameras = orbit(NAMES)
+    write_transforms(photographs / "transforms.json", cameras)
+    same(scene_cameras(read_scene(photographs)), cameras)
+    mixed = [*cameras[:5], *orbit(NAMES, Intrinsics(64, 48, 40, 40, 32, 24))[5:]]
+    write_transforms(photographs / "transforms.json", mixed)
+    same(scene_cameras(read_scene(photographs)), mixed)
+
+
+def test_transforms_with_an_angle_alone_and_no_endings(photographs):
+    """The synthetic sets of NeRF: camera_angle_x, no size, names without .png."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = [1, 2, 3]
+    document = {
+        "camera_angle_x": np.pi / 2,
+        "frames": [{"file_path": "./images/3", "transform_matrix": matrix.tolist()}],
+    }
+    (photographs / "transforms.json").write_text(json.dumps(document))
+    warnings = []
+    scene = read_scene(photographs, on_warning=warnings.append)
+    camera = scene.cameras["3.png"]
+    k = camera.intrinsics
+    assert (k.width, k.height, k.fx, k.fy, k.cx, k.cy) == pytest.approx((64, 48, 32, 32, 32, 24))
+    np.testing.assert_allclose(camera.position, [1, 2, 3])
+    np.testing.assert_allclose(camera.direction, [0, 0, -1], atol=1e-15)  # OpenGL's identity looks along -z
+    assert "9 of 10 images have no camera" in warnings[0]
+
+
+def test_transforms_apply_the_pose(tmp_path):
+    """One point, projected by hand: x right, y up, z backwards."""
+    document = {
+        "w": 64,
+        "h": 48,
+        "fl_x": 50,
+        "fl_y": 50,
+        "frames": [{"file_path": "a", "transform_matrix": np.eye(4).tolist()}],
+    }
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    (camera,) = read_transforms(tmp_path / "transforms.json", lambda _: None)
+    pixels, depths = camera.project(np.array([[0.2, 0.4, -2.0]]))
+    np.testing.assert_allclose(pixels, [[32 + 50 * 0.1, 24 - 50 * 0.2]])
+    np.testing.assert_allclose(depths, [2.0])
+    assert isinstance(camera.cam_from_world, Similarity)
+
+
+def test_write_cameras(photographs, tmp_path):
+    cameras = orbit(NAMES)
+    write_colmap_model(photographs / "sparse", cameras)
+    scene = read_scene(photographs)
+    write_cameras(photographs / "transforms.json", scene.cameras, scene.folder)
+    same(scene_cameras(read_scene(photographs, cameras=photographs / "transforms.json")), cameras)
+    write_cameras(tmp_path / "model", scene.cameras, scene.folder)
+    same(read_colmap_cameras(tmp_path / "model"), cameras)
+
+
+def test_strecha_is_camera_to_world(tmp_path):
+    pose = look_at([1, 2, 3], [0, 0, 0])
+    rows = [[50, 0, 32], [0, 51, 24], [0, 0, 1], [0, 0, 0], *pose.rotation.T.tolist(), [1, 2, 3], [64, 48]]
+    path = tmp_path / "a.jpg.camera"
+    path.write_text("\n".join(" ".join(f"{v:.6g}" for v in row) for row in rows))
+    camera = read_strecha(path)
+    assert camera.name == "a.jpg"
+    assert camera.intrinsics == Intrinsics(64, 48, 50, 51, 32, 24)
+    # Six digits were printed.
+    np.testing.assert_allclose(camera.cam_from_world.matrix, pose.matrix, atol=2e-5)
+
+
+def test_earth_studio_against_its_authors_conversion():
+    folder = data_folder("ges")
+    cameras, origin = read_earth_studio(folder / "fiumicino5_ges_export.json")
+    frames = json.loads((folder / "fiumicino_enu_animation.json").read_text())["Frames"]
+    assert len(cameras) == len(frames) == 97
+    assert (origin.latitude_deg, origin.longitude_deg) == (
+        pytest.approx(41.8033, abs=1e-3),
+        pytest.approx(12.2469, abs=1e-3),
+    )
+    for camera, frame in zip(cameras, frames, strict=True):
+        # The author's axes: x east, y up, z south. A nanometre: the earth's radius has nine digits before that.
+        east, up, south = (frame["position"][axis] for axis in "xyz")
+        np.testing.assert_allclose(camera.position, [east, -south, up], atol=1e-8)
+        # Pan counts from north to west, tilt 90 is level, there is no roll.
+        pan = np.radians(frame["rotation"]["pan"])
+        np.testing.assert_allclose(camera.direction, [-np.sin(pan), np.cos(pan), 0], atol=2e-4)
+        np.testing.assert_allclose(camera.cam_from_world.rotation[1], [0, 0, -1], atol=2e-4)  # image down is down
+    # The author's focal length and height of the sensor, in millimetres.
+    focal = frames[0]["focale"] / frames[0]["sensore"]["vertical"]
+    assert cameras[0].intrinsics.fy == pytest.approx(1080 * focal, rel=1e-9)
+
+
+def sphere(latitude, longitude, altitude):
+    a, b = np.radians(latitude), np.radians(longitude)
+    return (EARTH_RADIUS + altitude) * np.array([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)])
+
+
+def earth_studio(turn, origin, coordinates, *, local):
+    """An export with one track point as its origin, positions in axes that `turn` brings to the earth's."""
+    frames = []
+    for latitude, longitude, altitude in coordinates:
+        centred = sphere(latitude, longitude, altitude)
+        position = turn.T @ (centred - sphere(*origin)) if local else centred
+        # Looking at the earth's centre, with Rx Ry Rz of the matrix in these axes.
+        forward = -centred / np.linalg.norm(centred)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        m = np.stack([right, np.cross(forward, right), forward], axis=1)
+        m = turn.T @ m if local else m
+        angles = np.degrees([np.arctan2(-m[1, 2], m[2, 2]), np.arcsin(m[0, 2]), np.arctan2(-m[0, 1], m[0, 0])])
+        frames.append(
+            {
+                "position": dict(zip("xyz", position, strict=True)),
+                "rotation": dict(zip("xyz", angles, strict=True)),
+                "coordinate": {"latitude": latitude, "longitude": longitude, "altitude": altitude},
+                "fovVertical": 40,
+            }
+        )
+    sliders = []
+    for name, value, reach in zip(("latitude", "longitude", "altitude"), origin, (90, 180, 1e4), strict=True):
+        relative = (value + reach) / (2 * reach)
+        sliders.append({"type": name, "value": {"minValueRange": -reach, "maxValueRange": reach, "relative": relative}})
+    at = np.zeros(3) if local else sphere(*origin)
+    point = {"position": dict(zip("xyz", at, strict=True)), "coordinate": {"isOrigin": True}}
+    point["coordinate"]["position"] = {"attributes": sliders}
+    return {"width": 64, "height": 48, "numFrames": 10, "cameraFrames": frames, "trackPoints": [point]}
+
+
+COORDINATES = [(48 + 0.01 * np.cos(a), 11 + 0.01 * np.sin(a), 500 + 40 * a) for a in np.linspace(0, 3, 11)]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_earth_studio_local_is_the_same_as_global(tmp_path, turned):
+    turn = look_at([1, 2, 3], [0, 0, 0]).rotation if turned else np.eye(3)
+    found = []
+    for local in (False, True):
+        path = tmp_path / f"{local}.json"
+        path.write_text(json.dumps(earth_studio(turn, (48.0, 11.0, 100.0), COORDINATES, local=local)))
+        found.append(read_earth_studio(path))
+    (cameras, origin), (from_local, origin_too) = found
+    assert tuple(origin_too) == pytest.approx(tuple(origin), abs=1e-8)
+    # 1e-6 m on a sphere of 6.4e6 m: half of float64's digits are left for the fit.
+    same(from_local, cameras, atol=1e-5)
+    np.testing.assert_allclose(cameras[0].position[2], 400, atol=1)  # 500 m over the sea, the origin is at 100
+    assert cameras[0].direction[2] < -0.999
+
+
+def test_earth_studio_frames_find_their_images(photographs):
+    (photographs / "export.json").write_text(json.dumps(earth_studio(np.eye(3), (48, 11, 0), COORDINATES, local=False)))
+    cameras = read_earth_studio(photographs / "export.json").cameras
+    scene = read_scene(photographs)  # eleven frames, ten images
+    np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
+    assert scene.origin.latitude_deg == pytest.approx(48)
+    for name in ("0.png", "1.png", "4.png"):
+        (photographs / "images" / name).unlink()
+    scene = read_scene(photographs)  # now by number
+    np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
+
+
+def test_rotations_are_told_from_other_matrices():
+    rotation = look_at([1, 2, 3], [0, 0, 0]).rotation
+    found = rotation_from(np.round(rotation, 5))
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(found, rotation, atol=2e-5)
+    for wrong in (
+        2 * rotation,
+        rotation @ np.diag([1, 1, -1]),
+        rotation + np.eye(3)[::-1] * 0.01,
+        np.full((3, 3), np.nan),
+    ):
+        with pytest.raises(InputError, match="rotation"):
+            rotation_from(wrong)
+
+
+def test_damaged_binary_models_are_one_line(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    write_colmap_model(tmp_path / "text", orbit(NAMES))
+    (tmp_path / "model").mkdir()
+    pycolmap.Reconstruction(str(tmp_path / "text")).write_binary(str(tmp_path / "model"))
+    for name in ("cameras.bin", "images.bin"):
+        data = (tmp_path / "model" / name).read_bytes()
+        for length in range(0, len(data), 37):
+            (tmp_path / "model" / name).write_bytes(data[:length])
+            with pytest.raises(InputError, match=name):
+                read_colmap_cameras(tmp_path / "model")
+        (tmp_path / "model" / name).write_bytes(data)
+    (tmp_path / "model/cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, 5, 64, 48))
+    with pytest.raises(InputError, match="model 5 is not supported"):
+        read_colmap_cameras(tmp_path / "model")
+    with pytest.raises(InputError, match="binary COLMAP model"):
+        write_colmap_model(tmp_path / "model", orbit(NAMES))
