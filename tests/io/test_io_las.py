@@ -338,7 +338,7 @@ def test_an_aborting_decompressor_is_one_line(tmp_path, monkeypatch):
         worker = tmp_path / "worker.py"
         worker.write_text(line)
         monkeypatch.setattr(laz, "_WORKER", str(worker))
-        monkeypatch.setattr(laz, "_WORKER_SECONDS", 0.5)
+        monkeypatch.setattr(laz, "_MAX_WORKER_SECONDS", 0.5)
         message = refusal(tmp_path, las(0, 10, compress="chunks"))
         assert message == "damaged LAZ data: 0 of 10 points could be decompressed: copy or export the file again"
 
