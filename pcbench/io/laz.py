@@ -28,7 +28,8 @@ _VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table tells how many points a c
 _MAX_GROWTH, _MAX_FREE_GROWTH = 1000, 256 << 20
 _WORKER = str(Path(__file__).with_name("laz_worker.py"))
 _MAX_WORKER_MEMORY = 1 << 30  # bytes of address space, beside twice the points: code, stacks, one heap a thread
-_MAX_WORKER_SECONDS, _MIN_WORKER_SPEED = 30.0, 1e6  # and so many bytes a second, where lazrs does 50 million on one core
+_MAX_WORKER_SECONDS = 30.0  # and what it takes for the points at this speed at least:
+_MIN_WORKER_SPEED = 1e6  # bytes a second, where lazrs does 50 million on one core
 
 
 def require_lazrs() -> None:

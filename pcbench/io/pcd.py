@@ -133,7 +133,9 @@ def _read_header(file: BinaryIO) -> _Header:
         line = file.readline(_MAX_HEADER_BYTES - used + 1)
         used += len(line)
         if used > _MAX_HEADER_BYTES:
-            raise InputError(f"expected a PCD header of at most {_MAX_HEADER_BYTES} bytes, got no DATA line until there")
+            raise InputError(
+                f"expected a PCD header of at most {_MAX_HEADER_BYTES} bytes, got no DATA line until there"
+            )
         if not line:
             raise InputError("header without a DATA line: expected a PCD file (VERSION, FIELDS, SIZE, TYPE, ...)")
         words = line.decode("latin-1").split()
