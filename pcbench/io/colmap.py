@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.files import Fields, Warn
+from pcbench.io.files import Fields, Warn, finite_cloud, read_named
 
 NAMES = ("points3D.bin", "points3D.txt")  # binary first: it keeps every digit
 _MODELS = (".", "0", "sparse", "sparse/0")  # where COLMAP and its relatives put a model inside a folder
@@ -36,20 +36,21 @@ def read_points3d(folder_or_file: str | os.PathLike[str]) -> Cloud:
     Raises:
         InputError: there is no model, or it is damaged; the message starts with the path.
     """
-    from pcbench.io import read_cloud
-
     found = model_file(Path(folder_or_file))
     if found.name not in NAMES:
         raise InputError(f"{folder_or_file}: expected a COLMAP model: a folder with {' or '.join(NAMES)}")
-    return read_cloud(found)
+    return read_named(found, lambda path, warn: finite_cloud(read_colmap(path, warn), warn), None)
 
 
 def model_file(path: Path) -> Path:
-    """The points of the COLMAP model in a folder; any other path as it is."""
-    for place in _MODELS if path.is_dir() else ():
-        for name in NAMES:
-            if (path / place / name).is_file():
-                return path / place / name
+    """The points of the COLMAP model in a folder; any other path as it is: whoever reads it says what is wrong."""
+    try:
+        for place in _MODELS if path.is_dir() else ():
+            for name in NAMES:
+                if (path / place / name).is_file():
+                    return path / place / name
+    except OSError:  # a folder that must not be looked into
+        pass
     return path
 
 

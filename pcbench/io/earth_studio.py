@@ -22,7 +22,7 @@ from pcbench.geometry.geodesy import Gps
 from pcbench.geometry.transform import Similarity, fit_similarity
 
 EARTH_RADIUS = 6_371_010.0  # metres
-_GLOBAL = 0.5 * EARTH_RADIUS  # positions nearer to zero than this are relative to a track point
+_MIN_GLOBAL_RADIUS = 0.5 * EARTH_RADIUS  # positions nearer to zero than this are relative to a track point
 
 
 class EarthStudio(NamedTuple):
@@ -63,7 +63,7 @@ def _earth_studio(document: Mapping[str, Any]) -> EarthStudio:
     given = np.array([_triple(f["position"]) for f in frames])
     rotations = np.stack([_rotation(*_triple(f["rotation"])) for f in frames])
     centred = _on_sphere(coordinates)
-    if np.linalg.norm(given, axis=1).max() > _GLOBAL:
+    if np.linalg.norm(given, axis=1).max() > _MIN_GLOBAL_RADIUS:
         centred = given  # the same to a nanometre, and what the renderer used
     else:
         rotations = _global_from_local(given, centred) @ rotations
@@ -86,7 +86,7 @@ def _origin(document: Mapping[str, Any], coordinates: FloatArray) -> Gps:
     origins = [p for p in points if (p.get("coordinate") or {}).get("isOrigin")]
     for point in [*origins, *points][:1]:
         position = np.array(_triple(point["position"]))
-        if np.linalg.norm(position) > _GLOBAL:
+        if np.linalg.norm(position) > _MIN_GLOBAL_RADIUS:
             return _geodetic(position)
         return _from_sliders(point)
     return Gps(float(coordinates[0, 0]), float(coordinates[0, 1]), 0.0)

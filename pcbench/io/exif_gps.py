@@ -1,4 +1,8 @@
-"""GPS positions in EXIF: the GPS directory of the TIFF block in a JPEG's APP1 segment (CIPA DC-008, 4.6.6)."""
+"""GPS positions in EXIF: the GPS directory of the TIFF block in a JPEG's APP1 segment (CIPA DC-008, 4.6.6).
+
+Read here and not by Pillow, see `image_header`. Pillow 13 skips what it cannot read of a damaged block, and gives
+positions that differ from these, such as heights below the sea without their sign.
+"""
 
 from __future__ import annotations
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import hashlib
 import secrets
 import stat
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict
+from typing import Any, BinaryIO, TypedDict, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import freeze
+from pcbench.geometry.cloud import Cloud
 
 Warn = Callable[[str], None]
+T = TypeVar("T")
 
 
 class Fields(TypedDict, total=False):
@@ -27,6 +31,53 @@ class Fields(TypedDict, total=False):
     attributes: Mapping[str, NDArray[Any]]
     crs: str | None
     unit: str | None
+
+
+def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | None) -> T:
+    """What a reader makes of a file; its errors and warnings start with the path.
+
+    Args:
+        path: an existing file.
+        read: called with the path and a function that takes warnings, each a line without the path.
+        on_warning: called with each warning; `warnings.warn` if None, which names the caller of the function that
+            called this one.
+
+    Raises:
+        InputError: there is no such file, or the reader refuses it.
+        MissingExtra: the reader needs a library that is not installed.
+    """
+    notes: list[str] = []
+    try:
+        check_readable(path)
+        result = read(path, notes.append)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: does not fit into memory") from error
+    for note in notes:
+        if on_warning is None:
+            warnings.warn(f"{path}: {note}", stacklevel=3)
+        else:
+            on_warning(f"{path}: {note}")
+    return result
+
+
+def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
+    """The cloud of what a reader returned, without the points whose coordinates are NaN or Inf.
+
+    Nobody but the reader holds the arrays: they are frozen, and the cloud keeps them without a copy.
+    """
+    arrays = [fields["points"], fields.get("normals"), fields.get("colors"), *fields.get("attributes", {}).values()]
+    for array in arrays:
+        if array is not None:
+            freeze(array)
+    count = len(fields["points"])
+    cloud, dropped = Cloud.from_finite(**fields)
+    if dropped:
+        warn(f"dropped {dropped} of {count} points with NaN or Inf coordinates")
+    return cloud
 
 
 def check_readable(path: Path) -> None:

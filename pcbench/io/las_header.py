@@ -47,8 +47,8 @@ EXTRA_TYPES = ("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8
 EXTRA = struct.Struct("<2s BB 32s 4s 24s 24s 24s 3d 3d 32s")
 EXTRA_NO_DATA, EXTRA_SCALE, EXTRA_OFFSET = 1, 8, 16  # bits of a description's options
 
-_VLR_LIMIT = 10_000  # real files have a dozen
-_RECORD_LIMIT = 1 << 20  # bytes; longer extended records (waveforms, COPC's hierarchy) are of no interest here
+_MAX_RECORDS = 10_000  # real files have a dozen
+_MAX_RECORD_BYTES = 1 << 20  # bytes; longer extended records (waveforms, COPC's hierarchy) are of no interest here
 # The variable length records that are read: coordinate system, extra bytes, LASzip.
 _WANTED = {("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4), ("laszip encoded", 22204)}
 
@@ -149,7 +149,7 @@ def _read_records(
     file: BinaryIO, layout: struct.Struct, count: int, place: int, end: int
 ) -> dict[tuple[str, int], bytes]:
     """The wanted ones of `count` records between two bytes; of several alike the first."""
-    if count > min(_VLR_LIMIT, max(end - place, 0) // layout.size):
+    if count > min(_MAX_RECORDS, max(end - place, 0) // layout.size):
         raise InputError(f"{count} variable length records do not fit between byte {place} and {end}: damaged header")
     records: dict[tuple[str, int], bytes] = {}
     for number in range(count):
@@ -165,7 +165,7 @@ def _read_records(
                 " damaged header"
             )
         key = (user.split(b"\0")[0].decode("latin-1"), record_id)
-        if key in _WANTED and key not in records and length <= _RECORD_LIMIT:
+        if key in _WANTED and key not in records and length <= _MAX_RECORD_BYTES:
             records[key] = file.read(length)
         place += length
     return records

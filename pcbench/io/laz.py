@@ -25,10 +25,11 @@ _ITEM = struct.Struct("<HHH")  # type, bytes, version
 _VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table tells how many points a chunk has
 
 # A file may grow so many times when unpacked: real clouds shrink 3 to 20 times, a bare grid a few hundred times.
-_GROWTH_LIMIT, _GROWTH_FREE = 1000, 256 << 20
+_MAX_GROWTH, _MAX_FREE_GROWTH = 1000, 256 << 20
 _WORKER = str(Path(__file__).with_name("laz_worker.py"))
-_WORKER_MEMORY = 1 << 30  # bytes of address space, beside twice the points: code, stacks, one heap a thread
-_WORKER_SECONDS, _WORKER_SPEED = 30.0, 1e6  # and so many bytes a second, where lazrs does 50 million on one core
+_MAX_WORKER_MEMORY = 1 << 30  # bytes of address space, beside twice the points: code, stacks, one heap a thread
+_MAX_WORKER_SECONDS = 30.0  # and what it takes for the points at this speed at least:
+_MIN_WORKER_SPEED = 1e6  # bytes a second, where lazrs does 50 million on one core
 
 
 def require_lazrs() -> None:
@@ -58,7 +59,7 @@ def decompress(file: BinaryIO, header: Header) -> NDArray[np.uint8]:
         header.records[LASZIP].hex(),
         str(header.count),
         str(header.record_bytes),
-        limits=Limits(seconds=_WORKER_SECONDS + total / _WORKER_SPEED, memory=_WORKER_MEMORY + 2 * total),
+        limits=Limits(seconds=_MAX_WORKER_SECONDS + total / _MIN_WORKER_SPEED, memory=_MAX_WORKER_MEMORY + 2 * total),
         environment={"MALLOC_ARENA_MAX": "4"},  # each arena takes 64 MiB of the address space allowed
         stdin=file,
         into=points.data,
@@ -103,7 +104,7 @@ def _check(file: BinaryIO, header: Header) -> None:
     if chunk_size != _VARIABLE_CHUNKS and header.count > chunks * chunk_size:
         raise _damaged(f"{chunks} chunks of {chunk_size} points cannot hold {header.count} points")
     unpacked = header.count * header.record_bytes
-    if unpacked > _GROWTH_FREE + _GROWTH_LIMIT * size:
+    if unpacked > _MAX_FREE_GROWTH + _MAX_GROWTH * size:
         raise _damaged(f"{size} bytes would unpack to {unpacked}")
 
 

@@ -8,7 +8,7 @@ load, or anything else where the data are damaged.
 
 import sys
 
-_PIECE = 32 << 20  # bytes decompressed at a time: enough chunks to occupy all cores
+_MAX_PIECE = 32 << 20  # bytes decompressed at a time: enough chunks to occupy all cores
 
 
 def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
@@ -20,7 +20,7 @@ def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
     source, target = sys.stdin.buffer, sys.stdout.buffer
     source.seek(start)
     decompressor = lazrs.ParLasZipDecompressor(source, laszip)
-    step = max(1, _PIECE // record_bytes)
+    step = max(1, _MAX_PIECE // record_bytes)
     for first in range(0, count, step):
         piece = bytearray(min(step, count - first) * record_bytes)
         decompressor.decompress_many(piece)

@@ -2,7 +2,7 @@
 
 from pcbench.errors import InputError
 
-GROWTH_LIMIT = 88  # three bytes make at most 264
+MAX_GROWTH = 88  # three bytes make at most 264
 
 
 def decompress(data: bytes, size: int) -> bytearray:

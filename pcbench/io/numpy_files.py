@@ -1,17 +1,17 @@
 """NumPy files: .npy with (N, 3) points or (N, 6) points and normals; .npz with named arrays.
 
-The array header is parsed here and not by `numpy.load`: no pickles, no evaluation of Python text, and the size a header
-claims is compared with the size the file has before anything is allocated.
+numpy parses the array header, and no more: the size that a header claims is compared with the size the file has before
+anything is allocated, and only plain numbers and texts are read, never pickles.
 """
 
 from __future__ import annotations
 
 import errno
-import re
 import struct
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from io import BytesIO
 from math import prod
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -26,10 +26,11 @@ from pcbench.io.files import Fields, Warn, atomic_write
 if TYPE_CHECKING:
     from zipfile import ZipFile, ZipInfo
 
-_HEADER_LIMIT = 1 << 16  # bytes; numpy writes 118
-_PIECE = 1 << 20  # bytes decompressed at a time
+_MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; plain arrays have 118
+_MAX_DIMENSION = 10**18  # more than any file holds; what numpy does with the shape stays within an int64
+_MAX_PIECE = 1 << 20  # bytes decompressed at a time
 # An archive may grow so many times when unpacked: coordinates shrink 2 to 20 times, a constant column up to 1000.
-_GROWTH_LIMIT, _GROWTH_FREE = 200, 16 << 20
+_MAX_GROWTH, _MAX_FREE_GROWTH = 200, 16 << 20
 _TEXTS = ("crs", "unit")
 
 
@@ -129,7 +130,7 @@ def _listed(names: Iterable[str]) -> str:
 def _members(archive: ZipFile, archive_bytes: int) -> dict[str, ZipInfo]:
     """Members by array name, once it is known that unpacking them all is in proportion."""
     unpacked = sum(info.file_size for info in archive.infolist())
-    if unpacked > _GROWTH_FREE + _GROWTH_LIMIT * archive_bytes:
+    if unpacked > _MAX_FREE_GROWTH + _MAX_GROWTH * archive_bytes:
         raise InputError(f"{archive_bytes} bytes would unpack to {unpacked}: refused, save it with numpy.savez")
     members: dict[str, ZipInfo] = {}
     for info in archive.infolist():
@@ -209,28 +210,25 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
     if len(length_bytes) < counter.size:
         raise InputError("truncated: the header is not complete: copy or export the file again")
     length = counter.unpack(length_bytes)[0]
-    if length > _HEADER_LIMIT:
-        raise InputError(f"expected an array header of at most {_HEADER_LIMIT} bytes, got {length}")
+    if length > _MAX_HEADER_BYTES:
+        raise InputError(f"expected an array header of at most {_MAX_HEADER_BYTES} bytes, got {length}")
     text = file.read(length)
     if len(text) < length:
         raise InputError("truncated: the header is not complete: copy or export the file again")
 
-    # {'descr': '<f8', 'fortran_order': False, 'shape': (1000, 3), }
-    descr = re.search(rb"'descr':\s*'([^']{1,20})'", text)
-    order = re.search(rb"'fortran_order':\s*(True|False)", text)
-    shape = re.search(rb"'shape':\s*\(\s*((?:\d{1,18}\s*,\s*){0,32}(?:\d{1,18}\s*)?)\)", text)
-    if descr is None or order is None or shape is None:
-        raise InputError(f"expected a plain array of numbers, got the header {text[:80]!r}")
-    code = descr[1].decode("latin-1")
+    header = BytesIO(start + length_bytes + text)
+    np.lib.format.read_magic(header)
+    parse = np.lib.format.read_array_header_1_0 if start[6] == 1 else np.lib.format.read_array_header_2_0
+    unreadable = InputError(f"expected a plain array of numbers, got the header {text[:80]!r}")
     try:
-        # Codes of other kinds are not handed to numpy at all: some warn, some make records.
-        dtype = np.dtype(code) if re.fullmatch(rf"[<>|=]?[{kinds}][0-9]{{1,9}}", code) else None
-    except (TypeError, ValueError):
-        dtype = None
-    if dtype is None:
-        raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {code!r}")
-    dimensions = tuple(int(word) for word in re.findall(rb"\d+", shape[1]))
-    return _Header(dtype, order[1] == b"True", dimensions, len(start) + len(length_bytes) + length)
+        shape, fortran_order, dtype = parse(header, max_header_size=_MAX_HEADER_BYTES)
+    except Exception as error:  # numpy's ValueError, and all that Python's parser and tokenizer let out on damaged text
+        raise unreadable from error
+    if dtype.names or dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
+        raise unreadable
+    if dtype.kind not in kinds:
+        raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {dtype.str!r}")
+    return _Header(dtype, fortran_order, shape, len(start) + len(length_bytes) + length)
 
 
 def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
@@ -238,7 +236,7 @@ def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
     data = np.empty(header.data_bytes, dtype=np.uint8)
     place = 0
     while place < len(data):
-        piece = file.read(min(_PIECE, len(data) - place))
+        piece = file.read(min(_MAX_PIECE, len(data) - place))
         if not piece:
             raise InputError(f"truncated: {place} of {len(data)} bytes: copy or export the file again")
         data[place : place + len(piece)] = np.frombuffer(piece, dtype=np.uint8)

@@ -19,7 +19,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
 from pcbench.io.files import Fields, Warn, atomic_write, read_rest
 
-_HEADER_LIMIT = 1 << 20  # bytes
+_MAX_HEADER_BYTES = 1 << 20  # bytes
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)}
 _TYPES |= {"F4": "<f4", "F8": "<f8"}
@@ -130,10 +130,12 @@ def _read_header(file: BinaryIO) -> _Header:
     entries: dict[str, list[str]] = {}
     used = 0
     while "DATA" not in entries:
-        line = file.readline(_HEADER_LIMIT - used + 1)
+        line = file.readline(_MAX_HEADER_BYTES - used + 1)
         used += len(line)
-        if used > _HEADER_LIMIT:
-            raise InputError(f"expected a PCD header of at most {_HEADER_LIMIT} bytes, got no DATA line until there")
+        if used > _MAX_HEADER_BYTES:
+            raise InputError(
+                f"expected a PCD header of at most {_MAX_HEADER_BYTES} bytes, got no DATA line until there"
+            )
         if not line:
             raise InputError("header without a DATA line: expected a PCD file (VERSION, FIELDS, SIZE, TYPE, ...)")
         words = line.decode("latin-1").split()
@@ -234,7 +236,7 @@ def _compressed_columns(body: NDArray[np.uint8], header: _Header) -> Columns:
         raise InputError(f"expected {header.count} points in {total} bytes, the body says {unpacked}: damaged header")
     if packed > len(body) - 8:
         raise InputError(f"truncated: {len(body) - 8} of {packed} compressed bytes: copy or export the file again")
-    if unpacked > packed * lzf.GROWTH_LIMIT:
+    if unpacked > packed * lzf.MAX_GROWTH:
         raise InputError(f"damaged LZF data: {packed} bytes cannot become {unpacked}: export the file again")
     data = lzf.decompress(body[8 : 8 + packed].tobytes(), total)
     columns, place = {}, 0

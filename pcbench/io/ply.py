@@ -13,9 +13,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
-from pcbench.io.ply_body import Columns, Polygons, read_elements
+from pcbench.io.ply_body import Columns, read_elements
 from pcbench.io.ply_header import TYPE_NAMES, XYZ, check_faces, check_vertices, read_header
+from pcbench.io.polygons import fans
 
 _NORMALS = ("nx", "ny", "nz")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
@@ -66,8 +68,8 @@ def holds_faces(path: Path) -> bool:
         return (face := read_header(file).element("face")) is not None and face.count > 0
 
 
-def read_ply_faces(path: Path) -> tuple[Fields, Polygons]:
-    """A PLY file's points, crs and unit, and its faces.
+def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
+    """The faces of a PLY file, polygons as fans of triangles, with its crs and unit.
 
     Raises:
         InputError: the file is not a complete PLY file with at least one vertex and lists of vertices a face.
@@ -81,7 +83,7 @@ def read_ply_faces(path: Path) -> tuple[Fields, Polygons]:
         points = _stacked(tables["vertex"].columns, XYZ, np.float64)
     polygons = tables["face"].polygons
     assert polygons is not None  # check_faces
-    return Fields(points=points, crs=header.tagged("crs"), unit=header.tagged("unit")), polygons
+    return Mesh(points, fans(*polygons, warn), crs=header.tagged("crs"), unit=header.tagged("unit"))
 
 
 def _stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:

@@ -1,6 +1,7 @@
-"""The header of a PLY file (Greg Turk, 1994): its elements, their properties, its comments.
+"""The header of a PLY file: its elements, their properties, its comments.
 
 The header is data from a stranger: nothing is allocated on its word, and a line that is not understood is refused.
+Greg Turk, "The PLY Polygon File Format", 1994.
 """
 
 from __future__ import annotations

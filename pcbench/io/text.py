@@ -26,8 +26,8 @@ _ALIASES |= {name: name for name in (*_XYZ, *_NORMALS, *_COLORS)}
 _COMMENTS = ("#", "//")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
-_UNIT_LENGTH = 0.02  # normals are often written with two digits
-_ROWS = 1 << 16  # written at a time
+_MAX_LENGTH_ERROR = 0.02  # normals are often written with two digits
+_MAX_ROWS = 1 << 16  # written at a time
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -101,7 +101,7 @@ def _default_names(table: NDArray[np.float64], is_pts: bool) -> list[str]:
         return [*_XYZ, *_COLORS]
     if width == 6:
         with np.errstate(over="ignore", invalid="ignore"):
-            unit = np.abs(np.linalg.norm(last, axis=1) - 1) < _UNIT_LENGTH
+            unit = np.abs(np.linalg.norm(last, axis=1) - 1) < _MAX_LENGTH_ERROR
         if unit.all():
             return [*_XYZ, *_NORMALS]
     return [*_XYZ, *(f"column_{k}" for k in range(4, width + 1))]
@@ -267,6 +267,6 @@ def write_text(path: Path, cloud: Cloud) -> None:
     line = (",".join if is_csv else " ".join)(["%r"] * len(columns)) + "\n"
     with atomic_write(path) as file:
         file.writelines(f"{text}\n".encode() for text in head)
-        for start in range(0, len(cloud), _ROWS):
-            pieces = [column[start : start + _ROWS].tolist() for column in columns.values()]
+        for start in range(0, len(cloud), _MAX_ROWS):
+            pieces = [column[start : start + _MAX_ROWS].tolist() for column in columns.values()]
             file.write("".join([line % row for row in zip(*pieces, strict=True)]).encode())

@@ -1,113 +1,17 @@
-"""Mesh files of every format, by hand or by trimesh; damaged ones are refused in one line, in little memory and time.
+"""Mesh files of every format, by hand or by trimesh; damaged ones are refused in one line."""
 
-Run as a script (`python tests/test_io_meshes.py COUNT SEED FOLDER`) it is the worker of the damage test, which gives it
-a process of its own, so that memory and time are limited by the system and a crash is seen.
-"""
-
-import collections
-import json
-import os
 import random
-import resource
-import signal
 import struct
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from mesh_shapes import cube, icosphere
-from ply_bytes import FORMATS, XYZ, damaged, ply
-from repository import TESTS
+from mesh_bytes import CUBES, FACES, OBJ, VERTICES, ascii_stl, glb, obj, off, ply_mesh, stl
+from mesh_shapes import icosphere
+from ply_bytes import XYZ, damaged, ply
 
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.io.meshes import holds_mesh, read_mesh
-
-VERTICES, FACES = cube()
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-
-
-# ---- files ----
-
-
-def stl(vertices=VERTICES, faces=FACES, head=b"made by hand"):
-    rows = [struct.pack("<12fH", *[0.0] * 3, *vertices[face].ravel(), 0) for face in faces]
-    return head.ljust(80, b"\0") + struct.pack("<I", len(faces)) + b"".join(rows)
-
-
-def ascii_stl(vertices=VERTICES, faces=FACES):
-    def facet(face):
-        corners = "".join(f"      vertex {x} {y} {z}\n" for x, y, z in vertices[face])
-        return f"  facet normal 0 0 1e0\n    outer loop\n{corners}    endloop\n  endfacet\n"
-
-    return ("solid a cube of facet\n" + "".join(map(facet, faces)) + "endsolid a cube\n").encode()
-
-
-OBJ = "# a cube\nmtllib a.mtl\no cube\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in VERTICES) + "vn 0 0 1\nvt 0 0\n"
-
-
-def obj(corner="{0}/1/1"):
-    lines = ["f " + " ".join(corner.format(c + 1, c - len(VERTICES)) for c in quad) for quad in QUADS]
-    return (OBJ + "\n".join(lines) + "\n").encode()
-
-
-def ply_mesh(form="ascii", name="vertex_indices", polygons=QUADS, order=1, types="uchar int"):
-    vertex = ("vertex", XYZ, [tuple(v) for v in VERTICES.tolist()])
-    rows = [(7, (1, 2), polygon, 0.5) for polygon in polygons]
-    face = ("face", ["uchar flag", "list uchar short other", f"list {types} {name}", "float quality"], rows)
-    return ply(form, *[vertex, face][::order], comments=["comment crs EPSG:32632", "comment unit m"])
-
-
-def glb(name="cube"):
-    """Two cubes, one moved and doubled by its node."""
-    positions, indices = VERTICES.astype("<f4").tobytes(), FACES.astype("<u2").tobytes()
-    document = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0, 1]}],
-        "nodes": [{"mesh": 0, "name": name}, {"mesh": 0, "translation": [10, 0, 0], "scale": [2, 2, 2]}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", "min": [-1] * 3, "max": [1] * 3},
-            {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"},
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": 0, "byteLength": len(positions)},
-            {"buffer": 0, "byteOffset": len(positions), "byteLength": len(indices)},
-        ],
-        "buffers": [{"byteLength": len(positions + indices)}],
-    }
-    text, body = json.dumps(document).encode(), positions + indices
-    text, body = text + b" " * (-len(text) % 4), body + bytes(-len(body) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
-def off():
-    rows = ["OFF", f"{len(VERTICES)} {len(FACES)} 0", *(f"{x} {y} {z}" for x, y, z in VERTICES)]
-    return "\n".join([*rows, *(f"3 {a} {b} {c}" for a, b, c in FACES), ""]).encode()
-
-
-CUBES = {
-    "binary.stl": stl(),
-    "named.stl": stl(head=b"solid but binary"),
-    "ascii.STL": ascii_stl(),
-    "two solids.stl": ascii_stl(faces=FACES[:5]) + ascii_stl(faces=FACES[5:]),
-    "plain.obj": obj("{0}"),
-    "full.OBJ": obj(),
-    "last.obj": obj("{1}//1"),
-    "dos.obj": obj().replace(b"\n", b"\r\n"),
-    "continued.obj": obj().replace(b"f ", b"f \\\n"),
-    "plain.off": off(),
-    "one line.off": b"# by hand\n" + off().replace(b"OFF\n", b"OFF "),
-    "colored.off": off().replace(b"OFF", b"COFF").replace(b".0\n", b".0 255 0 0 255\n"),
-    **{f"{form}.ply": ply_mesh(form) for form in FORMATS},
-    **{f"{form} face first.ply": ply_mesh(form, "vertex_index", FACES.tolist(), -1) for form in FORMATS},
-    **{f"{form} mixed.ply": ply_mesh(form, polygons=[*QUADS[:5], (1, 5, 7), (1, 7, 3)]) for form in FORMATS},
-    **{f"{form} float.ply": ply_mesh(form, types="int float") for form in FORMATS},
-}
 
 
 def is_the_cube(mesh):
@@ -311,54 +215,6 @@ def test_a_reader_that_crashes_hangs_or_grows_ends_in_one_line(tmp_path, monkeyp
     assert done.code != 0
 
 
-MEMORY = 2 << 30  # bytes of address space
-SECONDS_PER_FILE = 5
-OWN = {name: data for name, data in CUBES.items() if name.lower().endswith((".stl", ".obj", ".off", ".ply"))}
-
-
-def worker(count, seed, folder):
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    rng = random.Random(seed)
-    outcomes = collections.Counter()
-    for number in range(count):
-        name, data = rng.choice(list(OWN.items()))
-        path = folder / f"a{Path(name).suffix}"
-        path.write_bytes(damaged(data, rng))
-        signal.alarm(SECONDS_PER_FILE)
-        try:
-            read_mesh(path, on_warning=lambda note: None)
-        except PcbenchError as error:
-            message = str(error)
-            if not message.startswith(f"{path}: ") or not message.isprintable() or len(message) > len(str(path)) + 400:
-                raise SystemExit(f"{number} ({name}): not one clear line: {message!r}") from error
-            if "memory" in message:
-                raise SystemExit(f"{number} ({name}): an allocation of the size that the damage asks for") from error
-            outcomes["refused"] += 1
-        else:
-            outcomes["read"] += 1
-        signal.alarm(0)
-    print(dict(outcomes))
-    if min(outcomes["refused"], outcomes["read"]) < count // 50:
-        raise SystemExit("the damage is too strong or too weak to tell anything")
-
-
-def run(count, seed, folder):
-    command = [sys.executable, __file__, str(count), str(seed), str(folder)]
-    done = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": str(TESTS)}, capture_output=True, text=True, timeout=60 + count / 10
-    )
-    assert done.returncode == 0, f"exit {done.returncode}, last file in {folder}:\n{done.stdout}{done.stderr}"
-
-
-def test_five_hundred_damaged_files(tmp_path):
-    run(500, 1, tmp_path)
-
-
-@pytest.mark.slow
-def test_ten_thousand_damaged_files(tmp_path):
-    run(10_000, 2, tmp_path)
-
-
 def damaged_glb(tmp_path, count, seed):
     rng = random.Random(seed)
     for _ in range(count):
@@ -380,7 +236,3 @@ def test_damaged_glb(tmp_path):
 @pytest.mark.usefixtures("trimesh")
 def test_damaged_glb_by_the_hundred(tmp_path):
     damaged_glb(tmp_path, 500, 2)
-
-
-if __name__ == "__main__":
-    worker(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))

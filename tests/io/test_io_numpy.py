@@ -90,7 +90,7 @@ DAMAGED_NPY = {
     "half a header": (npy(POINTS)[:60], "truncated: the header is not complete"),
     "huge header": (
         b"\x93NUMPY\x02\x00\xff\xff\xff\xff",
-        "expected an array header of at most 65536 bytes, got 4294967295",
+        "expected an array header of at most 10000 bytes, got 4294967295",
     ),
     "no dictionary": (b"\x93NUMPY\x01\x00\x04\x00abc\n", "expected a plain array of numbers, got the header b'abc"),
     "truncated": (npy(POINTS)[:-30], "truncated: 2 of 4 rows"),
@@ -101,8 +101,13 @@ DAMAGED_NPY = {
     "pickle": (header("'|O'"), "expected floats or integers, got type '|O'"),
     "text": (header("'<U5'"), "expected floats or integers, got type '<U5'"),
     "complex": (header("'<c16'"), "expected floats or integers, got type '<c16'"),
-    "odd float": (header("'<f3'"), "expected floats or integers, got type '<f3'"),
+    "odd float": (header("'<f3'"), "expected a plain array of numbers, got the header b\"{'descr': '<f3'"),
+    "deep": (header(shape="(" * 9000), "expected a plain array of numbers"),  # what may end Python's parser
+    "signs": (header(shape="-" * 9000 + "4"), "expected a plain array of numbers"),
+    "sum": (header(shape="1+" * 4500 + "1"), "expected a plain array of numbers"),
+    "digits": (header(shape=f"({'9' * 9000}, 3)"), "expected a plain array of numbers"),
     "records": (header("[('x', '<f8')]"), "expected a plain array of numbers"),
+    "rows of rows": (header("'(2,)<f8'"), "expected a plain array of numbers"),
     "bool": (npy(np.ones((4, 3), bool)), "expected points as floats or integers, got bool"),
     "flat": (npy(np.arange(12.0)), "expected points of shape (N, 3), or (N, 6) with normals; got (12,)"),
     "wide": (npy(np.zeros((3, 4))), "expected points of shape (N, 3), or (N, 6) with normals; got (3, 4)"),

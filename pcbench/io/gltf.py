@@ -1,0 +1,80 @@
+"""glTF meshes, .glb and .gltf: by trimesh in a process of its own, after a look at the file's own sizes."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import struct
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from pcbench.children import Limits, run_script
+from pcbench.errors import InputError, MissingExtra
+from pcbench.geometry.mesh import Mesh
+from pcbench.io import trimesh_child
+from pcbench.io.files import Warn
+from pcbench.io.polygons import merged
+
+
+def read_glb(path: Path, warn: Warn) -> Mesh:
+    """All triangles of a binary glTF file.
+
+    The chunks are followed before anything is parsed: glTF 2.0, section 4.4.
+
+    Raises:
+        InputError: the file is cut off, or trimesh cannot read it.
+        MissingExtra: trimesh is not installed.
+        OSError: the file cannot be read.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        magic, version, length = struct.unpack("<4sII", file.read(12).ljust(12, b"\0"))
+        if magic != b"glTF" or version != 2:
+            raise InputError(f"expected a binary glTF 2 file, got {magic!r} version {version}")
+        if length != size:
+            raise InputError(
+                f"truncated: {size} of {length} bytes" if length > size else f"{size - length} bytes too many"
+            )
+        place = 12
+        while place < size:
+            file.seek(place)
+            (chunk,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
+            place += 8 + chunk
+        if place != size:
+            raise InputError(f"truncated: the last chunk ends at byte {place} of {size}")
+    return _read_with_trimesh(path)
+
+
+def read_gltf(path: Path, warn: Warn) -> Mesh:
+    """All triangles of a glTF file and the files beside it; raises as `read_glb` does."""
+    try:
+        json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"expected glTF, which is JSON: {str(error)[:100]}") from error
+    return _read_with_trimesh(path)
+
+
+def _read_with_trimesh(path: Path) -> Mesh:
+    """All meshes of the file's scene, each where its node puts it; glTF's unit is the metre."""
+    if importlib.util.find_spec("trimesh") is None:
+        raise MissingExtra("trimesh", "mesh")
+    size = path.stat().st_size
+    memory, seconds = (2 << 30) + 60 * size, 30 + size // 1_000_000
+    # One thread: a thread pool takes address space, which is what is limited.
+    one_thread = {"OPENBLAS_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory(prefix="pcbench-") as folder:
+        outputs = [Path(folder) / "vertices.npy", Path(folder) / "faces.npy"]
+        limits = Limits(seconds=2 * seconds, cpu_seconds=seconds, memory=memory)
+        done = run_script(
+            trimesh_child.__file__, str(path.resolve()), *map(str, outputs), limits=limits, environment=one_thread
+        )
+        if done.timed_out:
+            raise InputError(f"cannot be read: trimesh is not through with it after {2 * seconds} s")
+        if done.code:
+            said = done.last_words or f"it ended with {done.code}"
+            reason = "".join(c if c.isprintable() else " " for c in said)[:200]
+            raise InputError(f"trimesh cannot read it: {reason}")
+        vertices, faces = (np.load(output, allow_pickle=False) for output in outputs)
+    return merged(Mesh(vertices, faces, unit="m"))

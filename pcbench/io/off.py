@@ -1,0 +1,63 @@
+"""Object File Format (OFF) meshes.
+
+Read here and not by trimesh. trimesh 5.2 reads a file that has fewer faces than it says, or lines after the last one,
+without a word, loses a face that is cut off, and fails on one of five corners. And it would have to be installed.
+"""
+
+from __future__ import annotations
+
+from array import array
+from pathlib import Path
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.geometry.mesh import Mesh
+from pcbench.io.files import Warn
+from pcbench.io.polygons import fans
+
+_OFF = (b"OFF", b"COFF", b"NOFF", b"CNOFF")  # colours and normals follow the coordinates
+
+
+def read_off(path: Path, warn: Warn) -> Mesh:
+    """The word OFF, three counts, a line `x y z ...` a vertex, a line `3 a b c ...` a face; # starts a comment.
+
+    Raises:
+        InputError: the file is cut off, or its counts and lines disagree.
+        OSError: it cannot be read.
+    """
+    lines = [line.partition(b"#")[0].split() for line in path.read_bytes().splitlines()]
+    lines = [words for words in lines if words]
+    if not lines or lines[0][0] not in _OFF:
+        raise InputError(f"expected an OFF file that starts with 'OFF', got {b' '.join(lines[0])[:20]!r}" if lines
+                         else "expected an OFF file, got an empty one")  # fmt: skip
+    counts = lines[0][1:] or (lines[1] if len(lines) > 1 else [])
+    if len(counts) not in (2, 3) or not all(word.isdigit() and len(word) < 19 for word in counts):
+        raise InputError(f"expected counts of vertices, faces and edges, got {b' '.join(counts)[:40]!r}")
+    vertex_count, face_count = int(counts[0]), int(counts[1])
+    body = lines[1 if lines[0][1:] else 2 :]
+    if len(body) < vertex_count + face_count:
+        what = f"{len(body)} of {vertex_count} vertices"
+        if len(body) >= vertex_count:
+            what = f"{len(body) - vertex_count} of {face_count} faces"
+        raise InputError(f"truncated: {what}: copy or export the file again")
+    if extra := len(body) - vertex_count - face_count:
+        raise InputError(f"{extra} lines after the last face: header and body disagree, export the file again")
+    vertices = np.empty((vertex_count, 3))
+    lengths, corners = array("q"), array("q")
+    for number, words in enumerate(body):
+        try:
+            if number < vertex_count:
+                vertices[number] = [float(word) for word in words[:3]]
+            else:
+                length = int(words[0])
+                corners.extend([int(word) for word in words[1 : 1 + length]])
+                lengths.append(length)
+                if not 0 <= length < len(words):
+                    raise ValueError
+        except (ValueError, OverflowError):
+            what = f"vertex {number}" if number < vertex_count else f"face {number - vertex_count}"
+            expected = "x y z" if number < vertex_count else "a count and as many vertices"
+            raise InputError(f"{what}: expected {expected}, got {b' '.join(words)[:60]!r}") from None
+    faces = fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
+    return Mesh(vertices, faces)

@@ -1,0 +1,110 @@
+"""Damaged files by the thousand: a cloud, a mesh or PcbenchError in one line comes out, in little memory and time.
+
+`fuzz_worker.run` starts this file as a script in a process of its own, so that memory and time are limited by the
+system and a crash is seen: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
+"""
+
+import collections
+import os
+import random
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import las_bytes
+import mesh_bytes
+import pcd_bytes
+import ply_bytes
+from repository import TESTS
+
+MAX_MEMORY = 2 << 30  # bytes of address space; numpy and its threads take about a fifth of it
+MAX_SECONDS_PER_FILE = 5
+TEXTS = {
+    "plain": "0 1 2\n3.5 -4e3 5\n" * 9,
+    "header": "x,y,z,red,green,blue,id\n" + "1.5,2.5,3.5,255,0,9,7\n" * 9,
+    "remarks": "# crs EPSG:32617\n//X Y Z R G B\n3\n1 2 3 4 5 6\n# half\n1 2 3 4 5 6\n\n1 2 3 4 5 7 # end\n",
+    "semicolons": "x;y;z;nx;ny;nz\r\n" + "1.25; 2; nan; 0; 0; 1\r\n1;2;3;0;1;0\r\n" * 5,
+    "tabs": "1\t2\t3\t0.5\n" * 9,
+}
+# Of each corpus: its files as name -> bytes; the extension is the corpus's, or the name's own.
+CORPORA = {
+    "ply": ply_bytes.corpus,
+    "las": las_bytes.corpus,
+    "laz": las_bytes.laz_corpus,
+    "pcd": pcd_bytes.corpus,
+    "txt": lambda: {name: text.encode() for name, text in TEXTS.items()},
+    "meshes": lambda: mesh_bytes.CUBES,
+}
+
+
+def run(corpus, count, seed, folder):
+    command = [sys.executable, __file__, corpus, str(count), str(seed), str(folder)]
+    done = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": str(TESTS)}, capture_output=True, text=True, timeout=60 + count / 5
+    )
+    assert done.returncode == 0, f"exit {done.returncode}, last file in {folder}:\n{done.stdout}{done.stderr}"
+
+
+def damaged(data, rng):
+    """What is done to PLY is done to all; in binary headers a number may become an extreme one besides."""
+    if rng.random() < 0.5:
+        return ply_bytes.damaged(data, rng)
+    data = bytearray(data)
+    for _ in range(rng.randint(1, 3)):
+        code = rng.choice("BHIQd")
+        extremes = [0, 1, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**40, 2**63, 2**64 - 1]
+        number = rng.choice([float("nan"), float("inf"), 0.0, 1e300] if code == "d" else extremes)
+        piece = struct.pack("<d", number) if code == "d" else struct.pack("<Q", number)[: struct.calcsize(code)]
+        # Most often where the header is, or the chunk table of a LAZ file.
+        place = rng.choice([rng.randrange(400), rng.randrange(1, 100) + len(data) - 100, rng.randrange(len(data))])
+        data[max(place, 0) : max(place, 0) + len(piece)] = piece
+    return bytes(data)
+
+
+def main(corpus, count, seed, folder):
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+    from pcbench.errors import PcbenchError
+    from pcbench.io import read_cloud
+    from pcbench.io.meshes import read_mesh
+
+    read = read_mesh if corpus == "meshes" else read_cloud
+    warnings.simplefilter("error")
+    rng = random.Random(seed)
+    files = list(CORPORA[corpus]().items())
+    outcomes = collections.Counter()
+
+    def check(message):
+        if not message.startswith(f"{path}: ") or not message.isprintable() or len(message) > len(str(path)) + 400:
+            raise SystemExit(f"{number} ({name}): not one clear line: {message!r}")
+        if "memory" in message:
+            raise SystemExit(f"{number} ({name}): an allocation of the size that the damage asks for")
+
+    for number in range(count):
+        name, data = rng.choice(files)
+        path = folder / f"a{Path(name).suffix if corpus == 'meshes' else f'.{corpus}'}"
+        path.write_bytes(damaged(data, rng))  # stays behind for a look if anything below fails
+        notes = []
+        signal.alarm(MAX_SECONDS_PER_FILE)
+        try:
+            found = read(path, on_warning=notes.append)
+        except PcbenchError as error:
+            check(str(error))
+            outcomes["refused"] += 1
+        else:
+            if not len(found):
+                raise SystemExit(f"{number} ({name}): nothing in it")
+            outcomes["read"] += 1
+        signal.alarm(0)
+        for note in notes:
+            check(note)
+    print(dict(outcomes))
+    if min(outcomes["refused"], outcomes["read"]) < count // 50:
+        raise SystemExit("the damage is too strong or too weak to tell anything")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]))

@@ -1,0 +1,142 @@
+"""LAS and LAZ as they are written: laspy as the other reader, precision, what the format cannot hold."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.io import read_cloud, write_cloud
+
+
+def full_cloud(count=500, seed=1):
+    rng = np.random.default_rng(seed)
+    return Cloud(
+        rng.normal(size=(count, 3)) * [300, 300, 20] + [5e5, 4e6, 100],
+        normals=rng.normal(size=(count, 3)),
+        colors=rng.integers(0, 256, (count, 3), dtype=np.uint8),
+        attributes={
+            "intensity": rng.integers(0, 65536, count),
+            "classification": rng.integers(0, 256, count, dtype=np.uint8),
+            "return_number": rng.integers(1, 4, count),
+            "number_of_returns": np.full(count, 3),
+            "gps_time": rng.random(count) * 1e9,
+            "point_source_id": rng.integers(0, 9, count).astype(np.float32),
+            "confidence": rng.random(count).astype(np.float32),
+            "Größe": rng.random(count),
+            "id": rng.integers(-(2**62), 2**62, count),
+            "flag": rng.random(count) < 0.5,
+            "half": rng.random(count).astype(np.float16),
+            "big": np.arange(count, dtype=">u2"),
+        },
+        crs="EPSG:32617",
+        unit="m",
+    )
+
+
+@pytest.mark.parametrize("extension", [".las", ".laz", ".LAZ"])
+def test_round_trip(tmp_path, extension):
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("pyproj")
+    pytest.importorskip("lazrs")
+    cloud, path = full_cloud(), tmp_path / f"a{extension}"
+    write_cloud(path, cloud)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    again = read_cloud(path)
+    assert np.abs(again.points - cloud.points).max() <= 5.1e-5  # half the scale, and rounding at 4e6
+    np.testing.assert_array_equal(again.normals, cloud.normals.astype(np.float32))
+    np.testing.assert_array_equal(again.colors, cloud.colors)
+    assert again.attributes.keys() == cloud.attributes.keys()
+    for name, values in cloud.attributes.items():
+        np.testing.assert_array_equal(again.attributes[name], values)
+    assert (again.crs, again.unit) == ("EPSG:32617", "m")
+
+    other = laspy.read(path)
+    np.testing.assert_array_equal(np.stack([other.x, other.y, other.z], axis=1), again.points)
+    assert other.header.parse_crs().to_epsg() == 32617
+    np.testing.assert_array_equal(other.header.mins, again.points.min(axis=0))
+    np.testing.assert_array_equal(other.header.maxs, again.points.max(axis=0))
+    counts = np.bincount(cloud.attributes["return_number"], minlength=16)[1:]
+    np.testing.assert_array_equal(other.header.number_of_points_by_return, counts)
+    for name in ("id", "confidence", "intensity", "gps_time", "return_number"):
+        np.testing.assert_array_equal(other[name], cloud.attributes[name])
+    np.testing.assert_array_equal(other.red, cloud.colors[:, 0] * np.uint16(257))
+
+
+def test_the_same_cloud_gives_the_same_bytes(tmp_path):
+    cloud = Cloud(np.random.default_rng(3).normal(size=(100, 3)))
+    for name in ("a.las", "b.las"):
+        write_cloud(tmp_path / name, cloud)
+    assert (tmp_path / "a.las").read_bytes() == (tmp_path / "b.las").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("extent", "step"),
+    [(0.0, 1e-4), (1e-3, 1e-9), (2.0, 1e-6), (99.0, 1e-5), (1e3, 1e-4), (4e5, 1e-4), (8e5, 2e-4)],
+)
+@pytest.mark.parametrize("centre", [0.0, 0.499, -5e6 + 0.5])
+def test_precision_follows_the_extent(tmp_path, extent, step, centre):
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 3)) * extent + centre
+    points[:2] = [[centre - extent / 2] * 3, [centre + extent / 2] * 3]
+    write_cloud(tmp_path / "a.las", Cloud(points))
+    assert struct.unpack_from("<d", (tmp_path / "a.las").read_bytes(), 131) == (step,)
+    rounding = 4 * np.spacing(np.abs(points).max())
+    assert np.abs(read_cloud(tmp_path / "a.las").points - points).max() <= step / 2 + rounding
+
+
+def test_an_extent_next_to_nothing(tmp_path):
+    write_cloud(tmp_path / "a.las", Cloud(np.array([[0.0] * 3, [1e-320] * 3])))
+    assert read_cloud(tmp_path / "a.las").points.tolist() == [[0.0] * 3] * 2
+
+
+def test_hundredths_come_back_as_they_were(tmp_path):
+    """Coordinates of a LAS file in hundredths are whole multiples of the finer step: no error creeps in."""
+    points = np.round(np.random.default_rng(2).uniform(0, 1000, (200, 3)), 2) + [636_000, 849_000, 0]
+    write_cloud(tmp_path / "a.las", Cloud(points))
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.las").points, points, rtol=0, atol=1e-9)
+
+
+def write_refusal(path, cloud):
+    with pytest.raises(InputError) as caught:
+        write_cloud(path, cloud)
+    assert not path.exists()
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+def test_extent_beyond_32_bits(tmp_path):
+    for reach in (1e6, 1e90):
+        cloud = Cloud(np.array([[-reach] * 3, [reach] * 3]))
+        message = write_refusal(tmp_path / "a.las", cloud)
+        assert message.startswith("an extent of ") and "does not fit LAS's 32 bits" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("intensity", [0.5], "expected attribute 'intensity' as whole numbers 0 to 65535: rename or rescale it"),
+        ("intensity", [70000], "expected attribute 'intensity' as whole numbers 0 to 65535"),
+        ("return_number", [16], "expected attribute 'return_number' as whole numbers 0 to 15"),
+        ("classification", [np.nan], "expected attribute 'classification' as whole numbers 0 to 255"),
+        ("a" * 33, [1], "expected attribute names of 1 to 32 bytes that LAS does not use itself, got 'aaa"),
+        ("", [1], "expected attribute names of 1 to 32 bytes"),
+        ("X", [1], "expected attribute names of 1 to 32 bytes"),
+        ("withheld", [1], "expected attribute names of 1 to 32 bytes"),
+        ("a", ["word"], "expected attribute 'a' as numbers, got <U4"),
+        ("a", [1j], "expected attribute 'a' as numbers, got complex128"),
+    ],
+)
+def test_attributes_that_las_cannot_hold(tmp_path, name, values, expected):
+    cloud = Cloud(np.zeros((1, 3)), attributes={name: np.array(values)})
+    assert write_refusal(tmp_path / "a.las", cloud)[: len(expected)] == expected
+
+
+def test_other_refusals(tmp_path):
+    many = Cloud(np.zeros((1, 3)), attributes={f"a{k}": np.zeros(1) for k in range(400)})
+    assert write_refusal(tmp_path / "a.las", many).startswith(
+        "400 attributes or the crs are more than LAS can describe"
+    )
+    assert write_refusal(tmp_path / "a.copc.laz", Cloud(np.zeros((1, 3)))).startswith("COPC is read but not written")
+    pytest.importorskip("pyproj")
+    message = write_refusal(tmp_path / "a.las", Cloud(np.zeros((1, 3)), crs="the village"))
+    assert message.startswith("expected a crs that pyproj knows, got 'the village'")
