@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pcbench.io.meshes import read_mesh as read_mesh
     from pcbench.measure import metrics as metrics
     from pcbench.measure.settings import Settings as Settings
+    from pcbench.registration import IcpSettings as IcpSettings
     from pcbench.registration import Registration as Registration
     from pcbench.registration import register as register
     from pcbench.report.comparison import Comparison as Comparison
@@ -37,6 +38,7 @@ _ROOMS = {
     "Box": "geometry.regions",
     "Cloud": "geometry.cloud",
     "Comparison": "report.comparison",
+    "IcpSettings": "registration",
     "Index": "geometry.neighbors",
     "Mesh": "geometry.mesh",
     "PcbenchError": "errors",
