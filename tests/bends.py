@@ -9,7 +9,7 @@ import numpy as np
 
 from pcbench import Cloud
 from pcbench.deformation import Deformation, Side, TileSums
-from pcbench.deformation.model import SEEN, Geometry, Noise, Scores, estimate_noise
+from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, estimate_noise
 from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, judge_pairs, tile_sums
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.sums import dyadic_moments, groups
@@ -22,7 +22,7 @@ from pcbench.scenes.synthetic import city
 SIGMA = 0.02  # m, of the white noise
 SIZE = 200.0  # m, L
 POINTS = 15_000
-HARDLY_SHOWN = np.sqrt(SEEN)
+HARDLY_SHOWN = np.sqrt(MIN_INFORMATION)
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from pcbench.deformation.model import PLACE_NOISE
 from pcbench.deformation.polynomials import EXPONENTS, derivative_squares, monomials, normal_equations, normal_matrix
 from pcbench.geometry.arrays import FloatArray
 
-_HELD = 0.01  # half of a field that has so little information is followed while pairs are found
+_HALF_FOLLOWED = 0.01  # information, of 1 at most: half of a field that has so little is followed
 _RIDGE = 1e-12
 
 
 class Displacement(NamedTuple):
-    """A cubic displacement field (N, 3) at places (N, 3), held constant beyond `radius` from the centre."""
+    """A cubic displacement field (N, 3) at places (N, 3), constant beyond `radius` from the centre along each axis."""
 
     coefficients: FloatArray  # (20, 3)
     center: FloatArray
@@ -48,7 +48,7 @@ class Displacement(NamedTuple):
         basis = np.kron(to_orthonormal, np.eye(3))
         information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())
         along = fields.T @ (basis @ scores.ravel()) / weights.sum()
-        found = fields @ (information / (np.square(information) + _HELD**2) * along)
+        found = fields @ (information / (np.square(information) + _HALF_FOLLOWED**2) * along)
         return self._replace(coefficients=(basis.T @ found).reshape(-1, 3))
 
     def _inside(self, places: FloatArray) -> FloatArray:

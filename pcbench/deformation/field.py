@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation.chi_squares import chi_square_tails
-from pcbench.deformation.model import SEEN, Geometry, Noise, Scores
+from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.result import Bin, Trend
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray
 
 FDR = 0.05
-_LEAST_TESTED, _SMOOTH_TESTED = 3.0, 0.1  # weight of smooth surface in a cell and a pair: bushes change by themselves
+# Weight of smooth surface in a cell that is tested, and its share: bushes change by themselves.
+_MIN_SMOOTH_WEIGHT, _MIN_SMOOTH_SHARE = 3.0, 0.1
 
 
 class CellDisplacements:
@@ -73,7 +74,7 @@ class CellDisplacements:
         values = geometry.to_orthonormal @ monomials((geometry.means - geometry.center) / geometry.radius)  # (20, C)
         fields = values.T @ coefficients.reshape(-1, 3)
         share, directions = np.linalg.eigh(geometry.information / np.maximum(geometry.weights, 1e-300)[:, None, None])
-        along = np.einsum("cik,ci->ck", directions, fields) * (share >= SEEN)
+        along = np.einsum("cik,ci->ck", directions, fields) * (share >= MIN_INFORMATION)
         seen: FloatArray = np.einsum("cik,ck->ci", directions, along)
         return seen
 
@@ -84,14 +85,16 @@ class CellDisplacements:
         discoveries are limited as in Benjamini & Hochberg 1995.
         """
         weight = np.trace(sums.spread, axis1=1, axis2=2)
-        tested = (weight >= _LEAST_TESTED) & (weight >= _SMOOTH_TESTED * sums.counts)
+        tested = (weight >= _MIN_SMOOTH_WEIGHT) & (weight >= _MIN_SMOOTH_SHARE * sums.counts)
         correlated = np.diag(self._geometry.mixture(self._noise))
         values, vectors = np.linalg.eigh(sums.spread)
-        fixed = values >= np.maximum(0.05 * values.sum(axis=1, keepdims=True), 1.0)
+        constrained = values >= np.maximum(0.05 * values.sum(axis=1, keepdims=True), 1.0)
         along = np.einsum("cik,ci->ck", vectors, sums.local)
-        safe = np.where(fixed, values, 1.0)
-        squares = np.where(fixed, along**2 / (self._noise.white * safe + correlated[:, None] * safe**2 + 1e-300), 0.0)
-        statistic, freedom = squares.sum(axis=1), np.maximum(fixed.sum(axis=1), 1)
+        safe = np.where(constrained, values, 1.0)
+        squares = np.where(
+            constrained, along**2 / (self._noise.white * safe + correlated[:, None] * safe**2 + 1e-300), 0.0
+        )
+        statistic, freedom = squares.sum(axis=1), np.maximum(constrained.sum(axis=1), 1)
         ratio = statistic / (freedom * (1 - 2 / (9 * freedom)) ** 3)
         scale = max(float(np.median(ratio[tested])), 0.25) if tested.any() else 1.0
         p = np.where(tested, chi_square_tails(statistic / scale, freedom), 1.0)
@@ -101,5 +104,5 @@ class CellDisplacements:
         changed = np.zeros(len(p), dtype=bool)
         if len(passed):
             changed[order[: passed[-1] + 1]] = True
-        length = np.sqrt((np.where(fixed, along / safe, 0.0) ** 2).sum(axis=1))
+        length = np.sqrt((np.where(constrained, along / safe, 0.0) ** 2).sum(axis=1))
         return changed & tested & (length > resolution), tested, length

@@ -26,12 +26,14 @@ from pcbench.geometry.arrays import FloatArray
 
 FACTORS = (1, 2, 3)  # sizes of tiles, in cells
 TILE = 1  # the one of them that is reported
-SEEN = 0.02  # information of a field against a field seen along its direction everywhere: below is noise of normals
-_HARDLY_SEEN = 1e-4
+# Information of a field against that of one seen along its direction everywhere: below it, where the noise of normals
+# lies, the field is not observable.
+MIN_INFORMATION = 0.02
+_MIN_INFORMATION_AFFINE = 1e-4  # of an affine field and less
 _RIDGE = 1e-12
-_FEW = 32
+_CELLS_AT_ONCE = 32  # whose matrices are made: they are much larger than the moments they are made of
 _MAX_PIVOTS = 1000  # of the non-negative fit, which takes about as many as it has unknowns
-PLACE_NOISE = 100 / SEEN  # a coordinate has to vary by ten standard deviations of the noise
+PLACE_NOISE = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
 
@@ -62,7 +64,7 @@ class Step:
         large, matrix = geometry.columns[larger], geometry.matrix
         self.smaller = geometry.half(smaller)
         taken = matrix @ self.smaller @ self.smaller.T
-        values, vectors = geometry.seen(large.T @ (matrix - taken @ matrix) @ large, SEEN)
+        values, vectors = geometry.observable(large.T @ (matrix - taken @ matrix) @ large, MIN_INFORMATION)
         # Scores (60,) to modes (K,): variance sigma^2 each for white noise. Coefficients of a mode: the same columns.
         self.modes = (np.eye(len(matrix)) - taken).T @ large @ (vectors / np.sqrt(values))
         # (C, 3, K) what a translation of the pairs in one cell adds to the modes.
@@ -77,8 +79,8 @@ class Geometry:
         squares = gram(total)
         self.total = float(squares[0, 0])  # weight of all pairs
         # Polynomials that are orthonormal over the pairs, but for those that the noise of the places could make up:
-        # their size is held down, so that they count as unseen. A plane's third coordinate is its noise, and noise
-        # that is in places and residuals alike looks like a slope.
+        # their size is kept small, so that they count as not observable. A plane's third coordinate is its noise, and
+        # noise that is in places and residuals alike looks like a slope.
         squares = squares / self.total
         _, power, weight = sums.dyadic[0]
         doubt = PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
@@ -101,10 +103,9 @@ class Geometry:
         self._within = within[:, None] + within[None]
         self.lengths = sums.side * np.array(_LENGTHS)
         self.cell_matrices = np.empty((len(sums.moments), *self.basis.shape))
-        for few in range(0, len(sums.moments), _FEW):  # matrices are much larger than the moments they are made of
-            self.cell_matrices[few : few + _FEW] = (
-                self.basis @ normal_matrix(sums.moments[few : few + _FEW]) @ self.basis.T
-            )
+        for start in range(0, len(sums.moments), _CELLS_AT_ONCE):
+            few = slice(start, start + _CELLS_AT_ONCE)
+            self.cell_matrices[few] = self.basis @ normal_matrix(sums.moments[few]) @ self.basis.T
         self.tiles = [merged(sums.cells, factor) for factor in FACTORS]
         self.tile_matrices = added(self.cell_matrices, self.tiles[TILE])  # of the reported size
         self._steps: dict[tuple[str, str], Step] = {}
@@ -144,28 +145,29 @@ class Geometry:
             self._steps[smaller, larger] = Step(self, smaller, larger)
         return self._steps[smaller, larger]
 
-    def seen(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-        """Eigenvalues and vectors of a part of the normal matrix, of those with at least a share of information."""
+    def observable(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues and vectors of a part of the normal matrix, of those with more than a share of information."""
         values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-        fixed = values > least * self.total
-        return values[fixed], vectors[:, fixed]
+        enough = values > least * self.total
+        return values[enough], vectors[:, enough]
 
     def half(self, model: str) -> FloatArray:
-        """(60, K) fields of a model that the geometry fixes, with unit information each and none in common.
+        """(60, K) observable fields of a model, with unit information each and none in common.
 
-        Of an affine field and less, all that is fixed in the least: what is there and not modelled would look bent.
+        Of an affine field and less, all that is observable in the least: what is there and not modelled would look
+        bent.
         """
         if model not in self._halves:
             if PARAMETERS[model] > PARAMETERS["affine"]:
                 self._halves[model] = np.hstack([self.half("affine"), self.step("affine", model).modes])
             else:
                 columns = self.columns[model]
-                values, vectors = self.seen(columns.T @ self.matrix @ columns, _HARDLY_SEEN)
+                values, vectors = self.observable(columns.T @ self.matrix @ columns, _MIN_INFORMATION_AFFINE)
                 self._halves[model] = columns @ (vectors / np.sqrt(values))
         return self._halves[model]
 
     def fit(self, model: str, scores: FloatArray) -> FloatArray:
-        """(60,) coefficients of a model, of what the geometry fixes, by least squares."""
+        """(60,) coefficients of a model, of what is observable, by least squares."""
         half = self.half(model)
         coefficients: FloatArray = half @ (half.T @ scores)
         return coefficients

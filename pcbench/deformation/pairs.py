@@ -23,25 +23,25 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cells, voxel_downsample_to
 from pcbench.registration import Registration
 
-_PAIRS = 20_000
-_COARSE = 5_000  # pairs of all but the last rounds
+_MAX_PAIRS = 20_000
+_MAX_COARSE_PAIRS = 5_000  # of all but the last rounds
 _ROUNDS = 7
-_FEWEST = 300  # pairs
-_FEW_CHANGES = 0.1  # of the tiles
+_MIN_PAIRS = 300
+_MAX_CHANGED_SHARE = 0.1  # of the cells: so few are left out, and the rest is judged again
 _RESOLUTION = 5e-3  # spacings of the points that planes go through
 CELLS_ALONG = 16  # of the scene's extent, at first
-_TILES = 60  # wanted of the middle size
-_CELLS = 480  # more only cost time
+_MIN_TILES = 60  # wanted of the middle size
+_MAX_CELLS = 480  # more only cost time
 _NEIGHBORS = 8  # that a place is the mean of
 _ROUGH = 4.0  # times the lower quartile of the surface variation: a pair that is so rough counts a quarter
-_MAP_COORDINATES = 1e5  # beyond it, coordinates are a map's
+_MIN_MAP_COORDINATE = 1e5  # beyond it, coordinates are a map's
 _EARTH_RADIUS = 6.37e6  # metres
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One cloud of the pair, in the reference's recentred coordinates.
+    """One cloud of the pair, in the reference's coordinates minus the local origin.
 
     Attributes:
         surface: its points and normals.
@@ -95,7 +95,7 @@ def residual_deformation(
         seed: of the bootstrap.
     """
     pairs = find_pairs(reference, candidate)
-    if pairs is None or np.count_nonzero(pairs.weights) < _FEWEST or _extent(pairs.places[pairs.weights > 0]) == 0:
+    if pairs is None or np.count_nonzero(pairs.weights) < _MIN_PAIRS or _extent(pairs.places[pairs.weights > 0]) == 0:
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
         text = f"{count} pairs of points: too few to tell a bend from noise"
         return Deformation.unanswered(Notice("few-pairs", text))
@@ -109,38 +109,39 @@ def judge_pairs(pairs: Pairs, *, metric: bool = True, seed: int = 0) -> Deformat
     sums = tile_sums(pairs)
     resolution = _RESOLUTION * pairs.spacing
     found = judge(sums, metric=metric, resolution=resolution, seed=seed)
-    if not 0 < found.changed_share <= _FEW_CHANGES:
+    if not 0 < found.changed_share <= _MAX_CHANGED_SHARE:
         return found
     kept = sums.without(found.changed)
     return judge(kept, metric=metric, resolution=resolution, seed=seed).with_changes(found)
 
 
 def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
-    """Pairs of evenly thinned points of the sparser cloud with tangent planes of the denser one.
+    """Pairs of evenly spread points of the sparser cloud with tangent planes at their closest points of the denser one.
 
-    The gate narrows while the largest model follows, then Tukey's biweight decides, all under that model.
+    The maximum correspondence distance shrinks while the largest model follows, then Tukey's biweight decides, all
+    under that model. None where there are too few pairs.
     """
     swapped = len(candidate.surface) > len(reference.surface)
     asking, surface = (reference, candidate) if swapped else (candidate, reference)
     rows = np.flatnonzero(asking.inside)
-    if len(rows) < _FEWEST or len(surface.surface) < _FEWEST:
+    if len(rows) < _MIN_PAIRS or len(surface.surface) < _MIN_PAIRS:
         return None
     if _extent(asking.surface.points[rows]) == 0 or surface.surface.spacing == 0:
         return None  # one place, however often
-    rows = rows[
-        voxel_downsample_to(asking.surface.points[rows], 3 * _PAIRS, start=1e-3 * _extent(asking.surface.points[rows]))
-    ]
+    points = asking.surface.points[rows]
+    rows = rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * _extent(points))]
     sign = -1.0 if swapped else 1.0  # a point that asks less the surface's, times it: candidate less reference
     index = surface.surface.index
     spacing = surface.surface.spacing
-    # The nearest tenth lies on the surface however little the clouds overlap, and bends are a few times as far. Even
-    # thinning leaves strays, which fill space, more than their share: what is far off is dropped before it is counted.
+    # The nearest tenth lies on the surface however little the clouds overlap, and bends are a few times as far. Voxel
+    # downsampling leaves strays, which fill space, more than their share: what is far off is dropped before it is
+    # counted.
     first = index.query(asking.surface.points[rows]).distances
-    gate = max(10 * float(np.percentile(first, 10)), 3 * float(np.percentile(first, 25)), 5 * spacing)
-    rows = rows[first <= gate]
-    rows = rows[:: -(-len(rows) // _PAIRS)]
+    max_distance = max(10 * float(np.percentile(first, 10)), 3 * float(np.percentile(first, 25)), 5 * spacing)
+    rows = rows[first <= max_distance]
+    rows = rows[:: -(-len(rows) // _MAX_PAIRS)]
     points = asking.surface.points[rows]
-    step = max(1, len(rows) // _COARSE)
+    step = max(1, len(rows) // _MAX_COARSE_PAIRS)
     lower, upper = np.percentile(points, [1, 99], axis=0)
     field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     last = 4 * spacing
@@ -148,31 +149,32 @@ def find_pairs(reference: Side, candidate: Side) -> Pairs | None:
         final = number >= _ROUNDS - 3
         asked = points if final else points[::step]
         bend = field(asked)
-        distances, feet = index.query(asked - sign * bend)
-        near = np.flatnonzero(distances <= gate)
-        if len(near) < _FEWEST:
+        distances, closest = index.query(asked - sign * bend)
+        near = np.flatnonzero(distances <= max_distance)
+        if len(near) < _MIN_PAIRS:
             return None
-        normals = surface.surface.normals(feet[near])
-        residuals = sign * np.einsum("ni,ni->n", asked[near] - index.points[feet[near]], normals)
+        normals = surface.surface.normals(closest[near])
+        residuals = sign * np.einsum("ni,ni->n", asked[near] - index.points[closest[near]], normals)
         left = residuals - np.einsum("ni,ni->n", bend[near], normals)
-        # Graduated: at first nearly everything within the gate counts.
+        # Graduated: at first nearly everything within that distance counts.
         noise = 1.4826 * float(np.median(np.abs(left)))
-        width = max(4.685 * noise, 0.0 if final else 0.5 * gate, 1e-300)
+        width = max(4.685 * noise, 0.0 if final else 0.5 * max_distance, 1e-300)
         weights = np.square(1 - np.square(np.clip(left / width, -1, 1)))
         asked_rows = rows[near] if final else rows[::step][near]
         quality = (
-            _smoothness(surface.surface, feet[near])
+            _smoothness(surface.surface, closest[near])
             * asking.class_weights(asked_rows)
-            * surface.class_weights(feet[near])
+            * surface.class_weights(closest[near])
         )
         weights *= quality
         if not weights.any():
             return None
         field = field.fitted(asked[near], normals, residuals, weights, noise)
-        gate = max(0.6 * gate if number < _ROUNDS - 4 else 0.0, last, min(4 * noise, gate))
-    feet, asked = feet[near], asked[near]
+        narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
+        max_distance = max(narrower, last, min(4 * noise, max_distance))
+    closest, asked = closest[near], asked[near]
     # A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
-    around = index.query(index.points[feet], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
+    around = index.query(index.points[closest], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
     places = index.points[around].mean(axis=1)
     left = residuals - np.einsum("ni,ni->n", field(asked), normals)
     return Pairs(places, normals, residuals, weights, left, quality, spacing)
@@ -186,10 +188,10 @@ def tile_sums(pairs: Pairs) -> TileSums:
     side = extent / CELLS_ALONG
     for _ in range(12):
         tiles = len(cells(counted, 2 * side, lower).first)
-        if tiles >= _TILES or len(counted) < 40 * tiles:
+        if tiles >= _MIN_TILES or len(counted) < 40 * tiles:
             break
         side *= 0.87
-    while len(cells(counted, side, lower).first) > _CELLS:
+    while len(cells(counted, side, lower).first) > _MAX_CELLS:
         side *= 1.1
     kept = ((pairs.places >= lower - 0.1 * extent) & (pairs.places <= upper + 0.1 * extent)).all(axis=1)
     return TileSums.of(
@@ -215,7 +217,7 @@ def _without_map_projection(
     """
     ours, theirs = reference.cloud.crs, candidate.cloud.crs
     noise = 1.4826 * float(np.median(np.abs(pairs.left)))
-    if ours is None and theirs is None and float(np.abs(origin).max()) > _MAP_COORDINATES:
+    if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
         sagitta = _extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
         if sagitta > 0.2 * noise:
             text = (

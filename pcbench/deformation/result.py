@@ -65,7 +65,7 @@ class NoiseSize:
         sigma_white: standard deviation of what differs from pair to pair.
         sigma_correlated: standard deviation of what neighbouring pairs share.
         correlation_length: l of the kernel exp(-d^2 / 2 l^2) that covers the same area.
-        n_eff: independent pairs that would fix a bend as well.
+        n_eff: independent pairs that would determine a bend as well.
     """
 
     sigma_white: float

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_point
-from pcbench.deformation.model import SEEN, Geometry, Noise, Scores, Step
+from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, Step
 from pcbench.deformation.result import Amplitude, Observable
 from pcbench.deformation.sums import TileSums, added
 from pcbench.geometry.arrays import IntArray
@@ -31,10 +31,10 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> A
     per_cell = (geometry.cell_matrices @ coefficients) @ coefficients
     weight = geometry.weights
     shrink = math.sqrt(size / power) if power > 0 else 0.0
-    held = weight >= 0.1 * np.median(weight)
-    rms = shrink * np.sqrt(np.maximum(per_cell[held], 0) / weight[held])
+    enough = weight >= 0.1 * np.median(weight)
+    rms = shrink * np.sqrt(np.maximum(per_cell[enough], 0) / weight[enough])
     order = np.argsort(rms)
-    below = np.cumsum(weight[held][order]) / weight[held].sum()
+    below = np.cumsum(weight[enough][order]) / weight[enough].sum()
     low, high = (math.sqrt(max(0.0, power - bias + sign * 1.96 * spread) / geometry.total) for sign in (-1, 1))
     return Amplitude(
         rms=math.sqrt(size / geometry.total),
@@ -45,7 +45,7 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> A
 
 
 def effective_count(geometry: Geometry, noise: Noise) -> float:
-    """Independent pairs that would fix the non-affine fields as well as these do: fewer where noise is correlated."""
+    """Independent pairs that would tell the non-affine fields as well as these do: fewer where noise is correlated."""
     covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
     if not len(covariance):
         return 0.0
@@ -58,7 +58,7 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     step = geometry.step("affine", "cubic")
     modes = step.modes.T @ (geometry.matrix @ geometry.dome)
     power = float(modes @ modes)
-    if power <= SEEN * geometry.total * float(geometry.dome @ geometry.dome):
+    if power <= MIN_INFORMATION * geometry.total * float(geometry.dome @ geometry.dome):
         return None
     covariance = geometry.covariance(step, noise)
     limit = chi_squares_point(_FALSE_ALARMS, np.linalg.eigvalsh(covariance).astype(np.float64))
@@ -77,8 +77,8 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
 
 
 def observable(sums: TileSums, tile: IntArray) -> Observable:
-    """Share of the tiles whose surfaces fix a displacement along each axis, whatever it is along the others."""
+    """Share of the tiles that constrain a displacement along each axis, whatever it is along the others."""
     spread = added(sums.spread, tile)
     mean = spread / np.maximum(np.trace(spread, axis1=1, axis2=2), 1e-300)[:, None, None]
-    fixed = 1 / np.diagonal(np.linalg.inv(mean + 1e-9 * np.eye(3)), axis1=1, axis2=2) >= SEEN
-    return Observable(*(float(share) for share in fixed.mean(axis=0)))
+    constrained = 1 / np.diagonal(np.linalg.inv(mean + 1e-9 * np.eye(3)), axis1=1, axis2=2) >= MIN_INFORMATION
+    return Observable(*(float(share) for share in constrained.mean(axis=0)))

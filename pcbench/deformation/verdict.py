@@ -17,13 +17,13 @@ from pcbench.deformation.sums import added
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 
-FEWEST_TILES = 40
+MIN_TILES = 40
 _REPLICATES = 999
 _FOLDS = 10
 # The covariance is estimated: where it is a third too small, 1e-5 is 1e-3 in truth.
-_SURE_NOISE, _SURE_TILES = 1e-5, 5e-3
-_DOUBT = 1e-3  # of either test alone
-_SMALL = 0.1  # of the noise: a bend that is surely less is not worth a doubt
+_MAX_P_NOISE, _MAX_P_TILES = 1e-5, 5e-3  # of a bend that is sure: both tests say so
+_MAX_P_DOUBT = 1e-3  # of either test alone
+_MIN_BEND = 0.1  # of the noise: a bend that is surely less is not worth a doubt
 
 
 class Evidence(NamedTuple):
@@ -37,11 +37,13 @@ class Evidence(NamedTuple):
 
     @property
     def sure(self) -> bool:
-        return self.p_noise <= _SURE_NOISE and max(self.p_tiles) <= _SURE_TILES
+        return self.p_noise <= _MAX_P_NOISE and max(self.p_tiles) <= _MAX_P_TILES
 
     @property
     def doubtful(self) -> bool:
-        return not self.sure and (self.p_noise <= _DOUBT or (self.long_noise and max(self.p_tiles) <= _DOUBT))
+        return not self.sure and (
+            self.p_noise <= _MAX_P_DOUBT or (self.long_noise and max(self.p_tiles) <= _MAX_P_DOUBT)
+        )
 
 
 class Finding(NamedTuple):
@@ -74,15 +76,15 @@ def decide(
         return weigh(smaller, larger).sure and largest(smaller, larger) > resolution
 
     bent = weigh("affine", "cubic")
-    same = [(p <= _SURE_TILES) == (bent.p_tiles[TILE] <= _SURE_TILES) for p in bent.p_tiles]
+    same = [(p <= _MAX_P_TILES) == (bent.p_tiles[TILE] <= _MAX_P_TILES) for p in bent.p_tiles]
     tiles = len(geometry.tile_matrices)
     warnings = []
     if bent.modes == 0:
         text = "no bend can be seen here: the surfaces show no direction well enough"
         warnings.append(Notice("nothing-observable", text))
-    if tiles < FEWEST_TILES:
+    if tiles < MIN_TILES:
         text = (
-            f"only {tiles} tiles of {FACTORS[TILE] * geometry.side:.3g} hold points (expected {FEWEST_TILES}): a"
+            f"only {tiles} tiles of {FACTORS[TILE] * geometry.side:.3g} hold points (expected {MIN_TILES}): a"
             " larger or better covered scene would settle it"
         )
         warnings.append(Notice("few-tiles", text))
@@ -90,7 +92,7 @@ def decide(
     shown = bend > resolution
     if bent.sure and shown and not warnings:
         # The cubic part needs less evidence: that there is a bend is settled.
-        model = "cubic" if weigh("quadratic", "cubic").p_noise <= _DOUBT else "quadratic"
+        model = "cubic" if weigh("quadratic", "cubic").p_noise <= _MAX_P_DOUBT else "quadratic"
         return Finding("non-affine", model, bent, float(np.mean(same)), ())
     if is_needed("similarity", "affine"):
         verdict, model = "affine", "affine"
@@ -101,7 +103,7 @@ def decide(
             warnings.append(Notice("scale-differs", text))
     else:
         verdict, model = "none", "rigid"
-    matters = shown and bend > _SMALL * math.sqrt(noise.white + noise.correlated)
+    matters = shown and bend > _MIN_BEND * math.sqrt(noise.white + noise.correlated)
     if bent.doubtful and matters:
         side = geometry.side * FACTORS[TILE]
         remedy = (
@@ -112,7 +114,7 @@ def decide(
         )
         text = f"what remains looks bent, but noise may have done it: {remedy}"
         warnings.append(Notice("noise-or-bend", text))
-    if (bent.doubtful and matters) or bent.modes == 0 or tiles < FEWEST_TILES:
+    if (bent.doubtful and matters) or bent.modes == 0 or tiles < MIN_TILES:
         verdict = "undecided"
     return Finding(verdict, model, bent, float(np.mean(same)), tuple(warnings))
 
