@@ -80,22 +80,19 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
-    from pcbench.plugins.run import ReconstructionJob, is_workspace, run
-    from pcbench.scenes.write import check_cameras_output
+    from pcbench.plugins.run import ReconstructionJob, check_workspace, run
+    from pcbench.scenes.write import check_cameras_output, image_folder
     from pcbench.scenes.write import write_cameras as write
 
     check_cloud_output(out)
     if write_cameras is not None:
-        check_cameras_output(write_cameras)
-        if write_cameras.resolve().is_relative_to(scene.resolve()):
-            raise InputError(f"{write_cameras}: the cameras would be written into the scene: choose another place")
+        check_cameras_output(write_cameras, scene)
     values = dict(key_value(text) for text in settings)
     job = ReconstructionJob(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
         work = workspace or out.with_suffix(".work")
-        if work.is_dir() and any(work.iterdir()) and not is_workspace(work):
-            raise InputError(f"{work}: the workspace is not empty and no reconstruction's: choose another, or empty it")
+        check_workspace(work)
         result = run(job, work, time_limit)
     if not quiet:
         for warning in result.warnings:
@@ -105,8 +102,7 @@ def reconstruct(
     if write_cameras is not None and not made.cameras:
         warn(f"{write_cameras}: not written, {name} gave no cameras")
     elif write_cameras is not None:
-        images = scene / "images"
-        write(write_cameras, made.cameras, images if images.is_dir() else scene, made.cloud)
+        write(write_cameras, made.cameras, image_folder(scene), made.cloud)
     if not quiet:
         for note in made.notes:
             click.echo(f"note: {note}")

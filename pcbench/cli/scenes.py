@@ -145,21 +145,14 @@ def warp(cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str,
     dome and bowl bend it over its horizontal extent; shear leans over with the square of the height; twist turns with
     height; subsidence is a local basin; drift bends the longest axis. A rotation, a scale and a shift follow.
     """
-    import json
+    from pcbench.io import read_cloud
+    from pcbench.io.files import check_output
+    from pcbench.scenes.synthetic.warp import record_path, turn, warp_of, write_warped
 
-    from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import atomic_write, check_output
-    from pcbench.scenes.synthetic.warp import turn, warp_of
-
-    beside = out.with_name(f"{out.name}.json")
-    for path in (out, beside):
+    for path in (out, record_path(out)):
         check_output(path, (cloud,))
-    angles, move = triple("--rotate", rotate), triple("--shift", shift)
+    after = turn(triple("--rotate", rotate), triple("--shift", shift), scale)
     data = read_cloud(cloud, on_warning=warn_unless(quiet))
-    bend = warp_of(kind, data.points, rms, turn(angles, move, scale))
-    record = bend.record(data.points)
-    write_cloud(out, bend.apply_cloud(data))
-    with atomic_write(beside) as file:
-        file.write((json.dumps(record, indent=1) + "\n").encode())
+    record = write_warped(out, data, warp_of(kind, data.points, rms, after))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")

@@ -23,7 +23,6 @@ from pcbench.cli.options import (
     size_option,
 )
 from pcbench.cli.reports import compare_and_print
-from pcbench.errors import InputError
 
 if TYPE_CHECKING:
     from pcbench.studies.bench.runs import BenchJob
@@ -47,40 +46,26 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
     city and bench sparse SfM on it, at two image scales with finer and coarser features (needs the extras plot, sfm).
     """
-    from pcbench.io import write_cloud
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
     from pcbench.scenes.synthetic import demo as make_demo
+    from pcbench.scenes.synthetic.files import check_demo_folder, write_demo
 
-    mark = out / ".demo"
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder for the demo, got a file")
-    if out.is_dir() and any(out.iterdir()) and not mark.is_file():
-        raise InputError(f"{out}: the folder is not empty and holds no demo: choose another one, or empty it")
+    check_demo_folder(out)
     with steps(quiet) as step:
         step("making the city")
-        scene = make_demo(points, seed)
-        clouds = out / "clouds"
-        clouds.mkdir(parents=True, exist_ok=True)
-        mark.touch()
-        paths = {name: clouds / f"{name}.ply" for name in ("reference", *scene.candidates)}
-        for name, path in paths.items():
-            write_cloud(path, scene.reference if name == "reference" else scene.candidates[name])
-    reference = paths.pop("reference")
-    job = ComparisonJob(reference, paths, Settings(seed=seed), {})
+        made = make_demo(points, seed)
+        files = write_demo(out, made)
+    job = ComparisonJob(files.reference, files.candidates, Settings(seed=seed), {})
     comparison = compare_and_print(job, out / "report", None, figures=not no_figures, quiet=quiet)
     if not quiet:
-        import numpy as np
-
         for candidate in comparison.candidates:
-            points_ = scene.candidates[candidate.name].points
-            found = candidate.registration.T_reference_candidate.apply(points_)
-            truth = scene.T_reference_candidate[candidate.name].apply(points_)
-            error = float(np.sqrt(np.mean(np.square(found - truth).sum(axis=1))))
-            bend = scene.bend_rms[candidate.name]
+            error = made.registration_error(candidate.name, candidate.registration.T_reference_candidate)
+            bend = made.bend_rms[candidate.name]
             note = f" (it is bent by {1000 * bend:.0f} mm RMS, which no rigid motion undoes)" if bend else ""
             click.echo(f"truth: {candidate.name} was registered to {1000 * error:.1f} mm RMS{note}")
-        click.echo(f"again: pcbench compare {reference} {' '.join(str(p) for p in paths.values())} --out REPORT")
+        clouds = " ".join(map(str, (files.reference, *files.candidates.values())))
+        click.echo(f"again: pcbench compare {clouds} --out REPORT")
     if not no_bench:
         _demo_bench(out, seed, figures=not no_figures, quiet=quiet)
 

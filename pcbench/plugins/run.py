@@ -147,9 +147,15 @@ def run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None = No
     )
 
 
-def is_workspace(folder: Path) -> bool:
-    """Whether reconstructions ran in a folder: what they leave may be replaced."""
-    return (folder / JOB).is_file() and (folder / PLUGIN).is_dir()
+def check_workspace(folder: Path) -> None:
+    """Say before `run` that a folder is no place to run in.
+
+    Raises:
+        InputError: it holds something, and no reconstruction ran there: what one leaves may be replaced.
+    """
+    ours = (folder / JOB).is_file() and (folder / PLUGIN).is_dir()
+    if folder.is_dir() and any(folder.iterdir()) and not ours:
+        raise InputError(f"{folder}: the workspace is not empty and no reconstruction's: choose another, or empty it")
 
 
 def _read_outcome(workspace: Path) -> dict[str, Any]:

@@ -36,13 +36,25 @@ def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, point
     write_transforms(path, ordered, Path(os.path.relpath(images, path.absolute().parent)).as_posix())
 
 
-def check_cameras_output(path: Path) -> None:
+def check_cameras_output(path: Path, scene: Path | None = None) -> None:
     """Say before a long computation that cameras cannot be written there by `write_cameras`.
 
+    Args:
+        scene: a scene's folder that is to stay as it is.
+
     Raises:
-        InputError: the folder of a .json does not exist, or a model's folder is a file or holds a binary model.
+        InputError: the folder of a .json does not exist, a model's folder is a file or holds a binary model, or the
+            cameras would be written into the scene.
     """
     if path.suffix.lower() == ".json":
         check_output(path, ())
     else:
         check_model_output(path)
+    if scene is not None and path.resolve().is_relative_to(scene.resolve()):
+        raise InputError(f"{path}: the cameras would be written into the scene: choose another place")
+
+
+def image_folder(scene: Path) -> Path:
+    """The folder in a scene's folder that its images' names are relative to."""
+    inner = scene / "images"
+    return inner if inner.is_dir() else scene

@@ -169,6 +169,17 @@ class Demo:
     T_reference_candidate: dict[str, Similarity]  # brings each candidate back, exactly
     bend_rms: dict[str, float]  # metres; of the vertical bend put into each candidate
 
+    def registration_error(self, name: str, found: Similarity) -> float:
+        """RMS distance (m) between where a registration brings a candidate's points and where they belong.
+
+        Args:
+            name: of the candidate.
+            found: the registration, candidate -> reference.
+        """
+        points = self.candidates[name].points
+        apart = found.apply(points) - self.T_reference_candidate[name].apply(points)
+        return float(np.sqrt(np.mean(np.square(apart).sum(axis=1))))
+
 
 def demo(points: int = 1_270_820, seed: int = 0) -> Demo:
     """A dense "MVS-like" reference, a sparse and a densified candidate in the proportions of Gao et al.'s table.

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,11 +20,21 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.transforms_json import write_transforms
+from pcbench.scenes.synthetic.demos import Demo
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.render import Optics, check_intrinsics, check_renderer, render
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import depth_map, surface_cloud
+
+_DEMO_MARK = ".demo"  # the file by which a demo's folder is known
+
+
+class DemoFiles(NamedTuple):
+    """Where the clouds of a demo lie."""
+
+    reference: Path
+    candidates: dict[str, Path]
 
 
 @dataclass(frozen=True)
@@ -82,6 +93,36 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         step("sampling the surface")
         cloud = surface_cloud(city.plan, index, cameras, settings.points, settings.city.seed)
         write_cloud(folder / "truth" / "cloud.ply", cloud)
+
+
+def check_demo_folder(out: Path) -> None:
+    """Say before a demo is made that `write_demo` may not write there.
+
+    Raises:
+        InputError: it is a file, or a folder that holds something else than an earlier demo.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder for the demo, got a file")
+    if out.is_dir() and any(out.iterdir()) and not (out / _DEMO_MARK).is_file():
+        raise InputError(f"{out}: the folder is not empty and holds no demo: choose another one, or empty it")
+
+
+def write_demo(out: Path, made: Demo) -> DemoFiles:
+    """Write the clouds of a demo into `out`/clouds, in the place of an earlier demo's.
+
+    Raises:
+        InputError: the folder is not a demo's.
+        OSError: a file cannot be written.
+    """
+    check_demo_folder(out)
+    folder = out / "clouds"
+    folder.mkdir(parents=True, exist_ok=True)
+    (out / _DEMO_MARK).touch()
+    files = DemoFiles(folder / "reference.ply", {name: folder / f"{name}.ply" for name in made.candidates})
+    write_cloud(files.reference, made.reference)
+    for name, path in files.candidates.items():
+        write_cloud(path, made.candidates[name])
+    return files
 
 
 def _words(values: Sequence[float] | FloatArray) -> str:

@@ -6,8 +6,10 @@ part, which a registration may take up: amplitudes are therefore given by what i
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
+from pcbench.io import write_cloud
+from pcbench.io.files import atomic_write
 
 SCHEMA = "pcbench.warp/1"
 _BASIN = (0.35, -0.25, 0.30)  # of the subsidence: centre x, y and standard deviation, in lengths
@@ -130,6 +134,28 @@ class Warp:
             "max_beyond_affine": float(np.linalg.norm(rest, axis=1).max()),
             "affine_part": affine.matrix.tolist(),  # the best affine map before the similarity
         }
+
+
+def record_path(out: Path) -> Path:
+    """Where `write_warped` says what was done to the cloud in `out`."""
+    return out.with_name(f"{out.name}.json")
+
+
+def write_warped(out: Path, cloud: Cloud, warp: Warp) -> dict[str, Any]:
+    """Write a cloud, bent, and beside it as JSON what was done to it.
+
+    Returns:
+        The record (`Warp.record`).
+
+    Raises:
+        InputError: the extension is unknown or only read.
+        OSError: a file cannot be written.
+    """
+    record = warp.record(cloud.points)
+    write_cloud(out, warp.apply_cloud(cloud))
+    with atomic_write(record_path(out)) as file:
+        file.write((json.dumps(record, indent=1) + "\n").encode())
+    return record
 
 
 def warp_of(kind: str, points: FloatArray, rms: float, after: Similarity | None = None) -> Warp:
