@@ -65,6 +65,7 @@ types: $(VENV)/.all
 # Into site/, from docs/ and the docstrings; whatever does not resolve is an error. Nothing is fetched.
 docs: $(VENV)/.all
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	$(BIN)/python docs/check_site.py site
 
 bench: $(VENV)/.all
 	$(BIN)/python tests/bench/compare.py
