@@ -24,8 +24,8 @@ class Settings:
     Attributes:
         register: how candidates are aligned: an `IcpSettings`, `FeatureSettings`, `ControlPoints` or `GivenPose`, a
             `Similarity` or 4x4 array as the pose itself, or the text of one, see `pcbench.registration.parse_method`.
-        crop: which part is measured, in the reference's coordinates: a region, such as `pcbench.Box`, or the text of one,
-            see `pcbench.geometry.region_text.parse_region`.
+        crop: which part is measured, in the reference's coordinates: a region, such as `pcbench.Box`, or the text of
+            one, see `pcbench.geometry.region_text.parse_region`.
         thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
         presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
         maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
