@@ -3,57 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pcbench.deformation import Deformation
-from pcbench.errors import PcbenchError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
-from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.report.plot import Picture, bends, charts, maps
-
-_MESH_SAMPLES = 500_000
-
-
-@dataclass(frozen=True, eq=False)
-class Report:
-    """A report folder, read."""
-
-    folder: Path
-    document: dict[str, Any]
-    deviations: dict[str, Cloud]  # by candidate: aligned points with their distances
-    m3c2: dict[str, Cloud]  # by candidate, where there is one: core points with theirs
-    fields: dict[str, Cloud]  # by candidate, where there is one: cells with their displacements
-
-    @property
-    def unit(self) -> str:
-        return self.document["reference"].get("unit") or "units of the file"
-
-    def reference(self) -> Cloud | None:
-        """The reference cloud, if its file is still there."""
-        settings = json.loads((self.folder / "settings.json").read_text(encoding="utf-8"))
-        path = Path(settings["reference"]["path"])
-        try:
-            if holds_mesh(path):
-                return read_mesh(path, on_warning=lambda _: None).sample(_MESH_SAMPLES)
-            return read_cloud(path, on_warning=lambda _: None)
-        except PcbenchError:
-            return None
-
-
-def read_report(folder: Path) -> Report:
-    document = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
-    names = [candidate["name"] for candidate in document["candidates"]]
-    deviations = {name: read_cloud(folder / f"{name}_deviation.ply") for name in names}
-    cores = {name: folder / f"{name}_m3c2.ply" for name in names}
-    m3c2 = {name: read_cloud(path) for name, path in cores.items() if path.is_file()}
-    tables = {name: folder / f"{name}_deformation.ply" for name in names}
-    fields = {name: read_cloud(path) for name, path in tables.items() if path.is_file()}
-    return Report(folder, document, deviations, m3c2, fields)
+from pcbench.report.read import read_report
 
 
 def pictures(folder: Path) -> dict[str, Picture]:
@@ -83,20 +41,21 @@ def _bends(name: str, bend: Deformation, cloud: Cloud, field: Cloud, unit: str) 
 
 def _pictures_of_comparison(folder: Path) -> dict[str, Picture]:
     report = read_report(folder)
+    deviations = {candidate.name: candidate.deviation for candidate in report.candidates}
+    cores = {candidate.name: candidate.m3c2 for candidate in report.candidates if candidate.m3c2 is not None}
     found = {
-        "distribution": Picture(lambda path: charts.distribution(report.document, report.deviations, path)),
+        "distribution": Picture(lambda path: charts.distribution(report, path)),
         "reference": Picture(
-            lambda path: maps.reference(report.reference(), report.deviations, path), "the reference's file has gone"
+            lambda path: maps.reference(report.reference(), deviations, path), "the reference's file has gone"
         ),
     }
-    scalars = dict.fromkeys(name for cloud in report.deviations.values() for name in cloud.attributes)
-    for scalar in scalars:
-        found |= _maps(report.deviations, scalar, report.unit)
-    found |= _maps(report.m3c2, "m3c2_distance", report.unit)
-    verdicts = {candidate["name"]: candidate.get("deformation") for candidate in report.document["candidates"]}
-    for name, field in report.fields.items():
-        if verdicts[name]:
-            found |= _bends(name, Deformation.from_json(verdicts[name]), report.deviations[name], field, report.unit)
+    for scalar in dict.fromkeys(name for cloud in deviations.values() for name in cloud.attributes):
+        found |= _maps(deviations, scalar, report.unit)
+    found |= _maps(cores, "m3c2_distance", report.unit)
+    for candidate in report.candidates:
+        if candidate.field is not None and candidate.deformation is not None:
+            bend = candidate.deformation
+            found |= _bends(candidate.name, bend, candidate.deviation, candidate.field, report.unit)
     return found
 
 

@@ -1,0 +1,107 @@
+"""Reading a report folder back, as far as its pictures need it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pcbench.deformation import Deformation
+from pcbench.errors import InputError, PcbenchError
+from pcbench.geometry.cloud import Cloud
+from pcbench.io import read_cloud
+from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.measure.results import BACK
+
+_MESH_SAMPLES = 500_000
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedCandidate:
+    """One candidate of a report.
+
+    Attributes:
+        deviation: its aligned points with their distances.
+        m3c2: core points with theirs; field: cells with their displacements. None where there is none.
+        deformation: the verdict; None in reports of versions that had none.
+        percentiles_completeness: of the distances from the reference to it, as {"p50": ...}.
+    """
+
+    name: str
+    deviation: Cloud
+    m3c2: Cloud | None
+    field: Cloud | None
+    deformation: Deformation | None
+    percentiles_completeness: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """A folder that a comparison was saved to.
+
+    Attributes:
+        unit: of lengths, in words where it is not known.
+        spacing_median: of the reference.
+        reference_path: of the reference's file; None where it came from none.
+    """
+
+    unit: str
+    spacing_median: float
+    reference_path: Path | None
+    candidates: tuple[ReportedCandidate, ...]
+
+    def reference(self) -> Cloud | None:
+        """The reference cloud, if it came from a file that is still there."""
+        if self.reference_path is None:
+            return None
+        try:
+            if holds_mesh(self.reference_path):
+                return read_mesh(self.reference_path, on_warning=lambda _: None).sample(_MESH_SAMPLES)
+            return read_cloud(self.reference_path, on_warning=lambda _: None)
+        except PcbenchError:
+            return None
+
+
+def read_report(folder: Path) -> Report:
+    """The report in a folder.
+
+    Raises:
+        InputError: a file of it is missing or damaged.
+    """
+    try:
+        document = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
+        reference = document["reference"]
+        path = _reference_path(folder)
+        return Report(
+            unit=reference.get("unit") or "units of the file",
+            spacing_median=float(reference["spacing_median"] or 0.0),
+            reference_path=path,
+            candidates=tuple(_candidate(folder, values) for values in document["candidates"]),
+        )
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{folder}: the report is damaged: {type(error).__name__}: {error}") from error
+
+
+def _reference_path(folder: Path) -> Path | None:
+    """Absolute, as settings.json has it: comparison.json has what was typed."""
+    settings = folder / "settings.json"
+    return Path(json.loads(settings.read_text(encoding="utf-8"))["reference"]["path"]) if settings.is_file() else None
+
+
+def _candidate(folder: Path, values: dict[str, Any]) -> ReportedCandidate:
+    def table(kind: str) -> Cloud | None:
+        path = folder / f"{values['name']}_{kind}.ply"
+        return read_cloud(path) if path.is_file() else None
+
+    return ReportedCandidate(
+        name=values["name"],
+        deviation=read_cloud(folder / f"{values['name']}_deviation.ply"),
+        m3c2=table("m3c2"),
+        field=table("deformation"),
+        deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
+        percentiles_completeness=values["metrics"]["percentiles"][BACK],
+    )
