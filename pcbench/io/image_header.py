@@ -4,7 +4,7 @@ JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR). Nothing is decompressed: a 
 second.
 
 Read here and not by Pillow. Pillow 13 gives the same sizes and positions for whole photographs, in two to eight times
-the time, but reads all of the header: it lets out errors of four kinds and warnings, refuses photographs that are
+the time, but reads all of the header: it lets out errors of three kinds and warnings, refuses photographs that are
 larger than its pixel limit or damaged where neither the size nor the position stands, and would be needed to read a
 scene of which no image is decoded.
 """
