@@ -1,175 +1,17 @@
-"""Deformation: known bends come back with their size, and what is no bend is not taken for one."""
-
-import json
+"""The verdict on two clouds: known bends come back with their size, and what is no bend is not taken for one."""
 
 import numpy as np
 import pytest
-from bends import SIZE, Cell, Halves, Scene, bends
+from bends import Halves
+from bent_clouds import codes, dome, noisy, sampled, verdict
 from data_folder import data_folder
 
-from pcbench import Cloud, read_cloud, write_cloud
+from pcbench import Cloud, read_cloud
 from pcbench.deformation import Observable, deform
-from pcbench.deformation.model import Noise
-from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
-from pcbench.deformation.size import minimum_detectable_rms
 from pcbench.geometry.crs import euclidean_offsets
 from pcbench.scenes.synthetic import city
 
-NOISE = Cell("gauss", 40)  # white and correlated in equal parts, over 5 m of 200 m
-KINDS = tuple(bends(np.zeros((1, 3)), SIZE))
 UTM = np.array([500_000.0, 4_800_000.0, 100.0])
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return Scene(8000)
-
-
-@pytest.fixture(scope="module")
-def waves(scene):
-    return scene.waves(NOISE)
-
-
-# The mathematics, piece by piece.
-
-
-def test_moments_hold_the_normal_equations_of_a_cubic_field():
-    rng = np.random.default_rng(0)
-    places, normals = rng.uniform(-1, 1, (50, 3)), rng.normal(size=(50, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    weights, residuals = rng.random(50), rng.normal(size=50)
-    design = np.einsum("an,nk->nak", monomials(places), normals).reshape(50, 60)
-    starts = np.array([0, 20, 20])  # a group of twenty pairs, an empty one, the rest
-    moments, scores = normal_equations(places, normals, weights, residuals, starts)
-    for group, rows in enumerate((slice(0, 20), slice(20, 20), slice(20, 50))):
-        matrix = design[rows].T @ (weights[rows, None] * design[rows])
-        # Sums of fifty terms of size one.
-        np.testing.assert_allclose(normal_matrix(moments[group]), matrix, atol=1e-12)
-        np.testing.assert_allclose(scores[group].ravel(), design[rows].T @ (weights * residuals)[rows], atol=1e-12)
-
-
-def test_sums_over_groups_that_are_none_are_refused():
-    one, places = np.ones(4), np.zeros((4, 3))
-    for starts in ([2, 1], [0, 5], [-1]):
-        with pytest.raises(ValueError, match="ascending"):
-            normal_equations(places, places, one, one, np.array(starts))
-
-
-@pytest.mark.parametrize(
-    ("smaller", "larger"), [("rigid", "similarity"), ("similarity", "affine"), ("affine", "cubic")]
-)
-def test_models_are_nested_and_count_their_parameters(smaller, larger):
-    small, large = model_columns(smaller), model_columns(larger)
-    assert np.linalg.matrix_rank(small) == small.shape[1] == PARAMETERS[smaller]
-    assert np.linalg.matrix_rank(np.hstack([small, large])) == large.shape[1]
-
-
-def test_rigid_fields_keep_distances_and_similar_ones_shapes():
-    places = np.random.default_rng(0).uniform(-1, 1, (20, 3))
-    for model, columns in (("rigid", 6), ("similarity", 7)):
-        for column in model_columns(model).T:
-            moved = np.einsum("an,ak->nk", monomials(places), column.reshape(20, 3))
-            # The gradient is antisymmetric, but for a scale.
-            gradient = np.linalg.lstsq(places - places.mean(0), moved - moved.mean(0), rcond=None)[0]
-            symmetric = gradient + gradient.T
-            np.testing.assert_allclose(symmetric, symmetric[0, 0] * np.eye(3), atol=1e-12)
-        assert model_columns(model).shape[1] == columns
-
-
-@pytest.mark.slow
-def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
-    """Noise of known variances is put through the same sums: their power is what was predicted."""
-    step = scene.geometry.step("affine", "cubic")
-    lengths = scene.geometry.lengths
-    # Two kernels that together cover the area of the one that is simulated: their lengths are fixed.
-    above = int(np.searchsorted(lengths, NOISE.length))
-    below, beyond = lengths[above - 1] ** 2, lengths[above] ** 2
-    components = np.zeros(len(lengths))
-    components[above] = 0.02**2 * (NOISE.length**2 - below) / (beyond - below)
-    components[above - 1] = 0.02**2 - components[above]
-    predicted = np.trace(scene.geometry.covariance(step, Noise(0.02**2, components, lengths)))
-    powers = []
-    for seed in range(40):
-        scores = scene.judge(scene.noise(NOISE, waves, seed)).scores
-        powers.append(np.square(step.modes.T @ scores.total).sum())
-    # Cells are coarse, and the mean of 40 runs is good to 5 %.
-    assert np.mean(powers) == pytest.approx(predicted, rel=0.2)
-
-
-def test_noise_comes_back(scene, waves):
-    found = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
-    assert np.mean([np.sqrt(n.white) for n in found]) == pytest.approx(0.02, rel=0.1)
-    assert np.mean([np.sqrt(n.correlated) for n in found]) == pytest.approx(0.02, rel=0.15)
-    assert np.median([n.correlation_length for n in found]) == pytest.approx(5.0, rel=0.3)
-
-
-# Recovery: pairs with exact planes.
-
-
-def test_nothing_is_found_where_nothing_is(scene, waves):
-    findings = [scene.judge(scene.noise(NOISE, waves, 100 + seed)).finding for seed in range(20)]
-    assert [f.verdict for f in findings].count("none") >= 18
-    assert not any(f.verdict == "non-affine" for f in findings)
-
-
-@pytest.mark.parametrize("times", [1, 2, 5])
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_bend_is_found(scene, waves, kind, times):
-    bend = times * NOISE.total * scene.beyond_affine(bends(scene.places, SIZE)[kind])
-    judged = scene.judge(scene.noise(NOISE, waves, 7) + bend)
-    assert judged.finding.verdict == "non-affine"
-    if times >= 2:
-        error = np.sqrt(np.mean(np.square(scene.fitted(judged) - bend)))
-        assert error <= 0.25 * times * NOISE.total
-
-
-@pytest.mark.parametrize("model", ["similarity", "affine"])
-def test_smaller_models_are_enough_for_smaller_deformations(scene, waves, model):
-    x = scene.places
-    field = 1e-3 * x if model == "similarity" else 2e-3 * x[:, [1]] * [1.0, 0.0, 0.0]
-    judged = scene.judge(scene.noise(NOISE, waves, 8) + (field * scene.normals).sum(axis=1))
-    assert (judged.finding.verdict, judged.finding.model) == (model, model)
-
-
-@pytest.mark.slow
-def test_the_dome_that_can_be_detected(scene, waves):
-    noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
-    limit = minimum_detectable_rms(scene.geometry, noise)
-    dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
-
-    def found(size):
-        runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
-        return np.mean([run.evidence.p_noise <= 0.01 for run in runs])
-
-    # 80 % of such domes are found at 1 %, within the scatter of 30 runs and of the noise's estimate; of half as large
-    # ones far fewer.
-    assert found(limit) >= 0.6
-    assert found(limit / 2) <= 0.6
-
-
-# Recovery: whole clouds.
-
-
-def sampled(count, rng):
-    return city(3).sample(count, rng)[0]
-
-
-def noisy(points, rng, size=0.02):
-    return points + rng.normal(0, size, points.shape)
-
-
-def dome(points, rms):
-    square = np.square(points[:, :2]).sum(axis=1)
-    lift = square - square.mean()
-    return points + rms * (lift / lift.std())[:, None] * [0, 0, -1]
-
-
-def verdict(reference, candidate, method="icp", **options):
-    return deform(Cloud(reference, unit="m", **options), Cloud(candidate, unit="m"), method)[1]
-
-
-def codes(found):
-    return [notice.code for notice in found.warnings]
 
 
 def test_a_dome_of_two_clouds_comes_back_with_its_size():
@@ -354,44 +196,6 @@ def test_vegetation_is_weighed_down_by_its_class():
     _, blind = deform(reference, Cloud(noisy(candidate, rng), unit="m"))
     _, seeing = deform(reference, Cloud(noisy(candidate, rng), unit="m", attributes={"classification": classes}))
     assert seeing.amplitude.rms < 0.5 * blind.amplitude.rms
-
-
-def test_it_is_deterministic():
-    rng = np.random.default_rng(13)
-    reference, candidate = noisy(sampled(60_000, rng), rng), noisy(sampled(20_000, rng), rng)
-    first, second = (verdict(reference, candidate) for _ in range(2))
-    assert first == second
-    np.testing.assert_array_equal(first.field.displacements, second.field.displacements)
-
-
-# The command.
-
-
-def test_deform_leaves_a_folder(tmp_path, capsys):
-    from pcbench import cli
-
-    rng = np.random.default_rng(14)
-    write_cloud(tmp_path / "ref.ply", Cloud(noisy(sampled(60_000, rng), rng), unit="m"))
-    write_cloud(tmp_path / "cand.ply", Cloud(noisy(dome(sampled(30_000, rng), 0.1), rng), unit="m"))
-    arguments = ["deform", str(tmp_path / "ref.ply"), str(tmp_path / "cand.ply"), "--out", str(tmp_path / "bend")]
-    cli.app([*arguments, "--no-figures"], standalone_mode=False)
-    assert "cand.ply is bent against the reference" in capsys.readouterr().out
-    values = json.loads((tmp_path / "bend/deformation.json").read_text())
-    assert values["verdict"] == "non-affine"
-    assert {
-        "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "noise", "tiles", "growth", "observable",
-        "local", "minimum_detectable_rms", "warnings",
-    } <= values.keys()  # fmt: skip
-    assert {p.name for p in (tmp_path / "bend").iterdir()} == {
-        "T.txt", "aligned.ply", "deformation.csv", "deformation.json", "deformation.ply",
-    }  # fmt: skip
-    field = read_cloud(tmp_path / "bend/deformation.ply")
-    table = read_cloud(tmp_path / "bend/deformation.csv")
-    np.testing.assert_allclose(table.points, field.points, rtol=1e-12)
-    assert "displacement_z" in table.attributes
-    # A second run replaces the first.
-    cli.app([*arguments, "--no-figures", "-q"], standalone_mode=False)
-    assert json.loads((tmp_path / "bend/deformation.json").read_text()) == values
 
 
 # Real geometry and density.

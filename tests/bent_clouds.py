@@ -1,0 +1,32 @@
+"""Clouds of the synthetic city with noise and a dome, and the verdict on two of them."""
+
+import numpy as np
+
+from pcbench import Cloud
+from pcbench.deformation import deform
+from pcbench.scenes.synthetic import city
+
+
+def sampled(count, rng):
+    """(count, 3) points of the city, in metres."""
+    return city(3).sample(count, rng)[0]
+
+
+def noisy(points, rng, size=0.02):
+    return points + rng.normal(0, size, points.shape)
+
+
+def dome(points, rms):
+    """The points, lower towards the edge, by displacements of this RMS."""
+    square = np.square(points[:, :2]).sum(axis=1)
+    lift = square - square.mean()
+    return points + rms * (lift / lift.std())[:, None] * [0, 0, -1]
+
+
+def verdict(reference, candidate, method="icp", **options):
+    return deform(Cloud(reference, unit="m", **options), Cloud(candidate, unit="m"), method)[1]
+
+
+def codes(found):
+    """Those of the warnings."""
+    return [notice.code for notice in found.warnings]

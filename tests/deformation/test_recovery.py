@@ -1,0 +1,89 @@
+"""Noise and bends of known size, along exact tangent planes, come back; noise alone is no bend."""
+
+import numpy as np
+import pytest
+from bends import SIZE, Cell, Scene, bends
+
+from pcbench.deformation.model import Noise
+from pcbench.deformation.size import minimum_detectable_rms
+
+NOISE = Cell("gauss", 40)  # white and correlated in equal parts, over 5 m of 200 m
+KINDS = tuple(bends(np.zeros((1, 3)), SIZE))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene(8000)
+
+
+@pytest.fixture(scope="module")
+def waves(scene):
+    return scene.waves(NOISE)
+
+
+@pytest.mark.slow
+def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
+    """Noise of known variances is put through the same sums: their power is what was predicted."""
+    step = scene.geometry.step("affine", "cubic")
+    lengths = scene.geometry.lengths
+    # Two kernels that together cover the area of the one that is simulated: their lengths are fixed.
+    above = int(np.searchsorted(lengths, NOISE.length))
+    below, beyond = lengths[above - 1] ** 2, lengths[above] ** 2
+    components = np.zeros(len(lengths))
+    components[above] = 0.02**2 * (NOISE.length**2 - below) / (beyond - below)
+    components[above - 1] = 0.02**2 - components[above]
+    predicted = np.trace(scene.geometry.covariance(step, Noise(0.02**2, components, lengths)))
+    powers = []
+    for seed in range(40):
+        scores = scene.judge(scene.noise(NOISE, waves, seed)).scores
+        powers.append(np.square(step.modes.T @ scores.total).sum())
+    # Cells are coarse, and the mean of 40 runs is good to 5 %.
+    assert np.mean(powers) == pytest.approx(predicted, rel=0.2)
+
+
+def test_noise_comes_back(scene, waves):
+    found = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
+    assert np.mean([np.sqrt(n.white) for n in found]) == pytest.approx(0.02, rel=0.1)
+    assert np.mean([np.sqrt(n.correlated) for n in found]) == pytest.approx(0.02, rel=0.15)
+    assert np.median([n.correlation_length for n in found]) == pytest.approx(5.0, rel=0.3)
+
+
+def test_nothing_is_found_where_nothing_is(scene, waves):
+    findings = [scene.judge(scene.noise(NOISE, waves, 100 + seed)).finding for seed in range(20)]
+    assert [f.verdict for f in findings].count("none") >= 18
+    assert not any(f.verdict == "non-affine" for f in findings)
+
+
+@pytest.mark.parametrize("times", [1, 2, 5])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_bend_is_found(scene, waves, kind, times):
+    bend = times * NOISE.total * scene.beyond_affine(bends(scene.places, SIZE)[kind])
+    judged = scene.judge(scene.noise(NOISE, waves, 7) + bend)
+    assert judged.finding.verdict == "non-affine"
+    if times >= 2:
+        error = np.sqrt(np.mean(np.square(scene.fitted(judged) - bend)))
+        assert error <= 0.25 * times * NOISE.total
+
+
+@pytest.mark.parametrize("model", ["similarity", "affine"])
+def test_smaller_models_are_enough_for_smaller_deformations(scene, waves, model):
+    x = scene.places
+    field = 1e-3 * x if model == "similarity" else 2e-3 * x[:, [1]] * [1.0, 0.0, 0.0]
+    judged = scene.judge(scene.noise(NOISE, waves, 8) + (field * scene.normals).sum(axis=1))
+    assert (judged.finding.verdict, judged.finding.model) == (model, model)
+
+
+@pytest.mark.slow
+def test_the_dome_that_can_be_detected(scene, waves):
+    noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
+    limit = minimum_detectable_rms(scene.geometry, noise)
+    dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
+
+    def found(size):
+        runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
+        return np.mean([run.evidence.p_noise <= 0.01 for run in runs])
+
+    # 80 % of such domes are found at 1 %, within the scatter of 30 runs and of the noise's estimate; of half as large
+    # ones far fewer.
+    assert found(limit) >= 0.6
+    assert found(limit / 2) <= 0.6

@@ -1,0 +1,119 @@
+"""The answer as a type, as JSON and as a folder; what `deform` takes."""
+
+import json
+
+import numpy as np
+import pytest
+from bent_clouds import dome, noisy, sampled, verdict
+
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.deformation import Deformation, deform
+from pcbench.errors import InputError, Notice
+from pcbench.geometry.regions import Box
+from pcbench.report import to_json
+
+LEFT_HALF = Box(np.array([-300.0, -300.0, -50.0]), np.array([0.0, 300.0, 100.0]))
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    rng = np.random.default_rng(14)
+    points = noisy(sampled(60_000, rng), rng), noisy(dome(sampled(30_000, rng), 0.1), rng)
+    return tuple(Cloud(values, unit="m") for values in points)
+
+
+@pytest.fixture(scope="module")
+def bent(clouds):
+    return deform(*clouds)[1]
+
+
+def test_an_answer_is_read_back_as_it_was_written(bent):
+    assert bent.verdict == "non-affine"
+    noted = bent.with_warnings([Notice("few-tiles", "only 3 tiles")])
+    for found in (bent, noted, Deformation.unanswered(Notice("few-pairs", "12 pairs of points"))):
+        again = Deformation.from_json(json.loads(to_json(found)))
+        assert again == found  # the field takes no part
+        assert again.field is None
+
+
+def test_json_holds_the_documented_keys_in_order(bent):
+    values = json.loads(to_json(bent.with_warnings([Notice("few-tiles", "only 3 tiles")])))
+    assert list(values) == [
+        "verdict", "model", "parameters", "p_value", "p_value_noise", "rungs", "amplitude", "remaining_rms", "noise",
+        "tiles", "pairs", "growth", "observable", "local", "minimum_detectable_rms", "warnings", "warning_codes",
+    ]  # fmt: skip
+    assert list(values["amplitude"]) == ["rms", "p95", "max", "ci"]
+    assert list(values["rungs"][0]) == ["model", "parameters", "cv_score", "cv_se", "bic_eff", "rms_explained"]
+    assert list(values["growth"]["with_height"]) == ["slope", "ci", "profile"]
+    assert list(values["growth"]["with_height"]["profile"][0]) == ["at", "mean", "ci", "null"]
+    assert values["warnings"] == ["only 3 tiles"]
+    assert values["warning_codes"] == ["few-tiles"]
+
+
+def test_reports_without_codes_are_read(bent):
+    values = json.loads(to_json(bent.with_warnings([Notice("few-tiles", "only 3 tiles")])))
+    del values["warning_codes"]
+    assert Deformation.from_json(values).warnings == (Notice("", "only 3 tiles"),)
+
+
+def test_numbers_have_six_digits(bent):
+    numbers = [bent.amplitude.rms, bent.noise.n_eff, bent.growth.with_distance.profile[0].mean, bent.rungs[4].cv_score]
+    assert numbers == [float(f"{number:.6g}") for number in numbers]
+
+
+def test_an_answer_in_words(bent):
+    size = bent.amplitude
+    words = f"a.ply is bent against the reference: {size.rms:.3g} [{size.ci[0]:.3g}, {size.ci[1]:.3g}] m RMS"
+    assert bent.sentence("a.ply", "m").startswith(words)
+    assert repr(bent) == f"<Deformation: non-affine ({bent.model} model, bend {size.rms:.3g} RMS, p = 0.001)>"
+    unanswered = Deformation.unanswered(Notice("few-pairs", "12 pairs of points: too few to tell a bend from noise"))
+    assert unanswered.sentence("a.ply").endswith("undecided: 12 pairs of points: too few to tell a bend from noise")
+    assert repr(unanswered) == "<Deformation: undecided (rigid model)>"
+
+
+def test_it_is_deterministic():
+    rng = np.random.default_rng(13)
+    reference, candidate = noisy(sampled(60_000, rng), rng), noisy(sampled(20_000, rng), rng)
+    first, second = (verdict(reference, candidate) for _ in range(2))
+    assert first == second
+    np.testing.assert_array_equal(first.field.displacements, second.field.displacements)
+
+
+def test_arrays_are_clouds_without_a_unit(clouds, bent):
+    _, found = deform(clouds[0].points, clouds[1].points)
+    assert found.verdict == "non-affine"
+    assert found.amplitude == bent.amplitude  # the scale's part is affine
+
+
+def test_a_region_is_an_object_or_its_text(clouds):
+    box = ",".join(map(str, [*LEFT_HALF.lower, *LEFT_HALF.upper]))
+    by_object, by_text = (deform(*clouds, crop=crop)[1] for crop in (LEFT_HALF, f"box:{box}"))
+    assert by_object == by_text
+    assert by_object.field.places[:, 0].max() < 5  # planes at closest points reach a little beyond
+
+
+def test_a_region_that_holds_nothing_is_refused(clouds):
+    with pytest.raises(InputError, match="leaves none of the reference's 60000 points"):
+        deform(*clouds, crop=Box(LEFT_HALF.lower - 1000, LEFT_HALF.upper - 1000))
+
+
+def test_deform_leaves_a_folder(clouds, bent, tmp_path, capsys):
+    from pcbench import cli
+
+    write_cloud(tmp_path / "ref.ply", clouds[0])
+    write_cloud(tmp_path / "cand.ply", clouds[1])
+    arguments = ["deform", str(tmp_path / "ref.ply"), str(tmp_path / "cand.ply"), "--out", str(tmp_path / "bend")]
+    cli.app([*arguments, "--no-figures"], standalone_mode=False)
+    assert "cand.ply is bent against the reference" in capsys.readouterr().out
+    values = json.loads((tmp_path / "bend/deformation.json").read_text())
+    assert Deformation.from_json(values) == bent
+    assert {p.name for p in (tmp_path / "bend").iterdir()} == {
+        "T.txt", "aligned.ply", "deformation.csv", "deformation.json", "deformation.ply",
+    }  # fmt: skip
+    field = read_cloud(tmp_path / "bend/deformation.ply")
+    table = read_cloud(tmp_path / "bend/deformation.csv")
+    np.testing.assert_allclose(table.points, field.points, rtol=1e-12)
+    assert "displacement_z" in table.attributes
+    # A second run replaces the first.
+    cli.app([*arguments, "--no-figures", "-q"], standalone_mode=False)
+    assert json.loads((tmp_path / "bend/deformation.json").read_text()) == values
