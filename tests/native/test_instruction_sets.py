@@ -11,7 +11,7 @@ import pytest
 from repository import ROOT, TESTS
 
 NATIVE = ROOT / "pcbench" / "native"
-# As in CMakeLists.txt.
+# These, and -fno-exceptions, as in CMakeLists.txt.
 FLAGS = {
     "baseline": [],
     "avx2": ["-mavx2", "-mbmi", "-mbmi2", "-mpopcnt"],
@@ -26,7 +26,7 @@ def unit(isa):
 
 def compile_unit(isa, *flags, out: Path):
     return subprocess.run(
-        [COMPILER, "-std=c++17", "-fPIC", "-fopenmp", "-ffp-contract=off", "-w", f"-I{NATIVE}", *flags]
+        [COMPILER, "-std=c++17", "-fPIC", "-fopenmp", "-fno-exceptions", "-w", f"-I{NATIVE}", *flags]
         + ["-c", str(unit(isa)), "-o", str(out)],
         capture_output=True,
         text=True,
