@@ -13,13 +13,14 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
-from pcbench.registration import Registration, Target, local_origin, register
+from pcbench.geometry.transform import Similarity
+from pcbench.registration import Method, Registration, Target, local_origin, register
 
 
 def deform(
     reference: Cloud | ArrayLike,
     candidate: Cloud | ArrayLike,
-    method: str = "icp",
+    method: Method | Similarity | ArrayLike | str = "icp",
     crop: Region | str = "none",
     seed: int = 0,
 ) -> tuple[Registration, Deformation]:
@@ -28,7 +29,7 @@ def deform(
     Args:
         reference, candidate: clouds, or (N, 3) arrays. Without a unit or a coordinate system the scale is not known,
             and another one is no deformation.
-        method: how the candidate is registered, as `pcbench.register` takes it.
+        method: how the candidate is registered, or its given pose, as `pcbench.register` takes it.
         crop: which part counts: a region in the reference's coordinates, or its text, see
             `pcbench.geometry.region_text.parse_region`. Points outside are still searched.
         seed: of the bootstrap.

@@ -10,6 +10,7 @@ from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.deformation import Deformation, deform
 from pcbench.errors import InputError, Notice
 from pcbench.geometry.regions import Box
+from pcbench.geometry.transform import Similarity
 from pcbench.report import to_json
 
 LEFT_HALF = Box(np.array([-300.0, -300.0, -50.0]), np.array([0.0, 300.0, 100.0]))
@@ -83,6 +84,12 @@ def test_arrays_are_clouds_without_a_unit(clouds, bent):
     _, found = deform(clouds[0].points, clouds[1].points)
     assert found.verdict == "non-affine"
     assert found.amplitude == bent.amplitude  # the scale's part is affine
+
+
+def test_a_given_pose_is_an_object_or_an_array(clouds):
+    _, by_text = deform(*clouds, "none")
+    for pose in (Similarity.identity(), np.eye(4)):
+        assert deform(*clouds, pose)[1] == by_text
 
 
 def test_a_region_is_an_object_or_its_text(clouds):
