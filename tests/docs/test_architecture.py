@@ -34,8 +34,8 @@ def test_files_that_are_named_exist():
 def test_names_that_are_promised_are_there():
     """What a newcomer is told to add a line to."""
     for path, name in (
-        ("pcbench/io/__init__.py", "_FORMATS"),
-        ("pcbench/io/meshes.py", "_READERS"),
+        ("pcbench/io/formats.py", "CLOUDS = {"),
+        ("pcbench/io/formats.py", "MESHES"),
         ("pcbench/measure/directions.py", "MEAN_METRICS"),
         ("pcbench/measure/presets.py", "def measure_preset("),
         ("pcbench/registration/methods.py", "def parse_method("),
