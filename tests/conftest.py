@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from functools import cache
 
 from data_folder import data_root
 
@@ -23,6 +24,28 @@ from pcbench.scenes.synthetic.render import check_renderer
 
 def pytest_report_header():
     return f"real data: {data_root() or 'none (set PCBENCH_DATA)'}"
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A file whose tests share a module's fixture goes to one worker, which builds it once; other tests go one by one.
+
+    With `--dist loadscope` every file would stay whole, and the longest decide how long the suite takes; `loadgroup`
+    of pytest-xdist 3.8 does nothing under pytest 9.2.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduler(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return file if _shares_fixtures(config.rootpath / file) else nodeid
+
+    return Scheduler(config, log)
+
+
+@cache
+def _shares_fixtures(file):
+    return 'fixture(scope="module")' in file.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
