@@ -1,4 +1,4 @@
-"""Make the pictures that the README shows: `make gallery`, or some of them: `python docs/gallery.py city bench`."""
+"""Make the pictures of the README and of these pages: `make gallery`, or some: `python docs/gallery.py city bench`."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`comparison.json`: schema `pcbench.comparison/1`, documented in the README."""
+"""`comparison.json`: schema `pcbench.comparison/1`, documented in docs/comparison-json.md."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def test_a_small_city(renderer, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_city(renderer, tmp_path, seed):
-    """The command of the README: all 40 images register, with and without what is known of the cameras."""
+    """The command of docs/howto/synthetic.md: all 40 images register, with and without what is known of the cameras."""
     settings = SceneSettings(CitySettings(seed=seed), points=1000)
     scene, surface = photographed(tmp_path / "city", settings)
     work = tmp_path / "work"
