@@ -22,6 +22,7 @@ _LABELS = {
     "sum_squared": "Chamfer, sum of mean squares",
     **{metric.name: metric.label for metric in MEAN_METRICS},
 }
+_WAYS = {FORTH: "accuracy", BACK: "completeness"}
 _LEGEND = (
     "c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit}, squares in"
     " its square, [95 % interval over blocks of space]. The sampling floor is what two samples of the same surface"
@@ -284,20 +285,22 @@ def markdown(comparison: Comparison) -> str:
 
 def html(comparison: Comparison) -> str:
     """The table for a notebook, followed by warnings and sentences; names are escaped."""
-    cell = '<td style="text-align:right">{}</td>'
+    right, left = "text-align:right;padding:1px 10px", "text-align:left;padding:1px 10px"
     names = "".join(f'<th colspan="2" style="text-align:center">{escape(c.name)}</th>' for c in comparison)
-    arrows = "".join(f'<th style="text-align:right">{arrow}</th>' for _ in comparison for arrow in ARROWS.values())
+    ways = "".join(
+        f'<th style="{right}">{_WAYS[way]} {arrow}</th>' for _ in comparison for way, arrow in ARROWS.items()
+    )
     body = []
     for line in _lines(comparison, full=False):
         if line is not None:
-            indent = ' style="padding-left:2em;text-align:left"' if line.label.startswith("  ") else ""
-            label = f'<th scope="row"{indent or " style=text-align:left"}>{escape(line.label.strip())}</th>'
-            cells = "".join(cell.format(escape(text)) for pair in line.cells for text in pair)
-            body.append(f"<tr>{label}{cells}</tr>")
+            is_detail = line.label.startswith("  ")
+            style = f"{left};font-weight:normal;padding-left:2em;opacity:0.75" if is_detail else left
+            cells = "".join(f'<td style="{right}">{escape(text)}</td>' for pair in line.cells for text in pair)
+            body.append(f'<tr><th scope="row" style="{style}">{escape(line.label.strip())}</th>{cells}</tr>')
     notes = [f"warning: {warning}" for warning in _warnings(comparison)] + list(_sentences(comparison))
     return (
         f"<p><b>{escape(_title(comparison))}</b></p>"
-        f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{arrows}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{ways}</tr></thead><tbody>{''.join(body)}</tbody></table>"
         f"<ul>{''.join(f'<li>{escape(note)}</li>' for note in notes)}</ul><p>{escape(_legend(comparison))}</p>"
     )
 
