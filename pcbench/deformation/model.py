@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.deformation.nnls import nonnegative_least_squares
 from pcbench.deformation.polynomials import (
     EXPONENTS,
     MODELS,
@@ -32,7 +33,6 @@ MIN_INFORMATION = 0.02
 _MIN_INFORMATION_AFFINE = 1e-4  # of an affine field and less
 _RIDGE = 1e-12
 _CELLS_AT_ONCE = 32  # whose matrices are made: they are much larger than the moments they are made of
-_MAX_PIVOTS = 1000  # of the non-negative fit, which takes about as many as it has unknowns
 PLACE_NOISE = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
 _LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
@@ -226,8 +226,6 @@ class Scores:
 
 def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
     """Variances of white noise and of the kernels, by least squares on moments of the largest model's residuals."""
-    from scipy.optimize import nnls
-
     expected, masks, kept = geometry.noise_design
     coefficients = geometry.fit("cubic", scores.total)
     left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
@@ -250,7 +248,7 @@ def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
         values.append(moment)
         sigmas.append(0.05 * moment)  # thousands of sub-cells, but noise of long range is the same in many of them
     scale = 1 / np.maximum(sigmas, 1e-300)
-    found, _ = nnls(np.array(rows) * scale[:, None], np.array(values) * scale, maxiter=_MAX_PIVOTS)
+    found = nonnegative_least_squares(np.array(rows) * scale[:, None], np.array(values) * scale)
     return Noise(float(found[0]), found[1:], geometry.lengths)
 
 
