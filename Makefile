@@ -39,7 +39,7 @@ other_core = CXX=$(1) $(PIP) --no-deps --upgrade --target build/$(2)/site . $(pa
 
 # The tests of the compiled core with every access and every operation checked. They run on the interpreter under the
 # virtual environment: inside it the editable install would be found first. Captured at Python's level, reports show.
-CORE_TESTS := tests/geometry/test_neighbors.py tests/geometry/test_normals.py tests/geometry/test_mesh.py \
+CORE_TESTS := tests/geometry/test_neighbors.py tests/geometry/test_normals.py $(wildcard tests/geometry/test_mesh*.py) \
   tests/native/test_instruction_sets.py
 sanitize: $(VENV)/.all
 	$(call other_core,g++,sanitize,'PCB_SANITIZE=address;undefined')

@@ -128,15 +128,15 @@ def floor_reference_to_candidate(candidate, reference):
 # MPEG's pc_error
 
 _TIE = 1e-8  # squared units
-_STEP, _MOST = 5, 30  # neighbours are fetched five at a time
+_STEP, _MAX_TIES = 5, 30  # neighbours are fetched five at a time
 
 
 def _closest(squared, fetched):
     """The nearest `fetched` indices, and five more as long as the last is exactly as near as the first."""
-    bound = np.partition(squared, _MOST - 1)[_MOST - 1] if len(squared) > _MOST else np.inf
+    bound = np.partition(squared, _MAX_TIES - 1)[_MAX_TIES - 1] if len(squared) > _MAX_TIES else np.inf
     within = np.flatnonzero(squared <= bound)
-    order = within[np.argsort(squared[within], kind="stable")][:_MOST]
-    while fetched < len(order) and squared[order[0]] == squared[order[fetched - 1]] and fetched + _STEP <= _MOST:
+    order = within[np.argsort(squared[within], kind="stable")][:_MAX_TIES]
+    while fetched < len(order) and squared[order[0]] == squared[order[fetched - 1]] and fetched + _STEP <= _MAX_TIES:
         fetched += _STEP
     return order[:fetched]
 

@@ -56,10 +56,10 @@ def register(
 
     for path in filter(None, (out, matrix)):
         check_output(path, (reference, candidate))
-    truth, cloud = (read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate))
+    reference_cloud, cloud = (read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate))
     with steps(quiet) as step:
         step("registering")
-        result = register_clouds(truth, cloud, register)
+        result = register_clouds(reference_cloud, cloud, register)
     text = format_matrix(result.T_reference_candidate)
     if out is not None:
         aligned = cloud.transformed(result.T_reference_candidate)

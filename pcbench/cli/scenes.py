@@ -117,10 +117,10 @@ def city(
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
 
-    pixels, lens = image_size(size), numbers("--distortion", distortion, float)
-    if lens is None or len(lens) != 4:
+    pixels, coefficients = image_size(size), numbers("--distortion", distortion, float)
+    if coefficients is None or len(coefficients) != 4:
         raise InputError(f"expected --distortion as four numbers k1,k2,p1,p2, got {distortion!r}")
-    intrinsics = replace(Intrinsics.from_fov(*pixels, fov), distortion=lens)
+    intrinsics = replace(Intrinsics.from_fov(*pixels, fov), distortion=coefficients)
     town = CitySettings(extent, density, height, relief, texture, water, repeated, symmetric, seed)
     town = town.hard() if hard else town
     settings = SceneSettings(town, images, intrinsics, rig, points=points, gps=gps)

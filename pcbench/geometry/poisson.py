@@ -15,7 +15,7 @@ from pcbench.geometry.normals import unit
 from pcbench.geometry.voxels import voxel_downsample_to
 
 _REACH = 4.0  # spacings between points beyond which the surface is invented, not measured
-_FEWEST = 50  # points
+_MIN_POINTS = 50
 _ORIENTED = 100_000  # points that signs are spread over
 
 
@@ -41,8 +41,8 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
     if depth is not None and not 1 <= depth <= 14:
         raise InputError(f"expected a depth of 1 to 14, got {depth}")
     normals, valid = unit(cloud.normals)
-    if (count := int(np.count_nonzero(valid))) < _FEWEST:
-        raise InputError(f"expected at least {_FEWEST} points with normals to reconstruct a surface, got {count}")
+    if (count := int(np.count_nonzero(valid))) < _MIN_POINTS:
+        raise InputError(f"expected at least {_MIN_POINTS} points with normals to reconstruct a surface, got {count}")
     low, high = cloud.bounds
     origin = low / 2 + high / 2
     points, normals = cloud.points[valid] - origin, normals[valid]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 
-_REWEIGHTED = 30  # times at most
+_MAX_REWEIGHTINGS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ def robust_similarity(candidate: FloatArray, reference: FloatArray, *, with_scal
         InputError: fewer than three pairs, or points on one line.
     """
     fit = fit_similarity(candidate, reference, with_scale=with_scale)
-    for _ in range(_REWEIGHTED):
+    for _ in range(_MAX_REWEIGHTINGS):
         residuals = np.linalg.norm(fit.apply(candidate) - reference, axis=1)
         scale = float(np.median(residuals))
         if scale <= 1e-12 * float(np.abs(reference).max(initial=1)):  # exact but for rounding

@@ -38,20 +38,20 @@ def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
     """The cameras of the images of a COLMAP model, in the order of their names; binary files go before text.
 
     Raises:
-        InputError: there is no model, it is damaged, a lens model is not supported, or a quaternion is no rotation;
+        InputError: there is no model, it is damaged, a camera model is not supported, or a quaternion is no rotation;
             the message starts with the path.
     """
     binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
     names = ("cameras.bin", "images.bin") if binary else ("cameras.txt", "images.txt")
-    lenses: dict[int, Intrinsics] = {}
+    intrinsics: dict[int, Intrinsics] = {}
     for name in names:
         path = folder / name
         try:
             data = path.read_bytes()
             if name.startswith("cameras"):
-                lenses = _binary_lenses(data) if binary else _text_lenses(data)
+                intrinsics = _binary_intrinsics(data) if binary else _text_intrinsics(data)
             else:
-                cameras = _binary_images(data, lenses) if binary else _text_images(data, lenses)
+                cameras = _binary_images(data, intrinsics) if binary else _text_images(data, intrinsics)
         except FileNotFoundError:
             raise InputError(f"{path}: no such file: expected a COLMAP model (cameras and images)") from None
         except OSError as error:
@@ -86,29 +86,29 @@ def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[floa
     return Intrinsics(width, height, p[0], p[0], p[1], p[2], (k1, k2, 0.0, 0.0))
 
 
-def _camera(name: str, lens: int, pose: Sequence[float], lenses: Mapping[int, Intrinsics]) -> Camera:
-    if lens not in lenses:
-        raise InputError(f"image {name} has camera {lens}, which is not in the file of cameras")
+def _camera(name: str, number: int, pose: Sequence[float], intrinsics: Mapping[int, Intrinsics]) -> Camera:
+    if number not in intrinsics:
+        raise InputError(f"image {name} has camera {number}, which is not in the file of cameras")
     quaternion = np.array(pose[:4], dtype=np.float64)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1) < 1e-3:
         raise InputError(f"image {name}: expected a rotation as a unit quaternion, got one of length {length:.6g}")
-    return Camera(name, lenses[lens], Similarity(_rotation(quaternion / length), np.array(pose[4:])))
+    return Camera(name, intrinsics[number], Similarity(_rotation(quaternion / length), np.array(pose[4:])))
 
 
-def _text_lenses(data: bytes) -> dict[int, Intrinsics]:
-    lenses = {}
+def _text_intrinsics(data: bytes) -> dict[int, Intrinsics]:
+    intrinsics = {}
     for line in data.decode().splitlines():
         words = line.split()
         if words and not words[0].startswith("#"):
             if len(words) < 5:
                 raise ValueError(f"expected id, model, width, height, parameters; got {line.strip()[:60]!r}")
             values = [float(word) for word in words[4:]]
-            lenses[int(words[0])] = intrinsics_from_colmap(words[1], int(words[2]), int(words[3]), values)
-    return lenses
+            intrinsics[int(words[0])] = intrinsics_from_colmap(words[1], int(words[2]), int(words[3]), values)
+    return intrinsics
 
 
-def _text_images(data: bytes, lenses: Mapping[int, Intrinsics]) -> list[Camera]:
+def _text_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Camera]:
     """Two lines an image: id, quaternion, translation, camera, name; then x, y, point triples, perhaps none."""
     cameras = []
     lines = iter(data.decode().splitlines())
@@ -118,40 +118,40 @@ def _text_images(data: bytes, lenses: Mapping[int, Intrinsics]) -> list[Camera]:
             continue
         if len(words) < 10:
             raise ValueError(f"expected id, qw qx qy qz, tx ty tz, camera, name; got {line.strip()[:60]!r}")
-        cameras.append(_camera(words[9].strip(), int(words[8]), [float(w) for w in words[1:8]], lenses))
+        cameras.append(_camera(words[9].strip(), int(words[8]), [float(w) for w in words[1:8]], intrinsics))
         # Without this line every second image would be taken for the points of the one before.
         if len(next(lines, "").split()) % 3:
             raise ValueError(f"expected a line of x, y, point triples (or an empty one) after image {words[9]!r}")
     return cameras
 
 
-def _binary_lenses(data: bytes) -> dict[int, Intrinsics]:
+def _binary_intrinsics(data: bytes) -> dict[int, Intrinsics]:
     (count,) = struct.unpack_from("<Q", data)
-    lenses, place = {}, 8
+    intrinsics, place = {}, 8
     for _ in range(count):
         number, model, width, height = struct.unpack_from("<iiQQ", data, place)
         if model not in _MODELS:
             raise InputError(f"camera model {model} is not supported: run COLMAP's image_undistorter first")
         name, parameters = _MODELS[model]
         values = struct.unpack_from(f"<{parameters}d", data, place + 24)
-        lenses[number] = intrinsics_from_colmap(name, width, height, values)
+        intrinsics[number] = intrinsics_from_colmap(name, width, height, values)
         place += 24 + 8 * parameters
-    return lenses
+    return intrinsics
 
 
-def _binary_images(data: bytes, lenses: Mapping[int, Intrinsics]) -> list[Camera]:
+def _binary_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Camera]:
     (count,) = struct.unpack_from("<Q", data)
     cameras: list[Camera] = []
     place = 8
     for _ in range(count):
-        _, *pose, lens = struct.unpack_from("<I7di", data, place)
+        _, *pose, number = struct.unpack_from("<I7di", data, place)
         start = place + struct.calcsize("<I7di")
         end = data.index(b"\0", start)
         (points,) = struct.unpack_from("<Q", data, end + 1)
         place = end + 9 + 24 * points
         if place > len(data):
             raise ValueError(f"truncated: {len(cameras)} of {count} images: copy or export the model again")
-        cameras.append(_camera(data[start:end].decode(), lens, pose, lenses))
+        cameras.append(_camera(data[start:end].decode(), number, pose, intrinsics))
     return cameras
 
 
@@ -189,18 +189,18 @@ def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | 
         OSError: a file cannot be written.
     """
     check_model_output(folder)
-    lenses: dict[Intrinsics, int] = {}
+    numbers: dict[Intrinsics, int] = {}
     images = ["# Image list with two lines of data per image:"]
     images += ["#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "#   POINTS2D[] as (X, Y, POINT3D_ID)"]
     for number, camera in enumerate(cameras, 1):
-        lens = lenses.setdefault(camera.intrinsics, len(lenses) + 1)
+        shared = numbers.setdefault(camera.intrinsics, len(numbers) + 1)
         pose = [*_quaternion(camera.cam_from_world.rotation), *camera.cam_from_world.translation]
-        images += [f"{number} {_numbers(pose)} {lens} {camera.name}", ""]
+        images += [f"{number} {_numbers(pose)} {shared} {camera.name}", ""]
     table = ["# Camera list with one line of data per camera:", "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
-    for k, number in lenses.items():
+    for k, number in numbers.items():
         model, distortion = ("PINHOLE", ()) if k.is_pinhole else ("OPENCV", k.distortion)
-        numbers = _numbers([k.fx, k.fy, k.cx, k.cy, *distortion])
-        table.append(f"{number} {model} {k.width} {k.height} {numbers}")
+        parameters = _numbers([k.fx, k.fy, k.cx, k.cy, *distortion])
+        table.append(f"{number} {model} {k.width} {k.height} {parameters}")
     rows = ["# 3D point list with one line of data per point:"]
     rows += ["#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
     if points is not None:

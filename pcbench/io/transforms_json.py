@@ -34,7 +34,7 @@ def read_transforms(path: Path, size_of: Callable[[str], Size | None]) -> tuple[
             angle of view alone leave the size to the image. Frames without size and image are left out.
 
     Raises:
-        InputError: it is no such file, a number is missing, a lens model is not supported, or a pose is no rotation;
+        InputError: it is no such file, a number is missing, a camera model is not supported, or a pose is no rotation;
             the message starts with the path and names the frame.
     """
     try:
@@ -104,20 +104,20 @@ def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "image
     Raises:
         OSError: the file cannot be written.
     """
-    lenses = [_lens(camera.intrinsics) for camera in cameras]
-    shared = lenses[0] if lenses and all(lens == lenses[0] for lens in lenses) else {}
+    intrinsics = [_intrinsics_values(camera.intrinsics) for camera in cameras]
+    shared = intrinsics[0] if intrinsics and all(values == intrinsics[0] for values in intrinsics) else {}
     frames = []
-    for camera, lens in zip(cameras, lenses, strict=True):
+    for camera, own in zip(cameras, intrinsics, strict=True):
         world_from_cam = camera.cam_from_world.inverse().matrix
         world_from_cam[:3, :3] = world_from_cam[:3, :3] @ _FLIP
         name = f"{images}/{camera.name}" if images else camera.name
-        frames.append({"file_path": name, **({} if shared else lens), "transform_matrix": world_from_cam.tolist()})
+        frames.append({"file_path": name, **({} if shared else own), "transform_matrix": world_from_cam.tolist()})
     document = {"camera_model": "OPENCV", **shared, "frames": frames}
     with atomic_write(path) as file:
         file.write(json.dumps(document, indent=1).encode() + b"\n")
 
 
-def _lens(intrinsics: Intrinsics) -> dict[str, float]:
+def _intrinsics_values(intrinsics: Intrinsics) -> dict[str, float]:
     values: dict[str, float] = {"w": intrinsics.width, "h": intrinsics.height}
     values |= {"fl_x": intrinsics.fx, "fl_y": intrinsics.fy, "cx": intrinsics.cx, "cy": intrinsics.cy}
     return values | dict(zip(("k1", "k2", "p1", "p2"), intrinsics.distortion, strict=True))

@@ -14,7 +14,7 @@ from pcbench.geometry.neighbors import Index
 
 CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
 _CORES_AT_ONCE = 512
-_FEWEST = 5  # points that a standard deviation is estimated from, as in CloudCompare
+_MIN_POINTS = 5  # points that a standard deviation is estimated from, as in CloudCompare
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def m3c2(
     mean_c, std_c, count_c = _along(candidate, cores, normals, radius, half_length)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = std_r**2 / count_r + std_c**2 / count_c
-    enough = np.minimum(count_r, count_c) >= _FEWEST
+    enough = np.minimum(count_r, count_c) >= _MIN_POINTS
     lod = np.where(enough, CONFIDENCE * (np.sqrt(variance) + registration_error), np.nan)
     return M3C2(
         cores,

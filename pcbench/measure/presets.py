@@ -21,7 +21,7 @@ from pcbench.native import _core
 NAMES = ("gao2025", "mpeg", "open3d", "pdal", "tnt")
 
 _TIE = 1e-8  # pc_error takes squared distances this close as equal
-_MOST_TIES = 30
+_MAX_TIES = 30
 
 
 @dataclass(frozen=True)
@@ -172,12 +172,12 @@ def pdal(pair: Pair) -> Pdal:
 
 def tnt(pair: Pair, thresholds: tuple[float, ...]) -> Tnt:
     """F-scores as in Tanks and Temples (Knapitsch et al. 2017): after cropping (give the selection volume as the crop),
-    both clouds are thinned to one mean point a voxel of half the threshold.
+    both clouds are downsampled to one mean point a voxel of half the threshold.
     """
     rows = []
     for threshold in thresholds:
-        thinned = (Index(_voxel_down(cloud.points, threshold / 2)) for cloud in (pair.reference, pair.candidate))
-        a, b = match_both_ways(*thinned)
+        downsampled = (Index(_voxel_down(cloud.points, threshold / 2)) for cloud in (pair.reference, pair.candidate))
+        a, b = match_both_ways(*downsampled)
         rows.append(metrics.fscore(a.distances, b.distances, threshold))
     return Tnt(tuple(rows))
 
@@ -243,7 +243,7 @@ def _choices(queries: Index, others: Index, nearest: Matches, several: NDArray[n
     if not several.any():
         return _Choices(None, nearest.indices)
     single, tied = np.flatnonzero(~several), np.flatnonzero(several)
-    found = others.query(queries.points[tied], k=min(_MOST_TIES, len(others)))
+    found = others.query(queries.points[tied], k=min(_MAX_TIES, len(others)))
     near = np.square(found.distances.reshape(len(tied), -1))
     which, column = np.nonzero(near - near[:, :1] < _TIE)
     indices = found.indices.reshape(len(tied), -1)[which, column]

@@ -24,24 +24,24 @@ from pcbench.registration import Target, local_origin
 
 _VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
 _MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-_POISSON_POINTS = 400_000  # that a Poisson mesh is made from: well under a minute
+_MAX_POISSON_POINTS = 400_000  # that a Poisson mesh is made from: well under a minute
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The reference, recentred, with all that every candidate needs, computed once."""
+    """The reference in local coordinates, with all that every candidate needs, computed once."""
 
     cloud: Cloud
     origin: FloatArray
     target: Target  # of registrations
-    region: Region | None  # in recentred coordinates
+    region: Region | None  # in local coordinates
     inside: NDArray[np.bool_]
     rows: IntArray | None  # of the points inside; None for all
     nearest_other: Matches | None
     spacing: float
     blocks: intervals.Blocks
     voxel: float
-    meshes: Mapping[str, MeshIndex]  # by the name of the map, recentred
+    meshes: Mapping[str, MeshIndex]  # by the name of the map, in local coordinates
 
     @classmethod
     def prepare(cls, given: Cloud | Mesh, settings: Settings) -> Reference:
@@ -73,7 +73,7 @@ class Reference:
         )
 
     def with_poisson_mesh(self) -> Reference:
-        """The same with a Poisson mesh of the (thinned) reference to measure distances to.
+        """The same with a Poisson mesh of the (downsampled) reference to measure distances to.
 
         Raises:
             InputError: the reference is too small for normals.
@@ -82,7 +82,7 @@ class Reference:
 
         if not self.has_normals:
             raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")
-        rows = voxel_downsample_to(self.points, _POISSON_POINTS, start=self.spacing)
+        rows = voxel_downsample_to(self.points, _MAX_POISSON_POINTS, start=self.spacing)
         cloud = Cloud(self.points[rows], normals=self.surface.normals(rows))
         mesh = poisson_mesh(cloud if self.cloud.normals is not None else oriented(cloud))
         return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})

@@ -23,9 +23,9 @@ RUNG = 1.2  # features stand a tenth more or less of scale, so poses are looked 
 
 _TRIPLES = 1_000_000  # drawn; with 2 % of the pairs right, eight of them are
 _TOLERANCE = 2.0  # cells; means over differently placed cells of one surface stand that far apart at most
-_SHORTEST = 5.0  # cells; smaller triangles say little about the rotation
+_MIN_SIDE = 5.0  # cells; smaller triangles say little about the rotation
 _EVALUATIONS = 20_000_000  # poses times pairs: a second's work
-_MOST_POSES = 20_000  # few points make many triples, but no more different ones
+_MAX_POSES = 20_000  # few points make many triples, but no more different ones
 _PROBES = 50
 
 
@@ -68,14 +68,14 @@ def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similari
         return []
     triples = np.random.default_rng(0).integers(0, len(p), (_TRIPLES, 3))
     sides_p, sides_q = _sides(p, triples), _sides(q, triples)
-    long = (np.minimum(sides_p, sides_q) > _SHORTEST).all(axis=1)
+    long = (np.minimum(sides_p, sides_q) > _MIN_SIDE).all(axis=1)
     triples, sides_p, sides_q = triples[long], sides_p[long], sides_q[long]
     scales = sides_q.sum(axis=1) / sides_p.sum(axis=1) if with_scale else np.ones(len(triples))
     alike = (np.abs(sides_q - scales[:, None] * sides_p) < _TOLERANCE).all(axis=1)
     alike &= np.abs(np.log(scales)) < np.log(RUNG)
     # Nearly straight triangles leave the turn about them open.
     alike &= (sides_p.sum(axis=1) - 2 * sides_p.max(axis=1)) > 0.02 * sides_p.sum(axis=1)
-    kept = np.flatnonzero(alike)[: min(_EVALUATIONS // len(p), _MOST_POSES)]
+    kept = np.flatnonzero(alike)[: min(_EVALUATIONS // len(p), _MAX_POSES)]
     triples, scales = triples[kept], scales[kept]
     rotations = np.einsum("nij,nkj->nik", _frames(q[triples]), _frames(p[triples]))
     linear = scales[:, None, None] * rotations

@@ -14,7 +14,7 @@ from pcbench.registration import Registration
 from pcbench.report import report_folder, write_deformation
 from pcbench.report.plot import draw_if_possible
 
-_SHOWN = 300_000  # points of the aligned candidate that pictures are drawn over
+_MAX_SHOWN_POINTS = 300_000  # points of the aligned candidate that pictures are drawn over
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ def deform_files(
     figures: bool,
     step: Callable[[str], None],
 ) -> DeformationOutcome:
-    """`deform` from files to a folder: deformation.json, the field, the aligned candidate (thinned) and pictures.
+    """`deform` from files to a folder: deformation.json, the field, the aligned candidate (downsampled) and pictures.
 
     Raises:
         PcbenchError, OSError: an input or the output is not usable; nothing was written then.
@@ -47,12 +47,12 @@ def deform_files(
     for path in (reference, candidate):
         step(f"reading {path}")
         clouds.append(read_cloud(path, on_warning=warnings.append))
-    truth, cloud = clouds
+    reference_cloud, cloud = clouds
     without_figures = None
 
     def run() -> tuple[Registration, Deformation]:
         step("registering, and looking for a bend")
-        return deform(truth, cloud, method, crop, seed)
+        return deform(reference_cloud, cloud, method, crop, seed)
 
     if out is None:
         found, deformation = run()
@@ -60,13 +60,17 @@ def deform_files(
         with report_folder(out, keep=(reference, candidate)) as folder:
             found, deformation = run()
             step("writing the report")
-            rows = voxel_downsample_to(cloud.points, _SHOWN, start=1e-4 * robust_extent(cloud.points))
+            rows = voxel_downsample_to(cloud.points, _MAX_SHOWN_POINTS, start=1e-4 * robust_extent(cloud.points))
             transform = found.T_reference_candidate
-            aligned = Cloud(transform.apply(cloud.points[rows]), crs=truth.crs, unit=truth.unit)
-            write_deformation(folder, deformation, aligned, transform, truth.crs, truth.unit)
+            aligned = Cloud(transform.apply(cloud.points[rows]), crs=reference_cloud.crs, unit=reference_cloud.unit)
+            write_deformation(folder, deformation, aligned, transform, reference_cloud.crs, reference_cloud.unit)
             if figures:
                 step("drawing the pictures")
                 without_figures = draw_if_possible(folder)
     return DeformationOutcome(
-        found, deformation, (*warnings, *(notice.text for notice in found.warnings)), truth.unit, without_figures
+        found,
+        deformation,
+        (*warnings, *(notice.text for notice in found.warnings)),
+        reference_cloud.unit,
+        without_figures,
     )

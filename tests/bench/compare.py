@@ -65,9 +65,9 @@ def open3d(folder: Path) -> dict:
     values = {}
     for name, candidate in candidates.items():
         T = np.eye(4)
-        for gate in (3.0, 1.0):
+        for max_distance in (3.0, 1.0):
             T = registered.registration_icp(
-                candidate, reference, gate, T, registered.TransformationEstimationPointToPlane()
+                candidate, reference, max_distance, T, registered.TransformationEstimationPointToPlane()
             ).transformation
         candidate.transform(T)
         clock.step("registration")

@@ -22,256 +22,20 @@ import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from measure import alternate, setting
+from registration_cases import ALSO_GLOBAL, SWEEPS, Case, clouds, rotation
+from registration_peers import MAX_DISTANCES, VOXEL, Method, from_nothing, ours, refinements, with_small_gicp
 
 from pcbench import register
-from pcbench.errors import RegistrationError
-from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import Similarity
 from pcbench.registration import Target, local_origin
-from pcbench.scenes.synthetic import city, demo
+from pcbench.scenes.synthetic import demo
 
 LIMIT = 0.05  # metres
-MAX_DISTANCES = (20.0, 6.0, 2.0)
-VOXEL, FEATURE_VOXEL = 0.5, 2.0
-ENOUGH = 0.3  # share of the candidate that a peer has to match
-
-
-class Answer(NamedTuple):
-    """What a method returns: a transform candidate -> reference, and whether it vouches for it."""
-
-    transform: Similarity | None
-    sure: bool
-
-
-Method = Callable[[FloatArray, FloatArray], Answer]
-
-
-# ---- methods ----
-
-
-def ours(method: str) -> Method:
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
-        try:
-            result = register(reference, candidate, method)
-        except RegistrationError:
-            return Answer(None, False)
-        return Answer(result.T_reference_candidate, result.converged is True and not result.warnings)
-
-    return run
-
-
-def with_open3d(kind: str) -> Method:
-    from open3d import geometry, utility
-    from open3d.pipelines import registration as o3d
-
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
-        clouds = []
-        for points in (reference, candidate):
-            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(VOXEL)
-            cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
-            clouds.append(cloud)
-        T, fitness = np.eye(4), 0.0
-        for max_distance in MAX_DISTANCES:
-            criteria = o3d.ICPConvergenceCriteria(max_iteration=60)
-            if kind == "GICP":
-                estimator = o3d.TransformationEstimationForGeneralizedICP()
-                found = o3d.registration_generalized_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
-            else:
-                # A robust kernel from the start keeps only what fits already: it comes with the last distance.
-                robust = kind == "Tukey" and max_distance == MAX_DISTANCES[-1]
-                estimator = o3d.TransformationEstimationPointToPlane(*([o3d.TukeyLoss(0.3)] if robust else []))
-                found = o3d.registration_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
-            T, fitness = found.transformation, found.fitness
-        return Answer(_rigid(T), fitness >= ENOUGH)
-
-    return run
-
-
-def with_small_gicp(kind: str) -> Method:
-    import small_gicp
-
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
-        threads = len(os.sched_getaffinity(0))
-        target, tree = small_gicp.preprocess_points(reference, VOXEL, num_threads=threads)
-        source, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
-        T, done = np.eye(4), None
-        for max_distance in MAX_DISTANCES:
-            how = {"init_T_target_source": T, "max_correspondence_distance": max_distance, "num_threads": threads}
-            if kind == "VGICP":
-                voxels = small_gicp.GaussianVoxelMap(max_distance / 2)
-                voxels.insert(target)
-                done = small_gicp.align(voxels, source, init_T_target_source=T, num_threads=threads)
-            else:
-                done = small_gicp.align(target, source, tree, registration_type=kind, max_iterations=60, **how)
-            T = done.T_target_source
-        return Answer(_rigid(T), bool(done.converged) and done.num_inliers >= ENOUGH * source.size())
-
-    return run
-
-
-def with_kiss(reference: FloatArray, candidate: FloatArray) -> Answer:
-    """KISS-Matcher as it comes, then our ICP."""
-    import kiss_matcher
-
-    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(FEATURE_VOXEL))
-    with _no_output():
-        found = matcher.estimate([*candidate.astype(np.float32)], [*reference.astype(np.float32)])
-    if matcher.get_num_final_inliers() < 5:
-        return Answer(None, False)
-    first = _rigid(_matrix(found.rotation, found.translation))
-    answer = ours("icp")(reference, first.apply(candidate))
-    return Answer(None if answer.transform is None else answer.transform @ first, answer.sure)
-
-
-def with_features(solver: str) -> Method:
-    """Open3D's FPFH with RANSAC or FGR and the parameters of its tutorial, then its point-to-plane ICP."""
-    from open3d import geometry, utility
-    from open3d.pipelines import registration as o3d
-
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
-        utility.random.seed(0)
-        v, clouds, features = FEATURE_VOXEL, [], []
-        for points in (candidate, reference):
-            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(v)
-            cloud.estimate_normals(geometry.KDTreeSearchParamHybrid(2 * v, 30))
-            clouds.append(cloud)
-            features.append(o3d.compute_fpfh_feature(cloud, geometry.KDTreeSearchParamHybrid(5 * v, 100)))
-        if solver == "FGR":
-            option = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
-            found = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, option)
-        else:
-            checks = [
-                o3d.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-                o3d.CorrespondenceCheckerBasedOnDistance(1.5 * v),
-            ]
-            found = o3d.registration_ransac_based_on_feature_matching(
-                *clouds,
-                *features,
-                True,
-                1.5 * v,
-                o3d.TransformationEstimationPointToPoint(False),
-                3,
-                checks,
-                o3d.RANSACConvergenceCriteria(100_000, 0.999),
-            )
-        fine = []
-        for points in (candidate, reference):
-            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(VOXEL)
-            cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
-            fine.append(cloud)
-        plane = o3d.TransformationEstimationPointToPlane()
-        found = o3d.registration_icp(*fine, MAX_DISTANCES[-1], found.transformation, plane)
-        return Answer(_rigid(found.transformation), found.fitness >= ENOUGH)
-
-    return run
-
-
-def refinements() -> dict[str, Method]:
-    methods = {name: ours(name) for name in ("icp", "icp-point", "similarity")}
-    if importlib.util.find_spec("open3d"):
-        methods |= {
-            "Open3D plane": with_open3d("plane"),
-            "Open3D plane, Tukey": with_open3d("Tukey"),
-            "Open3D GICP": with_open3d("GICP"),
-        }
-    if importlib.util.find_spec("small_gicp"):
-        methods |= {
-            "small_gicp plane": with_small_gicp("PLANE_ICP"),
-            "small_gicp GICP": with_small_gicp("GICP"),
-            "small_gicp VGICP": with_small_gicp("VGICP"),
-        }
-    return methods
-
-
-def from_nothing() -> dict[str, Method]:
-    methods = {name: ours(name) for name in ("global", "global-similarity")}
-    if importlib.util.find_spec("kiss_matcher"):
-        methods["KISS-Matcher, our ICP"] = with_kiss
-    if importlib.util.find_spec("open3d"):
-        methods |= {"Open3D FPFH, RANSAC": with_features("RANSAC"), "Open3D FPFH, FGR": with_features("FGR")}
-    return methods
-
-
-# ---- cases ----
-
-
-class Case(NamedTuple):
-    """Two clouds, 2 degrees and half a metre apart where nothing else is said."""
-
-    angle_deg: float = 2.0
-    offset: float = 0.5  # metres
-    overlap: float = 1.0  # share of either window that is in the other
-    outliers: float = 0.0  # share of the candidate
-    scale: float = 1.0
-    density: float = 2.0  # reference points a candidate point
-    shape: str = "city"
-
-
-class Sweep(NamedTuple):
-    title: str
-    unit: str
-    values: tuple[float | str, ...]
-    case: Callable[[float | str], Case]
-    quick: tuple[float | str, ...]
-    everyone: bool  # or only what needs no start
-
-
-SWEEPS = {
-    "rotation": Sweep("Start off by", "degrees", (5, 10, 20, 30, 45, 60), lambda v: Case(angle_deg=v), (10, 45), False),
-    "offset": Sweep("Start off by", "metres", (1, 5, 10, 20, 40), lambda v: Case(offset=v), (5, 20), False),
-    "overlap": Sweep("Overlap", "%", (100, 70, 40, 20, 10), lambda v: Case(overlap=v / 100), (40, 10), False),
-    "outliers": Sweep("Outliers", "%", (10, 30, 50), lambda v: Case(outliers=v / 100), (50,), False),
-    "scale": Sweep("Scale", "factor", (1.002, 1.03, 1.2), lambda v: Case(scale=v), (1.03,), False),
-    "density": Sweep("Density", "to 1", (1, 8, 33), lambda v: Case(density=v), (33,), False),
-    "degenerate": Sweep("Degenerate", "", ("plane", "tunnel"), lambda v: Case(shape=v), ("plane",), False),
-    "nothing": Sweep(
-        "Overlap, any pose", "%", (100, 40, 20), lambda v: Case(angle_deg=-1, overlap=v / 100), (40,), True
-    ),
-}
-# Our own global methods take part there too.
-ALSO_GLOBAL = {
-    "overlap": ("global",),
-    "outliers": ("global",),
-    "scale": ("global-similarity",),
-    "degenerate": ("global", "global-similarity"),
-}
-
-
-def clouds(case: Case, seed: int) -> tuple[FloatArray, FloatArray, Similarity]:
-    """Reference, candidate and the true transform. The scene is 200 m x 200 m (or a 40 m plane, a 40 m tunnel)."""
-    rng = np.random.default_rng(seed)
-    count = 80_000
-    if case.shape == "city":
-        town = city(seed)
-        width = 200 / (2 - case.overlap)
-        sizes = (count, count / case.density)
-        first, second = (town.sample(int(4.4 * n), rng)[0] for n in sizes)
-        first, second = (p[np.abs(p[:, :2]).max(axis=1) < 100] for p in (first, second))
-        first, second = first[first[:, 0] < width - 100], second[second[:, 0] > 100 - width]
-    else:
-        first, second = (_degenerate(case.shape, int(n), rng) for n in (count, count / case.density))
-    first, second = (p + rng.normal(0, 0.02, p.shape) for p in (first, second))
-    strays = round(len(second) * case.outliers / (1 - case.outliers))
-    second = np.concatenate([second, rng.uniform(second.min(0), second.max(0), (strays, 3))])
-    angle = rng.uniform(45, 180) if case.angle_deg < 0 else case.angle_deg
-    axis, heading = rng.normal(size=3), rng.uniform(0, 2 * np.pi)
-    shift = case.offset * np.array([np.cos(heading), np.sin(heading), 0.0])
-    R, center = _rotation(axis / np.linalg.norm(axis), np.radians(angle)), second.mean(axis=0)
-    true = Similarity(R, center + shift - case.scale * R @ center, case.scale)
-    return first, true.inverse().apply(second), true
-
-
-def _degenerate(shape: str, count: int, rng: np.random.Generator) -> FloatArray:
-    u, v = rng.uniform(0, 40, (2, count))
-    if shape == "plane":
-        return np.column_stack([u, v, np.zeros(count)])
-    return np.column_stack([u, 5 * np.cos(v), 5 * np.sin(v)])
 
 
 # ---- measuring ----
@@ -322,7 +86,7 @@ def speed(runs: int) -> None:
     scene = demo()
     reference = scene.reference
     origin = local_origin(reference)
-    start = Similarity(_rotation(np.array([0.0, 0.0, 1.0]), np.radians(5)), np.array([2.0, 0.0, 0.0]))
+    start = Similarity(rotation(np.array([0.0, 0.0, 1.0]), np.radians(5)), np.array([2.0, 0.0, 0.0]))
     true = scene.T_reference_candidate["densified"]
     candidate = start.apply(true.apply(scene.candidates["densified"].points))
     target = Target(Surface(Index(reference.points - origin)))
@@ -363,39 +127,9 @@ def speed(runs: int) -> None:
         print(f"{name:44}{wall:>8.2f}{cpu:>8.2f}")
 
 
-def _rotation(axis: FloatArray, angle: float) -> FloatArray:
-    x, y, z = axis
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
-
-
-def _matrix(rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, np.asarray(translation).ravel()
-    return matrix
-
-
-def _rigid(matrix: FloatArray) -> Similarity:
-    u, _, vt = np.linalg.svd(np.asarray(matrix)[:3, :3])  # some are rotations to single precision only
-    return Similarity(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, np.asarray(matrix)[:3, 3])
-
-
 def _cpu_seconds() -> float:
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
-
-
-class _no_output:
-    """KISS-Matcher writes to the process's standard output."""
-
-    def __enter__(self) -> None:
-        self.kept, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, 1)
-        os.close(null)
-
-    def __exit__(self, *error: object) -> None:
-        os.dup2(self.kept, 1)
-        os.close(self.kept)
 
 
 # ---- chart ----

@@ -116,7 +116,7 @@ def test_noise_above_an_exact_plane_is_noise():
     points = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
     found = verdict(exact, points, "none")
     assert found.verdict == "none"
-    # Strays beyond the gate are not counted: less than 0.01.
+    # Strays beyond the maximum correspondence distance are not counted: less than 0.01.
     assert found.noise.sigma_white == pytest.approx(0.01, rel=0.25)
     assert found.minimum_detectable_rms > 1e-4
     low, high = verdict(exact, dome(points, 0.01), "none").amplitude.ci

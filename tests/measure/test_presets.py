@@ -136,12 +136,12 @@ def test_tnt_against_open3ds_downsampling():
     low, high = np.array([5.0, 5, -10]), np.array([35.0, 30, 10])
     found = preset("tnt", a, b, thresholds=(0.5, 1.5), crop="box:5,5,-10,35,30,10").fscore
 
-    def thinned(points, side):
+    def downsampled(points, side):
         inside = points[((points >= low) & (points <= high)).all(axis=1)]
         return np.asarray(o3d.geometry.PointCloud(o3d.utility.Vector3dVector(inside)).voxel_down_sample(side).points)
 
     for row in found:
-        expected = oracles.fscore(thinned(b, row.threshold / 2), thinned(a, row.threshold / 2), row.threshold)
+        expected = oracles.fscore(downsampled(b, row.threshold / 2), downsampled(a, row.threshold / 2), row.threshold)
         assert (row.precision, row.recall, row.fscore) == pytest.approx(expected)
 
 

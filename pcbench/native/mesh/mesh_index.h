@@ -1,256 +1,27 @@
-// A tree of boxes over triangles: four children a node, their float32 boxes side by side for the CPU's vector unit.
+// Distances to triangles and rays through them, by a tree of boxes.
 //
 // Boxes only decide what is looked at: they are a little larger than what they hold, so that the answer is the one that
 // looking at every triangle in float64 would give, to the last bit, whatever the tree's shape or the threads.
 #pragma once
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
-#include <new>
 #include <vector>
 
 #include "common/interrupt.h"
+#include "mesh/morton_order.h"
 #include "mesh/ray.h"
+#include "mesh/tree.h"
 #include "mesh/triangle.h"
 
 namespace pcbench::mesh {
-
-typedef float Float4 __attribute__((vector_size(16)));
-
-inline Float4 larger(Float4 a, Float4 b) { return a > b ? a : b; }
-inline Float4 smaller(Float4 a, Float4 b) { return a < b ? a : b; }
-inline Float4 all(float value) { return Float4{value, value, value, value}; }
-
-// Child k is a node if count[k] is 0, else the triangles first[k], first[k] + 1, ... Two cache lines.
-struct alignas(64) Node {
-    Float4 low[3], high[3];
-    uint32_t first[4], count[4];
-};
-
-struct Box {
-    float low[3] = {HUGE_VALF, HUGE_VALF, HUGE_VALF}, high[3] = {-HUGE_VALF, -HUGE_VALF, -HUGE_VALF};
-
-    void include(const float* l, const float* h) {
-        for (int axis = 0; axis < 3; ++axis) {
-            low[axis] = std::min(low[axis], l[axis]);
-            high[axis] = std::max(high[axis], h[axis]);
-        }
-    }
-    float half_area() const {
-        const float x = high[0] - low[0], y = high[1] - low[1], z = high[2] - low[2];
-        return x * y + y * z + z * x;
-    }
-};
 
 // From the file's coordinates to those of the boxes: centred, and scaled by a power of two to about one.
 struct Frame {
     double origin[3], scale;
 };
-
-// ---- build ----------------------------------------------------------------------------------------------------------
-
-struct Item {  // a triangle while the tree is built
-    Box box;
-    uint32_t face;
-    float twice_centre(int axis) const { return box.low[axis] + box.high[axis]; }
-};
-
-class Builder {
-public:
-    static constexpr uint32_t kLeaf = 2;             // triangles at most
-    static constexpr uint32_t kUninterrupted = 256;  // triangles that take no time worth asking after
-    static constexpr int kBins = 12;                 // candidates for a cut
-    static constexpr int kHalving = 40;              // levels after which ranges are halved, which bounds the depth
-    static constexpr int kDepth = kHalving + 32;     // levels at most
-
-    Builder(std::vector<Item>& items, Interrupt& interrupt) : items_(items), interrupt_(interrupt) {}
-
-    // The nodes in an order that depends on the triangles alone; the first is the root. Not all of them when
-    // interrupted.
-    std::vector<Node> build() {
-        const uint32_t size = static_cast<uint32_t>(items_.size());
-        std::vector<Node> nodes;
-        std::vector<Job> jobs;
-        grow(nodes, Range(items_, 0, size), 0, std::max(1u << 14, size / 64), &jobs);
-        std::vector<std::vector<Node>> parts(jobs.size());
-        std::atomic<bool> out_of_memory{false};  // no exception may leave a parallel region
-#pragma omp parallel for schedule(dynamic, 1)
-        for (size_t j = 0; j < jobs.size(); ++j) {
-            if (out_of_memory) continue;
-            try {
-                grow(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr);
-            } catch (const std::bad_alloc&) {
-                out_of_memory = true;
-            }
-        }
-        if (out_of_memory) throw std::bad_alloc();
-        for (size_t j = 0; j < jobs.size(); ++j) {
-            const uint32_t offset = static_cast<uint32_t>(nodes.size());
-            nodes[jobs[j].node].first[jobs[j].slot] = offset;
-            for (Node& node : parts[j]) {
-                for (int k = 0; k < 4; ++k)
-                    if (node.count[k] == 0) node.first[k] += offset;
-                nodes.push_back(node);
-            }
-        }
-        return nodes;
-    }
-
-private:
-    struct Range {
-        uint32_t begin = 0, end = 0;
-        Box box;
-        Range() = default;
-        Range(const std::vector<Item>& items, uint32_t b, uint32_t e) : begin(b), end(e) {
-            for (uint32_t i = b; i < e; ++i) box.include(items[i].box.low, items[i].box.high);
-        }
-        uint32_t size() const { return end - begin; }
-    };
-    struct Job {  // a subtree left for a thread
-        Range range;
-        int depth;
-        uint32_t node;
-        int slot;
-    };
-
-    // Ranges of at most `small` triangles are not grown but noted in `jobs`.
-    uint32_t grow(std::vector<Node>& nodes, const Range& range, int depth, uint32_t small, std::vector<Job>* jobs) {
-        if (range.size() > kUninterrupted && interrupt_.requested()) return 0;
-        Range children[4];
-        children[0] = range;
-        int count = 1;
-        while (count < 4) {  // cut the child that most queries would enter
-            int widest = -1;
-            for (int k = 0; k < count; ++k)
-                if (children[k].size() > kLeaf &&
-                    (widest < 0 || children[k].box.half_area() > children[widest].box.half_area()))
-                    widest = k;
-            if (widest < 0) break;
-            const Range whole = children[widest];
-            const uint32_t middle = depth < kHalving ? cut(whole) : halve(whole);
-            children[widest] = Range(items_, whole.begin, middle);
-            children[count++] = Range(items_, middle, whole.end);
-        }
-        const uint32_t index = static_cast<uint32_t>(nodes.size());
-        nodes.emplace_back();
-        for (int k = 0; k < 4; ++k) {
-            const Range& child = children[k];
-            const bool leaf = child.size() <= kLeaf;  // an empty one too: its box is nowhere
-            for (int axis = 0; axis < 3; ++axis) {
-                nodes[index].low[axis][k] = child.box.low[axis];
-                nodes[index].high[axis][k] = child.box.high[axis];
-            }
-            nodes[index].first[k] = child.begin;
-            nodes[index].count[k] = child.size() ? child.size() : 1;
-            if (leaf) continue;
-            nodes[index].count[k] = 0;
-            if (jobs && child.size() <= small)
-                jobs->push_back({child, depth + 1, index, k});
-            else {
-                const uint32_t at = grow(nodes, child, depth + 1, small, jobs);
-                nodes[index].first[k] = at;
-            }
-        }
-        return index;
-    }
-
-    // The binned surface area heuristic: Wald, "On fast construction of SAH-based bounding volume hierarchies", 2007.
-    uint32_t cut(const Range& range) {
-        float low[3], high[3];
-        for (int axis = 0; axis < 3; ++axis) {
-            low[axis] = HUGE_VALF, high[axis] = -HUGE_VALF;
-            for (uint32_t i = range.begin; i < range.end; ++i) {
-                const float centre = items_[i].twice_centre(axis);
-                low[axis] = std::min(low[axis], centre), high[axis] = std::max(high[axis], centre);
-            }
-        }
-        int axis = 0;
-        for (int other = 1; other < 3; ++other)
-            if (high[other] - low[other] > high[axis] - low[axis]) axis = other;
-        const float scale = kBins / (high[axis] - low[axis]);
-        if (!(scale < std::numeric_limits<float>::max())) return halve(range);
-        const auto bin = [&](const Item& item) {
-            return std::min(kBins - 1, static_cast<int>((item.twice_centre(axis) - low[axis]) * scale));
-        };
-        Box boxes[kBins];
-        uint32_t counts[kBins] = {};
-        for (uint32_t i = range.begin; i < range.end; ++i) {
-            const int b = bin(items_[i]);
-            boxes[b].include(items_[i].box.low, items_[i].box.high);
-            ++counts[b];
-        }
-        float below[kBins];  // cost of all bins up to this one
-        Box box;
-        uint32_t count = 0;
-        for (int b = 0; b < kBins; ++b) {
-            box.include(boxes[b].low, boxes[b].high);
-            count += counts[b];
-            below[b] = count ? count * box.half_area() : 0;
-        }
-        box = Box(), count = 0;
-        float best = HUGE_VALF;
-        int last = -1;  // bin of the left side
-        for (int b = kBins - 1; b > 0; --b) {
-            box.include(boxes[b].low, boxes[b].high);
-            count += counts[b];
-            if (count == 0 || count == range.size()) continue;
-            const float cost = below[b - 1] + count * box.half_area();
-            if (cost < best) best = cost, last = b - 1;
-        }
-        if (last < 0) return halve(range);
-        const auto middle = std::partition(items_.begin() + range.begin, items_.begin() + range.end,
-                                           [&](const Item& item) { return bin(item) <= last; });
-        return static_cast<uint32_t>(middle - items_.begin());
-    }
-
-    static uint32_t halve(const Range& range) { return range.begin + range.size() / 2; }
-
-    std::vector<Item>& items_;
-    Interrupt& interrupt_;
-};
-
-// ---- order ----------------------------------------------------------------------------------------------------------
-
-inline uint32_t spread_bits(uint32_t value) {  // ten bits to every third place
-    value = (value | value << 16) & 0x030000FFu;
-    value = (value | value << 8) & 0x0300F00Fu;
-    value = (value | value << 4) & 0x030C30C3u;
-    return (value | value << 2) & 0x09249249u;
-}
-
-// Indices of the points along a Morton curve: neighbours in it are neighbours in space.
-inline std::vector<uint32_t> morton_order(const double* points, size_t count) {
-    double low[3], high[3];
-    for (int axis = 0; axis < 3; ++axis) low[axis] = HUGE_VAL, high[axis] = -HUGE_VAL;
-    for (size_t i = 0; i < count; ++i)
-        for (int axis = 0; axis < 3; ++axis) {
-            low[axis] = std::min(low[axis], points[3 * i + axis]);
-            high[axis] = std::max(high[axis], points[3 * i + axis]);
-        }
-    double widest = 0;
-    for (int axis = 0; axis < 3; ++axis) widest = std::max(widest, high[axis] - low[axis]);
-    const double scale = widest > 0 ? 1023.0 / widest : 0.0;
-    std::vector<uint64_t> keys(count), other(count);
-    for (size_t i = 0; i < count; ++i) {
-        uint32_t code = 0;
-        for (int axis = 0; axis < 3; ++axis)
-            code |= spread_bits(static_cast<uint32_t>((points[3 * i + axis] - low[axis]) * scale)) << axis;
-        keys[i] = static_cast<uint64_t>(code) << 32 | i;
-    }
-    for (int shift = 32; shift < 62; shift += 10) {  // a radix sort, ten bits at a time
-        size_t starts[1025] = {};
-        for (uint64_t key : keys) ++starts[(key >> shift & 1023) + 1];
-        for (int b = 0; b < 1024; ++b) starts[b + 1] += starts[b];
-        for (uint64_t key : keys) other[starts[key >> shift & 1023]++] = key;
-        keys.swap(other);
-    }
-    return std::vector<uint32_t>(keys.begin(), keys.end());
-}
-
-// ---- query ----------------------------------------------------------------------------------------------------------
 
 class MeshIndex {
 public:

@@ -16,7 +16,7 @@ from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.opengl import OFF_SCREEN, NoFiguresError, check_opengl
 
-_TIME_LIMIT_S = 600
+_MAX_SECONDS = 600
 
 
 class Picture(NamedTuple):
@@ -74,11 +74,11 @@ def draw(report: Path, names: tuple[str, ...] = (), drawer: Drawer = REPORT) -> 
         str(report.absolute()),
         drawer.function,
         *names,
-        limits=Limits(seconds=_TIME_LIMIT_S),
+        limits=Limits(seconds=_MAX_SECONDS),
         environment=OFF_SCREEN,
     )
     if done.timed_out:
-        raise NoFiguresError(f"no pictures: drawing took longer than {_TIME_LIMIT_S} s")
+        raise NoFiguresError(f"no pictures: drawing took longer than {_MAX_SECONDS} s")
     lines = done.output.splitlines()
     if done.code == 2 and lines:
         raise InputError(lines[-1])

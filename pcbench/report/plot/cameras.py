@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pcbench.scenes import Scene
 
 _CAMERA, _PATH, _POINT = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
-_MOST_POINTS = 20_000  # more are drawn as a blot
+_MAX_POINTS = 20_000  # more are drawn as a blot
 
 
 def draw_cameras(scene: Scene, path: Path) -> None:
@@ -135,10 +135,10 @@ def _upright(cameras: list[Camera]) -> tuple[FloatArray, bool]:
 
 
 def _near(points: FloatArray, positions: FloatArray) -> FloatArray:
-    """At most `_MOST_POINTS` of the points (N, 3), without the strays that would leave the cameras a dot."""
+    """At most `_MAX_POINTS` of the points (N, 3), without the strays that would leave the cameras a dot."""
     centre = np.median(points, axis=0)
     distances = np.linalg.norm(points - centre, axis=1)
     reach = max(float(np.quantile(distances, 0.95)), float(np.linalg.norm(positions - centre, axis=1).max()))
     kept = points[distances <= 1.5 * reach]
-    shown: FloatArray = kept[:: max(1, len(kept) // _MOST_POINTS)]
+    shown: FloatArray = kept[:: max(1, len(kept) // _MAX_POINTS)]
     return shown

@@ -17,8 +17,8 @@ from pcbench.opengl import OFF_SCREEN, check_opengl
 from pcbench.scenes.synthetic.render_worker import FINER
 from pcbench.scenes.synthetic.surface import CitySurface
 
-_TIME_LIMIT_S = 120  # an image: software OpenGL needs a second for a megapixel
-_LARGEST = 16384  # pixels along a side of what OpenGL draws
+_MAX_SECONDS = 120  # an image: software OpenGL needs a second for a megapixel
+_MAX_SIDE = 16384  # pixels along a side of what OpenGL draws
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ def check_intrinsics(intrinsics: Intrinsics) -> None:
         InputError: the image is larger than OpenGL can draw, or its distortion folds it over.
     """
     drawn = 2 * intrinsics.widest * max(intrinsics.fx, intrinsics.fy) * FINER
-    if drawn.max() > _LARGEST:
+    if drawn.max() > _MAX_SIDE:
         raise InputError(
-            f"expected images of at most {_LARGEST // FINER} pixels along a side (less where the lens widens them), got"
-            f" {intrinsics.width} x {intrinsics.height}"
+            f"expected images of at most {_MAX_SIDE // FINER} pixels along a side (less where the lens widens them),"
+            f" got {intrinsics.width} x {intrinsics.height}"
         )
 
 
@@ -98,11 +98,11 @@ def render(
             "pcbench.scenes.synthetic.render_worker",
             str(job),
             str(folder.absolute()),
-            limits=Limits(seconds=_TIME_LIMIT_S * (1 + len(cameras))),
+            limits=Limits(seconds=_MAX_SECONDS * (1 + len(cameras))),
             environment=OFF_SCREEN,
         )
     if done.timed_out:
-        raise PcbenchError(f"no images: drawing took longer than {_TIME_LIMIT_S} s an image")
+        raise PcbenchError(f"no images: drawing took longer than {_MAX_SECONDS} s an image")
     missing = [camera.name for camera in cameras if not (folder / camera.name).is_file()]
     if done.code != 0 or missing:
         raise PcbenchError(f"no images: drawing failed ({done.last_words or 'it crashed'})")

@@ -18,7 +18,7 @@ _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7
 _SHAPES = ("o", "s", "^", "D", "v", "P", "X")
 _BEATEN = "#d9dbde"
 _FRONT = "#3c4148"
-_SMALLEST, _LARGEST = 40.0, 380.0  # points squared: a marker's area grows with memory between them
+_MIN_AREA, _MAX_AREA = 40.0, 380.0  # points squared: a marker's area grows with memory between them
 _WIDE = 10  # times the smallest length, from which on lengths are drawn on a logarithmic scale
 
 
@@ -82,7 +82,7 @@ class _Look(NamedTuple):
         return self.area_of(configuration.median("peak_rss_bytes") or 0.0)
 
     def area_of(self, memory: float) -> float:
-        return _SMALLEST + (_LARGEST - _SMALLEST) * memory / self.most_memory
+        return _MIN_AREA + (_MAX_AREA - _MIN_AREA) * memory / self.most_memory
 
     def series(self, method: str, choices: Mapping[str, str]) -> str:
         return _series(method, choices, self.words)

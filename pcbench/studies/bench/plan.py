@@ -12,7 +12,7 @@ from pcbench.plugins.run import Description
 from pcbench.studies.bench.pareto import choice_words
 
 IMAGE_SCALE = "image_scale"  # of the scene; every other name is a setting of the method
-_MOST = 10_000  # runs of a method
+_MAX_RUNS = 10_000  # of a method
 _SEED = "seed"
 
 
@@ -150,8 +150,8 @@ def trials(methods: Sequence[Method], axes: Sequence[Axis], seeds: int) -> tuple
         if seeds > 1 and not seeded:
             notes.append(f"{method.label} has no setting 'seed': one run instead of {seeds}")
         runs = math.prod(map(len, chosen.values())) * (seeds if seeded else 1)
-        if runs > _MOST:
-            raise InputError(f"{method.label}: {runs:,} runs are asked for, expected at most {_MOST:,}: sweep less")
+        if runs > _MAX_RUNS:
+            raise InputError(f"{method.label}: {runs:,} runs are asked for, expected at most {_MAX_RUNS:,}: sweep less")
         for values in product(*chosen.values()):
             choices = dict(zip(chosen, values, strict=True))
             result += [Trial(method, choices, seed) for seed in (range(seeds) if seeded else (None,))]

@@ -89,8 +89,8 @@ def seen_points(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDAr
     nearest to them, which takes a scanner's noise out.
     """
     index = MeshIndex(mesh)
-    _, feet, faces = index.query(cloud.points)
-    counts = views(index, list(cameras.values()), feet, mesh.normals()[faces], enough=SEEN_BY)
+    _, closest, faces = index.query(cloud.points)
+    counts = views(index, list(cameras.values()), closest, mesh.normals()[faces], enough=SEEN_BY)
     seen: NDArray[np.bool_] = counts >= SEEN_BY
     return seen
 

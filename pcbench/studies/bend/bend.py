@@ -31,16 +31,16 @@ from pcbench.plugins.stages import library_versions, stage
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
-from pcbench.studies.bend.findings import Solution, Variant, csv_text, findings, lens_values
+from pcbench.studies.bend.findings import Solution, Variant, csv_text, findings, intrinsics_values
 
 SCHEMA = "pcbench.experiment.bend/1"
 PLUGIN = "sfm"
-_LENSES, _OURS = "lenses", ".experiment"  # in the folder of an experiment
+_INTRINSICS, _OURS = "lenses", ".experiment"  # in the folder of an experiment
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # of the lens that synthetic scenes are photographed with
 _FOV = 60.0  # degrees, vertically: a drone's
 _POINTS = 400_000  # of the synthetic truth
 _NADIR = 10.0  # degrees from the vertical: an image that looks straight down
-_FEWEST = 6  # images
+_MIN_IMAGES = 6
 _MARK = 0.5  # pixels, standard deviation of a control point's mark
 _SURVEY = 0.01  # in the truth's unit, of its position
 _LIFT = 1e-4  # in the truth's unit, off the surface to where lines of sight start
@@ -101,12 +101,12 @@ def run_bend(
     for number, variant in enumerate(plan, 1):
         step(f"solving {number} of {len(plan)}: {variant.name}")
         solutions.append(_solve(inputs, variant, surface))
-    lens = data.cameras[data.images[0]].intrinsics
+    intrinsics = data.cameras[data.images[0]].intrinsics
     document = {
         "schema": SCHEMA,
-        "scene": {"path": str(folder), "images": len(data), "lens": lens_values(lens), "unit": truth.unit},
+        "scene": {"path": str(folder), "images": len(data), "lens": intrinsics_values(intrinsics), "unit": truth.unit},
         "plugin": PLUGIN,
-        **findings(solutions, truth, lens, settings.seed, step),
+        **findings(solutions, truth, intrinsics, settings.seed, step),
         "provenance": provenance(settings.seed),
     }
     for solution in solutions:
@@ -131,7 +131,7 @@ def run_bend(
 
 
 def _begin(out: Path) -> None:
-    (out / _LENSES).mkdir(parents=True, exist_ok=True)
+    (out / _INTRINSICS).mkdir(parents=True, exist_ok=True)
     (out / _OURS).touch()
 
 
@@ -147,7 +147,7 @@ def variants(scene: Scene) -> Iterator[Variant]:
     yield Variant("lens free", down, "free", "free", control=False)
     yield Variant("lens free, control points", down, "free", "free", control=True)
     yield Variant("lens unknown", down, "guessed", "free", control=False)
-    if len(nadir) >= 2 * _FEWEST:
+    if len(nadir) >= 2 * _MIN_IMAGES:
         yield Variant("lens free, every second image", "half", "free", "free", control=False)
     if oblique:
         yield Variant("no distortion, oblique images too", "oblique", "true", "zero", control=False)
@@ -164,11 +164,11 @@ def _synthetic(out: Path, settings: Experiment, step: Callable[[str], None]) -> 
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
 
-    lens = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV), distortion=DISTORTION)
+    intrinsics = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV), distortion=DISTORTION)
     town = CitySettings(seed=settings.seed)
-    made = SceneSettings(town, settings.images, lens, "drone", points=_POINTS)
-    if settings.images < 2 * _FEWEST:
-        raise InputError(f"expected at least {2 * _FEWEST} images, got {settings.images}")
+    made = SceneSettings(town, settings.images, intrinsics, "drone", points=_POINTS)
+    if settings.images < 2 * _MIN_IMAGES:
+        raise InputError(f"expected at least {2 * _MIN_IMAGES} images, got {settings.images}")
     key = {"settings": repr(made), "versions": library_versions()}
     return stage(out, "scene", key, lambda folder: write_scene(folder, made, step))
 
@@ -186,23 +186,23 @@ def _looking_down(scene: Scene) -> tuple[list[str], list[str]]:
     """Names of the nadir images and of the others; all are of one kind where hardly any looks straight down.
 
     Raises:
-        InputError: an image has no camera, they do not share one lens, or they are too few.
+        InputError: an image has no camera, they do not share their intrinsics, or they are too few.
     """
     if bare := [name for name in scene.images if name not in scene.cameras]:
         raise InputError(f"{scene.folder}: {bare[0]} has no camera: the experiment needs the true ones")
     if len({camera.intrinsics for camera in scene.cameras.values()}) > 1:
         raise InputError(f"{scene.folder}: expected images of one lens")
-    if len(scene) < _FEWEST:
-        raise InputError(f"{scene.folder}: expected at least {_FEWEST} images, got {len(scene)}")
+    if len(scene) < _MIN_IMAGES:
+        raise InputError(f"{scene.folder}: expected at least {_MIN_IMAGES} images, got {len(scene)}")
     down = [name for name in scene.images if -scene.cameras[name].direction[2] >= np.cos(np.radians(_NADIR))]
-    if len(down) < _FEWEST:
+    if len(down) < _MIN_IMAGES:
         return list(scene.images), []
     return down, [name for name in scene.images if name not in set(down)]
 
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What the solutions share: the scene, its lens as the variants are told it, and control points."""
+    """What the solutions share: the scene, its intrinsics as the variants are told them, and control points."""
 
     out: Path
     folder: Path
@@ -215,10 +215,10 @@ class _Inputs:
         return {"oblique": [*nadir, *oblique], "half": nadir[::2]}.get(variant.images, nadir)
 
     def cameras(self, variant: Variant) -> str:
-        """The argument `cameras` of a job: nothing, or the true poses (which are not used) with a lens."""
+        """The argument `cameras` of a job: nothing, or the true poses (which are not used) with intrinsics."""
         if variant.focal == "guessed":
             return "none"
-        return str(self.out / _LENSES / ("true" if variant.distortion == "true" else "undistorted"))
+        return str(self.out / _INTRINSICS / ("true" if variant.distortion == "true" else "undistorted"))
 
     def settings(self, variant: Variant) -> dict[str, str]:
         focal, distortion = variant.focal != "true", variant.distortion == "free"
@@ -228,11 +228,11 @@ class _Inputs:
         return {**values, "control": control, "align": "control"} if variant.control else {**values, "align": "none"}
 
     def write(self, mesh: MeshIndex, truth: Cloud) -> None:
-        """The lenses and the control points as files."""
+        """The intrinsics and the control points as files."""
         cameras = [self.scene.cameras[name] for name in self.scene.images]
         plain = [replace(c, intrinsics=replace(c.intrinsics, distortion=(0.0, 0.0, 0.0, 0.0))) for c in cameras]
-        write_colmap_model(self.out / _LENSES / "true", cameras)
-        write_colmap_model(self.out / _LENSES / "undistorted", plain)
+        write_colmap_model(self.out / _INTRINSICS / "true", cameras)
+        write_colmap_model(self.out / _INTRINSICS / "undistorted", plain)
         lines = list(_control_lines(cameras, mesh, truth, self.seed))
         with atomic_write(self.out / "control.txt") as file:
             file.write("\n".join(["# NAME X Y Z IMAGE U V", *lines, ""]).encode())
@@ -264,7 +264,7 @@ def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, see
 
 
 def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
-    """One variant's cloud in the world of the truth, and its lens; the reconstruction is kept for the next run."""
+    """One variant's cloud in the world of the truth and its intrinsics; the reconstruction is kept for the next run."""
     images = inputs.images(variant)
     cameras_from = inputs.cameras(variant)
     job = ReconstructionJob(PLUGIN, inputs.folder, inputs.settings(variant), cameras=cameras_from, images=tuple(images))
@@ -293,8 +293,8 @@ def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
     except PcbenchError as error:
         return Solution(variant, len(images), failure=str(error))
     notes = json.loads((folder / "notes.json").read_text(encoding="utf-8"))
-    lens = next(iter(cameras.values())).intrinsics
-    return Solution(variant, len(images), len(cameras), cloud, lens, tuple(notes))
+    intrinsics = next(iter(cameras.values())).intrinsics
+    return Solution(variant, len(images), len(cameras), cloud, intrinsics, tuple(notes))
 
 
 def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, Camera], surface: MeshIndex) -> Cloud:
@@ -308,7 +308,7 @@ def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, 
     """
     names = sorted(set(found) & set(truth))
     middle = [0.5 * truth[names[0]].intrinsics.width, 0.5 * truth[names[0]].intrinsics.height]
-    # Each point through the camera that has it nearest to its middle, where lenses differ least.
+    # Each point through the camera that has it nearest to its middle, where intrinsics differ least.
     off, eyes, rays = np.full(len(cloud), min(middle)), np.zeros((len(cloud), 3)), np.zeros((len(cloud), 3))
     for name in names:
         at, _ = found[name].project(cloud.points)

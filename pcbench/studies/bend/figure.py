@@ -31,7 +31,7 @@ _SMALL = 0.1
 
 def draw_bend(document: Mapping[str, Any], path: Path) -> None:
     """Draw the document of an experiment as a PNG: vertical displacement against distance with the band that noise
-    alone would fill, the bend's size against the error of the lens, and a map a solution.
+    alone would fill, the bend's size against the error of the intrinsics, and a map a solution.
 
     Raises:
         MissingExtra: matplotlib is not installed.
@@ -102,7 +102,7 @@ def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str],
 
 
 def _sizes(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str) -> None:
-    """Bend against the error of the lens, both logarithmic, with intervals; hollow where there is no verdict of one."""
+    """Bend against the error of the intrinsics, logarithmic, with intervals; hollow where no verdict says so."""
     shown = [r for r in rows if r["lens_error_px"] is not None and r["truth"]["rms"]]
     least = 0.5 * min((r["lens_error_px"] for r in shown if r["lens_error_px"] > 1e-3), default=0.01)
     for row in shown:

@@ -27,7 +27,7 @@ FACTORS = {
     "control": ("control points", {"True": "with them", "False": "without them"}),
 }
 _TOGETHER = 0.5  # rank correlation
-_GRID = 24  # pixels of a lens that are compared, along each side
+_GRID = 24  # pixels that intrinsics are compared at, along each side
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What became of a variant: a cloud near the truth and a lens, or why there is none.
+    """What became of a variant: a cloud near the truth and the solved intrinsics, or why there is none.
 
     Args:
         given, registered: images.
@@ -68,7 +68,7 @@ class Solution:
     given: int
     registered: int = 0
     cloud: Cloud | None = None
-    lens: Intrinsics | None = None
+    intrinsics: Intrinsics | None = None
     notes: tuple[str, ...] = ()
     failure: str = ""
 
@@ -76,7 +76,7 @@ class Solution:
 def findings(
     solutions: Sequence[Solution],
     truth: Cloud,
-    lens: Intrinsics,
+    intrinsics: Intrinsics,
     seed: int = 0,
     step: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def findings(
 
     Args:
         truth: the true surface.
-        lens: the true one.
+        intrinsics: the true ones.
         seed: of the bootstrap.
     """
     first: tuple[str, Cloud] | None = None
@@ -104,9 +104,9 @@ def findings(
             row["points"] = len(solution.cloud)
             errors = solution.cloud.attributes.get("reprojection_error")
             row["reprojection_error"] = None if errors is None else float(np.mean(errors))
-            if (k := solution.lens) is not None:
-                row["lens"] = lens_values(k)
-                row["lens_error_px"] = lens_error(k, lens)
+            if (k := solution.intrinsics) is not None:
+                row["lens"] = intrinsics_values(k)
+                row["lens_error_px"] = intrinsics_error(k, intrinsics)
             found, placed = _deformation(truth, solution.cloud, "similarity", seed)
             row["truth"] = _summary(found)
             if found.field is not None:
@@ -124,14 +124,14 @@ def findings(
     return {"rows": rows, "sentences": list(explain(rows, truth.unit or ""))}
 
 
-def lens_error(lens: Intrinsics, truth: Intrinsics) -> float:
-    """RMS in pixels, over the image, of what a lens does wrong beyond a wrong focal length: images of a flat scene from
-    above do not tell that from another height.
+def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
+    """RMS in pixels, over the image, of what intrinsics do wrong beyond a wrong focal length: images of a flat scene
+    from above do not tell that from another height.
     """
     middles = (np.arange(_GRID) + 0.5) / _GRID
     u, v = np.meshgrid(truth.width * middles, truth.height * middles)
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    ours, true = lens.directions(pixels)[:, :2], truth.directions(pixels)[:, :2]
+    ours, true = intrinsics.directions(pixels)[:, :2], truth.directions(pixels)[:, :2]
     scale = float((ours * true).sum() / np.square(ours).sum())
     return truth.fx * float(np.sqrt(np.square(scale * ours - true).sum(axis=1).mean()))
 
@@ -170,7 +170,7 @@ def explain(rows: Sequence[Mapping[str, Any]], unit: str) -> Iterator[str]:
                 + f" ({own[0]['rows'][0]['name']!r} against {own[0]['rows'][1]['name']!r})."
             )
     yield from _shape(main["rows"][0], unit)
-    yield from _lens_words(known)
+    yield from _intrinsics_words(known)
     yield from _mutual_words(known, unit)
 
 
@@ -216,9 +216,9 @@ def csv_text(document: Mapping[str, Any]) -> str:
     return text.getvalue()
 
 
-def lens_values(lens: Intrinsics) -> dict[str, Any]:
-    """A lens as JSON holds it."""
-    return {"fx": lens.fx, "fy": lens.fy, "distortion": list(lens.distortion), "size": [lens.width, lens.height]}
+def intrinsics_values(k: Intrinsics) -> dict[str, Any]:
+    """Intrinsics as JSON holds them."""
+    return {"fx": k.fx, "fy": k.fy, "distortion": list(k.distortion), "size": [k.width, k.height]}
 
 
 def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
@@ -271,8 +271,8 @@ def _shape(row: Mapping[str, Any], unit: str) -> Iterator[str]:
         ).replace("  ", " ")
 
 
-def _lens_words(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """How the bend goes with the error of the lens: Spearman's rank correlation."""
+def _intrinsics_words(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """How the bend goes with the error of the intrinsics: Spearman's rank correlation."""
     pairs = np.array([[r["lens_error_px"], r["truth"]["rms"]] for r in rows if r["lens_error_px"] is not None])
     if len(pairs) < 4:
         return

@@ -21,17 +21,17 @@ from pcbench.studies.bend.bend import in_the_world
 from pcbench.studies.bend.findings import (
     Solution,
     Variant,
-    _lens_words,
+    _intrinsics_words,
     csv_text,
     explain,
     findings,
-    lens_error,
+    intrinsics_error,
     table,
 )
 from reconstructors.sfm.alignment import moved
 
-LENS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
-PLAIN = replace(LENS, distortion=(0.0, 0.0, 0.0, 0.0))
+INTRINSICS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
+PLAIN = replace(INTRINSICS, distortion=(0.0, 0.0, 0.0, 0.0))
 
 
 def sample(count, seed, noise):
@@ -40,12 +40,12 @@ def sample(count, seed, noise):
     return points + rng.normal(0, noise, points.shape)
 
 
-def solution(name, *factors, bend=None, seed=1, lens=LENS):
+def solution(name, *factors, bend=None, seed=1, intrinsics=INTRINSICS):
     points = sample(8000, seed, 0.03)
     if bend:
         points = warp_of("dome", points, bend).apply(points)
     cloud = Cloud(points, attributes={"reprojection_error": np.full(len(points), 0.5)})
-    return Solution(Variant(name, *factors), 12, 12, cloud, lens)
+    return Solution(Variant(name, *factors), 12, 12, cloud, intrinsics)
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +53,11 @@ def document():
     """Three solutions, one of them a dome because its lens is wrong, one that failed."""
     solutions = [
         solution("true lens", "nadir", "true", "true", False),
-        solution("no distortion", "nadir", "true", "zero", False, bend=0.4, seed=2, lens=PLAIN),
-        solution("no distortion, control points", "nadir", "true", "zero", True, bend=0.35, seed=3, lens=PLAIN),
+        solution("no distortion", "nadir", "true", "zero", False, bend=0.4, seed=2, intrinsics=PLAIN),
+        solution("no distortion, control points", "nadir", "true", "zero", True, bend=0.35, seed=3, intrinsics=PLAIN),
         Solution(Variant("every second", "half", "true", "true", False), 6, failure="nothing registers"),
     ]
-    rows = findings(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), LENS)
+    rows = findings(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
     return {"scene": {"unit": "m"}, **rows}
 
 
@@ -103,7 +103,7 @@ def test_the_cause_follows_the_numbers(document):
 )
 def test_lens_and_bend_go_together_only_if_they_do(errors, words):
     rows = [{"lens_error_px": e, "truth": {"rms": r}} for e, r in zip(errors, (1.0, 2.0, 3.0, 4.0), strict=True)]
-    said = list(_lens_words(rows))
+    said = list(_intrinsics_words(rows))
     if words is None:
         assert said == []
     else:
@@ -125,25 +125,25 @@ def test_table_and_csv(document):
     assert read[3]["failure"] == "nothing registers"
 
 
-def test_the_error_of_a_lens_leaves_its_focal_length_out():
-    assert lens_error(LENS, LENS) == pytest.approx(0, abs=1e-9)
+def test_the_error_of_intrinsics_leaves_their_focal_length_out():
+    assert intrinsics_error(INTRINSICS, INTRINSICS) == pytest.approx(0, abs=1e-9)
     # Half the focal length and a distortion that goes with it: the same images of a flat scene from half the height.
-    half = replace(LENS, fx=175.0, fy=175.0, distortion=(-0.05 / 4, 0.0, 0.0, 0.0))
-    assert lens_error(half, LENS) == pytest.approx(0, abs=1e-9)
+    half = replace(INTRINSICS, fx=175.0, fy=175.0, distortion=(-0.05 / 4, 0.0, 0.0, 0.0))
+    assert intrinsics_error(half, INTRINSICS) == pytest.approx(0, abs=1e-9)
     # k1 r^3 f less its best multiple of r, over the image, by hand: r up to 0.71.
     u, v = np.meshgrid(np.linspace(-200, 200, 400) / 350, np.linspace(-150, 150, 300) / 350)
     r = np.hypot(u, v)
     off = 0.05 * r**3
     off = off - r * (off * r).sum() / (r * r).sum()
     # The true rays are a little further out than their pixels say.
-    assert lens_error(PLAIN, LENS) == pytest.approx(350 * np.sqrt(np.mean(off**2)), rel=0.1)
+    assert intrinsics_error(PLAIN, INTRINSICS) == pytest.approx(350 * np.sqrt(np.mean(off**2)), rel=0.1)
 
 
 def test_clouds_come_into_the_world_by_what_cameras_see():
     """Whatever frame a solution has; a wrong focal length moves the ground, but only along the rays."""
     town = build_city(CitySettings(extent=120.0, seed=3), texel=0.5)
     surface = MeshIndex(town.mesh)
-    cameras = {c.name: c for c in rig("drone", 18, Site(120.0, 0.0, town.plan.top), LENS)}
+    cameras = {c.name: c for c in rig("drone", 18, Site(120.0, 0.0, town.plan.top), INTRINSICS)}
     points = surface_cloud(town.plan, surface, list(cameras.values()), 3000).points
     frame = turn((20, 30, 40), (5, 6, 7), 0.1)
     found = {name: moved(camera, frame) for name, camera in cameras.items()}

@@ -1,0 +1,204 @@
+// A tree of boxes over triangles, and how it is built: four children a node, their float32 boxes side by side for the
+// CPU's vector unit.
+#pragma once
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <new>
+#include <vector>
+
+#include "common/interrupt.h"
+
+namespace pcbench::mesh {
+
+typedef float Float4 __attribute__((vector_size(16)));
+
+inline Float4 larger(Float4 a, Float4 b) { return a > b ? a : b; }
+inline Float4 smaller(Float4 a, Float4 b) { return a < b ? a : b; }
+inline Float4 all(float value) { return Float4{value, value, value, value}; }
+
+// Child k is a node if count[k] is 0, else the triangles first[k], first[k] + 1, ... Two cache lines.
+struct alignas(64) Node {
+    Float4 low[3], high[3];
+    uint32_t first[4], count[4];
+};
+
+struct Box {
+    float low[3] = {HUGE_VALF, HUGE_VALF, HUGE_VALF}, high[3] = {-HUGE_VALF, -HUGE_VALF, -HUGE_VALF};
+
+    void include(const float* l, const float* h) {
+        for (int axis = 0; axis < 3; ++axis) {
+            low[axis] = std::min(low[axis], l[axis]);
+            high[axis] = std::max(high[axis], h[axis]);
+        }
+    }
+    float half_area() const {
+        const float x = high[0] - low[0], y = high[1] - low[1], z = high[2] - low[2];
+        return x * y + y * z + z * x;
+    }
+};
+
+struct Item {  // a triangle while the tree is built
+    Box box;
+    uint32_t face;
+    float twice_centre(int axis) const { return box.low[axis] + box.high[axis]; }
+};
+
+class Builder {
+public:
+    static constexpr uint32_t kLeaf = 2;             // triangles at most
+    static constexpr uint32_t kUninterrupted = 256;  // triangles that take no time worth asking after
+    static constexpr int kBins = 12;                 // candidates for a cut
+    static constexpr int kHalving = 40;              // levels after which ranges are halved, which bounds the depth
+    static constexpr int kDepth = kHalving + 32;     // levels at most
+
+    Builder(std::vector<Item>& items, Interrupt& interrupt) : items_(items), interrupt_(interrupt) {}
+
+    // The nodes in an order that depends on the triangles alone; the first is the root. Not all of them when
+    // interrupted.
+    std::vector<Node> build() {
+        const uint32_t size = static_cast<uint32_t>(items_.size());
+        std::vector<Node> nodes;
+        std::vector<Job> jobs;
+        grow(nodes, Range(items_, 0, size), 0, std::max(1u << 14, size / 64), &jobs);
+        std::vector<std::vector<Node>> parts(jobs.size());
+        std::atomic<bool> out_of_memory{false};  // no exception may leave a parallel region
+#pragma omp parallel for schedule(dynamic, 1)
+        for (size_t j = 0; j < jobs.size(); ++j) {
+            if (out_of_memory) continue;
+            try {
+                grow(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr);
+            } catch (const std::bad_alloc&) {
+                out_of_memory = true;
+            }
+        }
+        if (out_of_memory) throw std::bad_alloc();
+        for (size_t j = 0; j < jobs.size(); ++j) {
+            const uint32_t offset = static_cast<uint32_t>(nodes.size());
+            nodes[jobs[j].node].first[jobs[j].slot] = offset;
+            for (Node& node : parts[j]) {
+                for (int k = 0; k < 4; ++k)
+                    if (node.count[k] == 0) node.first[k] += offset;
+                nodes.push_back(node);
+            }
+        }
+        return nodes;
+    }
+
+private:
+    struct Range {
+        uint32_t begin = 0, end = 0;
+        Box box;
+        Range() = default;
+        Range(const std::vector<Item>& items, uint32_t b, uint32_t e) : begin(b), end(e) {
+            for (uint32_t i = b; i < e; ++i) box.include(items[i].box.low, items[i].box.high);
+        }
+        uint32_t size() const { return end - begin; }
+    };
+    struct Job {  // a subtree left for a thread
+        Range range;
+        int depth;
+        uint32_t node;
+        int slot;
+    };
+
+    // Ranges of at most `small` triangles are not grown but noted in `jobs`.
+    uint32_t grow(std::vector<Node>& nodes, const Range& range, int depth, uint32_t small, std::vector<Job>* jobs) {
+        if (range.size() > kUninterrupted && interrupt_.requested()) return 0;
+        Range children[4];
+        children[0] = range;
+        int count = 1;
+        while (count < 4) {  // cut the child that most queries would enter
+            int widest = -1;
+            for (int k = 0; k < count; ++k)
+                if (children[k].size() > kLeaf &&
+                    (widest < 0 || children[k].box.half_area() > children[widest].box.half_area()))
+                    widest = k;
+            if (widest < 0) break;
+            const Range whole = children[widest];
+            const uint32_t middle = depth < kHalving ? cut(whole) : halve(whole);
+            children[widest] = Range(items_, whole.begin, middle);
+            children[count++] = Range(items_, middle, whole.end);
+        }
+        const uint32_t index = static_cast<uint32_t>(nodes.size());
+        nodes.emplace_back();
+        for (int k = 0; k < 4; ++k) {
+            const Range& child = children[k];
+            const bool leaf = child.size() <= kLeaf;  // an empty one too: its box is nowhere
+            for (int axis = 0; axis < 3; ++axis) {
+                nodes[index].low[axis][k] = child.box.low[axis];
+                nodes[index].high[axis][k] = child.box.high[axis];
+            }
+            nodes[index].first[k] = child.begin;
+            nodes[index].count[k] = child.size() ? child.size() : 1;
+            if (leaf) continue;
+            nodes[index].count[k] = 0;
+            if (jobs && child.size() <= small)
+                jobs->push_back({child, depth + 1, index, k});
+            else {
+                const uint32_t at = grow(nodes, child, depth + 1, small, jobs);
+                nodes[index].first[k] = at;
+            }
+        }
+        return index;
+    }
+
+    // The binned surface area heuristic: Wald, "On fast construction of SAH-based bounding volume hierarchies", 2007.
+    uint32_t cut(const Range& range) {
+        float low[3], high[3];
+        for (int axis = 0; axis < 3; ++axis) {
+            low[axis] = HUGE_VALF, high[axis] = -HUGE_VALF;
+            for (uint32_t i = range.begin; i < range.end; ++i) {
+                const float centre = items_[i].twice_centre(axis);
+                low[axis] = std::min(low[axis], centre), high[axis] = std::max(high[axis], centre);
+            }
+        }
+        int axis = 0;
+        for (int other = 1; other < 3; ++other)
+            if (high[other] - low[other] > high[axis] - low[axis]) axis = other;
+        const float scale = kBins / (high[axis] - low[axis]);
+        if (!(scale < std::numeric_limits<float>::max())) return halve(range);
+        const auto bin = [&](const Item& item) {
+            return std::min(kBins - 1, static_cast<int>((item.twice_centre(axis) - low[axis]) * scale));
+        };
+        Box boxes[kBins];
+        uint32_t counts[kBins] = {};
+        for (uint32_t i = range.begin; i < range.end; ++i) {
+            const int b = bin(items_[i]);
+            boxes[b].include(items_[i].box.low, items_[i].box.high);
+            ++counts[b];
+        }
+        float below[kBins];  // cost of all bins up to this one
+        Box box;
+        uint32_t count = 0;
+        for (int b = 0; b < kBins; ++b) {
+            box.include(boxes[b].low, boxes[b].high);
+            count += counts[b];
+            below[b] = count ? count * box.half_area() : 0;
+        }
+        box = Box(), count = 0;
+        float best = HUGE_VALF;
+        int last = -1;  // bin of the left side
+        for (int b = kBins - 1; b > 0; --b) {
+            box.include(boxes[b].low, boxes[b].high);
+            count += counts[b];
+            if (count == 0 || count == range.size()) continue;
+            const float cost = below[b - 1] + count * box.half_area();
+            if (cost < best) best = cost, last = b - 1;
+        }
+        if (last < 0) return halve(range);
+        const auto middle = std::partition(items_.begin() + range.begin, items_.begin() + range.end,
+                                           [&](const Item& item) { return bin(item) <= last; });
+        return static_cast<uint32_t>(middle - items_.begin());
+    }
+
+    static uint32_t halve(const Range& range) { return range.begin + range.size() / 2; }
+
+    std::vector<Item>& items_;
+    Interrupt& interrupt_;
+};
+
+}  // namespace pcbench::mesh

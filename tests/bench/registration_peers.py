@@ -1,0 +1,194 @@
+"""Registrations that are compared: ours, and those of other libraries where they are installed."""
+
+import importlib.util
+import os
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench import register
+from pcbench.errors import RegistrationError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.transform import Similarity
+
+MAX_DISTANCES = (20.0, 6.0, 2.0)
+VOXEL, FEATURE_VOXEL = 0.5, 2.0
+ENOUGH = 0.3  # share of the candidate that a peer has to match
+
+
+class Answer(NamedTuple):
+    """What a method returns: a transform candidate -> reference, and whether it vouches for it."""
+
+    transform: Similarity | None
+    sure: bool
+
+
+Method = Callable[[FloatArray, FloatArray], Answer]
+
+
+def ours(method: str) -> Method:
+    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+        try:
+            result = register(reference, candidate, method)
+        except RegistrationError:
+            return Answer(None, False)
+        return Answer(result.T_reference_candidate, result.converged is True and not result.warnings)
+
+    return run
+
+
+def with_open3d(kind: str) -> Method:
+    from open3d import geometry, utility
+    from open3d.pipelines import registration as o3d
+
+    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+        clouds = []
+        for points in (reference, candidate):
+            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(VOXEL)
+            cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
+            clouds.append(cloud)
+        T, fitness = np.eye(4), 0.0
+        for max_distance in MAX_DISTANCES:
+            criteria = o3d.ICPConvergenceCriteria(max_iteration=60)
+            if kind == "GICP":
+                estimator = o3d.TransformationEstimationForGeneralizedICP()
+                found = o3d.registration_generalized_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
+            else:
+                # A robust kernel from the start keeps only what fits already: it comes with the last distance.
+                robust = kind == "Tukey" and max_distance == MAX_DISTANCES[-1]
+                estimator = o3d.TransformationEstimationPointToPlane(*([o3d.TukeyLoss(0.3)] if robust else []))
+                found = o3d.registration_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
+            T, fitness = found.transformation, found.fitness
+        return Answer(_rigid(T), fitness >= ENOUGH)
+
+    return run
+
+
+def with_small_gicp(kind: str) -> Method:
+    import small_gicp
+
+    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+        threads = len(os.sched_getaffinity(0))
+        target, tree = small_gicp.preprocess_points(reference, VOXEL, num_threads=threads)
+        source, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
+        T, done = np.eye(4), None
+        for max_distance in MAX_DISTANCES:
+            how = {"init_T_target_source": T, "max_correspondence_distance": max_distance, "num_threads": threads}
+            if kind == "VGICP":
+                voxels = small_gicp.GaussianVoxelMap(max_distance / 2)
+                voxels.insert(target)
+                done = small_gicp.align(voxels, source, init_T_target_source=T, num_threads=threads)
+            else:
+                done = small_gicp.align(target, source, tree, registration_type=kind, max_iterations=60, **how)
+            T = done.T_target_source
+        return Answer(_rigid(T), bool(done.converged) and done.num_inliers >= ENOUGH * source.size())
+
+    return run
+
+
+def with_kiss(reference: FloatArray, candidate: FloatArray) -> Answer:
+    """KISS-Matcher as it comes, then our ICP."""
+    import kiss_matcher
+
+    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(FEATURE_VOXEL))
+    with _no_output():
+        found = matcher.estimate([*candidate.astype(np.float32)], [*reference.astype(np.float32)])
+    if matcher.get_num_final_inliers() < 5:
+        return Answer(None, False)
+    first = _rigid(_matrix(found.rotation, found.translation))
+    answer = ours("icp")(reference, first.apply(candidate))
+    return Answer(None if answer.transform is None else answer.transform @ first, answer.sure)
+
+
+def with_features(solver: str) -> Method:
+    """Open3D's FPFH with RANSAC or FGR and the parameters of its tutorial, then its point-to-plane ICP."""
+    from open3d import geometry, utility
+    from open3d.pipelines import registration as o3d
+
+    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+        utility.random.seed(0)
+        v, clouds, features = FEATURE_VOXEL, [], []
+        for points in (candidate, reference):
+            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(v)
+            cloud.estimate_normals(geometry.KDTreeSearchParamHybrid(2 * v, 30))
+            clouds.append(cloud)
+            features.append(o3d.compute_fpfh_feature(cloud, geometry.KDTreeSearchParamHybrid(5 * v, 100)))
+        if solver == "FGR":
+            option = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
+            found = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, option)
+        else:
+            checks = [
+                o3d.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+                o3d.CorrespondenceCheckerBasedOnDistance(1.5 * v),
+            ]
+            found = o3d.registration_ransac_based_on_feature_matching(
+                *clouds,
+                *features,
+                True,
+                1.5 * v,
+                o3d.TransformationEstimationPointToPoint(False),
+                3,
+                checks,
+                o3d.RANSACConvergenceCriteria(100_000, 0.999),
+            )
+        fine = []
+        for points in (candidate, reference):
+            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(VOXEL)
+            cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
+            fine.append(cloud)
+        plane = o3d.TransformationEstimationPointToPlane()
+        found = o3d.registration_icp(*fine, MAX_DISTANCES[-1], found.transformation, plane)
+        return Answer(_rigid(found.transformation), found.fitness >= ENOUGH)
+
+    return run
+
+
+def refinements() -> dict[str, Method]:
+    methods = {name: ours(name) for name in ("icp", "icp-point", "similarity")}
+    if importlib.util.find_spec("open3d"):
+        methods |= {
+            "Open3D plane": with_open3d("plane"),
+            "Open3D plane, Tukey": with_open3d("Tukey"),
+            "Open3D GICP": with_open3d("GICP"),
+        }
+    if importlib.util.find_spec("small_gicp"):
+        methods |= {
+            "small_gicp plane": with_small_gicp("PLANE_ICP"),
+            "small_gicp GICP": with_small_gicp("GICP"),
+            "small_gicp VGICP": with_small_gicp("VGICP"),
+        }
+    return methods
+
+
+def from_nothing() -> dict[str, Method]:
+    methods = {name: ours(name) for name in ("global", "global-similarity")}
+    if importlib.util.find_spec("kiss_matcher"):
+        methods["KISS-Matcher, our ICP"] = with_kiss
+    if importlib.util.find_spec("open3d"):
+        methods |= {"Open3D FPFH, RANSAC": with_features("RANSAC"), "Open3D FPFH, FGR": with_features("FGR")}
+    return methods
+
+
+def _matrix(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, np.asarray(translation).ravel()
+    return matrix
+
+
+def _rigid(matrix: FloatArray) -> Similarity:
+    u, _, vt = np.linalg.svd(np.asarray(matrix)[:3, :3])  # some are rotations to single precision only
+    return Similarity(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, np.asarray(matrix)[:3, 3])
+
+
+class _no_output:
+    """KISS-Matcher writes to the process's standard output."""
+
+    def __enter__(self) -> None:
+        self.kept, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.close(null)
+
+    def __exit__(self, *error: object) -> None:
+        os.dup2(self.kept, 1)
+        os.close(self.kept)

@@ -1,0 +1,314 @@
+"""Distances to meshes: closed forms, every triangle looked at in numpy, signs by the winding number, and refusals."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mesh_shapes import cube, height_field, icosphere, spiky, tetrahedron
+from repository import TESTS
+
+from pcbench.errors import InputError
+from pcbench.geometry.mesh import Mesh, MeshIndex
+
+UTM = np.array([468_012.25, 5_428_771.5, 312.0])
+
+
+# ---- oracles ----
+
+
+def brute(points, vertices, faces):
+    """Distances (N,) and the first nearest face (N,): the least of plane distance (where inside) and three edges."""
+    a, b, c = (vertices[faces[:, k]][None] for k in range(3))
+    p = points[:, None, :]
+    squared = np.minimum.reduce([edge(p, a, b), edge(p, b, c), edge(p, c, a)])
+    e1, e2, d = b - a, c - a, p - a
+    g11, g12, g22 = (e1 * e1).sum(-1), (e1 * e2).sum(-1), (e2 * e2).sum(-1)
+    r1, r2 = (d * e1).sum(-1), (d * e2).sum(-1)
+    det = g11 * g22 - g12**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, t = (g22 * r1 - g12 * r2) / det, (g11 * r2 - g12 * r1) / det
+        inside = (det > 1e-20 * g11 * g22) & (s > 0) & (t > 0) & (s + t < 1)
+        offset = d - s[..., None] * e1 - t[..., None] * e2
+    squared = np.where(inside, np.minimum(squared, np.where(inside, (offset**2).sum(-1), 0)), squared)
+    nearest = squared.argmin(axis=1)
+    return np.sqrt(squared[np.arange(len(points)), nearest]), nearest
+
+
+def edge(p, a, b):
+    ab = b - a
+    length = (ab * ab).sum(-1)
+    t = np.clip(((p - a) * ab).sum(-1) / np.where(length > 0, length, 1), 0, 1)
+    return ((p - a - t[..., None] * ab) ** 2).sum(-1)
+
+
+def winding(points, vertices, faces):
+    """How often the mesh winds round each point (N,): Van Oosterom and Strackee 1983."""
+    a, b, c = (vertices[faces[:, k]][None] - points[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    volume = (a * np.cross(b, c)).sum(-1)
+    flat = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    return np.arctan2(volume, flat).sum(axis=1) / (2 * np.pi)
+
+
+def distance_to_closest(matches, points):
+    return np.linalg.norm(points - matches.closest, axis=1)
+
+
+# ---- distances ----
+
+
+def test_cube_closed_form():
+    points = np.random.default_rng(1).uniform(-3, 3, (5000, 3))
+    beyond = np.abs(points) - 1
+    outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
+    exact = np.where(outside > 0, outside, beyond.max(axis=1))
+    index = MeshIndex(Mesh(*cube()))
+    np.testing.assert_allclose(index.query(points).distances, np.abs(exact), atol=1e-15)
+    np.testing.assert_allclose(index.query(points, signed=True).distances, exact, atol=1e-15)
+
+
+def test_tetrahedron_closed_form():
+    index = MeshIndex(Mesh(*tetrahedron()))
+    matches = index.query([(1, 1, 1), (-1, -2, -2), (0.25, 0.25, -3), (3, 0, 0), (0.1, 0.1, 0.1)], signed=True)
+    expected = [2 / np.sqrt(3), 3, 3, 2, -0.1]
+    np.testing.assert_allclose(matches.distances, expected, rtol=1e-15)
+    np.testing.assert_allclose(matches.closest[:4], [[1 / 3] * 3, [0, 0, 0], [0.25, 0.25, 0], [1, 0, 0]], atol=1e-15)
+    assert matches.faces[0] == 3
+    assert matches.faces[1] == 0  # the origin belongs to three faces: the lowest
+
+
+def test_icosphere_against_the_sphere():
+    vertices, faces = icosphere(5)
+    mesh = Mesh(vertices, faces)
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(5000, 3)) * rng.uniform(0.1, 2, (5000, 1))
+    distances = MeshIndex(mesh).query(points, signed=True).distances
+    # A chord of length e lies up to e^2 / 8 below the sphere, a triangle e^2 / 6; the longest edge here is 0.04.
+    longest = np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1).max()
+    error = distances - (np.linalg.norm(points, axis=1) - 1)
+    assert error.min() > -(longest**2) / 6 and error.max() < longest**2 / 6
+    assert mesh.area == pytest.approx(4 * np.pi, rel=1e-3)
+    assert mesh.is_closed
+
+
+def soup(seed, count=300):
+    """Triangles of all sizes, a third of them degenerate: needles, three equal corners, corners on one line."""
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(count, 1, 3)) + rng.normal(size=(count, 3, 3)) * 10 ** rng.uniform(
+        -4, 0.5, (count, 1, 1)
+    )
+    a, b, c = corners.transpose(1, 0, 2)
+    c[0::12] = b[0::12]
+    b[1::12] = c[1::12] = a[1::12]
+    c[2::12] = a[2::12] + 0.5 * (b - a)[2::12]
+    c[3::12] = a[3::12] + 0.3 * (b - a)[3::12] + 1e-9 * rng.normal(size=(len(c[3::12]), 3))
+    return np.concatenate([a, b, c]), np.arange(3 * count).reshape(3, -1).T
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("origin", [np.zeros(3), UTM], ids=["near", "far"])
+def test_against_every_triangle(seed, origin):
+    vertices, faces = soup(seed)
+    rng = np.random.default_rng(100 + seed)
+    vertices = vertices + origin
+    points = np.concatenate([
+        rng.normal(size=(300, 3)) * 3 + origin,
+        vertices[rng.integers(len(vertices), size=50)],  # on corners
+        vertices[faces[:50, 0]] + 0.3 * (vertices[faces[:50, 1]] - vertices[faces[:50, 0]]),  # on edges
+        vertices[faces[:50]].mean(axis=1),  # on faces
+        rng.normal(size=(20, 3)) * 1e4 + origin,
+    ])  # fmt: skip
+    matches = MeshIndex(Mesh(vertices, faces)).query(points)
+    distances, _ = brute(points - origin, vertices - origin, faces)
+    # Subtracting the origin is exact but for the last digit at a few hundred metres' distance; the oracle's normal
+    # equations lose half the digits of slender triangles.
+    np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=1e-9 if origin.any() else 1e-8)
+    own = brute_one(points - origin, (vertices - origin)[faces[matches.faces]])
+    np.testing.assert_allclose(own, distances, rtol=1e-12, atol=1e-8)
+    np.testing.assert_allclose(distance_to_closest(matches, points), matches.distances, rtol=1e-12, atol=3e-9)
+
+
+def brute_one(points, corners):
+    """Distance (N,) of each point to its own triangle (N, 3, 3)."""
+    each = [brute(p[None], c, np.array([[0, 1, 2]]))[0][0] for p, c in zip(points, corners, strict=True)]
+    return np.array(each)
+
+
+def test_points_of_a_large_mesh():
+    vertices, faces = height_field(60)
+    points = np.random.default_rng(3).uniform(-0.2, 1.2, (400, 3)) * [1, 1, 0.2]
+    matches = MeshIndex(Mesh(vertices, faces)).query(points)
+    distances, _ = brute(points, vertices, faces)
+    np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=1e-15)
+    on = MeshIndex(Mesh(vertices, faces)).query(vertices)
+    assert (on.distances == 0).all()
+    np.testing.assert_array_equal(on.closest, vertices)
+
+
+def test_ties_go_to_the_lowest_face():
+    vertices, faces = height_field(12)
+    lowest = np.array([np.flatnonzero((faces == v).any(axis=1)).min() for v in range(len(vertices))])
+    index = MeshIndex(Mesh(vertices, faces))
+    np.testing.assert_array_equal(index.query(vertices).faces, lowest)
+    # Above an edge whose faces fall away on both sides each of the two finds the same bits.
+    ridge = Mesh([(0, 0, 0), (1.3, 0.7, 0.9), (-1, 1, -3), (2, -1, -3)], [(1, 0, 2), (0, 1, 3)])
+    t = np.random.default_rng(4).uniform(0.1, 0.9, (200, 1))
+    above = t * ridge.vertices[1] + [0.0, 0.0, 0.2]
+    for faces in ([(1, 0, 2), (0, 1, 3)], [(0, 1, 3), (1, 0, 2)], [(3, 0, 1), (2, 1, 0)]):
+        assert (MeshIndex(Mesh(ridge.vertices, faces)).query(above).faces == 0).all()
+    doubled = Mesh(vertices, np.concatenate([index.mesh.faces, index.mesh.faces]))
+    points = np.random.default_rng(5).uniform(0, 1, (500, 3))
+    assert (MeshIndex(doubled).query(points).faces < len(index)).all()
+
+
+def test_batches_threads_and_runs_give_the_same_bits():
+    vertices, faces = spiky(4)
+    points = np.random.default_rng(6).normal(size=(3000, 3))
+    index = MeshIndex(Mesh(vertices, faces))
+    whole = index.query(points)
+    for parts in ([points[:1], points[1:]], np.array_split(points, 37), [points[::-1]]):
+        rows = [index.query(part) for part in parts]
+        for field, expected in zip(zip(*rows, strict=True), whole, strict=True):
+            got = np.concatenate(field)
+            np.testing.assert_array_equal(got[::-1] if len(parts) == 1 else got, expected)
+    code = (
+        f"import sys\nsys.path.insert(0, {str(TESTS)!r})\n"
+        "import hashlib, numpy as np\nfrom mesh_shapes import spiky\n"
+        "from pcbench.geometry.mesh import Mesh, MeshIndex\n"
+        "points = np.random.default_rng(6).normal(size=(3000, 3))\n"
+        "print(hashlib.sha256(b''.join(m.tobytes() for m in MeshIndex(Mesh(*spiky(4))).query(points))).hexdigest())"
+    )
+    prints = {
+        subprocess.run([sys.executable, "-c", code], env={**os.environ, "OMP_NUM_THREADS": threads}, check=True,
+                       capture_output=True).stdout
+        for threads in ("1", "2", "3")
+    }  # fmt: skip
+    assert len(prints) == 1
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-9, 1e12, 1e60])
+def test_scale_does_not_matter(scale):
+    vertices, faces = spiky(2)
+    points = np.random.default_rng(7).normal(size=(500, 3))
+    plain = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
+    scaled = MeshIndex(Mesh(vertices * scale, faces)).query(points * scale, signed=True)
+    np.testing.assert_allclose(scaled.distances, plain.distances * scale, rtol=1e-12)
+
+
+def test_queries_far_away_are_exact():
+    mesh = Mesh(*cube())
+    away = np.array([(1e9, 0, 0), (0, -1e15, 0), (1e30, 0, 0), (0, 0, 1e100)])
+    np.testing.assert_array_equal(MeshIndex(mesh).query(away).distances, np.linalg.norm(away, axis=1) - 1)
+
+
+def test_equal_triangles_by_the_thousand():
+    # Boxes of one place cannot be told apart by any cut.
+    mesh = Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], np.tile([0, 1, 2], (50_000, 1)))
+    matches = MeshIndex(mesh).query([(0.2, 0.2, 2.0), (-1, 0, 0)])
+    np.testing.assert_array_equal(matches.distances, [2, 1])
+    np.testing.assert_array_equal(matches.faces, [0, 0])
+
+
+def test_no_queries():
+    assert [len(part) for part in MeshIndex(Mesh(*cube())).query(np.empty((0, 3)), signed=True)] == [0, 0, 0]
+
+
+# ---- signs ----
+
+
+@pytest.mark.parametrize("origin", [np.zeros(3), UTM], ids=["near", "far"])
+@pytest.mark.parametrize("seed", range(3))
+def test_signs_against_the_winding_number(seed, origin):
+    vertices, faces = spiky(2, seed)
+    rng = np.random.default_rng(seed)
+    edges = vertices[faces[:, 0]] + 0.4 * (vertices[faces[:, 1]] - vertices[faces[:, 0]])
+    around = np.concatenate([np.tile(vertices, (5, 1)), edges, vertices[faces].mean(axis=1)])
+    points = np.concatenate([
+        rng.normal(size=(1000, 3)),
+        around + rng.normal(size=around.shape) * 10 ** rng.uniform(-6, -1, (len(around), 1)),
+    ])  # fmt: skip
+    inside = winding(points, vertices, faces) > 0.5
+    mesh = Mesh(vertices + origin, faces)
+    distances = MeshIndex(mesh).query(points + origin, signed=True).distances
+    far = np.abs(distances) > 1e-8  # the winding number is as good as its arctangents; coordinates are rounded at 1e-9
+    np.testing.assert_array_equal(distances[far] < 0, inside[far])
+    assert inside.mean() > 0.2 and far.mean() > 0.99
+
+
+def test_the_case_that_needs_weights_by_angle():
+    # The nearest point is a corner where one side is cut into many thin faces: unweighted normals would let them win.
+    fan = 60
+    angles = np.linspace(0, np.pi / 2, fan)
+    rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(fan)])
+    vertices = np.concatenate([[(0, 0, 0), (0, 0, -5)], rim])
+    k = np.arange(2, fan + 1)
+    top = np.column_stack([np.zeros_like(k), k, k + 1])
+    skirt = np.column_stack([np.ones_like(k), k + 1, k])
+    sides = np.array([(0, 1, 2), (0, fan + 1, 1)])
+    faces = np.concatenate([top, skirt, sides])
+    mesh = Mesh(vertices, faces)
+    assert mesh.is_closed
+    points = np.random.default_rng(8).normal(size=(4000, 3)) * 0.1
+    inside = winding(points, vertices, faces) > 0.5
+    np.testing.assert_array_equal(MeshIndex(mesh).query(points, signed=True).distances < 0, inside)
+
+
+def test_inside_is_inside_whichever_way_faces_look():
+    vertices, faces = cube()
+    points = [(0, 0, 0), (0, 0, 3), (0.9, 0.9, 0.9)]
+    for turned in (faces, faces[:, ::-1]):
+        signed = MeshIndex(Mesh(vertices, turned)).query(points, signed=True).distances
+        np.testing.assert_allclose(signed, [-1, 2, -0.1], rtol=1e-14)
+
+
+def test_faces_that_name_a_vertex_twice_change_nothing():
+    vertices, faces = spiky(2)
+    needles = faces[:40, [0, 0, 1]]
+    mesh = Mesh(vertices, np.concatenate([needles, faces]))
+    assert mesh.is_closed
+    points = np.random.default_rng(9).normal(size=(2000, 3))
+    with_needles = MeshIndex(mesh).query(points, signed=True)
+    without = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
+    assert (with_needles.faces < 40).any()
+    np.testing.assert_array_equal(with_needles.distances, without.distances)
+
+
+def test_signed_refusals():
+    vertices, faces = cube()
+    with pytest.raises(InputError, match="expected a closed mesh"):
+        MeshIndex(Mesh(vertices, faces[1:])).query([(0, 0, 0)], signed=True)
+    # Corner 8 on the edge 01 of the first face: a face of no area closes the gap.
+    first, rest = faces[0], faces[1:]
+    a, b, c = first
+    split = [(a, 8, c), (8, b, c), (a, b, 8)]
+    mesh = Mesh(np.concatenate([vertices, [(vertices[a] + vertices[b]) / 2]]), np.concatenate([split, rest]))
+    assert mesh.is_closed
+    with pytest.raises(InputError, match="got 1 of 14 whose three vertices lie on one line: repair the mesh first"):
+        MeshIndex(mesh).query([(0, 0, 0)], signed=True)
+    assert MeshIndex(mesh).query([(0, 0, 0)]).distances == 1
+    assert not MeshIndex(mesh).has_inside and not MeshIndex(Mesh(vertices, faces[1:])).has_inside
+    assert MeshIndex(Mesh(vertices, faces)).has_inside
+
+
+# ---- refusals ----
+
+
+def test_query_refusals():
+    index = MeshIndex(Mesh(*cube()))
+    with pytest.raises(InputError, match=r"expected points of shape \(N, 3\), got \(3,\)"):
+        index.query(np.zeros(3))
+    with pytest.raises(InputError, match="expected points of finite coordinates"):
+        index.query([(0, 0, np.nan)])
+
+
+def test_kernel_checks_what_it_is_given():
+    from pcbench.native import _core
+
+    vertices, faces = cube()
+    with pytest.raises(IndexError, match="a vertex that is not there"):
+        _core.MeshIndex(vertices, faces + 1)
+    tree = _core.MeshIndex(vertices, faces)
+    with pytest.raises(ValueError, match="one row for each point"):
+        tree.query(np.zeros((2, 3)), np.empty(1), np.empty((2, 3)), np.empty(2, np.int64), np.empty(2, np.uint8))
