@@ -376,6 +376,15 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
         comparison.save(tmp_path / "mine", figures=False)
 
 
+@pytest.mark.parametrize("name", ["../b", "a/b", "", "reference"])
+def test_a_name_that_no_file_can_have_is_not_saved(name, tmp_path):
+    corners = np.eye(3)
+    comparison = compare(corners, {name: corners}, NONE)
+    with pytest.raises(InputError, match="expected a candidate's name that a file can have"):
+        comparison.save(tmp_path / "report", figures=False)
+    assert not any(tmp_path.iterdir())  # nothing beside the report either
+
+
 def test_regions_are_objects_or_texts(pair):
     reference, candidate = pair
     by_text = document(compare(reference, candidate, Settings("none", crop="box:10,10,-9,25,30,9")))
