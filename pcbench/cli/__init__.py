@@ -58,7 +58,7 @@ def main() -> None:
     except OSError as error:
         fail(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
     except MemoryError:
-        fail("not enough memory for these clouds: crop or thin them first")
+        fail("not enough memory for these clouds: crop or downsample them first")
     except (PcbenchError, click.ClickException) as error:
         fail(str(error))
 
