@@ -230,7 +230,7 @@ def test_json_that_is_nested_too_deeply_is_one_line(photographs):
     deep = photographs / "deep.json"
     deep.write_text("[" * 100_000)
     for read in (read_earth_studio, lambda path: read_transforms(path, lambda _: None)):
-        with pytest.raises(InputError, match="deep.json: expected"):
+        with pytest.raises(InputError, match=r"deep\.json: expected"):
             read(deep)
     assert not read_scene(photographs).cameras  # a file beside the images that has nothing to do with them
 
