@@ -51,7 +51,7 @@ def scene(
     if figure is not None:
         from pcbench.report.plot.cameras import draw_cameras
 
-        check_output(figure, ())
+        check_output(figure, [*(data.folder / name for name in data.images), *data.masks.values()])
         draw_cameras(data, figure)
     if write_cameras is not None:
         from pcbench.scenes import write_cameras as write

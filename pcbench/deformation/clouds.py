@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.deformation.pairs import Side, residual_deformation
 from pcbench.deformation.result import Deformation
-from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.region_text import as_region
@@ -40,19 +39,12 @@ def deform(
     """
     reference, candidate = as_cloud(reference), as_cloud(candidate)
     origin = local_origin(reference)
-    surface = Surface(Index(reference.points - origin), given=reference.normals)
-    found = register(reference, candidate, method, target=Target(surface))
+    target = Target.of(reference, origin)
+    found = register(reference, candidate, method, target=target)
     aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
     region = as_region(crop, reference)
     region = None if region is None else region.shifted(origin)
     sides = []
-    for name, points, cloud in (("reference", surface, reference), ("candidate", aligned, candidate)):
-        inside = np.ones(len(points), dtype=bool) if region is None else region.contains(points.points)
-        if not inside.any():
-            raise InputError(f"the crop {_name(crop)!r} leaves none of the {name}'s {len(points)} points")
-        sides.append(Side(points, inside, cloud))
+    for name, points, cloud in (("reference", target.surface, reference), ("candidate", aligned, candidate)):
+        sides.append(Side(points, points_inside(points.points, region, crop, f"the {name}'s"), cloud))
     return found, residual_deformation(sides[0], sides[1], found, origin, seed=seed)
-
-
-def _name(crop: Region | str) -> str:
-    return crop if isinstance(crop, str) else crop.text

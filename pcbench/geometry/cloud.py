@@ -50,13 +50,13 @@ class Cloud:
         # The sum is non-finite whenever a term is: one pass without a temporary mask decides the usual case.
         with np.errstate(over="ignore", invalid="ignore"):
             finite = bool(np.isfinite(points.sum()))
-        if finite and (largest := np.abs(bounds(points)).max()) > MAX_COORDINATE:
-            raise InputError(f"expected coordinates up to {MAX_COORDINATE:g}, got {largest:g}: squares overflow")
         if not finite and (bad := int(np.count_nonzero(~np.isfinite(points).all(axis=1)))):
             raise InputError(
                 f"expected finite coordinates, got NaN or Inf in {bad} of {len(points)} points:"
                 " drop them first (pcbench.Cloud.from_finite does)"
             )
+        if (largest := np.abs(bounds(points)).max()) > MAX_COORDINATE:
+            raise InputError(f"expected coordinates up to {MAX_COORDINATE:g}, got {largest:g}: squares overflow")
         object.__setattr__(self, "points", points)
         if self.normals is not None:
             object.__setattr__(self, "normals", self._matching("normals", _triples("normals", self.normals)))

@@ -45,7 +45,7 @@ def read_transforms(path: Path, size_of: Callable[[str], Size | None]) -> tuple[
         raise InputError(f"{path}: {error}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a transforms.json: {error}") from None
     cameras = []
     for number, frame in enumerate(document["frames"]):

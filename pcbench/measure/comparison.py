@@ -18,6 +18,7 @@ from pcbench.deformation import Side, residual_deformation
 from pcbench.errors import InputError, Notice, RegistrationError
 from pcbench.geometry.arrays import bounds
 from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.crop import points_inside
 from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
@@ -32,7 +33,11 @@ from pcbench.measure.scores import Sampled, measure
 from pcbench.measure.settings import Settings
 from pcbench.registration import Registration, register
 
+<<<<<<< HEAD
 _CORES = 50_000  # M3C2 core points: the reference, downsampled evenly
+=======
+_MAX_CORES = 50_000  # M3C2 core points: the reference, voxel-downsampled
+>>>>>>> review
 _CYLINDER_RADIUS = 6  # median spacings of the sparser cloud: about 30 of its points a cylinder
 _CYLINDER_REACH = 1  # radii to either side: farther ones meet the other side of a house
 
@@ -101,9 +106,7 @@ def _compare_one(
         except RegistrationError as error:
             raise RegistrationError(f"{name}: {error}") from error
         aligned = registration.T_local.apply(cloud.points - reference.origin)
-        inside = np.ones(len(aligned), bool) if reference.region is None else reference.region.contains(aligned)
-        if not inside.any():
-            raise InputError(f"{name}: the crop {settings.crop!r} leaves none of its {len(aligned)} points")
+        inside = points_inside(aligned, reference.region, settings.crop, f"{name}'s")
         queries = aligned if reference.region is None else aligned[inside]
 
     step(f"{name}: matching both ways")
@@ -169,7 +172,7 @@ def _deviation_map(
     if "m3c2" in settings.maps and reference.has_normals:
         radius = _CYLINDER_RADIUS * max(reference.spacing, Surface(candidate).spacing)
         rows = np.flatnonzero(reference.inside)
-        rows = rows[voxel_downsample_to(reference.points[rows], _CORES, start=radius / 2)]
+        rows = rows[voxel_downsample_to(reference.points[rows], _MAX_CORES, start=radius / 2)]
         error = registration.weakest_sigma
         along_normals = m3c2(
             reference.index,

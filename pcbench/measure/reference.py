@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index, Matches, median_spacing
 from pcbench.geometry.normals import Surface
@@ -29,12 +30,12 @@ _MAX_POISSON_POINTS = 400_000  # that a Poisson mesh is made from: well under a 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The reference in local coordinates, with all that every candidate needs, computed once."""
+    """The reference, minus its local origin, with all that every candidate needs, computed once."""
 
     cloud: Cloud
     origin: FloatArray
     target: Target  # of registrations
-    region: Region | None  # in local coordinates
+    region: Region | None  # in local coordinates: minus `origin`
     inside: NDArray[np.bool_]
     rows: IntArray | None  # of the points inside; None for all
     nearest_other: Matches | None
@@ -45,14 +46,17 @@ class Reference:
 
     @classmethod
     def prepare(cls, given: Cloud | Mesh, settings: Settings) -> Reference:
+        """The reference of a comparison with these settings.
+
+        Raises:
+            InputError: the crop cannot be read, or leaves none of the points.
+        """
         cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
         origin = local_origin(cloud)
         points = cloud.points - origin
         region = as_region(settings.crop, cloud)
         region = None if region is None else region.shifted(origin)
-        inside = np.ones(len(points), bool) if region is None else region.contains(points)
-        if not inside.any():
-            raise InputError(f"the crop {settings.crop!r} leaves none of the reference's {len(points)} points")
+        inside = points_inside(points, region, settings.crop, "the reference's")
         surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
         rows = None if region is None else np.flatnonzero(inside)
         if len(surface) >= 3:
@@ -73,7 +77,7 @@ class Reference:
         )
 
     def with_poisson_mesh(self) -> Reference:
-        """The same with a Poisson mesh of the (downsampled) reference to measure distances to.
+        """The same with a Poisson mesh of the reference, voxel-downsampled where it is large, to measure distances to.
 
         Raises:
             InputError: the reference is too small for normals.

@@ -38,11 +38,12 @@ class Comparison(results.Comparison):
             folder: is made; an older report in it is replaced, anything else in it is refused.
             figures: whether pictures are drawn.
 
-        Raises:
-            InputError: the folder holds something else, or an input of the comparison.
-            OSError: the folder cannot be written.
-
         Pictures that cannot be drawn are warned about: the numbers are delivered all the same.
+
+        Raises:
+            InputError: the folder holds something else, or an input of the comparison; or a candidate's name cannot be
+                part of file names.
+            OSError: the folder cannot be written.
         """
         from pcbench.report.folder import report_folder, write_report
         from pcbench.report.plot import draw_if_possible

@@ -77,7 +77,12 @@ def write_report(folder: Path, comparison: Comparison) -> None:
     """Write everything but the pictures of a comparison into an empty folder.
 
     settings.json, by which the comparison can be made again, is left out where its clouds came from no files.
+
+    Raises:
+        InputError: a candidate's name cannot be part of file names.
     """
+    for candidate in comparison:
+        check_name(candidate.name)
     (folder / _MARK).write_text(to_json(document(comparison)), encoding="utf-8")
     # File names need not be Unicode.
     (folder / "metrics.csv").write_text(_csv(comparison), encoding="utf-8", errors="backslashreplace")
@@ -112,7 +117,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
             check_name(name)
         files = tuple(_recorded(row) for row in values.get("files", []))
         return Settings(**chosen), Inputs(_recorded(values["reference"]), candidates, files)
-    except (AttributeError, KeyError, TypeError, ValueError, InputError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: settings are incomplete or damaged: {error}") from error
 
 
@@ -250,7 +255,7 @@ def _report_files(out: Path) -> list[Path]:
     try:
         doc = json.loads((out / _MARK).read_text(encoding="utf-8"))
         candidates = [check_name(candidate["name"]) for candidate in doc["candidates"]]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, InputError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         candidates = []
     if (out / _DEFORM_MARK).is_file():
         names |= set(_DEFORM_FILES)

@@ -233,7 +233,7 @@ def _find(path: Path) -> Path | None:
 def _is_earth_studio(path: Path) -> bool:
     try:
         document = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(document, dict) and "cameraFrames" in document
 

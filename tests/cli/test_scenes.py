@@ -26,6 +26,12 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
     code, out, err = run("scene", "photos", "--cameras", "photos/transforms.json", "--image-scale", "0.5")
     assert (code, err) == (0, "")
     assert "3 images of 20 x 15" in out
+    before = Path("photos/images/1.png").read_bytes()
+    code, out, err = run("scene", "photos", "--figure", "photos/images/1.png")
+    assert code == 2
+    assert one_line(err)
+    assert "would replace an input" in err
+    assert Path("photos/images/1.png").read_bytes() == before
     Path("photos/images/1.png").write_bytes(b"")
     for arguments in (("photos",), ("nowhere",), ("photos", "--image-scale", "2")):
         code, out, err = run("scene", *arguments, "--figure", "other.png")

@@ -92,9 +92,10 @@ def test_as_cloud():
     assert (as_cloud(POINTS).points == POINTS).all()
 
 
-def test_sums_that_overflow_are_still_finite_points():
-    assert len(Cloud(np.full((3, 3), 1.7e308))) == 3
-    assert Cloud.from_finite(np.full((3, 3), 1.7e308))[1] == 0
+@pytest.mark.parametrize("make", [Cloud, Cloud.from_finite])
+def test_sums_that_overflow_are_too_large_and_not_dropped_as_infinite(make):
+    with pytest.raises(InputError, match=r"expected coordinates up to 1e\+100, got 1.7e\+308"):
+        make(np.full((3, 3), 1.7e308))
 
 
 def test_from_finite_drops_rows_of_everything():

@@ -10,7 +10,7 @@ import oracles
 import pytest
 import shapes
 
-from pcbench import Cloud, Settings, compare
+from pcbench import Cloud, Settings, Sphere, compare
 from pcbench.errors import InputError, RegistrationError
 from pcbench.geometry.regions import Box
 from pcbench.geometry.transform import Similarity, format_matrix
@@ -265,15 +265,16 @@ def test_the_caller_keeps_what_it_gave(pair):
 
 def test_refusals(pair):
     reference, candidate = pair
-    with pytest.raises(InputError, match="leaves none of the reference"):
-        compare(reference, candidate, Settings(crop="sphere:900,0,0,1"))
+    for crop in ("sphere:900,0,0,1", Sphere([900, 0, 0], 1)):
+        with pytest.raises(InputError, match="the crop 'sphere:900,0,0,1' leaves none of the reference's"):
+            compare(reference, candidate, Settings(crop=crop))
     with pytest.raises(RegistrationError, match="does not overlap"):
         compare(reference, candidate + 1e4, NONE)
     with pytest.raises(InputError, match="at least one candidate"):
         compare(reference, [], NONE)
     with pytest.raises(InputError, match="positive thresholds"):
         Settings(thresholds=(0.0,))
-    with pytest.raises(InputError, match="x: the crop"):
+    with pytest.raises(InputError, match="leaves none of x's"):
         compare(reference, {"x": candidate[candidate[:, 0] > 20]}, Settings("none", crop="box:0,0,-9,10,40,9"))
 
 
@@ -374,6 +375,15 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     (tmp_path / "mine/notes.txt").touch()
     with pytest.raises(InputError, match="holds no report"):
         comparison.save(tmp_path / "mine", figures=False)
+
+
+@pytest.mark.parametrize("name", ["../b", "a/b", "", "reference"])
+def test_a_name_that_no_file_can_have_is_not_saved(name, tmp_path):
+    corners = np.eye(3)
+    comparison = compare(corners, {name: corners}, NONE)
+    with pytest.raises(InputError, match="expected a candidate's name that a file can have"):
+        comparison.save(tmp_path / "report", figures=False)
+    assert not any(tmp_path.iterdir())  # nothing beside the report either
 
 
 def test_regions_are_objects_or_texts(pair):

@@ -226,6 +226,15 @@ def test_earth_studio_frames_find_their_images(photographs):
     np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
 
 
+def test_json_that_is_nested_too_deeply_is_one_line(photographs):
+    deep = photographs / "deep.json"
+    deep.write_text("[" * 100_000)
+    for read in (read_earth_studio, lambda path: read_transforms(path, lambda _: None)):
+        with pytest.raises(InputError, match=r"deep\.json: expected"):
+            read(deep)
+    assert not read_scene(photographs).cameras  # a file beside the images that has nothing to do with them
+
+
 def test_rotations_are_told_from_other_matrices():
     rotation = look_at([1, 2, 3], [0, 0, 0]).rotation
     found = rotation_from(np.round(rotation, 5))

@@ -293,10 +293,10 @@ def test_depths_against_every_triangle(city):
 
 def test_views_against_every_triangle(city):
     site, k = Site(120.0, 0.0, city.plan.top), Intrinsics.from_fov(96, 54, 40.0)
-    cameras = rig("circles", 7, site, k)
-    cloud = city.mesh.sample(40, seed=2)
+    cameras = rig("circles", 7, site, k)[::2]
+    cloud = city.mesh.sample(30, seed=2)
     found = views(MeshIndex(city.mesh), cameras, cloud.points, cloud.normals)
-    expected = np.zeros(40, dtype=int)
+    expected = np.zeros(30, dtype=int)
     for camera in cameras:
         (u, v), z = camera.project(cloud.points)[0].T, camera.project(cloud.points)[1]
         inside = (z > 0) & (u >= 0) & (u < 96) & (v >= 0) & (v < 54)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
@@ -168,9 +169,7 @@ def check_rules(rules: Rules, truth: Truth) -> None:
         parse_method(rules.register)  # which reads the file
     if rules.threshold is None and Surface(Index(truth.cloud.points)).spacing == 0:
         raise InputError("the reference has no two points apart, so no spacing: give --threshold")
-    region = parse_region(rules.crop, truth.cloud)
-    if region is not None and not region.contains(truth.cloud.points).any():
-        raise InputError(f"the crop {rules.crop!r} leaves none of the reference's {len(truth.cloud)} points")
+    points_inside(truth.cloud.points, parse_region(rules.crop, truth.cloud), rules.crop, "the reference's")
 
 
 def score(truth: Truth, made: Reconstruction, rules: Rules, folder: Path) -> dict[str, Any]:
