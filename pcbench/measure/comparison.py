@@ -33,11 +33,7 @@ from pcbench.measure.scores import Sampled, measure
 from pcbench.measure.settings import Settings
 from pcbench.registration import Registration, register
 
-<<<<<<< HEAD
-_CORES = 50_000  # M3C2 core points: the reference, downsampled evenly
-=======
 _MAX_CORES = 50_000  # M3C2 core points: the reference, voxel-downsampled
->>>>>>> review
 _CYLINDER_RADIUS = 6  # median spacings of the sparser cloud: about 30 of its points a cylinder
 _CYLINDER_REACH = 1  # radii to either side: farther ones meet the other side of a house
 
