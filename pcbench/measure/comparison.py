@@ -28,7 +28,7 @@ from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap, m3c2
 from pcbench.measure.directions import Direction, from_candidate, from_reference
 from pcbench.measure.reference import Reference
-from pcbench.measure.results import Candidate, Comparison, Difference, Interval
+from pcbench.measure.results import Candidate, Comparison, Difference
 from pcbench.measure.scores import Sampled, measure
 from pcbench.measure.settings import Settings
 from pcbench.registration import Registration, register
@@ -201,7 +201,7 @@ def _differences(results: Sequence[Candidate], means: Sequence[Mapping[str, Samp
             if metric in of_b:
                 samples = of_a[metric].replicates - of_b[metric].replicates
                 difference = of_a[metric].value - of_b[metric].value
-                yield Difference(a.name, b.name, metric, difference, Interval(*intervals.interval(samples)))
+                yield Difference(a.name, b.name, metric, difference, intervals.interval(samples))
 
 
 def _crs_warnings(reference: Cloud, candidate: Cloud) -> Iterator[Notice]:

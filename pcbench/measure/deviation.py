@@ -11,10 +11,29 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.measure.metrics import percentiles
 
 CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
-_CORES_AT_ONCE = 512
+_MAX_CORES_AT_ONCE = 512
 _MIN_POINTS = 5  # points that a standard deviation is estimated from, as in CloudCompare
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How the scalars of a map are distributed, in the clouds' unit: percentiles as {"p50": ...}, root mean square, and
+    mean. All None where there are no scalars.
+    """
+
+    percentiles: Mapping[str, float] | None = None
+    rms: float | None = None
+    bias: float | None = None
+
+    @classmethod
+    def of(cls, values: FloatArray) -> Spread:
+        """Of scalars (N,)."""
+        if not len(values):
+            return cls()
+        return cls(percentiles(values), float(np.sqrt(np.mean(np.square(values)))), float(np.mean(values)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +91,23 @@ class M3C2(NamedTuple):
         known = np.isfinite(self.distances) & np.isfinite(self.lod)
         return np.where(known, np.abs(self.distances) > self.lod, np.nan)
 
+    @property
+    def spread(self) -> Spread:
+        """Of the distances that there are."""
+        return Spread.of(self.distances[np.isfinite(self.distances)])
+
+    @property
+    def median_lod(self) -> float | None:
+        """The median level of detection where there is a distance to compare with it; None where there is none."""
+        tested = np.isfinite(self.significant)
+        return float(np.median(self.lod[tested])) if tested.any() else None
+
+    @property
+    def significant_share(self) -> float | None:
+        """Share of the distances with a level of detection that exceed it; None where there are none."""
+        significant = self.significant[np.isfinite(self.significant)]
+        return float(significant.mean()) if len(significant) else None
+
 
 def m3c2(
     reference: Index,
@@ -124,9 +160,9 @@ def _along(
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Mean, standard deviation and number of the positions along each normal; NaN where there is none."""
     # A few cores at a time: wide cylinders hold thousands of points each.
-    starts = range(0, max(len(cores), 1), _CORES_AT_ONCE)
+    starts = range(0, max(len(cores), 1), _MAX_CORES_AT_ONCE)
     parts = [
-        _along_some(index, cores[s : s + _CORES_AT_ONCE], normals[s : s + _CORES_AT_ONCE], radius, half_length)
+        _along_some(index, cores[s : s + _MAX_CORES_AT_ONCE], normals[s : s + _MAX_CORES_AT_ONCE], radius, half_length)
         for s in starts
     ]
     mean, std, count = (np.concatenate(column) for column in zip(*parts, strict=True))

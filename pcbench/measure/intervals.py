@@ -19,6 +19,13 @@ LEVEL = 0.95
 _BLOCKS_ALONG = 10  # a side of the scene
 
 
+class Interval(NamedTuple):
+    """A 95 % interval by the spatial block bootstrap."""
+
+    low: float
+    high: float
+
+
 class Blocks(NamedTuple):
     """A partition of the reference into cubes."""
 
@@ -52,8 +59,8 @@ def replicate_sums(blocks: IntArray, values: FloatArray | None, weights: FloatAr
     return sums
 
 
-def interval(replicates: FloatArray) -> list[float]:
-    """[low, high] percentile interval at LEVEL."""
+def interval(replicates: FloatArray) -> Interval:
+    """The percentile interval of replicates (R,) at LEVEL."""
     tail = 50 * (1 - LEVEL)
     low, high = np.percentile(replicates, [tail, 100 - tail])
-    return [float(low), float(high)]
+    return Interval(float(low), float(high))

@@ -17,6 +17,7 @@ from pcbench.deformation import Deformation
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.deviation import DeviationMap
+from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import Preset
 from pcbench.measure.settings import Settings
 from pcbench.registration import Registration
@@ -24,13 +25,6 @@ from pcbench.registration import Registration
 # The directions as keys of comparison.json, and as arrows in tables.
 FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
 ARROWS = {FORTH: "c→r", BACK: "r→c"}
-
-
-class Interval(NamedTuple):
-    """A 95 % interval by the spatial block bootstrap of `pcbench.measure.intervals`."""
-
-    low: float
-    high: float
 
 
 class Estimate(NamedTuple):

@@ -20,7 +20,6 @@ from pcbench.measure.results import (
     Extremes,
     FScore,
     Hausdorff,
-    Interval,
     Metrics,
 )
 
@@ -65,7 +64,7 @@ def measure(
 
     def estimate(name: str, value: float, replicates: FloatArray) -> Estimate:
         sampled[name] = Sampled(value, replicates)
-        return Estimate(value, interval=_interval(replicates))
+        return Estimate(value, interval=intervals.interval(replicates))
 
     def directed(metric: MeanMetric) -> DirectedMetric:
         key = metric.name
@@ -117,9 +116,9 @@ def _fscore(
     sampled[f"fscore/{threshold!r}"] = Sampled(score.fscore, both)
     return FScore(
         threshold,
-        precision=Estimate(score.precision, interval=_interval(precision)),
-        recall=Estimate(score.recall, interval=_interval(recall)),
-        fscore=Estimate(score.fscore, interval=_interval(both)),
+        precision=Estimate(score.precision, interval=intervals.interval(precision)),
+        recall=Estimate(score.recall, interval=intervals.interval(recall)),
+        fscore=Estimate(score.fscore, interval=intervals.interval(both)),
     )
 
 
@@ -156,10 +155,6 @@ def _means(direction: Direction, thresholds: tuple[float, ...], weights: FloatAr
 
 def _within(threshold: float) -> str:
     return f"within/{threshold!r}"
-
-
-def _interval(replicates: FloatArray) -> Interval:
-    return Interval(*intervals.interval(replicates))
 
 
 def _total(values: Iterable[float | None]) -> float | None:

@@ -19,10 +19,8 @@ import numpy as np
 
 import pcbench
 from pcbench.errors import Notice
-from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.deviation import M3C2, DeviationMap
+from pcbench.measure.deviation import M3C2, DeviationMap, Spread
 from pcbench.measure.directions import MEAN_METRICS
-from pcbench.measure.metrics import percentiles
 from pcbench.measure.presets import Open3d, Preset, Tnt
 from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, FScore, Metrics
 from pcbench.registration import Registration
@@ -152,43 +150,31 @@ def _registration(registration: Registration) -> dict[str, Any]:
 
 def _deviation(deviation: DeviationMap) -> dict[str, Any]:
     """The distances to the nearest points, and under `maps` every other map."""
-    distances = deviation.scalars["distance"]
+    distances = Spread.of(deviation.scalars["distance"])
     plane = deviation.scalars.get("plane_distance")
     return {
         "kind": "nearest",
-        "percentiles": percentiles(distances),
-        "rms": _rms(distances),
+        "percentiles": distances.percentiles,
+        "rms": distances.rms,
         # Distances to points have no sign; the bias is that of the distances to the tangent planes, positive above.
         "bias": None if plane is None else float(np.mean(plane)),
-        "maps": {name: spread(values) for name, values in deviation.maps.items()},
-        "m3c2": None if deviation.m3c2 is None else m3c2_summary(deviation.m3c2),
+        "maps": {name: Spread.of(values) for name, values in deviation.maps.items()},
+        "m3c2": None if deviation.m3c2 is None else _m3c2(deviation.m3c2),
     }
 
 
-def m3c2_summary(found: M3C2) -> dict[str, Any]:
-    """What comparison.json says of an M3C2 map."""
-    known = np.isfinite(found.distances)
-    tested = np.isfinite(found.significant)
+def _m3c2(found: M3C2) -> dict[str, Any]:
     return {
         "core_points": len(found.cores),
-        "valid": int(known.sum()),
+        "valid": int(np.isfinite(found.distances).sum()),
         "radius": found.radius,
         "half_length": found.half_length,
         "registration_error": found.registration_error,
         "sign": "positive along the reference's normal",
-        "lod95_median": float(np.median(found.lod[tested])) if tested.any() else None,
-        "significant_share": float(found.significant[tested].mean()) if tested.any() else None,
-        **(spread(found.distances[known]) if known.any() else {"percentiles": None, "rms": None, "bias": None}),
+        "lod95_median": found.median_lod,
+        "significant_share": found.significant_share,
+        **asdict(found.spread),
     }
-
-
-def spread(values: FloatArray) -> dict[str, Any]:
-    """What comparison.json says of a map's scalars (N,)."""
-    return {"percentiles": percentiles(values), "rms": _rms(values), "bias": float(np.mean(values))}
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def provenance(seed: int | None) -> dict[str, Any]:

@@ -10,12 +10,13 @@ from html import escape
 from typing import NamedTuple
 
 from pcbench.deformation import Deformation
+from pcbench.measure.deviation import Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
+from pcbench.measure.intervals import Interval
 from pcbench.measure.metrics import FScore as Shares
 from pcbench.measure.presets import BothWays, Preset
-from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference, Estimate, Interval
+from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference, Estimate
 from pcbench.report.comparison import Comparison
-from pcbench.report.document import m3c2_summary, spread
 
 _LABELS = {
     "sum_unsquared": "Chamfer, sum of means",
@@ -74,13 +75,17 @@ def _candidate_rows(candidate: Candidate, unit: str) -> Iterator[Row]:
         yield _row(name, "recall", BACK, at, score.recall, "1")
         yield _row(name, "fscore", "both", at, score.fscore, "1")
     for map_name, values in candidate.deviation.maps.items():
-        found = spread(values)
-        for key in ("bias", "rms"):
-            yield Row(name, map_name, FORTH, f"{key} of the deviation map", found[key], unit)
-    if candidate.deviation.m3c2 is not None:
-        found = m3c2_summary(candidate.deviation.m3c2)
-        for key, power in (("bias", 1), ("rms", 1), ("lod95_median", 1), ("significant_share", 0)):
-            yield Row(name, f"m3c2_{key}", FORTH, "M3C2 at the core points", found[key], units[power])
+        spread = Spread.of(values)
+        for key, number in (("bias", spread.bias), ("rms", spread.rms)):
+            yield Row(name, map_name, FORTH, f"{key} of the deviation map", number, unit)
+    if (m3c2 := candidate.deviation.m3c2) is not None:
+        for key, number, power in (
+            ("bias", m3c2.spread.bias, 1),
+            ("rms", m3c2.spread.rms, 1),
+            ("lod95_median", m3c2.median_lod, 1),
+            ("significant_share", m3c2.significant_share, 0),
+        ):
+            yield Row(name, f"m3c2_{key}", FORTH, "M3C2 at the core points", number, units[power])
     for preset, definitions in m.presets.items():
         yield from _preset_rows(name, f"preset {preset}", definitions)
 
@@ -171,15 +176,15 @@ def _lines(comparison: Comparison, *, full: bool) -> Iterator[_Line | None]:
         yield from _preset_lines(preset, [c.metrics.presets[preset] for c in candidates])
     yield None
     for name in candidates[0].deviation.maps:
-        maps = [spread(c.deviation.maps[name]) for c in candidates]
+        spreads = [Spread.of(c.deviation.maps[name]) for c in candidates]
         label = f"map {name.replace('_distance', '')}: bias, rms"
-        yield _Line(label, [(_number(m["bias"]), _number(m["rms"])) for m in maps])
+        yield _Line(label, [(_number(s.bias), _number(s.rms)) for s in spreads])
     yield from _bend_lines(candidates)
     along_normals = [c.deviation.m3c2 for c in candidates if c.deviation.m3c2 is not None]
     if len(along_normals) == len(candidates):
-        m3c2 = [m3c2_summary(found) for found in along_normals]
-        yield _Line("map m3c2: bias, rms", [(_number(m["bias"]), _number(m["rms"])) for m in m3c2])
-        cells = [(_number(m["lod95_median"]), _number(m["significant_share"])) for m in m3c2]
+        spreads = [found.spread for found in along_normals]
+        yield _Line("map m3c2: bias, rms", [(_number(s.bias), _number(s.rms)) for s in spreads])
+        cells = [(_number(found.median_lod), _number(found.significant_share)) for found in along_normals]
         yield _Line("  median LoD95, significant", cells)
 
 
