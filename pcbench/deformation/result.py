@@ -224,7 +224,7 @@ class Deformation:
         """What `deformation.json`, or a candidate's `deformation` in `comparison.json`, holds; without the field.
 
         Raises:
-            KeyError, TypeError: it holds something else.
+            KeyError, TypeError, ValueError: it holds something else.
         """
         texts = values["warnings"]
         codes = values.get("warning_codes") or [""] * len(texts)  # older reports hold none

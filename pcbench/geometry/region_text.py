@@ -76,6 +76,6 @@ def _numbers(text: str, names: str) -> list[float]:
     for word in words:
         try:
             values.append(number(names, float(word)))
-        except (ValueError, InputError) as error:
+        except ValueError as error:
             raise InputError(f"expected finite numbers ({names}), got {brief(word.strip())}") from error
     return values

@@ -18,8 +18,6 @@ from pcbench.geometry.voxels import cell_means
 from pcbench.measure import metrics
 from pcbench.native import _core
 
-NAMES = ("gao2025", "mpeg", "open3d", "pdal", "tnt")
-
 _TIE = 1e-8  # pc_error takes squared distances this close as equal
 _MAX_TIES = 30
 
@@ -102,14 +100,7 @@ def measure_preset(
     name: str, pair: Pair, thresholds: tuple[float, ...], to_poisson: FloatArray | None = None
 ) -> Preset:
     """The preset of that name; `to_poisson` are distances to the reference's Poisson mesh, if there is one."""
-    definitions: dict[str, Callable[[], Preset]] = {
-        "gao2025": lambda: gao2025(pair, to_poisson),
-        "mpeg": lambda: mpeg(pair),
-        "open3d": lambda: open3d(pair, thresholds),
-        "pdal": lambda: pdal(pair),
-        "tnt": lambda: tnt(pair, thresholds),
-    }
-    return definitions[name]()
+    return _DEFINITIONS[name](pair, thresholds, to_poisson)
 
 
 def match(
@@ -295,3 +286,13 @@ def _has_duplicates(points: FloatArray) -> bool:
     key ^= bits[:, 2] * np.uint64(0x165667B19E3779F9)
     key.sort()
     return bool((key[1:] == key[:-1]).any())
+
+
+_DEFINITIONS: dict[str, Callable[[Pair, tuple[float, ...], FloatArray | None], Preset]] = {
+    "gao2025": lambda pair, _, to_poisson: gao2025(pair, to_poisson),
+    "mpeg": lambda pair, *_: mpeg(pair),
+    "open3d": lambda pair, thresholds, _: open3d(pair, thresholds),
+    "pdal": lambda pair, *_: pdal(pair),
+    "tnt": lambda pair, thresholds, _: tnt(pair, thresholds),
+}
+NAMES = tuple(_DEFINITIONS)

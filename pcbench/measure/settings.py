@@ -66,6 +66,7 @@ class Settings:
             raise InputError(f"unknown map {unknown[0]!r}: expected {' or '.join(MAPS)}")
         always = [name for name in ("gao2025", "mpeg") if name not in self.presets]
         object.__setattr__(self, "presets", (*always, *dict.fromkeys(self.presets)))
+        object.__setattr__(self, "maps", tuple(self.maps))
 
     def plain(self) -> dict[str, Any]:
         """The settings as JSON holds them: methods and regions by their texts, an initial pose where one was given."""

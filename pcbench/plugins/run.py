@@ -131,11 +131,10 @@ def run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None = No
         except (PcbenchError, OSError, ValueError) as error:  # written, but nothing that can be read
             outcome |= {"status": "garbage", "message": str(error)}
     status: Status = outcome["status"]
+    message = "".join(c if c.isprintable() else "?" for c in outcome.get("message", ""))  # no plugin paints terminals
     return Run(
         status=status,
-        message="".join(
-            c if c.isprintable() else "?" for c in outcome.get("message", "")
-        ),  # no plugin paints terminals
+        message=message,
         wall_s=wall_s,
         cpu_s=ended.cpu_s,
         peak_rss_bytes=outcome.get("peak_rss_bytes"),

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
 from pcbench.io.earth_studio import read_earth_studio
-from pcbench.io.image_header import EXTENSIONS, read_image_header
+from pcbench.io.image_header import EXTENSIONS, ImageHeader, read_image_header
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
 from pcbench.scenes.decode import Size
@@ -130,7 +130,9 @@ def _masks_folder(path: Path, masks: Path | str | None) -> Path | None:
     return Path(masks)
 
 
-def _masks(folder: Path, names: Iterable[str], headers: Mapping[str, Any], masks: Path | None) -> dict[str, Path]:
+def _masks(
+    folder: Path, names: Iterable[str], headers: Mapping[str, ImageHeader], masks: Path | None
+) -> dict[str, Path]:
     """The masks by image name; COLMAP's NAME.png (`a.jpg.png`) goes before the stem's (`a.png`)."""
     if masks is None:
         return {}
