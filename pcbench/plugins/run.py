@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import tempfile
 import time
@@ -22,6 +23,8 @@ Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
 # In the workspace. The plugin has a folder of its own in it, which is kept between runs.
 JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
+
+_MAX_TAIL = 4000  # bytes of a log that its last line is looked for in
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,9 @@ def _read_outcome(workspace: Path) -> dict[str, Any]:
 
 def _how_it_ended(code: int, log: Path) -> str:
     try:
-        text = log.read_bytes()[-4000:].decode(errors="replace")
+        with log.open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - _MAX_TAIL))
+            text = file.read().decode(errors="replace")
     except OSError as error:
         return f"the process ended with code {code} and without its log: {error.strerror}"
     last = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it printed nothing")
