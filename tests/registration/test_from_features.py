@@ -127,6 +127,7 @@ def test_a_plane_is_never_sure():
 
 
 @needs_kiss
+@pytest.mark.slow
 def test_far_coordinates_and_other_processes_change_nothing(tmp_path):
     reference, candidate = (np.round(c * 2**20) / 2**20 for c in windows(2, 1.0, counts=(40_000, 20_000)))
     candidate = np.round(pose(2).inverse().apply(candidate) * 2**20) / 2**20
@@ -198,6 +199,7 @@ def test_poses_from_pairs_of_which_most_are_wrong():
 
 
 @needs_kiss
+@pytest.mark.slow
 def test_the_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     true = pose(14)
