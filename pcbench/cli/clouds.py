@@ -28,9 +28,9 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.geometry.crop import crop as crop_cloud
     from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import check_output
+    from pcbench.io.files import check_output, named_file
 
-    check_output(out, (cloud,))
+    check_output(out, [cloud, *filter(None, [named_file(crop)])])
     data = read_cloud(cloud, on_warning=warn_unless(quiet))
     inside = crop_cloud(data, crop)
     write_cloud(out, inside)
@@ -51,11 +51,11 @@ def register(
     """Align CANDIDATE to REFERENCE and say how well that is determined. Prints the 4x4 matrix."""
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import atomic_write, check_output
+    from pcbench.io.files import atomic_write, check_output, named_file
     from pcbench.registration import register as register_clouds
 
     for path in filter(None, (out, matrix)):
-        check_output(path, (reference, candidate))
+        check_output(path, [reference, candidate, *filter(None, [named_file(register)])])
     reference_cloud, cloud = (read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate))
     with steps(quiet) as step:
         step("registering")

@@ -21,6 +21,8 @@ from pcbench.geometry.cloud import Cloud
 Warn = Callable[[str], None]
 T = TypeVar("T")
 
+_NAMING_A_FILE = ("matrix", "points", "polygon")  # kinds of settings that do
+
 
 class Fields(TypedDict, total=False):
     """The fields of a `pcbench.Cloud` as a file gives them: points may still be NaN or Inf."""
@@ -119,6 +121,19 @@ def digest(path: Path) -> str:
     for inner in sorted(p for p in path.iterdir() if p.is_file()):
         whole.update(inner.name.encode() + b"\0" + bytes.fromhex(digest(inner)))
     return whole.hexdigest()
+
+
+def named_file(setting: object) -> Path | None:
+    """The file that a registration or a region was, or is to be, read from; None where there is none.
+
+    Args:
+        setting: `matrix:FILE`, `points:FILE` or `polygon:FILE`; or an object whose `text` is one of these.
+    """
+    text = getattr(setting, "text", setting)
+    if not isinstance(text, str):
+        return None
+    kind, _, path = text.partition(":")
+    return Path(path.strip()) if path and kind.strip().lower() in _NAMING_A_FILE else None
 
 
 def check_output(path: Path, inputs: Sequence[Path]) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, TypeVar
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
-from pcbench.io.files import atomic_write, check_output, digest
+from pcbench.io.files import atomic_write, check_output, digest, named_file
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.settings import Settings
 from pcbench.report.comparison import Comparison, compare
@@ -21,8 +21,6 @@ from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.plot import draw_if_possible
 
 _Setting = TypeVar("_Setting")
-
-_NAMING_A_FILE = ("matrix:", "points:", "polygon:")  # settings that do
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         PcbenchError, OSError: an input, a setting or an output is not usable; nothing was written then.
     """
     settings = replace(job.settings, register=_absolute(job.settings.register), crop=_absolute(job.settings.crop))
-    named_files = [Path(text.partition(":")[2]) for text in (settings.register, settings.crop) if _names_file(text)]
+    named_files = [*filter(None, map(named_file, (settings.register, settings.crop)))]
     inputs = [job.reference, *job.candidates.values(), *named_files]
     if (settings.classes or settings.returns) and not any(p.suffix.lower() in FILTERED for p in inputs):
         raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
@@ -141,13 +139,9 @@ def _read(path: Path, settings: Settings, warnings: list[str], *, may_be_mesh: b
     return read_cloud(path, on_warning=warnings.append, **filters)
 
 
-def _names_file(setting: object) -> TypeGuard[str]:
-    return isinstance(setting, str) and setting.startswith(_NAMING_A_FILE)
-
-
 def _absolute(setting: _Setting) -> _Setting | str:
-    """A setting that names a file, so that it means the same from any folder."""
-    if not _names_file(setting):
+    """A text that names a file, so that it means the same from any folder."""
+    file = named_file(setting)
+    if file is None or not isinstance(setting, str):
         return setting
-    kind, _, path = setting.partition(":")
-    return f"{kind}:{Path(path).absolute()}" if path else setting
+    return f"{setting.partition(':')[0]}:{file.absolute()}"

@@ -10,8 +10,9 @@ from pcbench.deformation import Deformation, deform
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
+from pcbench.io.files import named_file
 from pcbench.registration import Registration
-from pcbench.report import report_folder, write_deformation
+from pcbench.report.folder import report_folder, write_deformation
 from pcbench.report.plot import draw_if_possible
 
 _MAX_SHOWN_POINTS = 300_000  # points of the aligned candidate that pictures are drawn over
@@ -57,7 +58,7 @@ def deform_files(
     if out is None:
         found, deformation = run()
     else:
-        with report_folder(out, keep=(reference, candidate)) as folder:
+        with report_folder(out, keep=[reference, candidate, *filter(None, map(named_file, (method, crop)))]) as folder:
             found, deformation = run()
             step("writing the report")
             rows = voxel_downsample_to(cloud.points, _MAX_SHOWN_POINTS, start=1e-4 * robust_extent(cloud.points))

@@ -28,6 +28,23 @@ def test_crop_register_and_info(files, run):
     assert "1,500 points" in out
 
 
+def test_no_file_that_a_setting_names_is_replaced(files, run):
+    matrix = files / "bend/T.txt"
+    matrix.parent.mkdir()
+    rows = "\n".join(" ".join(map(str, row)) for row in np.eye(4))
+    for name in ("deformation.json", "T.txt"):  # as `pcbench deform` leaves them
+        (matrix.parent / name).write_text(rows)
+    for command in (
+        ("register", "ref.ply", "a.ply", "--register", "matrix:bend/T.txt", "--matrix", "bend/T.txt"),
+        ("deform", "ref.ply", "a.ply", "--register", "matrix:bend/T.txt", "--out", "bend"),
+    ):
+        code, _, err = run(*command)
+        assert code == 2
+        assert one_line(err)
+        assert "would replace" in err
+        assert matrix.read_text() == rows
+
+
 def test_convert(files, run):
     write_cloud("c.ply", Cloud(read_cloud("a.ply").points, attributes={"quality": np.arange(1500.0)}))
     for name in ("c.xyz", "c.npz", "c.las", "c.laz", "c.pcd"):
