@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,21 +69,38 @@ def read_report(folder: Path) -> Report:
     """The report in a folder.
 
     Raises:
-        InputError: a file of it is missing or damaged.
+        InputError: a file of it is damaged.
+        OSError: comparison.json is missing.
     """
-    try:
+    with _damage_in_one_line(folder):
         document = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
         reference = document["reference"]
-        path = _reference_path(folder)
         return Report(
             unit=reference.get("unit") or "units of the file",
             spacing_median=float(reference["spacing_median"] or 0.0),
-            reference_path=path,
+            reference_path=_reference_path(folder),
             candidates=tuple(_candidate(folder, values) for values in document["candidates"]),
         )
+
+
+def read_deformation(folder: Path) -> Deformation:
+    """The verdict in a folder that `pcbench deform` wrote.
+
+    Raises:
+        InputError: deformation.json is damaged.
+        OSError: it is missing.
+    """
+    with _damage_in_one_line(folder):
+        return Deformation.from_json(json.loads((folder / "deformation.json").read_text(encoding="utf-8")))
+
+
+@contextmanager
+def _damage_in_one_line(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except InputError:
+        raise
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{folder}: the report is damaged: {type(error).__name__}: {error}") from error
 
 

@@ -8,7 +8,7 @@ import shapes
 
 from pcbench import Settings, compare
 from pcbench.errors import InputError
-from pcbench.report.read import read_report
+from pcbench.report.read import read_deformation, read_report
 
 
 @pytest.fixture
@@ -44,3 +44,10 @@ def test_a_damaged_report_is_one_line(saved, key):
     (folder / "comparison.json").write_text("{")
     with pytest.raises(InputError, match="the report is damaged"):
         read_report(folder)
+
+
+def test_a_damaged_verdict_is_one_line(tmp_path):
+    for text in ("{", "[]", '{"verdict": "none"}', "7"):
+        (tmp_path / "deformation.json").write_text(text)
+        with pytest.raises(InputError, match="the report is damaged"):
+            read_deformation(tmp_path)

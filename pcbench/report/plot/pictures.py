@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from pcbench.deformation import Deformation
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
 from pcbench.report.plot import Picture, bends, charts, maps
-from pcbench.report.read import read_report
+from pcbench.report.read import read_deformation, read_report
 
 
 def pictures(folder: Path) -> dict[str, Picture]:
@@ -23,7 +22,7 @@ def pictures(folder: Path) -> dict[str, Picture]:
 
 def _pictures_of_deformation(folder: Path) -> dict[str, Picture]:
     """Those of a folder that `pcbench deform` wrote."""
-    bend = Deformation.from_json(json.loads((folder / "deformation.json").read_text(encoding="utf-8")))
+    bend = read_deformation(folder)
     if not (folder / "deformation.ply").is_file():
         return {}
     cloud, field = read_cloud(folder / "aligned.ply"), read_cloud(folder / "deformation.ply")
