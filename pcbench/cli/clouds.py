@@ -26,13 +26,17 @@ from pcbench.cli.options import (
 @quiet_option
 def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
+    from pcbench.errors import InputError
     from pcbench.geometry.crop import crop as crop_cloud
     from pcbench.io import read_cloud, write_cloud
     from pcbench.io.files import check_output, named_file
 
     check_output(out, [cloud, *filter(None, [named_file(crop)])])
     data = read_cloud(cloud, on_warning=warn_unless(quiet))
-    inside = crop_cloud(data, crop)
+    try:
+        inside = crop_cloud(data, crop)
+    except InputError as error:
+        raise InputError(f"{cloud}: {error}") from error
     write_cloud(out, inside)
     if not quiet:
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.deformation.pairs import Side, residual_deformation
 from pcbench.deformation.result import Deformation
+from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index
@@ -31,12 +33,14 @@ def deform(
         method: how the candidate is registered, or its given pose, as `pcbench.register` takes it.
         crop: which part counts: a region in the reference's coordinates, or its text, see
             `pcbench.geometry.region_text.parse_region`. Points outside are still searched.
-        seed: of the bootstrap.
+        seed: of the bootstrap, a whole number >= 0.
 
     Raises:
-        InputError: a cloud or the region is not usable, or the region holds no points of either cloud.
+        InputError: a cloud, the seed or the region is not usable, or the region holds no points of either cloud.
         RegistrationError: the clouds do not overlap.
     """
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
+        raise InputError(f"expected the seed as a whole number >= 0, got {type(seed).__name__}")
     reference, candidate = as_cloud(reference), as_cloud(candidate)
     origin = local_origin(reference)
     target = Target.of(reference, origin)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -60,13 +61,14 @@ class Settings:
             raise InputError(f"expected the seed as a whole number >= 0, got {self.seed!r}")
         if not _is_whole(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
             raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
-        if unknown := [name for name in self.presets if name not in presets.NAMES]:
+        wanted, maps = _names("presets", self.presets), _names("maps", self.maps)
+        if unknown := [name for name in wanted if name not in presets.NAMES]:
             raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
-        if unknown := [name for name in self.maps if name not in MAPS]:
+        if unknown := [name for name in maps if name not in MAPS]:
             raise InputError(f"unknown map {unknown[0]!r}: expected {' or '.join(MAPS)}")
-        always = [name for name in ("gao2025", "mpeg") if name not in self.presets]
-        object.__setattr__(self, "presets", (*always, *dict.fromkeys(self.presets)))
-        object.__setattr__(self, "maps", tuple(self.maps))
+        always = [name for name in ("gao2025", "mpeg") if name not in wanted]
+        object.__setattr__(self, "presets", (*always, *dict.fromkeys(wanted)))
+        object.__setattr__(self, "maps", maps)
 
     def plain(self) -> dict[str, Any]:
         """The settings as JSON holds them: methods and regions by their texts, an initial pose where one was given."""
@@ -74,6 +76,12 @@ class Settings:
         for name in ("register", "crop"):
             values[name] = getattr(values[name], "text", values[name])
         return values if self.initial is None else {**values, "initial": as_similarity(self.initial).matrix}
+
+
+def _names(what: str, given: Any) -> tuple[Any, ...]:
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"expected {what} as several names, in a tuple or list, got {given!r}")
+    return tuple(given)
 
 
 def _positive(values: Any) -> list[float]:

@@ -127,7 +127,8 @@ def check_name(name: Any) -> str:
     Raises:
         InputError: it is empty, reserved, or would lead out of the report's folder.
     """
-    if not isinstance(name, str) or not name or name == "reference" or any(c in name for c in "/\\\0"):
+    reserved = ("", ".", "..", "reference")
+    if not isinstance(name, str) or name in reserved or any(c in name for c in "/\\\0"):
         raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
     return name
 

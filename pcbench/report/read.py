@@ -105,9 +105,11 @@ def _damage_in_one_line(folder: Path) -> Iterator[None]:
 
 
 def _reference_path(folder: Path) -> Path | None:
-    """Absolute, as settings.json has it: comparison.json has what was typed."""
-    settings = folder / "settings.json"
-    return Path(json.loads(settings.read_text(encoding="utf-8"))["reference"]["path"]) if settings.is_file() else None
+    """Absolute, as settings.json has it: comparison.json has what was typed. Pictures of the rest do not need it."""
+    try:
+        return Path(json.loads((folder / "settings.json").read_text(encoding="utf-8"))["reference"]["path"])
+    except (OSError, KeyError, TypeError, ValueError, RecursionError):
+        return None
 
 
 def _candidate(folder: Path, values: dict[str, Any]) -> ReportedCandidate:

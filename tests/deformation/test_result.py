@@ -72,6 +72,12 @@ def test_an_answer_in_words(bent):
     assert repr(unanswered) == "<Deformation: undecided (rigid model)>"
 
 
+@pytest.mark.parametrize("seed", [-1, 1.5, "x", None, [1], True])
+def test_a_seed_is_a_whole_number(seed):
+    with pytest.raises(InputError, match="expected the seed as a whole number >= 0"):
+        deform(np.eye(3), np.eye(3), seed=seed)
+
+
 def test_it_is_deterministic():
     rng = np.random.default_rng(13)
     reference, candidate = noisy(sampled(60_000, rng), rng), noisy(sampled(20_000, rng), rng)

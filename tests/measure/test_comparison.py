@@ -345,6 +345,7 @@ def test_a_comparison_is_handy(pair, tmp_path):
     assert comparison["a"] is comparison.candidates[0]
     assert [c.name for c in comparison] == ["a", "<b>"]
     assert len(comparison) == 2
+    assert "a" in comparison and "c" not in comparison
     with pytest.raises(KeyError, match="no candidate 'c': there are a, <b>"):
         comparison["c"]
     text = repr(comparison)
@@ -394,3 +395,12 @@ def test_regions_are_objects_or_texts(pair):
     assert by_object["settings"]["crop"] == "box:10,10,-9,25,30,9"
     with pytest.raises(InputError, match="expected crop as a region or as text"):
         Settings(crop=(0, 1))
+
+
+def test_names_are_taken_from_any_iterable():
+    names = Settings(presets=(name for name in ("pdal",)), maps=(name for name in ("m3c2",)))
+    assert names.presets == ("gao2025", "mpeg", "pdal")
+    assert names.maps == ("m3c2",)
+    for wrong in ("pdal", None, 7):
+        with pytest.raises(InputError, match="expected presets as several names"):
+            Settings(presets=wrong)

@@ -46,6 +46,13 @@ def test_a_damaged_report_is_one_line(saved, key):
         read_report(folder)
 
 
+def test_pictures_need_no_settings(saved):
+    _, folder = saved
+    for text in ("{", "[]", "7"):
+        (folder / "settings.json").write_text(text)
+        assert read_report(folder).reference() is None
+
+
 def test_a_damaged_verdict_is_one_line(tmp_path):
     for text in ("{", "[]", '{"verdict": "none"}', "7"):
         (tmp_path / "deformation.json").write_text(text)
