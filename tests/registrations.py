@@ -5,8 +5,6 @@ import shapes
 
 from pcbench import Similarity
 
-UTM = np.array([500_000.0, 4_800_000.0, 0.0])
-
 
 def motion(angle_deg=2.0, shift=(0.6, -0.4, 0.3), scale=1.0):
     """A motion candidate -> reference as large as ICP meets after a rough alignment."""

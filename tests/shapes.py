@@ -2,6 +2,11 @@
 
 import numpy as np
 
+# Coordinates as surveys have them: on a grid of quarters, with decimals that no binary number has, and whole.
+UTM = np.array([468_012.25, 5_428_771.5, 312.0])
+UTM_DECIMAL = np.array([512_345.678, 5_612_345.678, 123.456])
+UTM_WHOLE = np.array([500_000.0, 4_800_000.0, 0.0])
+
 
 def plane_grid(n=20, spacing=1.0, height=0.0):
     """(n * n, 3) points of a square grid in the plane z = height, x fastest, from the origin on."""

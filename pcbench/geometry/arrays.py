@@ -1,9 +1,11 @@
-"""What arrays are called here, how far their coordinates may go, the box they lie in, and who may change them."""
+"""What arrays are called here, what a caller may give as one, how far coordinates go, and who may change them."""
 
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from pcbench.errors import InputError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -18,6 +20,24 @@ def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     # One axis at a time: several times faster than numpy's reduction of rows of three.
     columns = [points[:, axis] for axis in range(3)]
     return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
+
+
+def as_rows(what: str, data: ArrayLike) -> FloatArray:
+    """Points or directions that a caller gave, as C-contiguous float64 (N, 3): its own array where that is one.
+
+    Raises:
+        InputError: it is no plain array of real numbers, or has another shape. `what` names it in the message.
+    """
+    kind = getattr(getattr(data, "dtype", None), "kind", "f")
+    if isinstance(data, np.ma.MaskedArray) or kind not in "fiub":
+        raise InputError(f"expected {what} as a plain array of real numbers, got {type(data).__name__}")
+    try:
+        array = np.ascontiguousarray(data, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}") from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
+    return array
 
 
 def freeze(array: _Array) -> _Array:

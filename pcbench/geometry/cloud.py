@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError, MissingExtra
-from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, bounds, freeze, kept
+from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, as_rows, bounds, freeze, kept
 
 if TYPE_CHECKING:
     from pcbench.geometry.transform import Affine, Similarity
@@ -210,16 +210,7 @@ def _open3d() -> Any:
 
 
 def _triples(what: str, data: ArrayLike) -> FloatArray:
-    kind = getattr(getattr(data, "dtype", None), "kind", "f")
-    if isinstance(data, np.ma.MaskedArray) or kind not in "fiub":
-        raise InputError(f"expected {what} as a plain array of real numbers, got {type(data).__name__}")
-    try:
-        array = np.ascontiguousarray(data, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}") from error
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
-    return kept(array, data)
+    return kept(as_rows(what, data), data)
 
 
 def _bytes(data: ArrayLike) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray, as_rows
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.native import _core
@@ -41,7 +41,7 @@ class Mesh:
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        vertices, faces = _rows("vertices", self.vertices), np.asarray(self.faces)
+        vertices, faces = as_rows("vertices", self.vertices), np.asarray(self.faces)
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
             raise InputError(f"expected faces as an (F, 3) array of whole numbers, got {faces.shape} of {faces.dtype}")
         if not len(faces):
@@ -177,7 +177,7 @@ class MeshIndex:
             InputError: `points` are not finite (N, 3) coordinates; `signed` and the mesh is not closed, or has faces
                 whose three different vertices lie on one line (`has_inside` tells beforehand).
         """
-        queries = _rows("points", points)
+        queries = as_rows("points", points)
         if not np.isfinite(queries).all():
             raise InputError("expected points of finite coordinates, got NaN or Inf")
         count = len(queries)
@@ -289,9 +289,9 @@ def _edge_keys(faces: IntArray, vertices: int) -> IntArray:
 
 
 def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    towards = _rows("directions", directions)
+    towards = as_rows("directions", directions)
     starts = np.asarray(origins, dtype=np.float64)
-    starts = _rows("origins", np.broadcast_to(starts, towards.shape) if starts.shape == (3,) else starts)
+    starts = as_rows("origins", np.broadcast_to(starts, towards.shape) if starts.shape == (3,) else starts)
     if len(starts) != len(towards):
         raise InputError(f"expected an origin for each of the {len(towards)} directions, got {len(starts)}")
     if not (np.isfinite(starts).all() and np.isfinite(towards).all()):
@@ -299,13 +299,3 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatA
     if not towards.any(axis=1).all():
         raise InputError("expected directions of some length, got zero")
     return starts, towards
-
-
-def _rows(what: str, data: ArrayLike) -> FloatArray:
-    try:
-        array = np.ascontiguousarray(data, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}") from error
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
-    return array

@@ -39,9 +39,7 @@ class Affine:
     @property
     def matrix(self) -> FloatArray:
         """The homogeneous (4, 4) matrix."""
-        result = np.eye(4)
-        result[:3, :3], result[:3, 3] = self.linear, self.translation
-        return result
+        return _homogeneous(self.linear, self.translation)
 
     def apply(self, points: FloatArray) -> FloatArray:
         """Transform (N, 3) points."""
@@ -125,9 +123,7 @@ class Similarity:
     @property
     def matrix(self) -> FloatArray:
         """The homogeneous (4, 4) matrix."""
-        result = np.eye(4)
-        result[:3, :3], result[:3, 3] = self.linear, self.translation
-        return result
+        return _homogeneous(self.linear, self.translation)
 
     def apply(self, points: FloatArray) -> FloatArray:
         """Transform (N, 3) points."""
@@ -153,6 +149,13 @@ class Similarity:
     def about(self, origin: FloatArray) -> Similarity:
         """The same motion for coordinates that still carry `origin`: this one was found after subtracting it."""
         return Similarity(self.rotation, self.translation + origin - self.linear @ origin, self.scale)
+
+
+def _homogeneous(linear: FloatArray, translation: FloatArray) -> FloatArray:
+    """(4, 4) of x -> linear (3, 3) @ x + translation (3,)."""
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = linear, translation
+    return result
 
 
 def _each(matrix: FloatArray, vectors: FloatArray) -> FloatArray:

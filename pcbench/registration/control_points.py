@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration.result import CheckPoint
 
@@ -86,12 +86,7 @@ def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, tuple[CheckPoint, ...]]
 
 
 def _points(values: ArrayLike, name: str) -> FloatArray:
-    try:
-        points = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"expected the {name}'s control points as an (N, 3) array of numbers: {error}") from error
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"expected the {name}'s control points as an (N, 3) array, got {points.shape}")
+    points = as_rows(f"the {name}'s control points", values).copy()
     if not np.isfinite(points).all():
         raise InputError(f"expected finite control points of the {name}, got NaN or Inf")
     return points

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from mesh_shapes import cube, height_field, spiky, tetrahedron
 from scipy.stats import chi2
+from shapes import UTM
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.transform import Affine, Similarity
-
-UTM = np.array([468_012.25, 5_428_771.5, 312.0])
 
 
 def test_closed():

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from mesh_shapes import cube, height_field, icosphere, spiky, tetrahedron
 from repository import TESTS
+from shapes import UTM
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh, MeshIndex
-
-UTM = np.array([468_012.25, 5_428_771.5, 312.0])
-
 
 # ---- oracles ----
 

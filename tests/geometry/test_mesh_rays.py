@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from mesh_shapes import cube, icosphere
 from oracles import first_hits
+from shapes import UTM
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh, MeshIndex
-
-UTM = np.array([468_012.25, 5_428_771.5, 312.0])
 
 
 @pytest.mark.parametrize("offset", [np.zeros(3), UTM], ids=["origin", "utm"])

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from shapes import fibonacci_sphere
+from shapes import UTM, fibonacci_sphere
 
 from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry import poisson
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.poisson import poisson_mesh
-
-UTM = np.array([468_012.25, 5_428_771.5, 312.0])
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import pytest
 from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from polygon_rings import BESIDE, HOLE, SQUARE
 
 from pcbench import Cloud, parse_region
 from pcbench.errors import InputError
@@ -15,9 +16,6 @@ from pcbench.geometry.polygon_files import read_polygon
 from pcbench.geometry.regions import Polygon, Union
 
 unhurried = settings(deadline=None)  # a busy machine is no failure
-SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]
-HOLE = [[1, 1], [1, 3], [3, 3], [3, 1], [1, 1]]
-BESIDE = [[6, 0], [8, 0], [8, 2], [6, 2], [6, 0]]
 CLOUD = Cloud(np.random.default_rng(0).normal(size=(500, 3)))
 
 

@@ -4,15 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from polygon_rings import BESIDE, HOLE, SQUARE
+from shapes import UTM_DECIMAL as UTM
 
 from pcbench import Cloud, parse_region
 from pcbench.errors import InputError
 from pcbench.geometry.regions import Box, Polygon, Region, Sphere, Union
 
-UTM = np.array([512_345.678, 5_612_345.678, 123.456])
-SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]
-HOLE = [[1, 1], [1, 3], [3, 3], [3, 1], [1, 1]]
-BESIDE = [[6, 0], [8, 0], [8, 2], [6, 2], [6, 0]]
 CLOUD = Cloud(np.random.default_rng(0).normal(size=(500, 3)))
 
 

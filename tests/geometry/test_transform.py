@@ -5,13 +5,13 @@ import pytest
 import shapes
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapes import UTM_DECIMAL as UTM
 
 from pcbench.errors import InputError
 from pcbench.geometry.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
 
 unhurried = settings(deadline=None)  # a busy machine is no failure
 QUARTER_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-UTM = np.array([512_345.678, 5_612_345.678, 123.456])
 
 coordinates = st.tuples(*[st.floats(-100, 100)] * 3).map(np.array)
 axes = coordinates.filter(lambda axis: np.linalg.norm(axis) > 1e-3)

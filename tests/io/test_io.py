@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from data_folder import data_folder
 from ply_bytes import XYZ, corpus, ply, points
+from refusals import refusal
 
 import pcbench
 from pcbench.errors import InputError
@@ -21,16 +22,6 @@ HEAD = "ply\nformat binary_little_endian 1.0\n"
 VERTEX = HEAD + "element vertex {}\nproperty float x\nproperty float y\nproperty float z\n{}end_header\n"
 PLAIN = {form: corpus()[f"{form} plain"] for form in ("ascii", "binary_little_endian")}
 FACES = ("face", ["list uchar int i"], [((0, 1, 2),)] * 4)
-
-
-def refusal(path):
-    """The message, which must be one line that starts with the path."""
-    with pytest.raises(InputError) as caught:
-        read_cloud(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message[len(f"{path}: ") :]
 
 
 @pytest.mark.parametrize("extension", [".ply", ".npz", ".PLY", ".Npz"])

@@ -8,20 +8,11 @@ import zipfile
 import numpy as np
 import pytest
 from ply_bytes import damaged
+from refusals import refusal
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
-
-
-def refusal(path, data):
-    path.write_bytes(data)
-    with pytest.raises(InputError) as caught:
-        read_cloud(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message[len(f"{path}: ") :]
 
 
 def npy(array, version=None):

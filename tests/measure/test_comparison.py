@@ -9,6 +9,7 @@ import numpy as np
 import oracles
 import pytest
 import shapes
+from shapes import UTM_WHOLE as UTM
 
 from pcbench import Cloud, Settings, Sphere, compare
 from pcbench.errors import InputError, RegistrationError
@@ -18,7 +19,6 @@ from pcbench.measure.results import BACK, FORTH
 from pcbench.registration import IcpSettings
 from pcbench.report import document, to_json
 
-UTM = np.array([500_000.0, 4_800_000.0, 0.0])
 NONE = Settings(register="none")
 
 

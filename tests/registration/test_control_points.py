@@ -67,7 +67,7 @@ def test_control_points_without_scale_are_rigid():
     ("arguments", "message"),
     [
         ((np.eye(3), np.eye(3)[:2]), "as many rows of candidate .3. as of reference .2."),
-        ((np.eye(3), np.eye(4)), "the reference's control points as an .N, 3. array, got .4, 4."),
+        ((np.eye(3), np.eye(4)), "the reference's control points of shape .N, 3., got .4, 4."),
         ((np.eye(3) * np.nan, np.eye(3)), "finite control points of the candidate"),
         (("abc", np.eye(3)), "array of numbers"),
         ((np.eye(3), np.eye(3), ["a"]), "names .1."),

@@ -1,0 +1,18 @@
+"""What a reader says of a file that it refuses."""
+
+import pytest
+
+from pcbench import read_cloud
+from pcbench.errors import InputError
+
+
+def refusal(path, data=None):
+    """The message without the path that it must start with; one line. `data` is written to the path first."""
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        read_cloud(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message[len(f"{path}: ") :]
