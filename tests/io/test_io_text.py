@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import refusals
 from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,12 +22,7 @@ def read(tmp_path, text, name="a.txt", **options):
 
 
 def refusal(tmp_path, text, name="a.txt"):
-    with pytest.raises(InputError) as caught:
-        read(tmp_path, text, name)
-    message = str(caught.value)
-    assert message.startswith(f"{tmp_path / name}: ")
-    assert "\n" not in message
-    return message.removeprefix(f"{tmp_path / name}: ")
+    return refusals.refusal(tmp_path / name, text)
 
 
 # ---- delimiters and lines ----
