@@ -64,7 +64,12 @@ class Ended:
     @property
     def last_words(self) -> str:
         """The last line of its standard error that is not blank; empty where there is none."""
-        return next((line.strip() for line in reversed(self.errors.splitlines()) if line.strip()), "")
+        return last_line(self.errors)
+
+
+def last_line(text: str) -> str:
+    """The last line that is not blank; empty where there is none."""
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
 
 
 def run_module(

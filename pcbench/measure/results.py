@@ -102,7 +102,7 @@ class Chamfer:
 
 
 @dataclass(frozen=True)
-class FScore:
+class ThresholdScores:
     """Shares in [0, 1] of the points within `threshold`: precision c→r, recall r→c, and their harmonic mean."""
 
     threshold: float
@@ -128,7 +128,7 @@ class Metrics:
     directed: Mapping[str, DirectedMetric]
     hausdorff: Hausdorff
     chamfer: Chamfer
-    fscores: tuple[FScore, ...]
+    fscores: tuple[ThresholdScores, ...]
     percentiles_accuracy: Mapping[str, float]
     percentiles_completeness: Mapping[str, float]
     presets: Mapping[str, Preset] = field(default_factory=dict)

@@ -18,9 +18,9 @@ from pcbench.measure.results import (
     DirectedMetric,
     Estimate,
     Extremes,
-    FScore,
     Hausdorff,
     Metrics,
+    ThresholdScores,
 )
 
 
@@ -109,12 +109,12 @@ def _fscore(
     means: Mapping[str, Mapping[str, _Mean]],
     threshold: float,
     sampled: dict[str, Sampled],
-) -> FScore:
+) -> ThresholdScores:
     score = metrics.fscore(a, b, threshold)
     precision, recall = (means[way][_within(threshold)].replicates for way in (FORTH, BACK))
     both = np.array([metrics.harmonic_mean(p, r) for p, r in zip(precision, recall, strict=True)])
     sampled[f"fscore/{threshold!r}"] = Sampled(score.fscore, both)
-    return FScore(
+    return ThresholdScores(
         threshold,
         precision=Estimate(score.precision, interval=intervals.interval(precision)),
         recall=Estimate(score.recall, interval=intervals.interval(recall)),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pcbench.children import Limits, run_module
+from pcbench.children import Limits, last_line, run_module
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
@@ -177,9 +177,10 @@ def _how_it_ended(code: int, log: Path) -> str:
             text = file.read().decode(errors="replace")
     except OSError as error:
         return f"the process ended with code {code} and without its log: {error.strerror}"
-    last = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it printed nothing")
+    last = last_line(text) or "it printed nothing"
     if code < 0:
-        name = signal.Signals(-code).name
+        # Real-time signals have numbers only.
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         hint = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
         return f"the process was ended by {name}{hint}; its last line: {last[:200]}"
     return f"the process ended with code {code} and without a result; its last line: {last[:200]}"

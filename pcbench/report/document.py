@@ -22,7 +22,7 @@ from pcbench.errors import Notice
 from pcbench.measure.deviation import M3C2, DeviationMap, Spread
 from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.presets import Open3d, Preset, Tnt
-from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, FScore, Metrics
+from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, Metrics, ThresholdScores
 from pcbench.registration import Registration
 from pcbench.report.comparison import Comparison
 from pcbench.report.inputs import InputFile
@@ -114,7 +114,7 @@ def _directed(metric: DirectedMetric) -> dict[str, Any]:
     }
 
 
-def _fscore(score: FScore) -> dict[str, Any]:
+def _fscore(score: ThresholdScores) -> dict[str, Any]:
     parts = {"precision": score.precision, "recall": score.recall, "fscore": score.fscore}
     return {
         "threshold": score.threshold,

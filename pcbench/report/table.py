@@ -13,7 +13,7 @@ from pcbench.deformation import Deformation
 from pcbench.measure.deviation import Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
-from pcbench.measure.metrics import FScore as Shares
+from pcbench.measure.metrics import FScore
 from pcbench.measure.presets import BothWays, Preset
 from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference, Estimate
 from pcbench.report.comparison import Comparison
@@ -133,7 +133,7 @@ def _preset_rows(name: str, definition: str, preset: Preset) -> Iterator[Row]:
             yield Row(name, metric, "", definition, value, "")
 
 
-def _parts(preset: Preset) -> Iterator[tuple[str, float | BothWays | tuple[Shares, ...] | None]]:
+def _parts(preset: Preset) -> Iterator[tuple[str, float | BothWays | tuple[FScore, ...] | None]]:
     yield from vars(preset).items()
 
 

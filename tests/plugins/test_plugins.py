@@ -108,6 +108,7 @@ def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
         ("raise ReconstructionError('\\x1b[31mred')", "failed", r"\?\[31mred"),
         ("raise KeyError('a line of\\nmine')", "crashed", "KeyError: 'a line of\\\\nmine'"),
         ("os.abort()", "crashed", "ended by SIGABRT"),
+        ("os.kill(os.getpid(), signal.SIGRTMIN + 5)", "crashed", "ended by signal 39"),
         ("print('last words'); os.kill(os.getpid(), signal.SIGKILL)", "crashed", "SIGKILL.*last words"),
         ("sys.exit(0)", "crashed", "ended with code 0 and without a result"),
         ("np.zeros((10**7, 10**7))", "crashed", "MemoryError"),
