@@ -1,7 +1,7 @@
 """The registration methods: their texts, the objects that these stand for, and `register`, which carries them out.
 
 To add a method: write a module with a frozen dataclass of its settings (`text` and `with_scale` among them) and a
-function that returns a `Fit`, and give it a line in `METHODS`, `Method`, `parse_method` and `register` here.
+function that returns a `Fit`, and give it a line in `Method`, `_NAMED` (or `parse_method`) and `register` here.
 """
 
 from __future__ import annotations
@@ -22,9 +22,17 @@ from pcbench.registration.quality import assess_given
 from pcbench.registration.result import UNIT_MISMATCH, CheckPoint, Registration
 from pcbench.registration.target import Target, local_origin
 
-METHODS = ("icp", "icp-point", "similarity", "global", "global-similarity", "points:FILE", "matrix:FILE", "none")
-
 Method = IcpSettings | FeatureSettings | ControlPoints | GivenPose
+
+_NAMED: dict[str, Method] = {
+    "icp": IcpSettings(),
+    "icp-point": IcpSettings(residuals="point"),
+    "similarity": IcpSettings(with_scale=True),
+    "global": FeatureSettings(),
+    "global-similarity": FeatureSettings(with_scale=True),
+    "none": GivenPose.identity(),
+}
+METHODS = (*_NAMED, "points:FILE", "matrix:FILE")
 
 _MAX_LOG_RATIO = 0.05  # between the ratio of two extents and a unit's: they agree to some per cent
 
@@ -115,17 +123,9 @@ def parse_method(text: str) -> Method:
         return ControlPoints.read(path)
     if kind == "matrix" and path:
         return GivenPose.read(path)
-    named: dict[str, Method] = {
-        "icp": IcpSettings(),
-        "icp-point": IcpSettings(residuals="point"),
-        "similarity": IcpSettings(with_scale=True),
-        "global": FeatureSettings(),
-        "global-similarity": FeatureSettings(with_scale=True),
-        "none": GivenPose.identity(),
-    }
-    if colon or kind not in named:
+    if colon or kind not in _NAMED:
         raise InputError(f"unknown registration {text!r}: expected one of {', '.join(METHODS)}")
-    return named[kind]
+    return _NAMED[kind]
 
 
 def as_method(method: Method | Similarity | ArrayLike | str) -> Method:
