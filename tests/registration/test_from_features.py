@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import shapes
 from data_folder import data_folder
-from registrations import UTM, codes, error
+from registrations import codes, error
+from shapes import UTM_WHOLE as UTM
 
 from pcbench import cli, read_cloud, write_cloud
 from pcbench.errors import InputError, MissingExtra, RegistrationError

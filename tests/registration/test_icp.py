@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import shapes
 from data_folder import data_folder
-from registrations import UTM, codes, error, motion
+from registrations import codes, error, motion
+from shapes import UTM_WHOLE as UTM
 
 from pcbench import Similarity, read_cloud
 from pcbench.errors import InputError, RegistrationError
