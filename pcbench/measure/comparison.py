@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcbench.deformation import Side, residual_deformation
 from pcbench.errors import InputError, Notice, RegistrationError
-from pcbench.geometry.arrays import bounds
+from pcbench.geometry.arrays import IntArray, bounds
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.crs import crs_name, same_crs
@@ -131,7 +131,7 @@ def _compare_one(
             origin=reference.origin,
         )
     with _timed(timings, "maps"):
-        deviation = _deviation_map(reference, index, accuracy, registration, settings)
+        deviation = _deviation_map(reference, index, np.flatnonzero(inside), accuracy, registration, settings)
     step(f"{name}: looking for a bend")
     with _timed(timings, "deformation"):
         sides = Side(reference.surface, reference.inside, reference.cloud), Side(Surface(index), inside, cloud)
@@ -146,7 +146,7 @@ def _compare_one(
         points_in_region=int(np.count_nonzero(inside)),
         registration=registration,
         metrics=replace(measurement.metrics, presets=presented),
-        deviation=replace(deviation, rows=np.flatnonzero(inside)),
+        deviation=deviation,
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),
@@ -156,9 +156,16 @@ def _compare_one(
 
 
 def _deviation_map(
-    reference: Reference, candidate: Index, forth: Direction, registration: Registration, settings: Settings
+    reference: Reference,
+    candidate: Index,
+    measured: IntArray,
+    forth: Direction,
+    registration: Registration,
+    settings: Settings,
 ) -> DeviationMap:
-    """All maps of one candidate; the distances to points and planes are those that were measured already."""
+    """All maps of one candidate at its points inside the region, the rows `measured` (M,); the distances to points and
+    planes are those that were measured already.
+    """
     scalars = {"distance": forth.distances.to_points}
     if forth.distances.to_planes is not None:
         scalars["plane_distance"] = forth.distances.to_planes
@@ -179,7 +186,7 @@ def _deviation_map(
             half_length=_CYLINDER_REACH * radius,
             registration_error=registration.rmse if error is None else error,
         ).shifted(-reference.origin)
-    return DeviationMap(forth.points + reference.origin, np.empty(0, np.int64), scalars, along_normals)
+    return DeviationMap(forth.points + reference.origin, measured, scalars, along_normals)
 
 
 def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.Pair:
