@@ -10,10 +10,11 @@ import numpy as np
 from pcbench import Cloud
 from pcbench.deformation import Deformation, Side, TileSums
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, estimate_noise
-from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, judge_pairs, tile_sums
+from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, tile_sums
 from pcbench.deformation.polynomials import monomials
+from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.sums import dyadic_moments, groups
-from pcbench.deformation.verdict import Finding, bootstrap_signs, decide
+from pcbench.deformation.verdict import Finding, View, decide
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.registration import Target, local_origin, register
@@ -79,15 +80,17 @@ class Scene:
             normals,
             zero,
             one,
+            scales=one,
             left=zero,
+            apart=zero,
             quality=one,
+            areas=one,
             lower=self.lower,
             side=self.side,
             center=np.zeros(3),
             radius=SIZE / 2,
         )
         self.geometry = Geometry(self.sums)
-        self.signs = bootstrap_signs(self.geometry, 0)
         cells = np.floor((places - self.lower) / self.side).astype(np.int64)
         self.order, self.starts = groups(cells)
         basis = monomials(places / (SIZE / 2))
@@ -125,10 +128,11 @@ class Scene:
         energy = np.add.reduceat(np.square(residuals)[self.order], self.starts)
         total = np.einsum("ab,bk->ak", g.to_orthonormal, sums.sum(axis=0)).ravel()
         left = residuals - self.cubic @ g.fit("cubic", total)
-        dyadic = dyadic_moments(self.places, self.normals, left, np.ones(len(left)), self.lower, self.side)
-        scores = Scores(g, sums, energy, dyadic)
+        one = np.ones(len(left))
+        _, powers = dyadic_moments(self.places, self.normals, left, one, one, self.lower, self.side)
+        scores = Scores(g, sums, energy, powers)
         noise = estimate_noise(g, scores)
-        return Judged(decide(g, scores, noise, self.signs), scores, noise)
+        return Judged(decide([View(self.sums, g, scores, noise)]), scores, noise)
 
     def fitted(self, judged: Judged) -> np.ndarray:
         """(N,) what the chosen model shows along the normals beyond an affine field."""
@@ -185,7 +189,7 @@ class Halves:
         sums = tile_sums(pairs)
         geometry = Geometry(sums)
         step = geometry.step("affine", found.model if found.model in ("quadratic", "cubic") else "cubic")
-        coefficients = step.modes @ (step.modes.T @ Scores(geometry, sums.scores, sums.energy, sums.dyadic).total)
+        coefficients = step.modes @ (step.modes.T @ Scores(geometry, sums.scores, sums.energy, sums.powers).total)
         values = geometry.to_orthonormal @ monomials((pairs.places - geometry.center) / geometry.radius)
         fitted = np.einsum("an,ak,nk->n", values, coefficients.reshape(-1, 3), pairs.normals)
         error = np.average(np.square(fitted - truth), weights=pairs.weights)
@@ -211,7 +215,7 @@ class Halves:
         ]
         pairs = find_pairs(*sides)
         assert pairs is not None
-        return judge_pairs(pairs), pairs
+        return residual_deformation(*sides, registration, self._origin), pairs
 
     @staticmethod
     def _beyond_affine(pairs: Pairs, field: np.ndarray) -> np.ndarray:

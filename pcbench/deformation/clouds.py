@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.deformation.pairs import Side, residual_deformation
+from pcbench.deformation.pairs import Side
+from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
@@ -33,7 +34,7 @@ def deform(
         method: how the candidate is registered, or its given pose, as `pcbench.register` takes it.
         crop: which part counts: a region in the reference's coordinates, or its text, see
             `pcbench.geometry.region_text.parse_region`. Points outside are still searched.
-        seed: of the bootstrap, a whole number >= 0.
+        seed: of the folds of the cross-validation, a whole number >= 0.
 
     Raises:
         InputError: a cloud, the seed or the region is not usable, or the region holds no points of either cloud.

@@ -31,13 +31,20 @@ class Displacement(NamedTuple):
         return field
 
     def fitted(
-        self, places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray, noise: float
+        self,
+        places: FloatArray,
+        normals: FloatArray,
+        residuals: FloatArray,
+        weights: FloatArray,
+        noise: float,
+        half_followed: float = _HALF_FOLLOWED,
     ) -> Displacement:
         """The field that explains (N,) residuals along normals, by weighted least squares.
 
         What the pairs hardly show is left out, by information against the field's size at all places, whatever they
         weigh: a field that is free where a forest weighs nothing finds pairs there that bear it out. A coordinate that
-        hardly varies more than the `noise`, which is in places and residuals alike, is no slope.
+        hardly varies more than the `noise`, which is in places and residuals alike, is no slope. Half of what has an
+        information of `half_followed` is.
         """
         x = self._inside(places)
         moments, scores = (sums[0] for sums in normal_equations(x, normals, weights, residuals))
@@ -48,7 +55,7 @@ class Displacement(NamedTuple):
         basis = np.kron(to_orthonormal, np.eye(3))
         information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())
         along = fields.T @ (basis @ scores.ravel()) / weights.sum()
-        found = fields @ (information / (np.square(information) + _HALF_FOLLOWED**2) * along)
+        found = fields @ (information / (np.square(information) + half_followed**2) * along)
         return self._replace(coefficients=(basis.T @ found).reshape(-1, 3))
 
     def _inside(self, places: FloatArray) -> FloatArray:

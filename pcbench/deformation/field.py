@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from pcbench.deformation.chi_squares import chi_square_tails
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores
 from pcbench.deformation.polynomials import monomials
-from pcbench.deformation.result import Bin, Trend
+from pcbench.deformation.result import Bin, LocalChanges, Trend
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray
 
 FDR = 0.05
 # Weight of smooth surface in a cell that is tested, and its share: bushes change by themselves.
 _MIN_SMOOTH_WEIGHT, _MIN_SMOOTH_SHARE = 3.0, 0.1
+_MIN_TESTED = 30  # from which on their median says what is usual
 
 
 class CellDisplacements:
@@ -32,8 +33,10 @@ class CellDisplacements:
             self.vertical = np.where(seen, left[:, 2] / information, np.nan)
         self._seen = np.flatnonzero(seen)
         self._weights = information[seen]
-        covariance = geometry.mixture(noise)[np.ix_(self._seen, self._seen)]
-        self._covariance = covariance + np.diag(noise.white / self._weights)
+        load = geometry.load[seen, 2, 2] / self._weights
+        covariance = load[:, None] * geometry.mixture(noise)[np.ix_(self._seen, self._seen)] * load
+        white = geometry.white_information[seen, 2, 2] / np.square(self._weights)
+        self._covariance = covariance + np.diag(noise.white * white)
         self.sigma = np.full(len(seen), np.nan)
         self.sigma[self._seen] = np.sqrt(np.diag(self._covariance))
         middle = np.average(geometry.means, axis=0, weights=geometry.weights)
@@ -78,31 +81,48 @@ class CellDisplacements:
         seen: FloatArray = np.einsum("cik,ck->ci", directions, along)
         return seen
 
-    def changes(self, sums: TileSums, resolution: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray]:
-        """Cells that changed by more than the resolution, those tested, and the length left in them, (C,) each.
 
-        The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
-        discoveries are limited as in Benjamini & Hochberg 1995.
-        """
-        weight = np.trace(sums.spread, axis1=1, axis2=2)
-        tested = (weight >= _MIN_SMOOTH_WEIGHT) & (weight >= _MIN_SMOOTH_SHARE * sums.counts)
-        correlated = np.diag(self._geometry.mixture(self._noise))
-        values, vectors = np.linalg.eigh(sums.spread)
-        constrained = values >= np.maximum(0.05 * values.sum(axis=1, keepdims=True), 1.0)
-        along = np.einsum("cik,ci->ck", vectors, sums.local)
-        safe = np.where(constrained, values, 1.0)
-        squares = np.where(
-            constrained, along**2 / (self._noise.white * safe + correlated[:, None] * safe**2 + 1e-300), 0.0
-        )
-        statistic, freedom = squares.sum(axis=1), np.maximum(constrained.sum(axis=1), 1)
-        ratio = statistic / (freedom * (1 - 2 / (9 * freedom)) ** 3)
-        scale = max(float(np.median(ratio[tested])), 0.25) if tested.any() else 1.0
-        p = np.where(tested, chi_square_tails(statistic / scale, freedom), 1.0)
-        order = np.argsort(p, kind="stable")
-        limits = FDR * np.arange(1, len(p) + 1) / max(1, int(tested.sum()))
-        passed = np.flatnonzero(p[order] <= limits)
-        changed = np.zeros(len(p), dtype=bool)
-        if len(passed):
-            changed[order[: passed[-1] + 1]] = True
-        length = np.sqrt((np.where(constrained, along / safe, 0.0) ** 2).sum(axis=1))
-        return changed & tested & (length > resolution), tested, length
+def local_changes(
+    geometry: Geometry, noise: Noise, sums: TileSums, resolution: float
+) -> tuple[NDArray[np.bool_], FloatArray, LocalChanges]:
+    """Cells that changed by themselves by more than the resolution, (C,), the length of what the largest model leaves
+    in each, (C,), and how many they are.
+
+    The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
+    discoveries are limited as in Benjamini & Hochberg 1995.
+    """
+    weight = np.trace(sums.spread, axis1=1, axis2=2)
+    tested = (weight >= _MIN_SMOOTH_WEIGHT) & (weight >= _MIN_SMOOTH_SHARE * sums.counts)
+    if np.count_nonzero(tested) < _MIN_TESTED:
+        tested[:] = False
+    scale = np.square(np.trace(geometry.load, axis1=1, axis2=2) / np.maximum(geometry.weights, 1e-300))
+    correlated, white = scale * np.diag(geometry.mixture(noise)), scale * noise.white
+    values, vectors = np.linalg.eigh(sums.spread)
+    constrained = values >= np.maximum(0.05 * values.sum(axis=1, keepdims=True), 1.0)
+    safe = np.where(constrained, values, 1.0)
+    along = np.einsum("cik,ci->ck", vectors, sums.local)
+    expected = white[:, None] * safe + correlated[:, None] * np.square(safe) + 1e-300
+    squares = np.where(constrained, np.square(along) / expected, 0.0)
+    statistic, freedom = squares.sum(axis=1), np.maximum(constrained.sum(axis=1), 1)
+    ratio = statistic / (freedom * (1 - 2 / (9 * freedom)) ** 3)
+    typical = max(float(np.median(ratio[tested])), 0.25) if tested.any() else 1.0
+    p = np.where(tested, chi_square_tails(statistic / typical, freedom), 1.0)
+    order = np.argsort(p, kind="stable")
+    limits = FDR * np.arange(1, len(p) + 1) / max(1, int(tested.sum()))
+    passed = np.flatnonzero(p[order] <= limits)
+    changed = np.zeros(len(p), dtype=bool)
+    if len(passed):
+        changed[order[: passed[-1] + 1]] = True
+    apart = np.where(constrained, np.einsum("cik,ci->ck", vectors, sums.apart) / safe, 0.0)
+    length = np.sqrt(np.square(apart).sum(axis=1))
+    changed &= tested & (length > resolution)
+    farthest = int(np.argmax(np.where(changed, length, -1.0)))
+    x, y, z = map(float, geometry.means[farthest])
+    found = LocalChanges(
+        tiles_tested=int(tested.sum()),
+        tiles_changed=int(changed.sum()),
+        fdr=FDR,
+        largest=float(length[farthest]) if changed.any() else None,
+        at=(x, y, z) if changed.any() else None,
+    )
+    return changed, length, found

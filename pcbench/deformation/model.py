@@ -22,11 +22,10 @@ from pcbench.deformation.polynomials import (
     normal_matrix,
     translation_columns,
 )
-from pcbench.deformation.sums import TileSums, added, merged
+from pcbench.deformation.sums import LENGTHS, TileSums, added, merged
 from pcbench.geometry.arrays import FloatArray
 
-FACTORS = (1, 2, 3)  # sizes of tiles, in cells
-TILE = 1  # the one of them that is reported
+TILE = 2  # cells along each edge of a tile
 # Information of a field against that of one seen along its direction everywhere: below it, where the noise of normals
 # lies, the field is not observable.
 MIN_INFORMATION = 0.02
@@ -34,12 +33,13 @@ _MIN_INFORMATION_AFFINE = 1e-4  # of an affine field and less
 _RIDGE = 1e-12
 _CELLS_AT_ONCE = 32  # whose matrices are made: they are much larger than the moments they are made of
 PLACE_NOISE = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
-_LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
 
 
 class Noise(NamedTuple):
-    """Variances of the residuals: white, and of each kernel's component (lengths in the clouds' unit)."""
+    """Variances of the residuals where noise has its mean size: white, and of each kernel's component (lengths in the
+    clouds' unit).
+    """
 
     white: float
     components: FloatArray  # (J,)
@@ -67,8 +67,9 @@ class Step:
         values, vectors = geometry.observable(large.T @ (matrix - taken @ matrix) @ large, MIN_INFORMATION)
         # Scores (60,) to modes (K,): variance sigma^2 each for white noise. Coefficients of a mode: the same columns.
         self.modes = (np.eye(len(matrix)) - taken).T @ large @ (vectors / np.sqrt(values))
-        # (C, 3, K) what a translation of the pairs in one cell adds to the modes.
-        self.responses = np.einsum("ik,cij->cjk", self.modes, geometry.translations, optimize=True)
+        # (C, 3, K) what noise that is the same in a whole cell adds to the modes, and (K, K) what white noise does.
+        self.responses = np.einsum("ik,cij->cjk", self.modes, geometry.loads, optimize=True)
+        self.white = self.modes.T @ geometry.white @ self.modes
 
 
 class Geometry:
@@ -82,7 +83,7 @@ class Geometry:
         # their size is kept small, so that they count as not observable. A plane's third coordinate is its noise, and
         # noise that is in places and residuals alike looks like a slope.
         squares = squares / self.total
-        _, power, weight = sums.dyadic[0]
+        power, weight = sums.powers[0], sums.dyadic[0, 0]
         doubt = PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
         factor = np.linalg.cholesky(squares + np.diag(doubt + _RIDGE))
         self.to_orthonormal = np.linalg.inv(factor)  # (20, 20)
@@ -92,39 +93,51 @@ class Geometry:
         self.dome = coefficients @ _dome()
         self.columns = {model: np.linalg.qr(coefficients @ model_columns(model))[0] for model in MODELS}
         self.translations = np.einsum("ij,cjk->cik", self.basis, translation_columns(sums.moments), optimize=True)
+        self.loads = np.einsum("ij,cjk->cik", self.basis, translation_columns(sums.loads), optimize=True)
+        self.white = self.basis @ normal_matrix(sums.white.sum(axis=0)) @ self.basis.T
+        self.white_translations = np.einsum("ij,cjk->cik", self.basis, translation_columns(sums.white), optimize=True)
         self.information = translation_columns(sums.moments)[:, :3]  # (C, 3, 3) sums of w n n'
+        self.white_information = translation_columns(sums.white)[:, :3]  # of (w s)^2 n n'
+        self.load = translation_columns(sums.loads)[:, :3]  # of w s n n'
         self.weights: FloatArray = np.trace(self.information, axis1=1, axis2=2)  # (C,) of the pairs in each
         self.side, self.radius, self.center = sums.side, sums.radius, sums.center
+        self.dyadic = sums.dyadic
+        self.surface = self.basis @ normal_matrix(sums.surface / gram(sums.surface)[0, 0]) @ self.basis.T
         mean, spread = mean_and_spread(sums.moments)
         self.means = mean * sums.radius + sums.center  # (C, 3)
         # Across a surface patch in a cell: two directions, each spread like an interval of at most the cell's edge.
         within = np.minimum(spread * sums.radius**2 / 2, sums.side**2 / 12)
         self._apart = _squared_distances(self.means)
         self._within = within[:, None] + within[None]
-        self.lengths = sums.side * np.array(_LENGTHS)
+        self.lengths = sums.side * np.array(LENGTHS)
+        self._near = sums.near / np.maximum(np.square(self.load).sum(axis=(1, 2)), 1e-300)[:, None]
         self.cell_matrices = np.empty((len(sums.moments), *self.basis.shape))
         for start in range(0, len(sums.moments), _CELLS_AT_ONCE):
             few = slice(start, start + _CELLS_AT_ONCE)
             self.cell_matrices[few] = self.basis @ normal_matrix(sums.moments[few]) @ self.basis.T
-        self.tiles = [merged(sums.cells, factor) for factor in FACTORS]
-        self.tile_matrices = added(self.cell_matrices, self.tiles[TILE])  # of the reported size
+        self.tiles = merged(sums.cells, TILE)  # (C,)
+        self.tile_matrices = added(self.cell_matrices, self.tiles)
         self._steps: dict[tuple[str, str], Step] = {}
         self._halves: dict[str, FloatArray] = {}
         self._mixed: tuple[Noise, FloatArray] | None = None
 
     @cached_property
     def kernels(self) -> list[FloatArray]:
-        """(C, C) correlation of each kernel between the means of cells: averaged over the patches in them."""
+        """(C, C) correlation of each kernel between cells: averaged over the patches in two cells, and over the very
+        pairs within one.
+        """
         found = []
-        for length in self.lengths:
+        for length, near in zip(self.lengths, self._near.T, strict=True):
             squared = length**2 + self._within
-            found.append(length**2 / squared * np.exp(-self._apart / (2 * squared)))
+            kernel = length**2 / squared * np.exp(-self._apart / (2 * squared))
+            np.fill_diagonal(kernel, near)
+            found.append(kernel)
         return found
 
     def mixture(self, noise: Noise) -> FloatArray:
         """(C, C) covariance of the correlated noise between the means of cells."""
         if self._mixed is None or self._mixed[0] is not noise:
-            total = np.zeros_like(self._apart)
+            total: FloatArray = np.zeros(self._apart.shape)
             for variance, kernel in zip(noise.components, self.kernels, strict=True):
                 if variance > 0:
                     total += variance * kernel
@@ -138,7 +151,8 @@ class Geometry:
             return np.zeros((0, 0))
         spread = self.mixture(noise) @ responses.reshape(len(responses), -1)
         correlated: FloatArray = responses.reshape(-1, size).T @ spread.reshape(-1, size)
-        return noise.white * np.eye(size) + correlated
+        total: FloatArray = noise.white * step.white + correlated
+        return total
 
     def step(self, smaller: str, larger: str) -> Step:
         if (smaller, larger) not in self._steps:
@@ -166,6 +180,16 @@ class Geometry:
                 self._halves[model] = columns @ (vectors / np.sqrt(values))
         return self._halves[model]
 
+    def over_surface(self, step: Step) -> FloatArray:
+        """(K, K) the mean square along the normals, over the surface by its area, of what a step's modes show there
+        beyond an affine field.
+        """
+        affine = self.columns["affine"]
+        crossed = self.surface @ affine
+        taken = crossed @ np.linalg.pinv(affine.T @ crossed, rcond=_RIDGE, hermitian=True) @ crossed.T
+        form: FloatArray = step.modes.T @ (self.surface - taken) @ step.modes
+        return form
+
     def fit(self, model: str, scores: FloatArray) -> FloatArray:
         """(60,) coefficients of a model, of what is observable, by least squares."""
         half = self.half(model)
@@ -180,8 +204,9 @@ class Geometry:
     def noise_design(self) -> tuple[FloatArray, list[NDArray[np.bool_]], FloatArray]:
         """Expected moments of the largest model's residuals by white noise and by each kernel.
 
-        A residual vector of a cell is h_c = sum w n r less what the fit explains, M u with M = G - Z' A^+ Z. Its
-        expected products over a class D of pairs of cells, sum_D h_c . h_d, are tr (M' D M kernel).
+        A residual vector of a cell is h_c = sum w n r less what the fit explains. Noise that is g_c in each cell adds
+        L_c g_c, of which Z_c' A^+ sum_d Y_d g_d is explained (L: `load`, Y: `loads`, Z: `translations`). Expected
+        products over a class D of pairs of cells, sum_D h_c . h_d, are traces of products of these.
 
         Returns:
             (lags, 1 + J) expectations for unit variances, the (C, C) masks, and (J,) the share of each kernel's
@@ -190,9 +215,11 @@ class Geometry:
         count = len(self.information)
         inverse = self.half("cubic") @ self.half("cubic").T
         z = self.translations.transpose(0, 2, 1)  # (C, 3, 60)
-        q = (z.reshape(-1, z.shape[2]) @ inverse).reshape(z.shape)
-        g = self.information
-        gg = g.reshape(count, 9) @ g.reshape(count, 9).T
+        q = (self.loads.transpose(0, 2, 1).reshape(-1, z.shape[2]) @ inverse).reshape(z.shape)
+        white = (self.white_translations.transpose(0, 2, 1).reshape(-1, z.shape[2]) @ inverse).reshape(z.shape)
+        spread = inverse @ self.white @ inverse
+        load = self.load
+        squares = load.reshape(count, 9) @ load.reshape(count, 9).T
         apart = np.sqrt(self._apart) / self.side
         np.fill_diagonal(apart, 0.0)
         rows, masks = [], []
@@ -201,13 +228,15 @@ class Geometry:
             mask = ((apart > low) & (apart <= high)).astype(np.float64)
             dz = (mask @ z.reshape(count, -1)).reshape(z.shape)
             inner = z.reshape(-1, z.shape[2]).T @ dz.reshape(-1, z.shape[2])
-            half = np.einsum("cij,cje->cie", g, dz) - 0.5 * q @ inner
+            half = np.einsum("cij,cje->cie", load, dz) - 0.5 * q @ inner
             taken = half.reshape(count, -1) @ q.reshape(count, -1).T
-            product = mask * gg - taken - taken.T
-            white = float(np.diag(mask) @ np.trace(g, axis1=1, axis2=2) - 2 * (dz * q).sum() + (inner * inverse).sum())
-            rows.append([white, *(float(np.einsum("cd,cd->", product, kernel)) for kernel in self.kernels)])
+            product = mask * squares - taken - taken.T
+            own = float(np.diag(mask) @ np.trace(self.white_information, axis1=1, axis2=2))
+            by_white = own - 2 * float((dz * white).sum()) + float((inner * spread).sum())
+            rows.append([by_white, *(float(np.einsum("cd,cd->", product, kernel)) for kernel in self.kernels)])
             if low < 0:
-                kept = np.array(rows[0][1:]) / [float(np.diag(gg) @ np.diag(kernel)) for kernel in self.kernels]
+                within = [float(np.diag(squares) @ np.diag(kernel)) for kernel in self.kernels]
+                kept = np.array(rows[0][1:]) / np.maximum(within, 1e-300)
             masks.append(mask > 0)
         return np.array(rows), masks, kept
 
@@ -215,13 +244,13 @@ class Geometry:
 class Scores:
     """The residuals' part of the sums, in the geometry's coordinates."""
 
-    def __init__(self, geometry: Geometry, scores: FloatArray, energy: FloatArray, dyadic: FloatArray) -> None:
+    def __init__(self, geometry: Geometry, scores: FloatArray, energy: FloatArray, powers: FloatArray) -> None:
         rows = np.einsum("ab,cbk->cak", geometry.to_orthonormal, scores)
         self.cells: FloatArray = rows.reshape(len(scores), -1)  # (C, 60)
         self.total: FloatArray = self.cells.sum(axis=0)
         self.translations: FloatArray = scores[:, 0]  # (C, 3) sums of w n r
         self.energy = energy  # (C,)
-        self.dyadic = dyadic
+        self.powers = powers  # of sub-cells
 
 
 def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
@@ -237,16 +266,10 @@ def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
         values.append(float((mask * products).sum()))
         # Products of independent vectors scatter by the product of their lengths.
         sigmas.append(math.sqrt(2 * float(power @ mask @ power) / 3))
-    _, _, squares = scores.dyadic[0]
-    for edge, moment, information in scores.dyadic:
-        if edge == 0:
-            rows.append(np.array([squares, *(squares * kept)]))
-        else:
-            # Like the kernels between cells, for two places in one square patch; a pair is at no distance from itself.
-            shape = np.square(geometry.lengths) / (np.square(geometry.lengths) + edge**2 / 6)
-            rows.append(np.array([squares, *((squares + (information - squares) * shape) * kept)]))
-        values.append(moment)
-        sigmas.append(0.05 * moment)  # thousands of sub-cells, but noise of long range is the same in many of them
+    for row, power_within in zip(geometry.dyadic, scores.powers, strict=True):
+        rows.append(np.concatenate([row[:1], row[1:] * kept]))
+        values.append(float(power_within))
+        sigmas.append(0.05 * float(power_within))  # of many sub-cells, but long noise is the same in many of them
     scale = 1 / np.maximum(sigmas, 1e-300)
     found = nonnegative_least_squares(np.array(rows) * scale[:, None], np.array(values) * scale)
     return Noise(float(found[0]), found[1:], geometry.lengths)

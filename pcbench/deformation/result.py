@@ -6,6 +6,7 @@ A number that does not exist is None. Lengths are in the clouds' unit, shares fr
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import NoneType
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
+_MOVED = 3.0  # standard deviations of a pair's noise, from which on a changed tile is worth a word
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
 
@@ -46,15 +48,19 @@ class Amplitude:
     """Size of the displacement along the normals beyond an affine one, in the clouds' unit, freed of noise.
 
     Attributes:
-        rms: over all pairs.
+        rms: over the pairs as they count in the fit: smooth places count more than rough ones.
         p95, max: of the RMS in a cell.
         ci: 95 % interval of `rms`.
+        rms_surface: over the surface by its area, walls and rough places included.
+        ci_surface: 95 % interval of `rms_surface`.
     """
 
     rms: float
     p95: float
     max: float
     ci: Interval
+    rms_surface: float | None = None
+    ci_surface: Interval | None = None
 
 
 @dataclass(frozen=True)
@@ -76,17 +82,15 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The tiles of the bootstrap.
+    """The tiles that the scene is cut into.
 
     Attributes:
         count: tiles that hold pairs.
         side: their edge, in the clouds' unit.
-        agreement: share of the three sizes of tiles at which the bootstrap says the same.
     """
 
     count: int
     side: float
-    agreement: float
 
 
 @dataclass(frozen=True)
@@ -137,11 +141,21 @@ class Observable:
 
 @dataclass(frozen=True)
 class LocalChanges:
-    """Cells that changed by themselves, at the false discovery rate `fdr`, among those that hold enough to tell."""
+    """Parts of the scene that changed by themselves.
+
+    Attributes:
+        tiles_tested: cells that hold enough to tell.
+        tiles_changed: those of them that changed.
+        fdr: the false discovery rate of these.
+        largest: the length of the largest change, in the clouds' unit; None where there is none.
+        at: its place.
+    """
 
     tiles_tested: int
     tiles_changed: int
     fdr: float
+    largest: float | None = None
+    at: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,15 +191,15 @@ class Deformation:
         verdict: none, similarity, affine, non-affine or undecided.
         model: the smallest that is needed: rigid, similarity, affine, quadratic or cubic.
         parameters: of that model.
-        p_value: that there is no non-affine part, by the wild bootstrap over tiles.
-        p_value_noise: the same under the estimated noise.
+        p_value: how often noise alone would look as bent: under the estimated noise, the largest over the pairs that
+            were found in different ways.
         rungs: all five models, from the smallest.
         amplitude: of the non-affine part.
         remaining_rms: RMS residual of the chosen model, in the clouds' unit.
         noise, tiles: see there.
         pairs: of points, of which everything is computed.
         growth, observable, local: see there.
-        minimum_detectable_rms: of a dome that would be found in 80 % of all cases at 1 % false alarms.
+        minimum_detectable_rms: of a dome that would be found in 90 % of all cases.
         warnings: codes and texts; of an undecided verdict the reasons.
         field: the displacement on the cells, which a report holds as a table of its own; None where nothing could be
             asked, and in what `from_json` reads.
@@ -195,7 +209,6 @@ class Deformation:
     model: str
     parameters: int | None = None
     p_value: float | None = None
-    p_value_noise: float | None = None
     rungs: tuple[Rung, ...] = ()
     amplitude: Amplitude | None = None
     remaining_rms: float | None = None
@@ -235,50 +248,48 @@ class Deformation:
     def sentence(self, name: str = "the candidate", unit: str = "") -> str:
         """The verdict on a candidate of that name in words; `unit` is the clouds'."""
         unit = f" {unit}" if unit else ""
+        parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
-            return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}"
+            return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}{parts}"
         limit = self.minimum_detectable_rms
         unseen = "" if limit is None else f" (a dome of {limit:.3g}{unit} RMS would show)"
         if self.verdict == "non-affine" and self.amplitude is not None:
-            low, high = self.amplitude.ci
+            a = self.amplitude
+            low, high = a.ci
+            over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
             return (
-                f"{name} is bent against the reference: {self.amplitude.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS"
-                f" beyond any affine motion ({self.model} model, p = {self.p_value:.2g})"
+                f"{name} is bent against the reference: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals"
+                f" of smooth places{over} beyond any affine motion ({self.model} model, p = {self.p_value:.2g}){parts}"
             )
         if self.verdict == "affine":
-            return f"{name} is sheared or stretched against the reference, but not bent{unseen}"
+            return f"{name} is sheared or stretched against the reference, but not bent{unseen}{parts}"
         if self.verdict == "similarity":
-            return f"{name} has another scale than the reference, but is not bent{unseen}"
-        return f"{name} is not deformed against the reference{unseen}"
+            return f"{name} has another scale than the reference, but is not bent{unseen}{parts}"
+        whole = " as a whole" if parts else ""
+        return f"{name} is not deformed against the reference{whole}{unseen}{parts}"
+
+    def _parts_that_moved(self, unit: str) -> str:
+        local, noise = self.local, self.noise
+        if local is None or local.largest is None or local.at is None or noise is None:
+            return ""
+        if local.largest < _MOVED * math.hypot(noise.sigma_white, noise.sigma_correlated):
+            return ""
+        place = ", ".join(f"{x:.1f}" for x in local.at)
+        return (
+            f"; but a part moved by itself: {local.largest:.3g}{unit} at ({place}), {local.tiles_changed} of"
+            f" {local.tiles_tested} tiles changed"
+        )
 
     def shifted(self, origin: FloatArray) -> Deformation:
         """The same in coordinates that still carry `origin` (3,)."""
-        return (
-            self if self.field is None else replace(self, field=replace(self.field, places=self.field.places + origin))
-        )
+        local, field = self.local, self.field
+        if local is not None and local.at is not None:
+            x, y, z = (float(here + there) for here, there in zip(local.at, origin, strict=True))
+            local = replace(local, at=(x, y, z))
+        return replace(self, local=local, field=field and replace(field, places=field.places + origin))
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         return replace(self, warnings=(*self.warnings, *notes))
-
-    @property
-    def changed(self) -> NDArray[np.bool_]:
-        """(C,) which cells changed by themselves."""
-        return np.zeros(0, dtype=bool) if self.field is None else self.field.changed
-
-    @property
-    def changed_share(self) -> float:
-        return float(np.mean(self.changed)) if len(self.changed) else 0.0
-
-    def with_changes(self, earlier: Deformation) -> Deformation:
-        """This answer, which left out cells that an earlier one found changed, with these in its field and counts."""
-        if self.field is None or earlier.field is None:
-            return self
-        left_out = earlier.field.changed
-        parts = {
-            name: np.concatenate([getattr(self.field, name), getattr(earlier.field, name)[left_out]])
-            for name in Field.__annotations__
-        }
-        return replace(self, local=earlier.local, field=Field(**parts))
 
 
 def rounded(value: Any) -> Any:
@@ -300,7 +311,8 @@ def _structured(kind: Any, value: Any) -> Any:
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind)
         names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
-        return kind(**{name: _structured(hints[name], value[name]) for name in names})
+        # Older reports hold fewer: what is missing takes its default, or is refused where it has none.
+        return kind(**{name: _structured(hints[name], value[name]) for name in names if name in value})
     if get_args(kind):  # tuple[X, ...] or tuple[X, X]
         return tuple(_structured(get_args(kind)[0], part) for part in value)
     return value

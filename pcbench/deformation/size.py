@@ -8,12 +8,13 @@ import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_point
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, Step
-from pcbench.deformation.result import Amplitude, Observable
+from pcbench.deformation.result import Amplitude, Interval, Observable
 from pcbench.deformation.sums import TileSums, added
-from pcbench.geometry.arrays import IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 
-_FALSE_ALARMS = 0.01
-_POWER_Z = 0.842  # normal deviate of a power of 80 %
+# The covariance is estimated: where it is a third too small, 1e-5 is 1e-3 in truth.
+MAX_P_SURE = 1e-5  # of a verdict
+_POWER_Z = 1.282  # normal deviate of a power of 90 %
 
 
 def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> Amplitude:
@@ -22,26 +23,39 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> A
     covariance = geometry.covariance(step, noise)
     power, bias = float(modes @ modes), float(np.trace(covariance))
     size = max(0.0, power - bias)
-    # |m + e|^2 has the variance 2 tr V^2 + 4 m' V m; m' V m is estimated from the modes likewise.
-    spread = math.sqrt(
-        2 * float((covariance**2).sum())
-        + 4 * max(0.0, float(modes @ covariance @ modes) - float((covariance**2).sum()))
-    )
+    rms, ci = _root_mean_square(modes, covariance, np.eye(len(modes)) / geometry.total)
+    over_surface, surface_ci = _root_mean_square(modes, covariance, geometry.over_surface(step))
     coefficients = step.modes @ modes
     per_cell = (geometry.cell_matrices @ coefficients) @ coefficients
     weight = geometry.weights
     shrink = math.sqrt(size / power) if power > 0 else 0.0
     enough = weight >= 0.1 * np.median(weight)
-    rms = shrink * np.sqrt(np.maximum(per_cell[enough], 0) / weight[enough])
-    order = np.argsort(rms)
+    cells = shrink * np.sqrt(np.maximum(per_cell[enough], 0) / weight[enough])
+    order = np.argsort(cells)
     below = np.cumsum(weight[enough][order]) / weight[enough].sum()
-    low, high = (math.sqrt(max(0.0, power - bias + sign * 1.96 * spread) / geometry.total) for sign in (-1, 1))
     return Amplitude(
-        rms=math.sqrt(size / geometry.total),
-        p95=float(rms[order][np.searchsorted(below, 0.95)]),
-        max=float(rms.max()),
-        ci=(low, high),
+        rms=rms,
+        p95=float(cells[order][np.searchsorted(below, 0.95)]),
+        max=float(cells.max()),
+        ci=ci,
+        rms_surface=over_surface,
+        ci_surface=surface_ci,
     )
+
+
+def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArray) -> tuple[float, Interval]:
+    """Root of m' Q m with its 95 % interval, for modes m + e (K,) of which e is noise of covariance V, and Q (K, K).
+
+    (m + e)' Q (m + e) has the mean m' Q m + tr Q V and the variance 4 m' Q V Q m + 2 tr (Q V)^2, where m' Q V Q m is
+    estimated from the modes likewise.
+    """
+    noise = form @ covariance
+    scatter = float((noise * noise.T).sum())
+    size = float(modes @ form @ modes) - float(np.trace(noise))
+    along = max(0.0, float(modes @ noise @ form @ modes) - float(np.trace(noise @ noise)))
+    spread = 1.96 * math.sqrt(2 * scatter + 4 * along)
+    low, middle, high = (math.sqrt(max(0.0, size + by)) for by in (-spread, 0.0, spread))
+    return middle, (low, high)
 
 
 def effective_count(geometry: Geometry, noise: Noise) -> float:
@@ -54,14 +68,14 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
 
 
 def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
-    """RMS of a dome that the test under the estimated noise finds in 80 % of all cases, at 1 % false alarms."""
+    """RMS of a dome that a verdict finds in 90 % of all cases."""
     step = geometry.step("affine", "cubic")
     modes = step.modes.T @ (geometry.matrix @ geometry.dome)
     power = float(modes @ modes)
     if power <= MIN_INFORMATION * geometry.total * float(geometry.dome @ geometry.dome):
         return None
     covariance = geometry.covariance(step, noise)
-    limit = chi_squares_point(_FALSE_ALARMS, np.linalg.eigvalsh(covariance).astype(np.float64))
+    limit = chi_squares_point(MAX_P_SURE, np.linalg.eigvalsh(covariance).astype(np.float64))
     base, scatter = float(np.trace(covariance)), 2 * float((covariance**2).sum())
     along = float(modes @ covariance @ modes)
     low, high = 0.0, 1.0

@@ -2,34 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.voxels import cells
 
 _DYADIC = 5  # finer levels of moments: halves of cells, quarters, ...
+LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
+_PARTNERS, _FEW_PARTNERS = 4, 1  # other pairs in its cell that a pair is compared with, and in a sub-cell
 
 
 @dataclass(frozen=True, eq=False)
 class TileSums:
     """Sums over the pairs in each cell (cubes of edge `side`); they add up over pairs.
 
+    A pair has a weight w by which it counts in fits, and a size s of its noise. Noise is s times a stationary part,
+    which is white or correlated as exp(-d^2 / 2 l^2) with each l of `LENGTHS` times the cells' edge.
+
     Attributes:
         center, radius: places are (x - center) / radius in all sums: about -1 to 1.
         side: of the cells, in the clouds' unit.
         cells: (C, 3) integer coordinates of the cells.
         moments: (C, 84, 6), see `polynomials.normal_equations`.
+        white: the same of weights (w s)^2: what white noise adds to scores.
+        loads: the same of weights w s: what noise adds that is the same in the whole cell.
+        near: (C, J) sums over all two pairs in a cell of w s w' s' (n . n')^2 times each kernel of their distance.
         scores: (C, 20, 3) sums of w phi n r.
         energy: (C,) sums of w r^2.
         counts: (C,) pairs.
-        dyadic: (levels, 3) over sub-cells of each edge: the edge, the sum over sub-cells of |sum w n r'|^2 with r' the
-            residual of the largest model, and of tr (sum w n n')^2. The first row is that of single pairs.
-        local: (C, 3) sums of v n r', r' clipped at three standard deviations: what changed is no outlier.
+        dyadic: (levels, 1 + J), the same as `near` over sub-cells of each edge, for white noise and each kernel. The
+            first row is that of single pairs.
+        powers: (levels,) sums over sub-cells of |sum w n r'|^2 with r' the residual of the largest model.
+        local: (C, 3) sums of v n r', r' clipped at three standard deviations: for whether something changed.
+        apart: (C, 3) the same clipped about each cell's own median: for how far it is.
         spread: (C, 3, 3) sums of v n n'.
+        surface: (84, 6) moments of all pairs by area: of the surface, however rough.
     """
 
     center: FloatArray
@@ -37,17 +46,18 @@ class TileSums:
     side: float
     cells: IntArray
     moments: FloatArray
+    white: FloatArray
+    loads: FloatArray
+    near: FloatArray
     scores: FloatArray
     energy: FloatArray
     counts: IntArray
     dyadic: FloatArray
+    powers: FloatArray
     local: FloatArray
+    apart: FloatArray
     spread: FloatArray
-
-    def without(self, cells: NDArray[np.bool_]) -> TileSums:
-        """The sums but those of some cells (C,). `dyadic` is kept whole: it is known for all pairs together."""
-        per_cell = ("cells", "moments", "scores", "energy", "counts", "local", "spread")
-        return replace(self, **{name: getattr(self, name)[~cells] for name in per_cell})
+    surface: FloatArray
 
     @classmethod
     def of(
@@ -57,8 +67,11 @@ class TileSums:
         residuals: FloatArray,
         weights: FloatArray,
         *,
+        scales: FloatArray,
         left: FloatArray,
+        apart: FloatArray,
         quality: FloatArray,
+        areas: FloatArray,
         lower: FloatArray,
         side: float,
         center: FloatArray,
@@ -69,53 +82,123 @@ class TileSums:
         Args:
             places: (N, 3) where displacement is asked for.
             normals: (N, 3) unit normals.
-            residuals: (N,) n . (p - q).
+            residuals: (N,) n . (p - q), or what a robust fit makes of them.
             weights: (N,) from 0 to 1.
+            scales: (N,) sizes of the noise, about 1.
             left: (N,) residuals of the largest model, of the same pairs.
+            apart: (N,) n . (p - q) less the largest model, as measured.
             quality: (N,) weights v, from 0 to 1, that do not depend on the residuals.
+            areas: (N,) of surface that the pairs stand for, in any unit.
             lower: (3,) the corner that cells are counted from.
             side: of the cells.
             center, radius: of the scene; (3,) and about half its extent.
         """
         cells = np.floor((places - lower) / side).astype(np.int64)
         order, starts = groups(cells)
-        x, n, r, w = (values[order] for values in ((places - center) / radius, normals, residuals, weights))
-        clipped, v = left[order], quality[order, None]
-        sure = clipped[v[:, 0] >= np.median(v)]
-        sigma = 1.4826 * float(np.median(np.abs(sure)))
-        clipped = np.clip(clipped, -3 * sigma, 3 * sigma)
+        x, n, r, w, s = (v[order] for v in ((places - center) / radius, normals, residuals, weights, scales))
         moments, scores = normal_equations(x, n, w, r, starts)
+        white, _ = normal_equations(x, n, np.square(w * s), r, starts)
+        loads, _ = normal_equations(x, n, w * s, r, starts)
+        surface, _ = normal_equations(x, n, areas[order], r)
+        lengths = side * np.array(LENGTHS)
+        v, measured = quality[order], apart[order]
+        sigma = 1.4826 * float(np.median(np.abs(measured[v >= np.median(v)])))
+        changed = (v * np.clip(measured, -3 * sigma, 3 * sigma))[:, None] * n
+        far = (v * _clipped_within(measured, starts, sigma))[:, None] * n
+        expected, powers = dyadic_moments(places, normals, left, weights, scales, lower, side)
         return cls(
             center=center,
             radius=radius,
             side=side,
             cells=cells[order[starts]],
             moments=moments,
+            white=white,
+            loads=loads,
+            near=np.add.reduceat(kernel_sums(places[order], n, w * s, starts, lengths), starts),
             scores=scores,
             energy=np.add.reduceat(w * r * r, starts),
             counts=np.diff([*starts, len(order)]),
-            dyadic=dyadic_moments(places, normals, left, weights, lower, side),
-            local=np.add.reduceat(v * n * clipped[:, None], starts),
-            spread=np.add.reduceat(v[:, :, None] * n[:, :, None] * n[:, None, :], starts),
+            dyadic=expected,
+            powers=powers,
+            local=np.add.reduceat(changed, starts),
+            apart=np.add.reduceat(far, starts),
+            spread=np.add.reduceat(v[:, None, None] * n[:, :, None] * n[:, None, :], starts),
+            surface=surface[0],
         )
+
+
+def kernel_sums(
+    places: FloatArray,
+    normals: FloatArray,
+    loads: FloatArray,
+    starts: IntArray,
+    lengths: FloatArray,
+    partners: int = _PARTNERS,
+) -> FloatArray:
+    """(N, J) for each pair, the sum over all pairs in its group of load load' (n . n')^2 times each kernel of their
+    distance: exact for itself, and for the others from a few that stand for all.
+
+    Args:
+        places, normals: (N, 3), in groups that begin at `starts` (G,).
+        loads: (N,) what the pairs count.
+        lengths: (J,) of the kernels.
+        partners: how many stand for all.
+    """
+    counts = np.diff([*starts, len(places)])
+    size, first = np.repeat(counts, counts), np.repeat(starts, counts)
+    mine = np.arange(len(places)) - first
+    sums: FloatArray = np.repeat(np.square(loads)[:, None], len(lengths), axis=1)
+    others = np.maximum(size - 1, 1)
+    partners = min(partners, int(counts.max()) - 1)
+    for number in range(partners):
+        # Spread evenly over the group, whatever order it is in: multiples of the golden ratio.
+        step = 1 + ((number + 0.5) * 0.6180339887 % 1 * others).astype(np.int64)
+        partner = first + (mine + step) % size
+        counted = loads * loads[partner] * np.square(np.einsum("ni,ni->n", normals, normals[partner]))
+        counted *= (size - 1) / partners
+        squared = np.square(places - places[partner]).sum(axis=1)
+        sums += counted[:, None] * np.exp(-0.5 * squared[:, None] / np.square(lengths))
+    return sums
 
 
 def dyadic_moments(
-    places: FloatArray, normals: FloatArray, left: FloatArray, weights: FloatArray, lower: FloatArray, side: float
-) -> FloatArray:
-    """(levels, 3): edge, sum of |sum w n r|^2, sum of tr (sum w n n')^2 over sub-cells of each edge; see `TileSums`."""
-    rows = [[0.0, float(np.square(weights * left).sum()), float(np.square(weights).sum())]]
+    places: FloatArray,
+    normals: FloatArray,
+    left: FloatArray,
+    weights: FloatArray,
+    scales: FloatArray,
+    lower: FloatArray,
+    side: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Over sub-cells of each edge, what noise of unit size adds to the sum of |sum w n r|^2, (levels, 1 + J), and that
+    sum, (levels,); see `TileSums`.
+    """
+    lengths = side * np.array(LENGTHS)
+    loads = weights * scales
+    single = float(np.square(loads).sum())
+    expected, powers = [np.full(1 + len(lengths), single)], [float(np.square(weights * left).sum())]
     for level in range(_DYADIC, 0, -1):
-        edge = side / 2**level
-        cell = cells(places, edge, lower).of_point
-        power = sum(float(np.square(np.bincount(cell, weights * left * normals[:, i])).sum()) for i in range(3))
-        information = sum(
-            (1 if i == j else 2) * float(np.square(np.bincount(cell, weights * normals[:, i] * normals[:, j])).sum())
-            for i in range(3)
-            for j in range(i, 3)
-        )
-        rows.append([edge, power, information])
-    return np.array(rows)
+        order, starts = groups(np.floor((places - lower) / (side / 2**level)).astype(np.int64))
+        vectors = np.add.reduceat((weights * left)[order, None] * normals[order], starts)
+        powers.append(float(np.square(vectors).sum()))
+        sums = kernel_sums(places[order], normals[order], loads[order], starts, lengths, _FEW_PARTNERS).sum(axis=0)
+        expected.append(np.concatenate([[single], sums]))
+    return np.array(expected), np.array(powers)
+
+
+def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> FloatArray:
+    """(N,) values clipped about the median of their group, at three of its standard deviations, by its median too."""
+    counts = np.diff([*starts, len(values)])
+    group = np.repeat(np.arange(len(starts)), counts)
+
+    def medians(of: FloatArray) -> FloatArray:
+        ordered = of[np.lexsort((of, group))]
+        middle: FloatArray = 0.5 * (ordered[starts + (counts - 1) // 2] + ordered[starts + counts // 2])
+        return middle[group]
+
+    middle = medians(values)
+    reach = 3 * np.maximum(sigma, 1.4826 * medians(np.abs(values - middle)))
+    return np.clip(values, middle - reach, middle + reach)
 
 
 def groups(cells: IntArray) -> tuple[IntArray, IntArray]:

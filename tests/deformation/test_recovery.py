@@ -37,15 +37,16 @@ def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
     for seed in range(40):
         scores = scene.judge(scene.noise(NOISE, waves, seed)).scores
         powers.append(np.square(step.modes.T @ scores.total).sum())
-    # Cells are coarse, and the mean of 40 runs is good to 5 %.
-    assert np.mean(powers) == pytest.approx(predicted, rel=0.2)
+    # Neighbouring cells are coarse, and the mean of 40 runs is good to 5 %.
+    assert np.mean(powers) == pytest.approx(predicted, rel=0.15)
 
 
 def test_noise_comes_back(scene, waves):
     found = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
     assert np.mean([np.sqrt(n.white) for n in found]) == pytest.approx(0.02, rel=0.1)
     assert np.mean([np.sqrt(n.correlated) for n in found]) == pytest.approx(0.02, rel=0.15)
-    assert np.median([n.correlation_length for n in found]) == pytest.approx(5.0, rel=0.3)
+    # A hundredth of the noise that seems to reach across the scene is a fifth of that area.
+    assert np.median([n.correlation_length for n in found]) == pytest.approx(5.0, rel=0.4)
 
 
 def test_nothing_is_found_where_nothing_is(scene, waves):
@@ -81,9 +82,9 @@ def test_the_dome_that_can_be_detected(scene, waves):
 
     def found(size):
         runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
-        return np.mean([run.evidence.p_noise <= 0.01 for run in runs])
+        return np.mean([run.verdict == "non-affine" for run in runs])
 
-    # 80 % of such domes are found at 1 %, within the scatter of 30 runs and of the noise's estimate; of half as large
-    # ones far fewer.
-    assert found(limit) >= 0.6
-    assert found(limit / 2) <= 0.6
+    # 90 % of such domes are found, within the scatter of 30 runs and of the noise's estimate; of half as large ones far
+    # fewer.
+    assert found(limit) >= 0.75
+    assert found(limit / 2) <= 0.5

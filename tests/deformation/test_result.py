@@ -40,10 +40,10 @@ def test_an_answer_is_read_back_as_it_was_written(bent):
 def test_json_holds_the_documented_keys_in_order(bent):
     values = json.loads(to_json(bent.with_warnings([Notice("few-tiles", "only 3 tiles")])))
     assert list(values) == [
-        "verdict", "model", "parameters", "p_value", "p_value_noise", "rungs", "amplitude", "remaining_rms", "noise",
+        "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "remaining_rms", "noise",
         "tiles", "pairs", "growth", "observable", "local", "minimum_detectable_rms", "warnings", "warning_codes",
     ]  # fmt: skip
-    assert list(values["amplitude"]) == ["rms", "p95", "max", "ci"]
+    assert list(values["amplitude"]) == ["rms", "p95", "max", "ci", "rms_surface", "ci_surface"]
     assert list(values["rungs"][0]) == ["model", "parameters", "cv_score", "cv_se", "bic_eff", "rms_explained"]
     assert list(values["growth"]["with_height"]) == ["slope", "ci", "profile"]
     assert list(values["growth"]["with_height"]["profile"][0]) == ["at", "mean", "ci", "null"]
@@ -57,6 +57,16 @@ def test_reports_without_codes_are_read(bent):
     assert Deformation.from_json(values).warnings == (Notice("", "only 3 tiles"),)
 
 
+def test_reports_of_before_both_sizes_are_read(bent):
+    values = json.loads(to_json(bent))
+    del values["amplitude"]["rms_surface"], values["amplitude"]["ci_surface"], values["local"]["largest"]
+    values["p_value_noise"], values["tiles"]["agreement"] = 0.5, 1.0
+    again = Deformation.from_json(values)
+    assert again.amplitude.rms == bent.amplitude.rms
+    assert again.amplitude.rms_surface is None
+    assert "over the whole surface" not in again.sentence()
+
+
 def test_numbers_have_six_digits(bent):
     numbers = [bent.amplitude.rms, bent.noise.n_eff, bent.growth.with_distance.profile[0].mean, bent.rungs[4].cv_score]
     assert numbers == [float(f"{number:.6g}") for number in numbers]
@@ -66,7 +76,9 @@ def test_an_answer_in_words(bent):
     size = bent.amplitude
     words = f"a.ply is bent against the reference: {size.rms:.3g} [{size.ci[0]:.3g}, {size.ci[1]:.3g}] m RMS"
     assert bent.sentence("a.ply", "m").startswith(words)
-    assert repr(bent) == f"<Deformation: non-affine ({bent.model} model, bend {size.rms:.3g} RMS, p = 0.001)>"
+    assert (
+        repr(bent) == f"<Deformation: non-affine ({bent.model} model, bend {size.rms:.3g} RMS, p = {bent.p_value:.2g})>"
+    )
     unanswered = Deformation.unanswered(Notice("few-pairs", "12 pairs of points: too few to tell a bend from noise"))
     assert unanswered.sentence("a.ply").endswith("undecided: 12 pairs of points: too few to tell a bend from noise")
     assert repr(unanswered) == "<Deformation: undecided (rigid model)>"

@@ -1,0 +1,77 @@
+"""Two parts of a scene that stand against each other, as strips or blocks do that were aligned apart: no bend explains
+them, and no smooth model should be asked to.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.deformation.verdict import View
+from pcbench.geometry.arrays import FloatArray
+
+_AZIMUTHS = 18
+_MIN_SHARE = 0.25  # of what an affine field leaves: the best of all cuts explains less of noise over a tenth of a scene
+_MIN_PART = 0.1  # of the weight, on either side
+
+
+class Break(NamedTuple):
+    """A vertical plane at whose sides the candidate is displaced differently.
+
+    Attributes:
+        place: (3,) on the plane.
+        azimuth: of the plane's horizontal direction, in degrees from x towards y.
+        offset: (3,) of the part to the left of that direction against the other, as far as surfaces show it.
+        share: of what an affine field leaves of the residuals' squares, that which it explains.
+    """
+
+    place: FloatArray
+    azimuth: float
+    offset: FloatArray
+    share: float
+
+    def text(self, origin: FloatArray) -> str:
+        x, y = (self.place + origin)[:2]
+        return (
+            f"two parts stand against each other by {float(np.linalg.norm(self.offset)):.2g}, on the sides of a line"
+            f" through ({x:.1f}, {y:.1f}) at {self.azimuth:.0f} degrees from x: strips or blocks that were aligned"
+            " apart look so, a bend does not"
+        )
+
+
+def find_break(view: View) -> Break | None:
+    """The vertical plane that explains most, where that is much and more than the largest smooth model explains."""
+    geometry, scores = view.geometry, view.scores
+    affine = geometry.half("affine")
+    coefficients = affine @ (affine.T @ scores.total)
+    left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
+    energy = float(scores.energy.sum()) - geometry.explained(scores, "affine")
+    smooth = geometry.explained(scores, "cubic") - geometry.explained(scores, "affine")
+    if energy <= 0:
+        return None
+    seen = np.einsum("cik,ia->cak", geometry.translations, affine)  # (C, 12, 3)
+    best = None
+    for azimuth in np.arange(_AZIMUTHS) * 180.0 / _AZIMUTHS:
+        along = np.array([math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth))])
+        across = geometry.means[:, :2] @ np.array([-along[1], along[0]])
+        order = np.argsort(across, kind="stable")
+        part = np.cumsum(geometry.weights[order]) / geometry.weights.sum()
+        inner = np.flatnonzero((part >= _MIN_PART) & (part <= 1 - _MIN_PART))
+        # Of the cells below each cut; what those above add has the opposite sign.
+        h, g = np.cumsum(left[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
+        z = np.cumsum(seen[order], axis=0)[inner]
+        matrix = g - np.einsum("cak,cal->ckl", z, z)
+        values, vectors = np.linalg.eigh(matrix)
+        modes = np.einsum("ckm,ck->cm", vectors, h)
+        shown = values > 0.01 * geometry.total
+        power = np.where(shown, np.square(modes) / np.where(shown, values, 1.0), 0.0).sum(axis=1)
+        cut = int(np.argmax(power)) if len(power) else 0
+        if len(power) and (best is None or power[cut] > best[0]):
+            offset = vectors[cut] @ np.where(shown[cut], modes[cut] / np.where(shown[cut], values[cut], 1.0), 0.0)
+            best = float(power[cut]), float(azimuth), geometry.means[order[inner[cut]]], -offset
+    if best is None or best[0] < max(_MIN_SHARE * energy, smooth):
+        return None
+    power_found, azimuth, place, offset = best
+    return Break(place, azimuth, offset, power_found / energy)

@@ -1,0 +1,118 @@
+"""From two aligned clouds to the answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pcbench.deformation.answer import describe
+from pcbench.deformation.breaks import find_break
+from pcbench.deformation.displacement import share_of
+from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
+from pcbench.deformation.result import Deformation
+from pcbench.deformation.verdict import Finding, View, decide
+from pcbench.errors import Notice
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.crs import euclidean_offsets
+from pcbench.registration import Registration
+
+_RESOLUTION = 5e-3  # spacings of the points that planes go through
+_MIN_GAIN = 0.1  # of the median distance: so much nearer the clouds are under the bend, or it is not what they show
+_MANY_ROUGH = 0.8  # of the pairs: half of a city is corners and edges
+_MIN_INLIERS, _MAX_DISTANCE = 0.85, 1.25  # of pairs that belong together, and spacings that they lie apart
+_MIN_MAP_COORDINATE = 1e5  # beyond it, coordinates are a map's
+_EARTH_RADIUS = 6.37e6  # metres
+
+
+def residual_deformation(
+    reference: Side, candidate: Side, registration: Registration, origin: FloatArray, *, seed: int = 0
+) -> Deformation:
+    """What is left between two registered clouds that a rigid, a similarity or an affine motion does not explain.
+
+    Args:
+        reference, candidate: in the reference's coordinates minus `origin`.
+        registration: that brought the candidate there; a scale that it solved for is no deformation.
+        origin: (3,).
+        seed: of the folds of the cross-validation.
+    """
+    pairs = find_pairs(reference, candidate)
+    if pairs is None or np.count_nonzero(pairs.weights) < MIN_PAIRS or extent(pairs.places[pairs.weights > 0]) == 0:
+        count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
+        text = f"{count} pairs of points: too few to tell a bend from noise"
+        return Deformation.unanswered(Notice("few-pairs", text))
+    pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
+    metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
+    resolution = _RESOLUTION * pairs.spacing
+    views = [View.of(tile_sums(pairs))]
+    finding = decide(views, metric=metric, resolution=resolution)
+    if finding.verdict != "none":
+        # What is claimed has to show without having been assumed.
+        plain = find_pairs(reference, candidate, follow=False)
+        if plain is not None:
+            plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
+            views.append(View.of(tile_sums(plain)))
+            finding = decide(views, metric=metric, resolution=resolution)
+            if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN) * plain.distance:
+                text = "a bend brings the clouds nearer to each other, but closest points as they are do not show it"
+                finding = finding.undecided(Notice("pairs-disagree", text))
+    if finding.verdict == "undecided" and pairs.rough > _MANY_ROUGH:
+        text = f"{pairs.rough:.0%} of the pairs lie in rough places, where no surface shows a displacement"
+        finding = finding.undecided(Notice("rough-places", text))
+    broken = find_break(views[-1])
+    if broken is not None:
+        finding = finding.undecided(Notice("parts-displaced", broken.text(origin)))
+    finding = _with_registration(finding, registration, pairs)
+    # A claim is described as the pairs show it that follow it; where these claimed too much, the others are right.
+    described = views[-1] if finding.verdict == "none" else views[0]
+    answer = describe(described, finding, resolution=resolution, seed=seed)
+    return answer.shifted(origin).with_warnings(notes)
+
+
+def _with_registration(finding: Finding, registration: Registration, pairs: Pairs) -> Finding:
+    """A finding, withheld where the pose that it rests on is wrong or may be."""
+    if registration.doubtful:
+        text = "the registration is doubtful, and every verdict rests on it: see its warnings"
+        return finding.undecided(Notice("doubtful-registration", text))
+    if pairs.inliers < _MIN_INLIERS and pairs.distance > _MAX_DISTANCE * pairs.spacing:
+        text = (
+            f"{1 - pairs.inliers:.0%} of the closest points do not belong together, and clouds of this spacing should"
+            " lie nearer: they are not registered (--register icp does that), or much has changed"
+        )
+        return finding.undecided(Notice("not-registered", text))
+    return finding
+
+
+def _without_map_projection(
+    pairs: Pairs, reference: Side, candidate: Side, registration: Registration, origin: FloatArray
+) -> tuple[Pairs, list[Notice]]:
+    """The pairs in a Euclidean frame where one cloud alone is on a map grid and the residuals agree with that.
+
+    A map's heights follow the Earth and its scale varies: against a Euclidean cloud it is bent (2 cm at 500 m).
+    """
+    ours, theirs = reference.cloud.crs, candidate.cloud.crs
+    noise = 1.4826 * float(np.median(np.abs(pairs.left)))
+    if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
+        sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
+        if sagitta > 0.2 * noise:
+            text = (
+                "coordinates look like a map's, but no file says which: against a Euclidean cloud the Earth's"
+                f" curvature alone bends it by {sagitta:.2g} (if the unit is the metre)"
+            )
+            return pairs, [Notice("map-not-named", text)]
+    name = ours if theirs is None else theirs
+    if name is None or (ours is not None and theirs is not None):
+        return pairs, []
+    T = registration.T_reference_candidate
+    places = pairs.places + origin
+    offsets = euclidean_offsets(name, places if theirs is None else T.inverse().apply(places))
+    if offsets is None:
+        return pairs, []
+    # What is at q on the map is at q + offset in space: there a Euclidean candidate lies, and seems displaced by it.
+    bend = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
+    gauge = "similarity" if registration.solved_scale else "rigid"
+    share, size = share_of(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
+    if share < 0.5 or size < 0.1 * noise:
+        return pairs, []
+    text = f"one cloud is on a map grid: its bend of {size:.2g} RMS against Euclidean space was taken off first"
+    return replace(pairs, residuals=pairs.residuals - bend), [Notice("map-bend-taken-off", text)]

@@ -1,0 +1,129 @@
+"""Where scenes are no smooth surfaces, where noise is uneven, and where only parts moved: what the verdict says."""
+
+import numpy as np
+import pytest
+from bent_clouds import codes, dome, noisy, sampled, verdict
+from deformation_cases import NULLS, PARTS, correlated, turned
+from scipy.spatial.distance import cdist
+
+from pcbench import Cloud
+from pcbench.deformation import deform
+from pcbench.deformation.blocks import noise_sizes, smoothed
+from pcbench.deformation.sums import kernel_sums
+
+
+def found(make, seed, method="icp"):
+    pair = make(seed)
+    return deform(pair.reference, pair.candidate, method)[1]
+
+
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("case", ["forest", pytest.param("conifer halves", marks=SLOW), "topography halves"])
+def test_halves_of_a_forest_are_not_bent(case):
+    """Where points fill a volume, any bend that is assumed finds closest points that bear it out."""
+    assert found(NULLS[case], 40).verdict == "none"
+
+
+@pytest.mark.parametrize("case", ["city uneven, L/50", pytest.param("terrain, L/50", marks=SLOW)])
+def test_noise_that_is_uneven_or_smooth_ground_is_no_bend(case):
+    assert found(NULLS[case], 41).verdict == "none"
+
+
+def test_a_bend_shows_in_a_forest():
+    from deformation_cases import BENDS
+
+    answer = found(BENDS["conifer bent 0.7"], 42)
+    assert answer.verdict == "non-affine", answer.warnings
+
+
+def test_a_part_that_sank_is_named_with_its_size_and_place():
+    answer = found(PARTS["subsidence 1"], 43)
+    assert answer.verdict == "none"
+    assert answer.local.largest == pytest.approx(1.0, rel=0.4)  # beside walls, a tile holds more than the ground's
+    words = answer.sentence("b.ply", "m")
+    assert "is not deformed against the reference as a whole" in words
+    assert f"a part moved by itself: {answer.local.largest:.3g} m at (" in words
+    shifted = answer.shifted(np.array([1000.0, 0, 0]))
+    assert shifted.local.at[0] == pytest.approx(answer.local.at[0] + 1000)
+
+
+def test_strips_that_stand_against_each_other_are_named():
+    answer = found(PARTS["strips 0.5"], 44)
+    assert answer.verdict == "undecided"
+    assert "parts-displaced" in codes(answer)
+    assert "at 90 degrees from x" in str(answer.warnings[0])
+
+
+def test_clouds_that_are_not_registered_get_no_verdict():
+    answer = found(turned(3.0), 45, "none")
+    assert answer.verdict == "undecided"
+    assert codes(answer)[0] in ("not-registered", "doubtful-registration")
+
+
+def test_both_sizes_of_a_bend_are_right():
+    """Of a dome, over the ground and over all of the surface: walls do not show it."""
+    rng = np.random.default_rng(46)
+    candidate = dome(sampled(40_000, rng), 0.1)
+    answer = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
+    surface, size = sampled(200_000, np.random.default_rng(47)), answer.amplitude
+    lift = (dome(surface, 0.1) - surface)[:, 2]
+    # The city's normals: vertical on flat ground and roofs, horizontal on walls.
+    from pcbench.geometry.neighbors import Index
+    from pcbench.geometry.normals import estimate_normals
+
+    normals = estimate_normals(Index(surface)).directions
+    columns = (normals[:, :, None] * np.hstack([np.ones((len(surface), 1)), surface / 200])[:, None]).reshape(-1, 12)
+    seen = lift * normals[:, 2]
+    truth = seen - columns @ np.linalg.lstsq(columns, seen, rcond=None)[0]
+    assert size.rms_surface == pytest.approx(float(np.sqrt(np.mean(np.square(truth)))), rel=0.1)
+    assert size.rms_surface < 0.95 * size.rms
+    assert size.ci_surface[0] < size.rms_surface < size.ci_surface[1]
+
+
+def test_sums_over_the_pairs_of_a_cell():
+    """Few partners stand for all: against every two pairs."""
+    rng = np.random.default_rng(48)
+    counts = np.array([200, 1, 90, 2])
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    places, normals = rng.random((293, 3)), rng.normal(size=(293, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    loads, lengths = rng.random(293), np.array([0.05, 0.3, 2.0])
+    sums = np.add.reduceat(kernel_sums(places, normals, loads, starts, lengths, partners=60), starts)
+    for start, count, ours in zip(starts, counts, sums, strict=True):
+        x, n, w = places[start : start + count], normals[start : start + count], loads[start : start + count]
+        products = np.outer(w, w) * np.square(n @ n.T)
+        all_pairs = [float((products * np.exp(-0.5 * np.square(cdist(x, x) / length))).sum()) for length in lengths]
+        np.testing.assert_allclose(ours, all_pairs, rtol=0.1)
+
+
+def test_sizes_of_uneven_noise_come_back():
+    rng = np.random.default_rng(49)
+    places = rng.uniform(-100, 100, (20_000, 3)) * [1, 1, 0]
+    true = 0.05 * 2 ** (places[:, 0] / 100)
+    residuals = true * rng.normal(size=20_000)
+    weights = np.ones(20_000)
+    local = np.sqrt(smoothed(places, np.square(residuals), weights))
+    assert np.max(np.abs(local / true - 1)) < 0.25
+    moved = np.hypot(*(places[:, :2] - 30).T) < 25  # a twentieth of the scene
+    residuals[moved] += 10.0
+    assert np.max(noise_sizes(places, residuals, weights)[moved]) < 0.15  # and does not become noise
+
+
+def test_correlated_noise_of_the_cases_is_what_it_says():
+    rng = np.random.default_rng(50)
+    places = rng.uniform(0, 100, (3000, 3)) * [1, 1, 0.1]
+    fields = np.concatenate([correlated(places, 5.0, rng) for _ in range(10)], axis=1)
+    apart = cdist(places[:1500], places[1500:])
+    for low, high in ((0, 2), (4, 6), (9, 11), (25, 40)):
+        i, j = np.nonzero((apart >= low) & (apart < high))
+        expected = np.mean(np.exp(-0.5 * np.square(apart[i, j] / 5.0)))
+        assert np.mean(fields[i] * fields[1500 + j]) == pytest.approx(expected, abs=0.08)
+
+
+def test_a_doubtful_registration_withholds_the_verdict():
+    rng = np.random.default_rng(51)
+    reference = sampled(30_000, rng)
+    _, answer = deform(Cloud(reference, unit="m"), Cloud(reference[:60], unit="m"), "none")
+    assert answer.verdict == "undecided"

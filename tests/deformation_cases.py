@@ -1,0 +1,310 @@
+"""Pairs of clouds whose deformation is known: none at all, a bend, a part that moved; for tests and benchmarks.
+
+Scenes: a city of boxes, rolling terrain, a forest, and real clouds cut into random halves. Noise: white, and correlated
+displacements of the candidate's points along each axis, even or uneven over the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from data_folder import data_folder
+from scipy import ndimage
+
+from pcbench import Cloud, read_cloud
+from pcbench.deformation import Side
+from pcbench.deformation.pairs import find_pairs
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.registration import local_origin, register
+from pcbench.scenes.synthetic import city
+
+SIZE = 400.0  # m
+SIGMA = 0.02  # m, of the white noise, and of the correlated
+Points = np.ndarray
+
+
+class Pair(NamedTuple):
+    reference: Cloud
+    candidate: Cloud
+    bend: Callable[[Points], Points] | None = None  # displacement (N, 3) that was put into the candidate at (N, 3)
+
+
+def correlated(points: Points, length: float, rng: np.random.Generator, kernel: str = "gauss") -> Points:
+    """(N, 3) displacements of unit variance along each axis, correlated as exp(-d^2 / 2 l^2) ("gauss") or, as a sum of
+    such, about as exp(-d / l) ("exp").
+    """
+    if kernel == "exp":
+        parts = [(0.45, 0.5), (0.35, 1.2), (0.2, 2.5)]  # share and length
+        fields = [np.sqrt(share) * correlated(points, scale * length, rng) for share, scale in parts]
+        return np.sum(fields, axis=0)
+    lower = points.min(axis=0) - 4 * length
+    step = length / 2.5
+    shape = np.ceil((np.ptp(points, axis=0) + 8 * length) / step).astype(int) + 2
+    at = ((points - lower) / step).T
+    found = np.empty_like(points)
+    for axis in range(3):
+        grid = rng.normal(size=shape).astype(np.float32)
+        grid = ndimage.gaussian_filter(grid, 2.5 / np.sqrt(2), mode="wrap", truncate=4)
+        found[:, axis] = ndimage.map_coordinates(grid / grid.std(), at, order=1)
+    return found / found.std()
+
+
+def noisy(
+    points: Points, rng: np.random.Generator, length: float, kernel: str = "gauss", uneven: float = 1.0
+) -> Points:
+    """With white and correlated noise of `SIGMA` each; uneven: the largest over the smallest of its sizes."""
+    size = np.ones(len(points))
+    if uneven != 1.0:
+        way = rng.normal(size=2) / SIZE
+        wave = np.sin(
+            2 * np.pi * (points[:, :2] @ (way / np.linalg.norm(way))) / SIZE * rng.uniform(0.5, 1.2) + rng.uniform(0, 6)
+        )
+        size = uneven ** (0.5 * wave)
+    e = rng.normal(0, SIGMA, points.shape)
+    if length:
+        e += SIGMA * correlated(points, length, rng, kernel)
+    return points + size[:, None] * e
+
+
+def on_city(count: int, rng: np.random.Generator, seed: int) -> Points:
+    return city(seed).sample(count, rng)[0]
+
+
+def terrain(count: int, rng: np.random.Generator, seed: int) -> Points:
+    """Rolling ground: waves of 40 to 150 m."""
+    shape = np.random.default_rng(seed)
+    xy = rng.uniform(-SIZE / 2, SIZE / 2, (count, 2))
+    z = np.zeros(count)
+    for _ in range(12):
+        angle, wave = shape.uniform(0, 2 * np.pi), shape.uniform(40, 150)
+        z += 0.015 * wave * np.sin(2 * np.pi / wave * (xy @ [np.cos(angle), np.sin(angle)]) + shape.uniform(0, 6))
+    return np.column_stack([xy, z])
+
+
+def forest(count: int, rng: np.random.Generator, seed: int, size: float = 120.0) -> Points:
+    """Returns from rolling ground under crowns that fill ellipsoids."""
+    shape = np.random.default_rng(seed)
+    trees = int(size**2 / 30)
+    stems = shape.uniform(-size / 2, size / 2, (trees, 2))
+    radius, height = shape.uniform(1.5, 3.5, trees), shape.uniform(8, 25, trees)
+
+    def ground(xy: Points) -> Points:
+        return 3 * np.sin(xy[:, 0] / 25) * np.cos(xy[:, 1] / 31) + 0.05 * xy[:, 0]
+
+    below = rng.uniform(-size / 2, size / 2, (count // 4, 2))
+    under = np.column_stack([below, ground(below) + rng.normal(0, 0.05, len(below))])
+    which = rng.choice(trees, count - len(below), p=radius**2 / (radius**2).sum())
+    unit = rng.normal(size=(len(which), 3))
+    unit *= (rng.random(len(which)) ** (1 / 4) / np.linalg.norm(unit, axis=1))[:, None]  # denser outside
+    centre = np.column_stack([stems, ground(stems) + 0.65 * height])[which]
+    return np.concatenate([under, centre + unit * np.column_stack([radius, radius, 0.35 * height])[which]])
+
+
+def metric(points: Points) -> Cloud:
+    return Cloud(points, unit="m")
+
+
+def null_city(candidate: int, ratio: float, kernel: str = "gauss", uneven: float = 1.0) -> Callable[[int], Pair]:
+    def make(seed: int) -> Pair:
+        rng = np.random.default_rng(seed)
+        reference = on_city(120_000, rng, seed % 5) + rng.normal(0, 0.01, (120_000, 3))
+        return Pair(
+            metric(reference),
+            metric(noisy(on_city(candidate, rng, seed % 5), rng, SIZE / ratio if ratio else 0.0, kernel, uneven)),
+        )
+
+    return make
+
+
+def null_terrain(ratio: float, uneven: float = 1.0) -> Callable[[int], Pair]:
+    def make(seed: int) -> Pair:
+        rng = np.random.default_rng(seed)
+        reference = terrain(120_000, rng, seed) + rng.normal(0, 0.01, (120_000, 3))
+        return Pair(metric(reference), metric(noisy(terrain(40_000, rng, seed), rng, SIZE / ratio, uneven=uneven)))
+
+    return make
+
+
+def null_forest(count: int) -> Callable[[int], Pair]:
+    def make(seed: int) -> Pair:
+        rng = np.random.default_rng(seed)
+        return Pair(metric(forest(count, rng, seed)), metric(forest(count, rng, seed)))
+
+    return make
+
+
+def halves(folder: str, file: str, ground: bool = False, bend: float = 0.0) -> Callable[[int], Pair]:
+    """Of a real cloud, undeformed or with a cubic bend of this RMS (in its unit)."""
+
+    def make(seed: int) -> Pair:
+        cloud = read_cloud(data_folder(folder) / file)
+        rng = np.random.default_rng(seed)
+        points = cloud.points
+        keep = cloud.attributes["classification"] == 2 if ground else np.ones(len(points), bool)
+        first = rng.random(len(points)) < 0.5
+        classes = cloud.attributes["classification"]
+
+        def part(which: np.ndarray, moved: Points) -> Cloud:
+            return Cloud(moved[which], unit=cloud.unit, crs=cloud.crs, attributes={"classification": classes[which]})
+
+        moved, field = points, None
+        if bend:
+            centre, half = points.mean(axis=0), 0.5 * np.ptp(points[:, :2], axis=0).max()
+
+            def field(places: Points) -> Points:
+                x, y = ((places - centre) / half)[:, :2].T
+                shape = x**3 - 1.5 * x * y**2 + 0.5 * x * y
+                return bend * np.stack([0 * x, 0 * x, shape / 0.45], axis=1)
+
+            moved = points + field(points)
+        return Pair(part(first & keep, points), part(~first & keep, moved), field)
+
+    return make
+
+
+def bent(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pair]:
+    """The city, its candidate bent by `times` the noise (RMS length over the surface)."""
+    fields = {
+        "dome": lambda x, y, z: (0 * x, 0 * x, -(x**2 + y**2)),
+        "saddle": lambda x, y, z: (0 * x, 0 * x, x**2 - y**2),
+        "twist": lambda x, y, z: (-y * x, x * x, 0 * x),
+        "cubic": lambda x, y, z: (0 * x, 0 * x, x**3 - x * y**2),
+        "height shear": lambda x, y, z: (z * z, 0 * x, 0 * x),
+    }
+
+    def make(seed: int) -> Pair:
+        rng = np.random.default_rng(seed)
+        reference = on_city(120_000, rng, seed % 5) + rng.normal(0, 0.01, (120_000, 3))
+        surface = on_city(40_000, rng, seed % 5)
+        scale = times * SIGMA * np.sqrt(2)
+
+        def unit(places: Points) -> Points:
+            x, y = (places[:, :2] / (SIZE / 2)).T
+            return np.stack(fields[kind](x, y, places[:, 2] / 20), axis=1)
+
+        amplitude = scale / float(np.sqrt(np.mean(np.square(unit(surface)).sum(axis=1))))
+        return Pair(
+            metric(reference),
+            metric(noisy(surface + amplitude * unit(surface), rng, SIZE / ratio)),
+            lambda places: amplitude * unit(places),
+        )
+
+    return make
+
+
+def subsidence(depth: float) -> Callable[[int], Pair]:
+    """5 % of the city's area sank."""
+
+    def make(seed: int) -> Pair:
+        rng = np.random.default_rng(seed)
+        pair = null_city(40_000, 50)(seed)
+        centre = rng.uniform(-100, 100, 2)
+        points = pair.candidate.points.copy()
+        points[np.hypot(*(points[:, :2] - centre).T) < SIZE * np.sqrt(0.05 / np.pi), 2] -= depth
+        return Pair(pair.reference, metric(points))
+
+    return make
+
+
+def house(shift: tuple[float, float, float]) -> Callable[[int], Pair]:
+    """One block of the city's buildings stands elsewhere."""
+
+    def make(seed: int) -> Pair:
+        rng = np.random.default_rng(seed)
+        pair = null_city(40_000, 50)(seed)
+        points = pair.candidate.points.copy()
+        lower = 50.0 * rng.integers(-3, 3, 2) + 5
+        inside = ((points[:, :2] > lower) & (points[:, :2] < lower + 40)).all(axis=1) & (points[:, 2] > 4)
+        points[inside] += shift
+        return Pair(pair.reference, metric(points))
+
+    return make
+
+
+def strips(offset: float) -> Callable[[int], Pair]:
+    """Two strips of a flight that stand against each other."""
+
+    def make(seed: int) -> Pair:
+        rng = np.random.default_rng(seed)
+        pair = null_city(40_000, 50)(seed)
+        points = pair.candidate.points.copy()
+        points[points[:, 0] > rng.uniform(-60, 60)] += offset * np.array([0.5, 0.3, 1.0])
+        return Pair(pair.reference, metric(points))
+
+    return make
+
+
+def turned(degrees: float) -> Callable[[int], Pair]:
+    def make(seed: int) -> Pair:
+        pair = null_city(40_000, 50)(seed)
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        return Pair(pair.reference, metric(pair.candidate.points @ turn.T))
+
+    return make
+
+
+def shown(pair: Pair) -> tuple[float, float]:
+    """RMS along the normals of a pair's bend beyond an affine field: over the pairs as they count, and over the surface
+    by its area; where it was put in, whatever the answer.
+    """
+    assert pair.bend is not None
+    origin = local_origin(pair.reference)
+    registration = register(pair.reference, pair.candidate)
+    moved = registration.T_local.apply(pair.candidate.points - origin)
+    sides = [
+        Side(Surface(Index(points)), np.ones(len(points), dtype=bool), cloud)
+        for points, cloud in ((pair.reference.points - origin, pair.reference), (moved, pair.candidate))
+    ]
+    pairs = find_pairs(*sides)
+    assert pairs is not None
+    nearest = sides[1].surface.index.query(pairs.places).indices.reshape(-1)
+    seen = (pair.bend(pair.candidate.points[nearest]) * pairs.normals).sum(axis=1)
+    affine = np.hstack([np.ones((len(seen), 1)), pairs.places / np.abs(pairs.places).max()])
+    columns = (pairs.normals[:, :, None] * affine[:, None]).reshape(len(seen), -1)
+
+    def beyond(weights: np.ndarray) -> float:
+        root = np.sqrt(weights)
+        left = seen - columns @ np.linalg.lstsq(columns * root[:, None], seen * root, rcond=None)[0]
+        return float(np.sqrt(np.average(np.square(left), weights=weights)))
+
+    return beyond(pairs.weights), beyond(pairs.areas)
+
+
+NULLS: dict[str, Callable[[int], Pair]] = {
+    "city, L/100": null_city(40_000, 100),
+    "city, L/50": null_city(40_000, 50),
+    "city, L/25": null_city(40_000, 25),
+    "city, L/50 exp": null_city(40_000, 50, "exp"),
+    "city dense, L/50": null_city(200_000, 50),
+    "city uneven, L/50": null_city(40_000, 50, uneven=4),
+    "terrain, L/100": null_terrain(100),
+    "terrain, L/50": null_terrain(50),
+    "terrain uneven, L/50": null_terrain(50, uneven=4),
+    "forest": null_forest(40_000),
+    "conifer halves": halves("wild", "MixedConifer.laz"),
+    "topography halves": halves("wild", "Topography.laz"),
+    "conifer ground": halves("wild", "MixedConifer.laz", ground=True),
+    "topography ground": halves("wild", "Topography.laz", ground=True),
+    "autzen halves": halves("autzen", "autzen_trim.las"),
+}
+BENDS: dict[str, Callable[[int], Pair]] = {
+    **{
+        f"{kind} {times}": bent(kind, times)
+        for kind in ("dome", "saddle", "twist", "cubic", "height shear")
+        for times in (0.5, 1.0, 2.0)
+    },
+    "conifer bent 0.7": halves("wild", "MixedConifer.laz", bend=0.7),
+    "topography bent 0.7": halves("wild", "Topography.laz", bend=0.7),
+    "autzen bent 1": halves("autzen", "autzen_trim.las", bend=1.0),
+}
+PARTS: dict[str, Callable[[int], Pair]] = {
+    "subsidence 0.3": subsidence(0.3),
+    "subsidence 1": subsidence(1.0),
+    "house 0.5": house((0.5, 0.3, 0.0)),
+    "strips 0.1": strips(0.1),
+    "strips 0.5": strips(0.5),
+}
