@@ -7,10 +7,11 @@ the larger ones explain is more than noise would have explained. Counting points
 reconstructions is correlated over metres, and a million points then hold a few hundred independent facts. So
 
 1. the noise's covariance is estimated from the residuals of the largest model (so that no bend is taken for noise):
-   a size that varies smoothly over the scene times white noise plus a non-negative mixture of Gaussian kernels of fixed
-   lengths (every covariance that is valid in all dimensions and isotropic is one, Schoenberg 1938), by matching moments.
-   The expected moments are exact: what fitting the model took from the residuals is put back, as in REML (Patterson &
-   Thompson 1971), and outliers are limited by pseudo-values (Huber 1981), which scatter as the robust fit does;
+   a size that varies smoothly over the scene times white noise plus a non-negative mixture of Gaussian kernels of
+   fixed lengths (every covariance that is valid in all dimensions and isotropic is one, Schoenberg 1938), by matching
+   moments. The expected moments are exact: what fitting the model took from the residuals is put back, as in REML
+   (Patterson & Thompson 1971), and outliers are limited by pseudo-values (Huber 1981), which scatter as the robust fit
+   does;
 2. the statistic of each rung is what it explains beyond a smaller one, in least squares; its null distribution is a
    sum of chi squares whose weights are the eigenvalues of the scores' covariance under that noise;
 3. closest points are found under the largest model and, where that claims something, under none too: where points fill

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_MOVED = 3.0  # standard deviations of a pair's noise, from which on a changed tile is worth a word
+_MOVED = 5.0  # standard deviations of a pair's noise, from which on a changed tile is worth a word
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
 
