@@ -81,7 +81,8 @@ def reconstruct(
     """
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.plugins.run import ReconstructionJob, check_workspace, run
-    from pcbench.scenes.write import check_cameras_output, image_folder
+    from pcbench.scenes.folders import find_images
+    from pcbench.scenes.write import check_cameras_output
     from pcbench.scenes.write import write_cameras as write
 
     check_cloud_output(out)
@@ -102,7 +103,7 @@ def reconstruct(
     if write_cameras is not None and not made.cameras:
         warn(f"{write_cameras}: not written, {name} gave no cameras")
     elif write_cameras is not None:
-        write(write_cameras, made.cameras, image_folder(scene), made.cloud)
+        write(write_cameras, made.cameras, find_images(scene)[0], made.cloud)
     if not quiet:
         for note in made.notes:
             click.echo(f"note: {note}")

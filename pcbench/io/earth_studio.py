@@ -21,6 +21,11 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.geodesy import Gps
 from pcbench.geometry.transform import Similarity, fit_similarity
 
+# What is said of Earth Studio's own project file.
+PROJECT = (
+    "an Earth Studio project (.esp) holds keyframes and no cameras: render it with the 3D camera export as JSON, and"
+    " put that .json beside the images (global coordinates, if it asks)"
+)
 EARTH_RADIUS = 6_371_010.0  # metres
 _MIN_GLOBAL_RADIUS = 0.5 * EARTH_RADIUS  # positions nearer to zero than this are relative to a track point
 

@@ -26,7 +26,7 @@ class Scene:
 
     Args:
         folder: where the images are.
-        images: their names relative to it, sorted.
+        images: their names relative to it, sorted as people count (frame_2 before frame_10).
         sizes: (width, height) of each image's file, in pixels.
         cameras: by image name, at the working size; the images without one are not in it.
         gps: by image name, from EXIF.
@@ -91,13 +91,13 @@ class Scene:
 
     def measured_positions(self) -> tuple[dict[str, FloatArray], str]:
         """Where images were taken, in metres (3,) by name, and the frame in words: that of gps.txt, or east-north-up
-        about the first position in EXIF.
+        about the first image's with one in EXIF.
         """
         if self.positions:
             return dict(self.positions), "in the frame of gps.txt"
         if not self.gps:
             return {}, ""
-        origin = self.gps[min(self.gps)]
+        origin = self.gps[next(name for name in self.images if name in self.gps)]
         enu = enu_from_wgs84(list(self.gps.values()), origin)
         where = f"{origin.latitude_deg:.7f}, {origin.longitude_deg:.7f}, {origin.altitude:.2f} m"
         return dict(zip(self.gps, enu, strict=True)), f"east-north-up about {where}"

@@ -55,7 +55,7 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
     if len(models) > 1:
         sizes = ", ".join(str(model.num_reg_images()) for model in models)
         notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
-    if left := sorted(set(scene.images) - names):
+    if left := [name for name in scene.images if name not in names]:
         notes.append(f"{len(left)} of {len(scene)} images are not registered: {some(left)}")
     return largest, notes
 

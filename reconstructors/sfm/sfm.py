@@ -139,7 +139,7 @@ def _usable(scene: Scene, given: bool, control: tuple[ControlPoint, ...]) -> tup
     if given:
         if not scene.cameras:
             raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
-        if bare := sorted(set(scene.images) - set(scene.cameras)):
+        if bare := [name for name in scene.images if name not in scene.cameras]:
             notes.append(f"{len(bare)} of {len(scene)} images without a camera are left out: {some(bare)}")
             scene = scene.select(set(scene.cameras))
     if len(scene) < 2:
