@@ -15,8 +15,14 @@ from reconstructors.sfm.model import Refine
 Mapper = Literal["incremental", "global"]
 
 
-def map_images(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int) -> Path:
-    """The stage with cameras and points, each component in a folder and an arbitrary gauge of its own."""
+def map_images(
+    verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int, name: str = ""
+) -> Path:
+    """The stage with cameras and points, each component in a folder and an arbitrary gauge of its own.
+
+    Args:
+        name: of the stage, which is that of the mapper if not given.
+    """
     import pycolmap
 
     def make(folder: Path) -> None:
@@ -31,7 +37,7 @@ def map_images(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, re
             database.unlink()
 
     inputs = {"matches": stage_key(verified), "mapping": mapper, "refine": refine, "seed": seed}
-    return stage(workspace, "mapping", inputs, make)
+    return stage(workspace, name or mapper, inputs, make)
 
 
 def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
