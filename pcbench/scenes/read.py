@@ -18,7 +18,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
-from pcbench.io.earth_studio import PROJECT, read_earth_studio
+from pcbench.io.earth_studio import PROJECT, read_earth_studio, sphere_in_words
 from pcbench.io.image_header import ImageHeader, read_image_header
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
@@ -179,7 +179,10 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
         warn(f"{source}: {count} cameras are left out, their images are missing: {_some(lost)}")
     if bare := [name for name in scene.images if name not in placed]:
         warn(f"{source}: {len(bare)} of {len(scene)} images have no camera: {_some(bare)}")
-    return replace(scene, cameras=placed, points=given.points, origin=given.origin)
+    if given.origin is not None:
+        warn(f"{source}: {sphere_in_words(given.origin)}")
+    on_sphere = given.origin is not None  # Earth Studio alone says where its origin is
+    return replace(scene, cameras=placed, points=given.points, origin=given.origin, on_sphere=on_sphere)
 
 
 class _Given(NamedTuple):
