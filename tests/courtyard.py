@@ -28,17 +28,19 @@ def bay(seed=0):
 
 
 @cache
-def wall(length, seed, own):
+def wall(length, number, own, seed):
     """A facade (HEIGHT, length): the same bay again and again, and a share `own` that no other place has."""
-    image = np.tile(bay(), (1, int(length / BAY), 1))
-    mine = texture(seed, 1024)[: image.shape[0], : image.shape[1]]
+    image = np.tile(bay(seed), (1, int(length / BAY), 1))
+    mine = texture(1000 * seed + number, 1024)[: image.shape[0], : image.shape[1]]
     return (1 - own) * image + own * mine
 
 
 @cache
-def floor(own):
-    paving = np.tile(texture(50, 512)[:80, :80], (int(DEPTH * _PIXELS) // 80, int(WIDTH * _PIXELS) // 80, 1))
-    return (1 - own) * paving + own * texture(51, 1024)[: paving.shape[0], : paving.shape[1]]
+def floor(own, seed):
+    paving = np.tile(
+        texture(1000 * seed + 50, 512)[:80, :80], (int(DEPTH * _PIXELS) // 80, int(WIDTH * _PIXELS) // 80, 1)
+    )
+    return (1 - own) * paving + own * texture(1000 * seed + 51, 1024)[: paving.shape[0], : paving.shape[1]]
 
 
 def cameras(count, intrinsics, inwards=False):
@@ -52,13 +54,13 @@ def cameras(count, intrinsics, inwards=False):
     return found
 
 
-def photograph(camera, own=0.15):
+def photograph(camera, own=0.15, seed=0):
     """(height, width, 3) uint8: what the camera sees from within; above the walls is a plain sky."""
     k = camera.intrinsics
     x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
     rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], axis=-1) @ camera.cam_from_world.rotation
     image = np.full((k.height, k.width, 3), 0.8)
-    for axis, side, seed in ((0, 1, 1), (0, -1, 2), (1, 1, 3), (1, -1, 4), (2, -1, 0)):
+    for axis, side, number in ((0, 1, 1), (0, -1, 2), (1, 1, 3), (1, -1, 4), (2, -1, 0)):
         half = (WIDTH / 2, DEPTH / 2, 0.0)[axis]
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (side * half - camera.position[axis]) / rays[..., axis]
@@ -67,12 +69,12 @@ def photograph(camera, own=0.15):
         inside = (np.abs(px) <= WIDTH / 2 + 1e-9) & (np.abs(py) <= DEPTH / 2 + 1e-9) & (pz >= -1e-9) & (pz <= HEIGHT)
         seen = (depth > 0) & inside
         if axis == 2:
-            plane, u, v = floor(own), px + WIDTH / 2, py + DEPTH / 2
+            plane, u, v = floor(own, seed), px + WIDTH / 2, py + DEPTH / 2
         else:
             along, length = (py, DEPTH) if axis == 0 else (px, WIDTH)
             # Seen from within, every wall runs from left to right.
             u = (along * (-side if axis == 0 else side)) + length / 2
-            plane, v = wall(length, seed, own), HEIGHT - pz
+            plane, v = wall(length, number, own, seed), HEIGHT - pz
         image[seen] = bilinear(plane, u[seen] * _PIXELS - 0.5, v[seen] * _PIXELS - 0.5)
     return (255 * image).round().astype(np.uint8)
 

@@ -117,7 +117,10 @@ def reconstruct(
         write(write_cameras, made.cameras, find_images(scene)[0], made.cloud)
     if not quiet:
         for note in made.notes:
-            click.echo(f"note: {note}")
+            if note.startswith("warning: "):
+                warn(note.removeprefix("warning: "))
+            else:
+                click.echo(f"note: {note}")
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
         click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")

@@ -141,14 +141,14 @@ def agreement(database_file: Path, cameras: Mapping[str, Camera]) -> Agreement:
     return Agreement(tuple(pairs))
 
 
-def repeated(found: Agreement) -> list[str]:
-    """A note where several strong pairs contradict the cameras, with the graph of pairs."""
+def repeated(found: Agreement, cameras: str) -> list[str]:
+    """A warning where several strong pairs contradict the cameras (`cameras` says which), with the graph of pairs."""
     if found.is_sound:
         return []
     return [
-        f"places that look alike are taken for one: {len(found.contradicting)} of {len(found.strong)} pairs of at least"
-        f" {STRONG} matches contradict the cameras, which are not to be believed: {found.graph()} (all pairs: pairs.csv"
-        " in the workspace)"
+        f"warning: {len(found.contradicting)} of {len(found.strong)} pairs of at least {STRONG} matches contradict the"
+        f" {cameras} cameras: places that look alike were taken for one, by these pairs or by the cameras, which may be"
+        f" far off: {found.graph()} (all pairs: pairs.csv in the workspace)"
     ]
 
 

@@ -44,9 +44,10 @@ class ColmapSfm:
     where the cameras are given.
 
     poses: `given` takes the scene's cameras as they are, `solve` finds them; `auto` is given where there are some.
-    mapping: of solved poses; up to 30 images are solved in both ways, and it is said where these differ. Where pairs of
-    100 matches and more contradict the cameras, places that look alike were taken for one: they are solved again without
-    such pairs, and if several still contradict, the notes say so and the gauge is arbitrary. matching: which pairs; `auto` by the number of images and what is known of them.
+    mapping: of solved poses; up to 30 images are solved in both ways, and it is said where these differ. Where strong
+    pairs contradict the cameras, places that look alike were taken for one: they are solved again without such pairs,
+    and if several still contradict it is said, and the gauge is arbitrary.
+    matching: which pairs; `auto` by the number of images and what is known of them.
     features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
     the time. refine: which intrinsics are solved for: `all`, `focal` length, `distortion`, or `none`; the rest stays as
     the scene's cameras say, or as guessed (1.2 image widths, no distortion) where EXIF has no focal length.
@@ -117,7 +118,7 @@ class ColmapSfm:
         found = check_cameras(verified / DATABASE, scene.cameras)
         write_pairs(workspace / PAIRS, found)
         model = pycolmap.Reconstruction(triangulate(verified, scene, workspace, self.seed) / "0")
-        notes = [f"{found.describe('given')}; {quality(model)}", *repeated(found)]
+        notes = [f"{found.describe('given')}; {quality(model)}", *repeated(found, "given")]
         return Aligned(model, "georeferenced", scene.origin is not None, notes)
 
     def _solved(self, verified: Path, scene: Scene, workspace: Path, control: tuple[ControlPoint, ...]) -> Aligned:

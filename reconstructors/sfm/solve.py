@@ -93,7 +93,7 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
         for other in found:
             if other is not best and (other.is_sound or best is asked):
                 notes += differences(best, other)
-    return replace(best, notes=[*notes, best.agreement.describe("solved"), *repeated(best.agreement)])
+    return replace(best, notes=[*notes, best.agreement.describe("solved"), *repeated(best.agreement, "solved")])
 
 
 def better(found: Sequence[Solution]) -> Solution:

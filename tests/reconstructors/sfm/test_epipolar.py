@@ -57,8 +57,8 @@ def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
     assert "and 73% of the 15 pairs" in found.describe("given")
     assert [pair.matches for pair in found.contradicting] == [150, 110, 120]  # that of 40 matches is weak
     assert not found.is_sound
-    (note,) = repeated(found)
-    assert "3 of 14 pairs of at least 100 matches contradict the cameras" in note
+    (note,) = repeated(found, "solved")
+    assert "3 of 14 pairs of at least 100 matches contradict the solved cameras" in note
     assert "000.png with 003.png (150), 005.png (110); 001.png with 004.png (120)" in note
     assert "tie together 6 (000.png to 005.png) of the images" in note
     write_pairs(tmp_path / "pairs.csv", found)
@@ -74,7 +74,7 @@ def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(know
     assert len(found.pairs) == 10
     assert len(found.contradicting) == 1
     assert found.is_sound
-    assert not repeated(found)
+    assert not repeated(found, "solved")
     others = dict(zip(cameras, reversed(cameras.values()), strict=True))
     with pytest.raises(ReconstructionError, match="do not fit the images"):
         check_cameras(folder / DATABASE, others)
