@@ -71,7 +71,8 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
     found = [asked]
 
     def also(how: Mapper, matches: Path, words: str = "", name: str = "") -> None:
-        with suppress(ReconstructionError):  # this way nothing is found
+        # This way nothing may be found, or COLMAP may give up: it is a second opinion.
+        with suppress(ReconstructionError, RuntimeError, ValueError):
             found.append(solved(how, matches, words, name))
 
     is_cheap = len(scene) <= _MAX_BOTH

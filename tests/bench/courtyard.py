@@ -34,12 +34,9 @@ class Case(NamedTuple):
     seed: int
 
 
-def cases(quick: bool, seeds: list[int]) -> Iterator[Case]:
-    if quick:
-        yield Case(0.25, False, False, 0)
-        return
+def cases(seeds: list[int], owns: list[float]) -> Iterator[Case]:
     for seed in seeds:
-        for own in (0.1, 0.2, 0.3):
+        for own in owns:
             for inwards in (False, True):
                 for known in (False, True):
                     yield Case(own, inwards, known, seed)
@@ -87,13 +84,13 @@ def rows(case: Case) -> Iterator[str]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seeds", type=int, nargs="*", default=[0])
+    parser.add_argument("--seeds", type=int, nargs="*", default=[0, 1])
+    parser.add_argument("--own", type=float, nargs="*", default=[0.1, 0.2, 0.3])
     arguments = parser.parse_args()
     print(
         "| own texture, view, lens | seed | true cameras against | mapping | alone | against | kept | against | said |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    for case in cases(arguments.quick, arguments.seeds):
+    for case in cases(arguments.seeds, arguments.own):
         for row in rows(case):
             print(row, flush=True)
