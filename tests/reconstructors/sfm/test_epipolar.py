@@ -1,14 +1,21 @@
 """How pairs of images agree with cameras: counted where every match is known, and what is said of those that do not."""
 
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import textured_corner as corner
 
 from pcbench.errors import ReconstructionError
+from pcbench.geometry.cameras import look_at
+from pcbench.geometry.transform import Similarity
+from reconstructors.sfm.alignment import moved
 from reconstructors.sfm.epipolar import Agreement, Pair, agreement, check_cameras, repeated, write_pairs
 from reconstructors.sfm.features import DATABASE
 from reconstructors.sfm.matches import without_pairs
-from reconstructors.sfm.solve import Solution, better
+from reconstructors.sfm.solve import Solution, better, differences
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -114,3 +121,44 @@ def solution(images, contradicting):
 def test_the_solution_that_the_fewest_pairs_contradict_is_kept(found, kept):
     solutions = [solution(*numbers) for numbers in found]
     assert better(solutions) is solutions[kept]
+
+
+def ring(seed, noise):
+    """Twelve cameras around points about the origin, 5 away, each put elsewhere by some noise."""
+    rng = np.random.default_rng(seed)
+    found = {}
+    for name, angle in zip("abcdefghijkl", np.linspace(0, 2 * np.pi, 12, endpoint=False), strict=True):
+        eye = [5 * np.cos(angle), 5 * np.sin(angle), 0.5 * np.sin(3 * angle)] + rng.normal(0, noise, 3)
+        found[name] = replace(corner.cameras(1, K)[0], name=name, cam_from_world=look_at(eye, [0, 0, 0]))
+    return found
+
+
+def seen_by(cameras):
+    """A model in which every camera sees the same points, about the origin."""
+    track = [SimpleNamespace(has_point3D=lambda: True, point3D_id=number) for number in range(20)]
+    points = np.random.default_rng(4).uniform(-1, 1, (20, 3))
+    return SimpleNamespace(
+        find_image_with_name=lambda name: SimpleNamespace(points2D=track),
+        points3D={number: SimpleNamespace(xyz=point) for number, point in enumerate(points)},
+    )
+
+
+def test_cameras_that_two_ways_put_apart_by_more_than_their_errors_are_named():
+    kept = ring(0, 0.0)
+    turn = look_at([1, 2, 3], [0, 0, 0]).rotation
+    elsewhere = Similarity(turn, np.array([10.0, 20.0, 30.0]), 2.5)
+
+    def other(cameras):
+        return Solution("global mapping", None, {n: moved(c, elsewhere) for n, c in cameras.items()}, Agreement(()), [])
+
+    here = Solution("incremental mapping", seen_by(kept), kept, Agreement(()), [])
+    noisy = ring(1, 0.002)  # a pixel at 5 is 0.0116
+    assert differences(here, other(noisy)) == []
+    pose = noisy["c"].cam_from_world
+    noisy["c"] = replace(noisy["c"], cam_from_world=Similarity(pose.rotation, pose.translation + [0.1, 0, 0]))
+    (note,) = differences(here, other(noisy))
+    apart = re.search(r"puts c ([0-9.]+) from here, the others 0\.00", note)
+    assert float(apart[1]) == pytest.approx(0.1, abs=0.01)
+    (note,) = differences(here, other(ring(2, 0.3)))
+    assert "puts the cameras 0." in note
+    assert differences(here, other({"a": kept["a"], "b": kept["b"]})) == []
