@@ -140,7 +140,7 @@ class ColmapSfm:
             ReconstructionError: it was to be aligned to something.
         """
         if self.align in ("auto", "none"):
-            return [] if self.align == "none" else ["not aligned: it would be called georeferenced, and is not"]
+            return [] if self.align == "none" else ["not aligned to the world: its gauge is arbitrary"]
         raise ReconstructionError(
             f"cannot be aligned to {self.align}: places that look alike are taken for one (align=none shows it)"
         )

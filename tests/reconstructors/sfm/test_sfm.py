@@ -286,7 +286,7 @@ def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photo
     assert (made.gauge, made.cloud.unit) == ("arbitrary", None)
     (note,) = [note for note in made.notes if note.startswith("warning: ")]
     assert re.match("warning: 4 of [0-9]+ pairs of at least 100 matches contradict the solved cameras", note)
-    assert "not aligned: it would be called georeferenced, and is not" in made.notes
+    assert "not aligned to the world: its gauge is arbitrary" in made.notes
     assert "000.png" in (tmp_path / "pairs.csv").read_text()
     with pytest.raises(ReconstructionError, match="cannot be aligned to cameras: places that look alike"):
         ColmapSfm(align="cameras", **settings).reconstruct(scene, tmp_path)
