@@ -66,20 +66,22 @@ def rows(case: Case) -> Iterator[str]:
         truth, refine = read_scene(folder).cameras, "none" if case.known else "all"
         for mapping in ("incremental", "global"):
             settings = {"poses": "solve", "refine": refine, "align": "none", "upsample": False, "features": 4000}
-            made = ColmapSfm(mapping=mapping, **settings).reconstruct(scene, work)
+            what = f"{case.own:g} {'across' if case.inwards else 'outwards'}{', known lens' if case.known else ''}"
+            start = f"| {what} | {case.seed} | "
+            try:
+                made = ColmapSfm(mapping=mapping, **settings).reconstruct(scene, work)
+            except ReconstructionError:
+                yield f"{start}- | {mapping} | nothing | - | nothing | - | error |"
+                continue
 
             def against(cameras) -> int:
                 return len(agreement(work / "verified" / DATABASE, cameras).contradicting)
 
-            try:
-                model, _ = largest_component(map_images(work / "verified", scene, work, mapping, refine, 0), scene)
-                alone = f"{furthest(cameras_of(model), truth)} | {against(cameras_of(model))}"
-            except ReconstructionError:
-                alone = "nothing | -"
+            model, _ = largest_component(map_images(work / "verified", scene, work, mapping, refine, 0), scene)
+            alone = f"{furthest(cameras_of(model), truth)} | {against(cameras_of(model))}"
             said = "warned" if any(note.startswith("warning: ") for note in made.notes) else "-"
-            what = f"{case.own:g} {'across' if case.inwards else 'outwards'}{', known lens' if case.known else ''}"
             kept = f"{furthest(made.cameras, truth)} | {against(made.cameras)} | {said}"
-            yield f"| {what} | {case.seed} | {against(truth)} | {mapping} | {alone} | {kept} |"
+            yield f"{start}{against(truth)} | {mapping} | {alone} | {kept} |"
 
 
 if __name__ == "__main__":
