@@ -75,6 +75,12 @@ write_cameras_option = click.option(
 )
 
 
+def wgs84_option(what: str) -> Callable[[_Command], _Command]:
+    """Whether metres of Earth Studio's sphere become those of WGS84."""
+    help = f"Of Earth Studio: {what} in metres of WGS84 instead of its sphere."
+    return click.option("--wgs84", is_flag=True, help=help)
+
+
 def size_option(default: str) -> Callable[[_Command], _Command]:
     return click.option("--size", default=default, show_default=True, metavar="WxH", help="Of an image, in pixels.")
 

@@ -16,6 +16,7 @@ from pcbench.cli.options import (
     key_value,
     masks_option,
     quiet_option,
+    wgs84_option,
     write_cameras_option,
 )
 from pcbench.errors import InputError
@@ -58,6 +59,7 @@ def plugins(specs: tuple[str, ...]) -> None:
 @image_scale_option
 @click.option("--workspace", type=FILE, help="Folder for its files, which the next run uses.  [default: OUT.work]")
 @click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop it after this.")
+@wgs84_option("cloud and cameras")
 @write_cameras_option
 @quiet_option
 def reconstruct(
@@ -70,6 +72,7 @@ def reconstruct(
     image_scale: float,
     workspace: Path | None,
     time_limit: float | None,
+    wgs84: bool,
     write_cameras: Path | None,
     quiet: bool,
 ) -> None:
@@ -81,12 +84,16 @@ def reconstruct(
     """
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.plugins.run import ReconstructionJob, check_workspace, run
-    from pcbench.scenes.write import check_cameras_output, image_folder
+    from pcbench.plugins.wgs84 import in_wgs84
+    from pcbench.scenes import read_scene
+    from pcbench.scenes.folders import find_images
+    from pcbench.scenes.write import check_cameras_output
     from pcbench.scenes.write import write_cameras as write
 
     check_cloud_output(out)
     if write_cameras is not None:
         check_cameras_output(write_cameras, scene)
+    sphere = read_scene(scene, cameras=cameras, on_warning=lambda _: None).sphere_origin() if wgs84 else None
     values = dict(key_value(text) for text in settings)
     job = ReconstructionJob(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
     with steps(quiet) as step:
@@ -96,16 +103,24 @@ def reconstruct(
         result = run(job, work, time_limit)
     if not quiet:
         for warning in result.warnings:
-            warn(warning)
+            if not (wgs84 and "--wgs84" in warning):
+                warn(warning)
     made = result.required()
+    if sphere is not None and made.gauge == "georeferenced":
+        made = in_wgs84(made, sphere)
+    elif sphere is not None:
+        warn(f"not brought to WGS84: the cloud is in an {made.gauge} gauge, not in the world of the cameras")
     write_cloud(out, made.cloud)
     if write_cameras is not None and not made.cameras:
         warn(f"{write_cameras}: not written, {name} gave no cameras")
     elif write_cameras is not None:
-        write(write_cameras, made.cameras, image_folder(scene), made.cloud)
+        write(write_cameras, made.cameras, find_images(scene)[0], made.cloud)
     if not quiet:
         for note in made.notes:
-            click.echo(f"note: {note}")
+            if note.startswith("warning: "):
+                warn(note.removeprefix("warning: "))
+            else:
+                click.echo(f"note: {note}")
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
         click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")

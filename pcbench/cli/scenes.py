@@ -19,6 +19,7 @@ from pcbench.cli.options import (
     seed_option,
     size_option,
     triple,
+    wgs84_option,
     write_cameras_option,
 )
 from pcbench.errors import InputError
@@ -29,7 +30,8 @@ from pcbench.errors import InputError
 @cameras_option()
 @masks_option
 @image_scale_option
-@click.option("--figure", type=FILE, help="Draw the cameras into this PNG.")
+@click.option("--figure", type=FILE, help="Draw the cameras, or GPS positions, into this PNG.")
+@wgs84_option("the cameras")
 @write_cameras_option
 @quiet_option
 def scene(
@@ -38,6 +40,7 @@ def scene(
     masks: Path | None,
     image_scale: float,
     figure: Path | None,
+    wgs84: bool,
     write_cameras: Path | None,
     quiet: bool,
 ) -> None:
@@ -47,7 +50,11 @@ def scene(
     from pcbench.io.files import check_output
     from pcbench.scenes import read_scene
 
-    data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=warn_unless(quiet))
+    say = warn_unless(quiet)
+    told = (lambda text: None if "--wgs84" in text else say(text)) if wgs84 else say
+    data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=told)
+    if wgs84:
+        data = data.in_wgs84()
     if figure is not None:
         from pcbench.report.plot.cameras import draw_cameras
 

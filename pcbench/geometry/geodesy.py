@@ -23,8 +23,18 @@ class Gps(NamedTuple):
     altitude: float
 
 
-def enu_from_wgs84(positions: Sequence[Gps], origin: Gps) -> FloatArray:
-    """East, north and up (N, 3) in metres of positions, in the plane that touches the ellipsoid's normal at `origin`.
+def radii_of_curvature(latitude_deg: float) -> tuple[float, float]:
+    """Radii of WGS84 in metres at a latitude: along the prime vertical (N, which east is) and along the meridian (M,
+    which north is), NIMA TR8350.2.
+    """
+    eccentricity2 = _FLATTENING * (2 - _FLATTENING)
+    w = float(np.sqrt(1 - eccentricity2 * np.sin(np.radians(latitude_deg)) ** 2))
+    return _SEMI_MAJOR / w, _SEMI_MAJOR * (1 - eccentricity2) / w**3
+
+
+def enu_from_wgs84(positions: Sequence[Gps] | FloatArray, origin: Gps) -> FloatArray:
+    """East, north and up (N, 3) in metres of positions (an array has their three numbers in its rows), in the plane
+    that touches the ellipsoid's normal at `origin`.
 
     Altitudes are taken as heights above the ellipsoid; one constant offset from that (the geoid) cancels.
     """
@@ -42,7 +52,7 @@ def enu_from_wgs84(positions: Sequence[Gps], origin: Gps) -> FloatArray:
     return enu
 
 
-def _earth_centred(positions: Sequence[Gps]) -> FloatArray:
+def _earth_centred(positions: Sequence[Gps] | FloatArray) -> FloatArray:
     latitude, longitude, height = np.array(positions, dtype=np.float64).reshape(-1, 3).T
     latitude, longitude = np.radians(latitude), np.radians(longitude)
     eccentricity2 = _FLATTENING * (2 - _FLATTENING)

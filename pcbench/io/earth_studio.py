@@ -18,9 +18,14 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
-from pcbench.geometry.geodesy import Gps
+from pcbench.geometry.geodesy import Gps, enu_from_wgs84, radii_of_curvature
 from pcbench.geometry.transform import Similarity, fit_similarity
 
+# What is said of Earth Studio's own project file.
+PROJECT = (
+    "an Earth Studio project (.esp) holds keyframes and no cameras: render it with the 3D camera export as JSON, and"
+    " put that .json beside the images (global coordinates, if it asks)"
+)
 EARTH_RADIUS = 6_371_010.0  # metres
 _MIN_GLOBAL_RADIUS = 0.5 * EARTH_RADIUS  # positions nearer to zero than this are relative to a track point
 
@@ -55,6 +60,27 @@ def read_earth_studio(path: Path) -> EarthStudio:
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{path}: expected an Earth Studio camera export (JSON): {what}") from None
+
+
+def sphere_in_words(origin: Gps) -> str:
+    """How far the sphere's metres at a place are from those of WGS84."""
+    along_parallel, along_meridian = radii_of_curvature(origin.latitude_deg)
+    east, north = (100 * (EARTH_RADIUS / radius - 1) for radius in (along_parallel, along_meridian))
+    return (
+        f"metres of the sphere that Earth Studio draws on: {east:+.2f} % to the east and {north:+.2f} % to the north"
+        f" against WGS84 at {origin.latitude_deg:.1f} degrees (--wgs84 gives those of WGS84)"
+    )
+
+
+def wgs84_from_sphere(points: FloatArray, origin: Gps) -> FloatArray:
+    """East, north and up (N, 3) on WGS84 of points (N, 3) that are so on Earth Studio's sphere, about the same origin:
+    each keeps its latitude, longitude and altitude. Directions stay as they are, for the axes of east, north and up are
+    those of the latitude and longitude on either.
+    """
+    centred = _on_sphere(np.array([origin])) + points @ _enu_axes(origin)
+    radius = np.linalg.norm(centred, axis=1)
+    latitude, longitude = np.arcsin(centred[:, 2] / radius), np.arctan2(centred[:, 1], centred[:, 0])
+    return enu_from_wgs84(np.column_stack([np.degrees(latitude), np.degrees(longitude), radius - EARTH_RADIUS]), origin)
 
 
 def _earth_studio(document: Mapping[str, Any]) -> EarthStudio:

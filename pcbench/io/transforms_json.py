@@ -7,6 +7,7 @@ stand at the top or with a frame.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,21 +23,36 @@ Size = tuple[int, int]
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 _UNSUPPORTED = ("k3", "k4")
+# What a file may say and is not obeyed, and the value by which it says nothing.
+_NOT_OBEYED: dict[str, Any] = {
+    **dict.fromkeys(("k5", "k6", "rolling_shutter_scanline_time", "rolling_shutter_time"), 0),
+    "rolling_shutter": [0, 0, 0, 0],
+    "applied_transform": np.eye(4)[:3].tolist(),
+    "applied_scale": 1,
+    **dict.fromkeys(("mask_path", "depth_file_path"), ""),
+}
+# Of a focal length from what the angle of view beside it says: files round, and some take the angle with distortion.
+_MAX_CONTRADICTION = 0.1
 # OpenGL's axes to OpenCV's: y and z change their sign.
 _FLIP = np.diag([1.0, -1.0, -1.0])
 
 
-def read_transforms(path: Path, size_of: Callable[[str], Size | None]) -> tuple[Camera, ...]:
+def read_transforms(
+    path: Path, size_of: Callable[[str], Size | None], on_warning: Callable[[str], None] | None = None
+) -> tuple[Camera, ...]:
     """The cameras of a transforms.json, named by their `file_path` as it stands there.
 
     Args:
         size_of: width and height of the image that a `file_path` means, None where there is none: files that give an
             angle of view alone leave the size to the image. Frames without size and image are left out.
+        on_warning: called with one line on what the file says that is not obeyed; `warnings.warn` if not given.
 
     Raises:
-        InputError: it is no such file, a number is missing, a camera model is not supported, or a pose is no rotation;
-            the message starts with the path and names the frame.
+        InputError: it is no such file, a number is missing, a camera model is not supported, a focal length and an
+            angle of view contradict each other, or a pose is no rotation; the message starts with the path and names
+            the frame.
     """
+    warn = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
     try:
         document = json.loads(path.read_text(encoding="utf-8-sig"))
         if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
@@ -62,6 +78,9 @@ def read_transforms(path: Path, size_of: Callable[[str], Size | None]) -> tuple[
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: frame {number} ({name}): expected numbers: {what}") from None
+    said = [document, *document["frames"]]
+    if ignored := [key for key, nothing in _NOT_OBEYED.items() if any(v.get(key, nothing) != nothing for v in said)]:
+        warn(f"{path}: not obeyed: {', '.join(ignored)}; cameras and lenses are read as they stand without")
     return tuple(cameras)
 
 
@@ -73,18 +92,27 @@ def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | N
     if size is None:
         return None
     width, height = size
-    fx = float(values["fl_x"]) if "fl_x" in values else _focal(width, float(values["camera_angle_x"]))
-    if "fl_y" in values:
-        fy = float(values["fl_y"])
-    else:
-        fy = _focal(height, float(values["camera_angle_y"])) if "camera_angle_y" in values else fx
+    fx = _focal(values, "x", width)
+    if fx is None:
+        raise KeyError("fl_x or camera_angle_x")
+    fy = _focal(values, "y", height) or fx
     k1, k2, p1, p2 = (float(values.get(k, 0)) for k in ("k1", "k2", "p1", "p2"))
     centre = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
     return Intrinsics(width, height, fx, fy, *centre, (k1, k2, p1, p2))
 
 
-def _focal(pixels: int, angle_rad: float) -> float:
-    return 0.5 * pixels / float(np.tan(0.5 * angle_rad))
+def _focal(values: Mapping[str, Any], axis: str, pixels: int) -> float | None:
+    """The focal length in pixels that a file gives, or that its angle of view means; None where it has neither."""
+    given, angle = (float(values[key]) if key in values else None for key in (f"fl_{axis}", f"camera_angle_{axis}"))
+    if angle is None:
+        return given
+    meant = 0.5 * pixels / float(np.tan(0.5 * angle))
+    if given is not None and abs(given - meant) > _MAX_CONTRADICTION * meant:
+        raise InputError(
+            f"fl_{axis} {given:g} px and camera_angle_{axis} {angle:g} (which is {meant:.4g} px) contradict each other:"
+            " remove the wrong one"
+        )
+    return meant if given is None else given
 
 
 def _pose(matrix: Any) -> Similarity:

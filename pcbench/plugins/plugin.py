@@ -37,7 +37,8 @@ class Reconstruction:
             own) or "georeferenced" (the world of the scene: that of its cameras, its control points or its GPS).
         cameras: by image name, in the cloud's frame, as far as it has found or used them; None, kept as an empty
             mapping, for none.
-        notes: lines on what a reader should know, such as images that were left out.
+        notes: lines on what a reader should know, such as images that were left out. One that begins with "warning: "
+            says that the result may be wrong, and is shown as a warning.
 
     Raises:
         InputError: one of them is something else.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,21 +13,22 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
-from pcbench.io.earth_studio import read_earth_studio
-from pcbench.io.image_header import EXTENSIONS, ImageHeader, read_image_header
+from pcbench.io.earth_studio import PROJECT, read_earth_studio, sphere_in_words
+from pcbench.io.image_header import ImageHeader, read_image_header
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
 from pcbench.scenes.decode import Size
+from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio
+from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
-_MODELS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # where a COLMAP model may stand in a scene's folder
-_CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # where Strecha's files may
-_UNREAD = (".tif", ".tiff", ".webp", ".bmp", ".heic", ".jp2", ".dng", ".gif")
+# Of the longer side of an image, below which no focal length is one in pixels: 157 degrees of view.
+_MIN_FOCAL = 0.1
 
 
 def read_scene(
@@ -39,21 +39,23 @@ def read_scene(
     image_scale: float = 1.0,
     on_warning: Callable[[str], None] | None = None,
 ) -> Scene:
-    """The scene in a folder: its JPEG and PNG images (in `images/`, else directly in it) and what belongs to them.
+    """The scene in a folder: its JPEG and PNG images (in `images/`, `train/`, `rgb/` or `footage/`, else directly in
+    it) and what belongs to them.
 
     Args:
         path: the folder.
-        cameras: "auto": the first found of a COLMAP model (here, in sparse/0 or sparse), transforms.json, Strecha's
-            `.camera` files (here or in gt_dense_cameras) and an Earth Studio export; "none"; or one of these by its
-            file or folder. Cameras are matched to images by name, frames of Earth Studio by their number. Intrinsics
-            for images of another size are scaled if the aspect is the same.
+        cameras: "auto": the first found of a COLMAP model (here, in sparse/0 or sparse), transforms.json,
+            transforms_train.json, Strecha's `.camera` files (here or in gt_dense_cameras) and an Earth Studio export;
+            "none"; or one of these by its file or folder. Cameras are matched to images by name, frames of Earth Studio
+            by their number. Intrinsics for images of another size are scaled if the aspect is the same.
         masks: a folder with NAME.png for an image NAME, or with its stem; `masks/` in the folder if not given.
         image_scale: work with images of this scale, 0 < scale <= 1.
-        on_warning: called with one line for each thing left out; `warnings.warn` if not given.
+        on_warning: called with one line for each thing left out or not obeyed; `warnings.warn` if not given.
 
     Raises:
-        InputError: there are no images, an image is empty or damaged, a camera's size does not fit its image, a pose is
-            no rotation, no camera has an image, or an option is wrong.
+        InputError: there are no images, an image is empty or damaged, a camera's size does not fit its image, its
+            intrinsics cannot be those of an image, a pose is no rotation, no camera has an image, or an option is
+            wrong.
     """
     path = Path(path)
     warn = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
@@ -61,7 +63,7 @@ def read_scene(
         raise InputError(f"{path}: expected a folder with images" + ("" if path.exists() else ", which does not exist"))
     if not 0 < image_scale <= 1:
         raise InputError(f"expected an image scale above 0 and up to 1, got {image_scale:g}")
-    folder, names = _images(path)
+    folder, names = find_images(path)
     headers = {name: read_image_header(folder / name) for name in names}
     scene = Scene(
         folder,
@@ -75,22 +77,6 @@ def read_scene(
     return _with_cameras(scene, path, str(cameras), warn)
 
 
-def _images(path: Path) -> tuple[Path, tuple[str, ...]]:
-    """The folder of the images and their sorted names in it."""
-    inner = path / "images"
-    # Only a folder of images is searched to its depths: beside it stand masks, depth maps and results.
-    nested = [p.relative_to(inner) for p in inner.rglob("*") if p.is_file()] if inner.is_dir() else []
-    for folder, files in ((inner, nested), (path, [Path(p.name) for p in path.iterdir() if p.is_file()])):
-        visible = [p for p in files if not any(part.startswith(".") for part in p.parts)]
-        names = sorted(p.as_posix() for p in visible if p.suffix.lower() in EXTENSIONS)
-        unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNREAD)
-        if unread:
-            raise InputError(f"{folder / unread[0]}: expected JPEG or PNG images: convert it, or move it elsewhere")
-        if names:
-            return folder, tuple(names)
-    raise InputError(f"{path}: expected a folder with images (.jpg, .jpeg, .png), directly or in images/")
-
-
 def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
     """Measured positions, lines of an image's name and x y z in metres; lines that start with # are comments."""
     try:
@@ -99,7 +85,7 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
         return {}
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from error
-    find = _Names(images)
+    find = ImageNames(images)
     found: dict[str, FloatArray] = {}
     lost: list[str] = []
     for number, line in enumerate(lines, 1):
@@ -157,13 +143,15 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     """The scene with the cameras of a file or folder, or as it is where there are none."""
     if choice == "none":
         return scene
-    source = _find(path) if choice == "auto" else Path(choice)
+    source = find_cameras(path) if choice == "auto" else Path(choice)
     if source is None:
+        if projects := sorted(path.glob("*.esp")):
+            warn(f"{projects[0]}: {PROJECT}")
         return scene
     if not source.exists():
         raise InputError(f"{source}: expected a file or folder with cameras, which does not exist")
-    find = _Names(scene.images)
-    given = _read_cameras(source, scene, find)
+    find = ImageNames(scene.images)
+    given = _read_cameras(source, scene, find, warn)
     placed: dict[str, Camera] = {}
     lost: list[str] = []
     for camera in given.cameras:
@@ -180,6 +168,8 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
                 f"{scene.folder / name}: the image has {width} x {height} pixels, but its camera in {source} is for"
                 f" {intrinsics.width} x {intrinsics.height}: use the images that the cameras were made for"
             )
+        if wrong := _no_intrinsics(intrinsics):
+            raise InputError(f"{source}: {name}: {wrong}")
         placed[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
     if not placed:
         missing = lost[0] if lost else "a file_path"
@@ -189,7 +179,10 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
         warn(f"{source}: {count} cameras are left out, their images are missing: {_some(lost)}")
     if bare := [name for name in scene.images if name not in placed]:
         warn(f"{source}: {len(bare)} of {len(scene)} images have no camera: {_some(bare)}")
-    return replace(scene, cameras=placed, points=given.points, origin=given.origin)
+    if given.origin is not None:
+        warn(f"{source}: {sphere_in_words(given.origin)}")
+    on_sphere = given.origin is not None  # Earth Studio alone says where its origin is
+    return replace(scene, cameras=placed, points=given.points, origin=given.origin, on_sphere=on_sphere)
 
 
 class _Given(NamedTuple):
@@ -200,7 +193,7 @@ class _Given(NamedTuple):
     origin: Gps | None = None
 
 
-def _read_cameras(source: Path, scene: Scene, find: _Names) -> _Given:
+def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _Given:
     """The cameras of a file or folder, in whichever of the known formats it is."""
     if source.is_dir():
         if is_colmap_model(source):
@@ -210,34 +203,12 @@ def _read_cameras(source: Path, scene: Scene, find: _Names) -> _Given:
         raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files in this folder")
     if source.suffix == ".camera":
         return _Given([read_strecha(source)])
-    if _is_earth_studio(source):
+    if source.suffix.lower() == ".esp":
+        raise InputError(f"{source}: {PROJECT}")
+    if is_earth_studio(source):
         frames, origin = read_earth_studio(source)
         return _Given(_frames_to_images(source, frames, scene.images), origin=origin)
-    return _Given(read_transforms(source, lambda name: scene.sizes.get(find(name) or "")))
-
-
-def _find(path: Path) -> Path | None:
-    """The cameras that belong to a scene's folder: the first of the known formats that is there."""
-    for place in _MODELS:
-        if is_colmap_model(path / place):
-            return path / place
-    if (path / "transforms.json").is_file():
-        return path / "transforms.json"
-    for place in _CAMERA_FOLDERS:
-        if any((path / place).glob("*.camera")):
-            return path / place
-    exports = [file for file in sorted(path.glob("*.json")) if _is_earth_studio(file)]
-    if len(exports) > 1:
-        raise InputError(f"{path}: two camera exports, {exports[0].name} and {exports[1].name}: say which one")
-    return exports[0] if exports else None
-
-
-def _is_earth_studio(path: Path) -> bool:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(document, dict) and "cameraFrames" in document
+    return _Given(read_transforms(source, lambda name: scene.sizes.get(find(name) or ""), warn))
 
 
 def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[str]) -> list[Camera]:
@@ -259,20 +230,18 @@ def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[s
     return chosen
 
 
-class _Names:
-    """Which image a camera's name means: the same name, or the only image with its last part, or with its stem."""
-
-    def __init__(self, images: Iterable[str]) -> None:
-        self._images: dict[str, str | None] = {}
-        for name in images:
-            for key in {Path(name).name, Path(name).stem} - {name}:
-                self._images[key] = None if key in self._images else name
-        self._images |= {name: name for name in images}
-
-    def __call__(self, camera: str) -> str | None:
-        path = Path(camera)
-        inner = path.as_posix().removeprefix("images/")
-        return next((found for key in (inner, path.name, path.stem) if (found := self._images.get(key))), None)
+def _no_intrinsics(k: Intrinsics) -> str:
+    """Why intrinsics cannot be those of an image, in words; empty where they can."""
+    size = max(k.width, k.height)
+    focal, at = f"a focal length of {k.fx:.4g} x {k.fy:.4g}", f"a principal point at ({k.cx:.4g}, {k.cy:.4g})"
+    in_pixels = min(k.fx, k.fy) >= _MIN_FOCAL * size and (max(k.cx, k.cy) > 1 or size <= 2)
+    if not in_pixels:
+        what = "they look normalised or in millimetres"
+    elif not (0 <= k.cx <= k.width and 0 <= k.cy <= k.height):
+        what = "its principal point lies outside the image"
+    else:
+        return ""
+    return f"expected intrinsics in pixels of {k.width} x {k.height}, got {focal} and {at}: {what}"
 
 
 def _same_aspect(camera: Size, image: Size) -> bool:

@@ -16,8 +16,20 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
+from pcbench.geometry.transform import Similarity
+from pcbench.io.earth_studio import wgs84_from_sphere
 from pcbench.io.files import digest
 from pcbench.scenes.decode import Size, decode_image, decode_mask, resize_image
+
+
+def cameras_in_wgs84(cameras: Mapping[str, Camera], origin: Gps) -> dict[str, Camera]:
+    """Cameras in east-north-up of Earth Studio's sphere about a place, in that of WGS84 about the same place."""
+    moved = {}
+    for name, camera in cameras.items():
+        rotation = camera.cam_from_world.rotation
+        position = wgs84_from_sphere(camera.position[None], origin)[0]
+        moved[name] = replace(camera, cam_from_world=Similarity(rotation, -rotation @ position))
+    return moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +38,7 @@ class Scene:
 
     Args:
         folder: where the images are.
-        images: their names relative to it, sorted.
+        images: their names relative to it, sorted as people count (frame_2 before frame_10).
         sizes: (width, height) of each image's file, in pixels.
         cameras: by image name, at the working size; the images without one are not in it.
         gps: by image name, from EXIF.
@@ -35,6 +47,7 @@ class Scene:
         image_scale: the working size relative to the files', 0 < scale <= 1.
         points: sparse points in the frame of the cameras, if they came with some.
         origin: the place on earth that is (0, 0, 0) in the frame of the cameras (x east, y north, z up), if known.
+        on_sphere: whether the metres of the cameras are those of Earth Studio's sphere, up to 0.6 % off WGS84's.
     """
 
     folder: Path
@@ -47,6 +60,7 @@ class Scene:
     image_scale: float = 1.0
     points: Cloud | None = None
     origin: Gps | None = None
+    on_sphere: bool = False
 
     def __len__(self) -> int:
         return len(self.images)
@@ -91,16 +105,39 @@ class Scene:
 
     def measured_positions(self) -> tuple[dict[str, FloatArray], str]:
         """Where images were taken, in metres (3,) by name, and the frame in words: that of gps.txt, or east-north-up
-        about the first position in EXIF.
+        about the first image's with one in EXIF.
         """
         if self.positions:
             return dict(self.positions), "in the frame of gps.txt"
         if not self.gps:
             return {}, ""
-        origin = self.gps[min(self.gps)]
+        origin = self.gps[next(name for name in self.images if name in self.gps)]
         enu = enu_from_wgs84(list(self.gps.values()), origin)
         where = f"{origin.latitude_deg:.7f}, {origin.longitude_deg:.7f}, {origin.altitude:.2f} m"
         return dict(zip(self.gps, enu, strict=True)), f"east-north-up about {where}"
+
+    def in_wgs84(self) -> Scene:
+        """The scene with its cameras in metres of WGS84, by their latitudes, longitudes and altitudes. The images show
+        the sphere: with these cameras matches are off by a pixel or two, so reconstruct with those of the sphere, and
+        bring the cloud over (`pcbench reconstruct --wgs84`).
+
+        Raises:
+            InputError: the cameras are not those of Earth Studio.
+        """
+        origin = self.sphere_origin()
+        return replace(self, cameras=cameras_in_wgs84(self.cameras, origin), on_sphere=False)
+
+    def sphere_origin(self) -> Gps:
+        """The origin of cameras that are in metres of Earth Studio's sphere.
+
+        Raises:
+            InputError: they are not.
+        """
+        if not self.on_sphere or self.origin is None:
+            raise InputError(
+                f"{self.folder}: expected cameras of Earth Studio, whose metres are those of a sphere, for WGS84"
+            )
+        return self.origin
 
     def select(self, names: Collection[str]) -> Scene:
         """The scene of some of its images.
@@ -170,6 +207,8 @@ class Scene:
         if self.origin is not None:
             at = self.origin
             lines.append(f"  east-north-up about {at.latitude_deg:.7f}, {at.longitude_deg:.7f}, {at.altitude:.1f} m")
+            if not self.on_sphere:
+                lines.append("  metres of WGS84")
         return lines
 
     def fingerprint(self, *, cameras: bool = True) -> str:

@@ -52,9 +52,3 @@ def check_cameras_output(path: Path, scene: Path | None = None) -> None:
         check_model_output(path)
     if scene is not None and path.resolve().is_relative_to(scene.resolve()):
         raise InputError(f"{path}: the cameras would be written into the scene: choose another place")
-
-
-def image_folder(scene: Path) -> Path:
-    """The folder in a scene's folder that its images' names are relative to."""
-    inner = scene / "images"
-    return inner if inner.is_dir() else scene

@@ -80,7 +80,7 @@ def working_images(scene: Scene, workspace: Path) -> Path:
     """The folder of the images at the working size: their own, or a stage with smaller ones."""
     if scene.image_scale == 1:
         return scene.folder
-    inputs = {"scene": scene.fingerprint(cameras=False)}
+    inputs = {"scene": scene.fingerprint(cameras=False), "exif": True}
     return stage(workspace, "images", inputs, lambda folder: scene.write_images(folder))
 
 
@@ -113,7 +113,7 @@ def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
     Raises:
         ReconstructionError: fewer than two images have enough of them.
     """
-    poor = sorted(name for name in scene.images if counts.get(name, 0) < MIN_FEATURES)
+    poor = [name for name in scene.images if counts.get(name, 0) < MIN_FEATURES]
     if not poor:
         return []
     if len(scene) - len(poor) < 2:

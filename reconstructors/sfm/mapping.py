@@ -15,8 +15,14 @@ from reconstructors.sfm.model import Refine
 Mapper = Literal["incremental", "global"]
 
 
-def map_images(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int) -> Path:
-    """The stage with cameras and points, each component in a folder and an arbitrary gauge of its own."""
+def map_images(
+    verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int, name: str = ""
+) -> Path:
+    """The stage with cameras and points, each component in a folder and an arbitrary gauge of its own.
+
+    Args:
+        name: of the stage, which is that of the mapper if not given.
+    """
     import pycolmap
 
     def make(folder: Path) -> None:
@@ -31,7 +37,7 @@ def map_images(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, re
             database.unlink()
 
     inputs = {"matches": stage_key(verified), "mapping": mapper, "refine": refine, "seed": seed}
-    return stage(workspace, "mapping", inputs, make)
+    return stage(workspace, name or mapper, inputs, make)
 
 
 def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
@@ -55,7 +61,7 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
     if len(models) > 1:
         sizes = ", ".join(str(model.num_reg_images()) for model in models)
         notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
-    if left := sorted(set(scene.images) - names):
+    if left := [name for name in scene.images if name not in names]:
         notes.append(f"{len(left)} of {len(scene)} images are not registered: {some(left)}")
     return largest, notes
 

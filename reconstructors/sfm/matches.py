@@ -77,6 +77,28 @@ def check_verified(verified: Path, counts: Mapping[str, int]) -> None:
         )
 
 
+def without_pairs(
+    verified: Path, workspace: Path, name: str, dropped: Sequence[tuple[str, str]] = (), least: int = 0
+) -> Path:
+    """The stage `name`: the verified matches without those of some pairs, and of pairs with fewer than `least`."""
+    import pycolmap
+
+    def make(folder: Path) -> None:
+        shutil.copyfile(verified / DATABASE, folder / DATABASE)
+        database = pycolmap.Database.open(folder / DATABASE)
+        names = {int(image.image_id): str(image.name) for image in database.read_all_images()}
+        unwanted = {frozenset(pair) for pair in dropped}
+        for pair, matches in zip(*database.read_two_view_geometry_num_inliers(), strict=True):
+            a, b = (int(number) for number in pycolmap.pair_id_to_image_pair(pair))
+            if matches < least or frozenset((names[a], names[b])) in unwanted:
+                database.delete_two_view_geometry(a, b)
+                database.delete_matches(a, b)
+        database.close()
+
+    inputs = {"verified": stage_key(verified), "dropped": sorted(dropped), "least": least}
+    return stage(workspace, name, inputs, make)
+
+
 def _set_intrinsics(database_file: Path, groups: Sequence[Shared]) -> None:
     """Give the known intrinsics to their images in a database."""
     import pycolmap

@@ -13,12 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, ReconstructionError
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import Scene
 from reconstructors.sfm.alignment import Align, Aligned, align
 from reconstructors.sfm.control import ControlPoint, read_control
-from reconstructors.sfm.epipolar import check_cameras
+from reconstructors.sfm.epipolar import check_cameras, repeated, write_pairs
 from reconstructors.sfm.features import (
     DATABASE,
     MIN_FEATURES,
@@ -28,11 +28,13 @@ from reconstructors.sfm.features import (
     some,
     working_images,
 )
-from reconstructors.sfm.mapping import Mapper, largest_component, map_images, triangulate
+from reconstructors.sfm.mapping import Mapper, triangulate
 from reconstructors.sfm.matches import check_verified, match_pairs, verify_matches
 from reconstructors.sfm.model import Refine, cameras_of, cloud_of, largest_angle_deg, quality
 from reconstructors.sfm.pairs import Matching, choose_pairs
+from reconstructors.sfm.solve import solve
 
+PAIRS = "pairs.csv"  # in the workspace
 _MAX_PARALLEL_DEG = 12.0  # of a survey's images from their mean direction: a flight is unsteady by a few
 
 
@@ -42,7 +44,10 @@ class ColmapSfm:
     where the cameras are given.
 
     poses: `given` takes the scene's cameras as they are, `solve` finds them; `auto` is given where there are some.
-    mapping: of solved poses. matching: which pairs; `auto` by the number of images and what is known of them.
+    mapping: of solved poses; up to 30 images are solved in both ways, and it is said where these differ. Where strong
+    pairs contradict the cameras, places that look alike were taken for one: they are solved again without such pairs,
+    and if several still contradict it is said, and the gauge is arbitrary.
+    matching: which pairs; `auto` by the number of images and what is known of them.
     features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
     the time. refine: which intrinsics are solved for: `all`, `focal` length, `distortion`, or `none`; the rest stays as
     the scene's cameras say, or as guessed (1.2 image widths, no distortion) where EXIF has no focal length.
@@ -110,20 +115,35 @@ class ColmapSfm:
         """The points of the given cameras, in their frame."""
         import pycolmap
 
-        share = check_cameras(verified / DATABASE, scene.cameras)
+        found = check_cameras(verified / DATABASE, scene.cameras)
+        write_pairs(workspace / PAIRS, found)
         model = pycolmap.Reconstruction(triangulate(verified, scene, workspace, self.seed) / "0")
-        note = f"{share:.0%} of the verified matches agree with the given cameras; {quality(model)}"
-        return Aligned(model, "georeferenced", scene.origin is not None, [note])
+        notes = [f"{found.describe('given')}; {quality(model)}", *repeated(found, "given")]
+        return Aligned(model, "georeferenced", scene.origin is not None, notes)
 
     def _solved(self, verified: Path, scene: Scene, workspace: Path, control: tuple[ControlPoint, ...]) -> Aligned:
         """Cameras and points of the largest component, in the world where one is known."""
-        mapped = map_images(verified, scene, workspace, self.mapping, self.refine, self.seed)
-        model, notes = largest_component(mapped, scene)
-        notes.append(quality(model))
+        solution = solve(verified, scene, workspace, self.mapping, self.refine, self.seed)
+        write_pairs(workspace / PAIRS, solution.agreement)
+        model, notes = solution.model, [*solution.notes, quality(solution.model)]
         if self.refine != "none":
-            notes += _parallel(largest_angle_deg(cameras_of(model)))
+            notes += _parallel(largest_angle_deg(solution.cameras))
+        if not solution.agreement.is_sound:
+            return Aligned(model, "arbitrary", False, [*notes, *self._not_aligned()])
         aligned = align(model, scene, control, self.align, self.refine)
         return aligned._replace(notes=[*notes, *aligned.notes])
+
+    def _not_aligned(self) -> list[str]:
+        """What is said of a solution that cannot be believed.
+
+        Raises:
+            ReconstructionError: it was to be aligned to something.
+        """
+        if self.align in ("auto", "none"):
+            return [] if self.align == "none" else ["not aligned to the world: its gauge is arbitrary"]
+        raise ReconstructionError(
+            f"cannot be aligned to {self.align}: places that look alike are taken for one (align=none shows it)"
+        )
 
 
 def _usable(scene: Scene, given: bool, control: tuple[ControlPoint, ...]) -> tuple[Scene, list[str]]:
@@ -139,7 +159,7 @@ def _usable(scene: Scene, given: bool, control: tuple[ControlPoint, ...]) -> tup
     if given:
         if not scene.cameras:
             raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
-        if bare := sorted(set(scene.images) - set(scene.cameras)):
+        if bare := [name for name in scene.images if name not in scene.cameras]:
             notes.append(f"{len(bare)} of {len(scene)} images without a camera are left out: {some(bare)}")
             scene = scene.select(set(scene.cameras))
     if len(scene) < 2:

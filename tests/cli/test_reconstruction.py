@@ -30,7 +30,9 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
         "    @classmethod\n"
         "    def missing(cls): return None\n"
         "    def reconstruct(self, scene, workspace):\n"
-        "        return Reconstruction(scene.points.select(slice(self.points)), 'georeferenced', scene.cameras)\n"
+        "        notes = ['three', 'warning: four'] if self.points == 3 else []\n"
+        "        points = scene.points.select(slice(self.points))\n"
+        "        return Reconstruction(points, 'georeferenced', scene.cameras, notes)\n"
     )
     code, out, err = run("plugins", "mine.py:Mine")
     assert (code, err) == (0, "")
@@ -40,7 +42,9 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     assert "mine.py:Mine (mine.py): Returns what it got.\n  can run here\n  --set points=int  (default 4)\n" in out
     arguments = ("reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply")
     code, out, err = run(*arguments, "--set", "points=3", "--write-cameras", "cameras.json")
-    assert (code, err) == (0, "")
+    assert (code, err) == (0, "warning: four\n")
+    assert "note: three\n" in out
+    assert "four" not in out
     assert "cloud.ply: 3 points, georeferenced, 1 cameras" in out
     assert len(read_cloud("cloud.ply")) == 3
     assert json.loads(Path("cameras.json").read_text())["frames"][0]["file_path"] == "photos/0.png"

@@ -1,9 +1,13 @@
 """`pcbench scene`. What `synth` makes is tested in tests/scenes."""
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import one_line
+
+from pcbench import read_cloud
 
 
 def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, run):
@@ -38,3 +42,58 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
         assert (code, out) == (2, "")
         assert one_line(err)
     assert not Path("other.png").exists()
+
+
+def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
+    """Four cameras a kilometre apart: the sphere's metres are 0.26 % fewer to the east, 0.11 % more to the north."""
+    image = pytest.importorskip("PIL.Image")
+    monkeypatch.chdir(tmp_path)
+    Path("photos").mkdir()
+    frames = []
+    for number, (latitude, longitude) in enumerate([(41.8, 12.2), (41.81, 12.2), (41.8, 12.21), (41.81, 12.21)]):
+        image.new("RGB", (64, 36)).save(f"photos/{number}.png")
+        a, b = np.radians([latitude, longitude])
+        position = (6_371_010 + 500) * np.array([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)])
+        frame = {"coordinate": {"latitude": latitude, "longitude": longitude, "altitude": 500}, "fovVertical": 40}
+        frame |= {key: dict(zip("xyz", v, strict=True)) for key, v in (("position", position), ("rotation", (0, 0, 0)))}
+        frames.append(frame)
+    document = {"width": 64, "height": 36, "numFrames": 3, "cameraFrames": frames, "trackPoints": []}
+    Path("photos/export.json").write_text(json.dumps(document))
+    Path("mine.py").write_text(
+        "from dataclasses import dataclass\n"
+        "import numpy as np\n"
+        "from pcbench import Cloud\n"
+        "from pcbench.plugins import Reconstruction\n"
+        "@dataclass(frozen=True)\n"
+        "class Mine:\n"
+        "    gauge: str = 'georeferenced'\n"
+        "    def reconstruct(self, scene, workspace):\n"
+        "        points = np.stack([camera.position for camera in scene.cameras.values()])\n"
+        "        return Reconstruction(Cloud(points), self.gauge, scene.cameras)\n"
+    )
+    code, out, err = run("scene", "photos", "--write-cameras", "sphere.json")
+    assert code == 0
+    assert "warning: photos/export.json: metres of the sphere that Earth Studio draws on: -0.26 % to the east" in err
+    code, out, err = run("scene", "photos", "--wgs84", "--write-cameras", "wgs84.json")
+    assert (code, err) == (0, "")
+    assert "metres of WGS84" in out
+    sphere, wgs84 = (
+        np.array([frame["transform_matrix"] for frame in json.loads(Path(name).read_text())["frames"]])[:, :3, 3]
+        for name in ("sphere.json", "wgs84.json")
+    )
+    np.testing.assert_allclose(sphere[2, 0] / wgs84[2, 0], 0.9974, atol=1e-4)
+    np.testing.assert_allclose(sphere[1, 1] / wgs84[1, 1], 1.0011, atol=1e-4)
+    arguments = ("reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply", "--wgs84", "--write-cameras", "made.json")
+    code, out, err = run(*arguments)
+    assert (code, err) == (0, "")
+    np.testing.assert_allclose(read_cloud("cloud.ply").points, wgs84, atol=1e-3)
+    made = np.array([frame["transform_matrix"] for frame in json.loads(Path("made.json").read_text())["frames"]])
+    np.testing.assert_allclose(made[:, :3, 3], wgs84, atol=1e-6)
+    code, out, err = run(*arguments, "--set", "gauge=arbitrary")
+    assert code == 0
+    assert "warning: not brought to WGS84: the cloud is in an arbitrary gauge, not in the world of the cameras" in err
+    for command in (("scene", "photos"), arguments):
+        code, out, err = run(*command, "--wgs84", "--cameras", "none")
+        assert (code, out) == (2, "")
+        assert one_line(err)
+        assert "expected cameras of Earth Studio" in err

@@ -1,11 +1,16 @@
 """The picture of a scene's cameras."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scene_folders import NAMES, orbit, ten_pictures
+from scene_folders import NAMES, K, orbit, ten_pictures
 
 from pcbench import Cloud
 from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, look_at
+from pcbench.geometry.geodesy import Gps
+from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
 
@@ -22,9 +27,71 @@ def test_the_camera_plot_is_drawn(tmp_path, count):
     assert image.shape == (768, 1680, 4)
     blue = (np.abs(image[..., :3] - [0, 0x72 / 255, 0xB2 / 255]).max(axis=2) < 0.1).sum()
     assert blue > 100  # both panels have cameras in their colour
-    with pytest.raises(InputError, match="no cameras to draw"):
+    with pytest.raises(InputError, match=r"nothing to draw: expected cameras .* or GPS positions in the images' EXIF"):
         draw_cameras(read_scene(photographs, cameras="none"), photographs / "none.png")
     assert not (photographs / "none.png").exists()
+
+
+def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
+    photographs = ten_pictures(tmp_path)
+    matplotlib_image = pytest.importorskip("matplotlib.image")
+    from pcbench.report.plot.cameras import _measured, draw_cameras
+
+    lines = [f"{name} {10 * n} {5 * (n % 2)} 80\n" for n, name in enumerate(NAMES[:7])]
+    (photographs / "gps.txt").write_text("".join(lines))
+    scene = read_scene(photographs)
+    draw_cameras(scene, tmp_path / "gps.png")
+    image = matplotlib_image.imread(tmp_path / "gps.png")
+    assert (np.abs(image[..., :3] - [0, 0x72 / 255, 0xB2 / 255]).max(axis=2) < 0.1).sum() > 100
+    assert _measured(scene).title == "no cameras, GPS positions of 7 of 10 images, in the frame of gps.txt"
+    gps = {name: Gps(48 + 1e-4 * n, 11.0, 500.0) for n, name in enumerate(NAMES)}
+    drawn = _measured(replace(scene, positions={}, gps=gps))
+    assert drawn.axes == ("east", "north", "up")
+    np.testing.assert_allclose(drawn.positions[9] - drawn.positions[0], [0, 100.1, 0], atol=0.1)
+
+
+def flight(turns, tilt_deg=3.0, size=(6, 5)):
+    """A survey in strips, the camera turned by `turns` after each, in an arbitrary gauge; and what is up there."""
+    rng = np.random.default_rng(5)
+    gauge, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    gauge *= np.sign(np.linalg.det(gauge))
+    if (gauge @ [0, 0, 1])[2] > 0:  # not by chance upright
+        gauge = np.diag([1, -1, -1]) @ gauge
+    cameras = []
+    for n in range(size[0] * size[1]):
+        strip, place = divmod(n, size[0])
+        yaw, tilt = np.radians(turns * strip), np.tan(np.radians(rng.normal(0, tilt_deg, 2)))
+        eye = np.array([20.0 * place, 25.0 * strip, 100 + rng.normal()])
+        pose = look_at(eye, eye + [*tilt, -1], up=[np.sin(yaw), np.cos(yaw), 0])
+        rotation = pose.rotation @ gauge.T
+        cameras.append(Camera(f"{n}.png", K, Similarity(rotation, -rotation @ (gauge @ eye))))
+    return cameras, gauge @ [0, 0, 1]
+
+
+@pytest.mark.parametrize("turns", [0, 180, 90])
+def test_a_survey_in_an_arbitrary_gauge_is_shown_from_above(turns):
+    from pcbench.report.plot.cameras import _upright
+
+    cameras, up = flight(turns)
+    turn, turned = _upright(cameras)
+    assert turned
+    assert (turn @ up)[2] > 0.99
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+
+
+def test_a_walk_along_a_wall_stays_upright():
+    """All images look the same way, but from places on a line: their upper sides say what is up."""
+    from pcbench.report.plot.cameras import _upright
+
+    gauge = look_at([1, 2, 3], [0, 0, 0]).rotation
+    cameras = []
+    for n in range(12):
+        pose = look_at([n, 0.2 * np.sin(n), 1.6 + 0.1 * (n % 3)], [n, 10, 1.6])
+        rotation = pose.rotation @ gauge.T
+        cameras.append(Camera(f"{n}.png", K, Similarity(rotation, pose.translation)))
+    turn, turned = _upright(cameras)
+    assert turned
+    assert (turn @ gauge @ [0, 0, 1])[2] > 0.99
 
 
 def test_rings_are_told_apart_and_closed():

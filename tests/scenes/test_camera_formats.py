@@ -6,14 +6,16 @@ import struct
 import numpy as np
 import pytest
 from data_folder import data_folder
+from PIL import Image
 from scene_folders import NAMES, K, orbit
 
 from pcbench import Cloud
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Intrinsics, look_at, rotation_from
+from pcbench.geometry.geodesy import Gps
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
-from pcbench.io.earth_studio import EARTH_RADIUS, read_earth_studio
+from pcbench.io.earth_studio import EARTH_RADIUS, _enu_axes, read_earth_studio, wgs84_from_sphere
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms, write_transforms
 from pcbench.scenes import read_scene, write_cameras
@@ -214,15 +216,64 @@ def test_earth_studio_local_is_the_same_as_global(tmp_path, turned):
     assert cameras[0].direction[2] < -0.999
 
 
+def on_wgs84(coordinates, origin):
+    """East, north and up by PROJ, of rows of latitude, longitude and altitude."""
+    pyproj = pytest.importorskip("pyproj")
+    cartesian = pyproj.Transformer.from_crs(4979, 4978)
+    pipeline = f"+proj=topocentric +ellps=WGS84 +lat_0={origin[0]} +lon_0={origin[1]} +h_0={origin[2]}"
+    local = pyproj.Transformer.from_pipeline(pipeline)
+    return np.stack(local.transform(*cartesian.transform(*np.array(coordinates).T)), axis=1)
+
+
+def test_earth_studio_in_metres_of_wgs84(tmp_path):
+    source = data_folder("ges") / "fiumicino5_ges_export.json"
+    document = json.loads(source.read_text())
+    names = [f"{number:03}.png" for number in range(97)]
+    for name in names:
+        Image.new("RGB", (192, 108)).save(tmp_path / name)
+    (tmp_path / "export.json").write_text(json.dumps(document | {"width": 192, "height": 108}))
+    told = []
+    scene = read_scene(tmp_path, on_warning=told.append)
+    assert "-0.26 % to the east and +0.11 % to the north against WGS84 at 41.8 degrees (--wgs84" in told[0]
+    converted = scene.in_wgs84()
+    assert "  metres of WGS84" in converted.describe()
+    coordinates = [
+        [f["coordinate"][k] for k in ("latitude", "longitude", "altitude")] for f in document["cameraFrames"]
+    ]
+    found = np.stack([converted.cameras[name].position for name in names])
+    np.testing.assert_allclose(found, on_wgs84(coordinates, scene.origin), atol=1e-6)
+    # Its author's conversion is on the sphere, as the images are: it differs by what is said.
+    frames = json.loads((data_folder("ges") / "fiumicino_enu_animation.json").read_text())["Frames"]
+    author = np.array([[frame["position"]["x"], -frame["position"]["z"]] for frame in frames])
+    for axis, percent in ((0, -0.26), (1, 0.11)):
+        ratio = np.ptp(author[:, axis]) / np.ptp(found[:, axis])
+        assert 100 * (ratio - 1) == pytest.approx(percent, abs=0.01)
+    for name in names:  # directions are the same: east is east on either
+        rotations = (cameras[name].cam_from_world.rotation for cameras in (converted.cameras, scene.cameras))
+        np.testing.assert_array_equal(*rotations)
+    with pytest.raises(InputError, match="expected cameras of Earth Studio"):
+        converted.in_wgs84()
+
+
+def test_points_on_the_sphere_keep_their_place_on_earth():
+    origin = Gps(-33.9, 151.2, 20.0)
+    coordinates = np.array(origin) + np.random.default_rng(1).uniform(-1, 1, (200, 3)) * [0.01, 0.01, 300]
+    axes = _enu_axes(origin)
+    points = (np.stack([sphere(*row) for row in coordinates]) - sphere(*origin)) @ axes.T
+    np.testing.assert_allclose(wgs84_from_sphere(points, origin), on_wgs84(coordinates, origin), atol=1e-6)
+
+
 def test_earth_studio_frames_find_their_images(photographs):
     (photographs / "export.json").write_text(json.dumps(earth_studio(np.eye(3), (48, 11, 0), COORDINATES, local=False)))
     cameras = read_earth_studio(photographs / "export.json").cameras
-    scene = read_scene(photographs)  # eleven frames, ten images
+    told = []
+    scene = read_scene(photographs, on_warning=told.append)  # eleven frames, ten images
+    assert "metres of the sphere that Earth Studio draws on" in told[0]
     np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
     assert scene.origin.latitude_deg == pytest.approx(48)
     for name in ("0.png", "1.png", "4.png"):
         (photographs / "images" / name).unlink()
-    scene = read_scene(photographs)  # now by number
+    scene = read_scene(photographs, on_warning=told.append)  # now by number
     np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
 
 

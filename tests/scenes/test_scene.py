@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import warnings
 
 import numpy as np
 import pytest
@@ -29,10 +30,10 @@ def test_fountain_fox_and_brighton():
     k = fountain.cameras["0000.jpg"].intrinsics
     assert (k.width, k.height, k.fx, k.cx) == (1536, 1024, 2759.48 / 2, 1520.69 / 2)  # K is for twice the size
     np.testing.assert_allclose(fountain.cameras["0000.jpg"].position, [-7.28137, -7.57667, 0.204446])
-    warnings = []
-    fox = read_scene(data_folder("fox"), on_warning=warnings.append, image_scale=0.5)
+    told = []
+    fox = read_scene(data_folder("fox"), on_warning=told.append, image_scale=0.5)
     assert len(fox.cameras) == 50
-    assert "17 of 67 cameras are left out" in warnings[0]
+    assert "17 of 67 cameras are left out" in told[0]
     assert fox.cameras["0001.jpg"].intrinsics.fx == 1375.52 / 4
     assert fox.read_image("0001.jpg").shape == (480, 270, 3)
     brighton = read_scene(data_folder("brighton"))
@@ -188,9 +189,9 @@ def test_undecodable_pixels_are_said_when_they_are_read(photographs):
 
 def test_positions_of_a_file(photographs):
     (photographs / "gps.txt").write_text("# NAME X Y Z\n3.png 1 2 3.5\n77.png 0 0 0\n")
-    warnings = []
-    scene = read_scene(photographs, on_warning=warnings.append)
-    assert "1 positions are left out, their images are missing: 77.png" in warnings[0]
+    told = []
+    scene = read_scene(photographs, on_warning=told.append)
+    assert "1 positions are left out, their images are missing: 77.png" in told[0]
     found, frame = scene.measured_positions()
     assert list(found) == ["3.png"]
     np.testing.assert_array_equal(found["3.png"], [1, 2, 3.5])
@@ -201,3 +202,147 @@ def test_positions_of_a_file(photographs):
         (photographs / "gps.txt").write_text(line)
         with pytest.raises(InputError, match=r"gps.txt: line 1: expected a name and x y z"):
             read_scene(photographs)
+
+
+def exif_of(make, model, focal_35mm=None, focal_mm=None, pixels_per_cm=None):
+    """An EXIF block with a focal length in one of the ways that cameras write it."""
+    from PIL.TiffImagePlugin import IFDRational
+
+    exif = Image.Exif()
+    exif[0x10F], exif[0x110] = make, model
+    fields = exif.get_ifd(0x8769)
+    if focal_35mm:
+        fields[0xA405] = focal_35mm
+    if focal_mm:
+        fields[0x920A] = IFDRational(round(100 * focal_mm), 100)
+    if pixels_per_cm:
+        fields |= {0xA20E: IFDRational(pixels_per_cm), 0xA20F: IFDRational(pixels_per_cm), 0xA210: 3}
+        fields |= {0xA002: 640, 0xA003: 480}
+    return exif
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png"])
+@pytest.mark.parametrize(
+    "exif",
+    [
+        exif_of("Any", "thing", focal_35mm=24),
+        exif_of("Any", "thing", focal_mm=10, pixels_per_cm=500),
+        exif_of("DJI", "FC6310", focal_mm=8.8),  # by COLMAP's table of sensors
+    ],
+)
+def test_smaller_images_keep_the_focal_length_of_their_exif(tmp_path, ending, exif):
+    pycolmap = pytest.importorskip("pycolmap")
+    picture(tmp_path / f"a.{ending}", size=(640, 480))
+    with Image.open(tmp_path / f"a.{ending}") as image:
+        image.save(tmp_path / f"a.{ending}", exif=exif)
+    read_scene(tmp_path, image_scale=0.5).write_images(tmp_path / "small")
+    whole, small = (pycolmap.infer_camera_from_image(f / f"a.{ending}") for f in (tmp_path, tmp_path / "small"))
+    assert whole.has_prior_focal_length
+    assert small.has_prior_focal_length
+    assert small.focal_length == pytest.approx(whole.focal_length / 2, rel=1e-3)
+
+
+def test_damaged_exif_is_left_out_of_smaller_images(tmp_path):
+    block = exif_of("Any", "thing", focal_35mm=24).tobytes()
+    for cut in (7, 12, 20, 40, len(block) - 3):
+        Image.new("RGB", (64, 48)).save(tmp_path / f"{cut}.jpg", exif=block[:cut])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_scene(tmp_path, image_scale=0.5).write_images(tmp_path / "small")
+    assert len(read_scene(tmp_path / "small").images) == 5
+
+
+def test_names_are_sorted_as_people_count(tmp_path):
+    names = [f"frame_{number}.png" for number in (1, 2, 9, 10, 11, 100)]
+    for name in [*reversed(names), "frame_002.png"]:
+        picture(tmp_path / name)
+    assert read_scene(tmp_path).images == ("frame_1.png", "frame_002.png", *names[1:])
+
+
+@pytest.mark.parametrize("folder", ["images", "train", "rgb", "footage"])
+def test_layouts_that_exist(tmp_path, folder):
+    for number in range(3):
+        picture(tmp_path / folder / f"r_{number}.png")
+    picture(tmp_path / "overview.png")  # beside the images, none of them
+    frames = [{"file_path": f"./{folder}/r_{n}", "transform_matrix": np.eye(4).tolist()} for n in range(3)]
+    (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": frames}))
+    scene = read_scene(tmp_path)
+    assert scene.folder == tmp_path / folder
+    assert scene.images == tuple(scene.cameras) == ("r_0.png", "r_1.png", "r_2.png")
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        "cam1/{}.png",
+        "cam1/{}",
+        "./images/cam1/{}.jpg",
+        "cam1\\{}.png",
+        "C:\\scene\\images\\cam1\\{}.png",
+        "/data/cam1/{}",
+    ],
+)
+def test_ways_to_images_in_files_from_elsewhere(tmp_path, way):
+    for camera in ("cam1", "cam2"):  # the last part alone says nothing
+        picture(tmp_path / "images" / camera / "0.5.png")
+    frame = {"file_path": way.format("0.5"), "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": [frame]}))
+    assert list(read_scene(tmp_path, on_warning=lambda _: None).cameras) == ["cam1/0.5.png"]
+
+
+@pytest.mark.parametrize(
+    "values, match",
+    [
+        (
+            {"fl_x": 35.7, "camera_angle_x": 0.86},
+            r"fl_x 35.7 px and camera_angle_x 0.86 \(which is 69.77 px\) contradict",
+        ),
+        ({"fl_x": 50, "fl_y": 50, "camera_angle_y": 1.2}, "fl_y 50 px and camera_angle_y 1.2 .* contradict"),
+        ({"fl_x": 0.8, "fl_y": 0.8, "cx": 0.5, "cy": 0.5}, "in pixels of 64 x 48.*they look normalised"),
+        ({"fl_x": 50, "cx": 0.5, "cy": 0.5}, "they look normalised"),
+        ({"fl_x": 50, "cx": 70, "cy": 24}, "principal point lies outside the image"),
+        ({"fl_x": 50, "cx": 32, "cy": -3}, "principal point lies outside the image"),
+        ({}, "fl_x or camera_angle_x is missing|'fl_x or camera_angle_x' is missing"),
+    ],
+)
+def test_intrinsics_that_cannot_be_are_refused(photographs, values, match):
+    frames = [{"file_path": "3.png", "transform_matrix": np.eye(4).tolist()}]
+    (photographs / "transforms.json").write_text(json.dumps({"w": 64, "h": 48, **values, "frames": frames}))
+    with pytest.raises(InputError, match=match) as raised:
+        read_scene(photographs)
+    assert "\n" not in str(raised.value)
+    assert "3.png" in str(raised.value)
+
+
+def test_what_a_file_says_and_is_not_obeyed_is_said(photographs):
+    eye = np.eye(4).tolist()
+    frames = [{"file_path": f"{n}.png", "transform_matrix": eye} for n in range(10)]
+    harmless = {"k5": 0, "k6": 0.0, "rolling_shutter": [0, 0, 0, 0], "applied_transform": eye[:3], "applied_scale": 1.0}
+    for values, said in (
+        (harmless, []),
+        ({"k5": 0.1, "k6": -0.2}, ["k5, k6"]),
+        ({"rolling_shutter": [0, 0, 0.03, 0]}, ["rolling_shutter"]),
+        ({"applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]}, ["applied_transform"]),
+    ):
+        document = {"fl_x": 50, "w": 64, "h": 48, **values, "frames": frames}
+        (photographs / "transforms.json").write_text(json.dumps(document))
+        told = []
+        read_scene(photographs, on_warning=told.append)
+        assert len(told) == len(said)
+        for text, words in zip(told, said, strict=True):
+            assert f"not obeyed: {words};" in text
+    frames[4]["applied_scale"] = 0.3  # of one frame alone
+    (photographs / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": frames}))
+    told = []
+    read_scene(photographs, on_warning=told.append)
+    assert "applied_scale" in told[0]
+
+
+def test_a_project_of_earth_studio_is_not_its_export(photographs):
+    (photographs / "rome.esp").write_text('{"scenes": []}')
+    told = []
+    assert not read_scene(photographs, on_warning=told.append).cameras
+    assert "rome.esp: an Earth Studio project (.esp) holds keyframes and no cameras" in told[0]
+    assert "3D camera export as JSON" in told[0]
+    with pytest.raises(InputError, match=r"rome.esp: an Earth Studio project .* 3D camera export as JSON"):
+        read_scene(photographs, cameras=photographs / "rome.esp")

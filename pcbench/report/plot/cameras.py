@@ -1,9 +1,11 @@
-"""The cameras of a scene: where they stand, where they look, the rings they fly, and the sparse points below."""
+"""The cameras of a scene: where they stand, where they look, the rings they fly, and the sparse points below; or where
+its images were taken by GPS.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,20 +19,23 @@ if TYPE_CHECKING:
 
 _CAMERA, _PATH, _POINT = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
 _MAX_POINTS = 20_000  # more are drawn as a blot
+_MAX_TILT_DEG = 25.0  # of images that look down, from their mean direction, and of that from the normal of their places
+_MIN_WIDTH = 0.3  # of a flight that covers an area, to its length: a walk along a wall is narrower
 
 
 def draw_cameras(scene: Scene, path: Path) -> None:
-    """Draw the cameras of a scene from the side and from above, in the frame of the cameras, as a PNG.
+    """Draw the cameras of a scene from the side and from above, in the frame of the cameras, as a PNG. Of a scene
+    without cameras the GPS positions are drawn.
 
-    Cameras whose frame has no upright axis of its own (a COLMAP model) are turned so that their images are upright.
+    Cameras whose frame has no upright axis of its own (a COLMAP model) are turned so that their images are upright, or
+    look down if they are those of a flight over an area.
 
     Raises:
-        InputError: the scene has no cameras.
+        InputError: the scene has neither cameras nor positions.
         MissingExtra: matplotlib is not installed.
         OSError: the file cannot be written.
     """
-    if not scene.cameras:
-        raise InputError(f"{scene.folder}: no cameras to draw: expected a COLMAP model, transforms.json or the like")
+    drawn = _cameras(scene) if scene.cameras else _measured(scene)
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -38,13 +43,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     except ImportError as error:
         raise MissingExtra("matplotlib", "plot", str(error)) from error
 
-    cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
-    turn, turned = _upright(cameras)
-    positions = np.stack([camera.position for camera in cameras]) @ turn.T
-    size = 0.04 * float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
-    outlines = [_outline(camera, size) @ turn.T for camera in cameras]
-    points = _near(scene.points.points @ turn.T, positions) if scene.points is not None else np.zeros((0, 3))
-
+    positions, points, axes = drawn.positions, drawn.points, drawn.axes
     figure = Figure(figsize=(14, 6.4), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     side: Any = figure.add_subplot(1, 2, 1, projection="3d")
@@ -55,33 +54,73 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     for number, ring in enumerate(_rings(positions)):
         side.plot(*ring.T, color=_PATH, linewidth=1.2)
         above.plot(ring[:, 0], ring[:, 1], color=_PATH, linewidth=1.2, label=None if number else "order of the images")
-    for number, outline in enumerate(outlines):
+    if not drawn.outlines:
+        side.scatter(*positions.T, s=24, c=_CAMERA, linewidths=0, depthshade=False)
+        above.scatter(positions[:, 0], positions[:, 1], s=24, c=_CAMERA, linewidths=0, zorder=3, label="GPS positions")
+    for number, outline in enumerate(drawn.outlines):
         side.plot(*outline.T, color=_CAMERA, linewidth=0.7)
         above.plot(outline[:, 0], outline[:, 1], color=_CAMERA, linewidth=0.7, label=None if number else "cameras")
-    unit = "m" if scene.origin is not None else "units of the cameras"
-    axes = ("east", "north", "up") if scene.origin is not None else ("x", "y", "z")
-    if turned:
-        axes = ("right", "forward", "up")
-    everything = np.concatenate([*outlines, points])
+    everything = np.concatenate([*drawn.outlines, positions, points])
     middle, extent = everything.min(axis=0) + 0.5 * np.ptp(everything, axis=0), np.ptp(everything, axis=0)
-    extent = np.maximum(extent, 0.15 * extent.max())  # a level flight still gets a box with a height
+    extent = np.maximum(extent, 0.15 * extent.max() or 1.0)  # a level flight still gets a box with a height
     side.set(**{f"{axis}lim": (m - 0.5 * e, m + 0.5 * e) for axis, m, e in zip("xyz", middle, extent, strict=True)})
     side.set_box_aspect(extent, zoom=0.9)
     for axis, label, length in zip((side.xaxis, side.yaxis, side.zaxis), axes, extent, strict=True):
         axis.set_label_text(label)
         axis.set_major_locator(MaxNLocator(2 if length < 0.3 * extent.max() else 5))
     side.set_title("from the side", fontsize=11)
-    above.set_xlabel(f"{axes[0]} [{unit}]")
-    above.set_ylabel(f"{axes[1]} [{unit}]")
+    above.set_xlabel(f"{axes[0]} [{drawn.unit}]")
+    above.set_ylabel(f"{axes[1]} [{drawn.unit}]")
     above.set_aspect("equal", adjustable="datalim")
     above.grid(True, alpha=0.3)
     above.spines[["top", "right"]].set_visible(False)
     above.set_title("from above", fontsize=11)
     above.legend(framealpha=0.9, edgecolor="none", loc="best")
-    known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
-    figure.suptitle(known + (f", {len(scene.points):,} points" if scene.points is not None else ""), fontsize=12)
+    figure.suptitle(drawn.title, fontsize=12)
     with atomic_write(path) as file:
         figure.savefig(file, format="png")
+
+
+class _Drawn(NamedTuple):
+    """What is drawn: places (N, 3), pyramids (10, 3) and points (M, 3) in one frame, its axes and unit, and a title."""
+
+    positions: FloatArray
+    outlines: list[FloatArray]
+    points: FloatArray
+    axes: tuple[str, str, str]
+    unit: str
+    title: str
+
+
+def _cameras(scene: Scene) -> _Drawn:
+    cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
+    turn, turned = _upright(cameras)
+    positions = np.stack([camera.position for camera in cameras]) @ turn.T
+    size = 0.04 * float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
+    points = _near(scene.points.points @ turn.T, positions) if scene.points is not None else np.zeros((0, 3))
+    known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
+    axes = ("right", "forward", "up") if turned else ("x", "y", "z")
+    return _Drawn(
+        positions,
+        [_outline(camera, size) @ turn.T for camera in cameras],
+        points,
+        ("east", "north", "up") if scene.origin is not None and not turned else axes,
+        "m" if scene.origin is not None else "units of the cameras",
+        known + (f", {len(scene.points):,} points" if scene.points is not None else ""),
+    )
+
+
+def _measured(scene: Scene) -> _Drawn:
+    found, frame = scene.measured_positions()
+    if not found:
+        raise InputError(
+            f"{scene.folder}: nothing to draw: expected cameras (a COLMAP model, transforms.json or the like), or GPS"
+            " positions in the images' EXIF or in gps.txt"
+        )
+    positions = np.stack([found[name] for name in scene.images if name in found])
+    axes = ("x", "y", "z") if scene.positions else ("east", "north", "up")
+    title = f"no cameras, GPS positions of {len(positions)} of {len(scene)} images, {frame}"
+    return _Drawn(positions, [], np.zeros((0, 3)), axes, "m", title)
 
 
 def _outline(camera: Camera, size: float) -> FloatArray:
@@ -121,17 +160,36 @@ def _upright(cameras: list[Camera]) -> tuple[FloatArray, bool]:
     """The rotation (3, 3) that brings the scene's up to +z, and whether it is one at all.
 
     +z is up already where the images' upper sides point that way on average, or where the cameras look down along it.
+    Else up is against the view of cameras that look down, whose upper sides point anywhere, and along the upper sides
+    of others.
     """
     rotations = np.stack([camera.cam_from_world.rotation for camera in cameras])
     up, direction = -rotations[:, 1].mean(axis=0), rotations[:, 2].mean(axis=0)
-    if up[2] > 0.5 * np.linalg.norm(up) or direction[2] < -0.7:
+    looks_down = _looks_down(np.stack([camera.position for camera in cameras]), rotations[:, 2])
+    upright = up[2] > 0.5 * np.linalg.norm(up) and (np.linalg.norm(up) > 0.5 or not looks_down)
+    if upright or direction[2] < -0.7:
         return np.eye(3), False
+    up, forward = (-direction, up) if looks_down else (up, direction)
     z = up / np.linalg.norm(up)
-    forward = direction - (direction @ z) * z
+    forward = forward - (forward @ z) * z
     if np.linalg.norm(forward) < 1e-6:  # all around: any horizontal axis does
         forward = np.eye(3)[int(np.argmin(np.abs(z)))] - z[int(np.argmin(np.abs(z)))] * z
     y = forward / np.linalg.norm(forward)
     return np.stack([np.cross(y, z), y, z]), True
+
+
+def _looks_down(positions: FloatArray, directions: FloatArray) -> bool:
+    """Whether cameras at positions (N, 3) look the same way, off the level area that they are spread over: what a
+    survey from the air does. Who photographs a wall so, from near and far above each other, is taken for one.
+    """
+    if len(positions) < 4:
+        return False
+    mean = directions.mean(axis=0)
+    mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
+    least = np.cos(np.radians(_MAX_TILT_DEG))
+    _, lengths, axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)
+    is_area = lengths[1] > _MIN_WIDTH * lengths[0]
+    return bool(np.median(directions @ mean) > least and is_area and abs(axes[2] @ mean) > least)
 
 
 def _near(points: FloatArray, positions: FloatArray) -> FloatArray:

@@ -265,6 +265,37 @@ def test_wrong_poses_are_said(photographs, tmp_path):
     fails(replace(scene, cameras=turned), tmp_path, "the given cameras do not fit the images: [0-9.]+% of")
 
 
+def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photographs, tmp_path):
+    import pycolmap
+
+    scene = read_scene(photographs)
+    settings = {"poses": "solve", "refine": "none", **QUICK}
+    first = ColmapSfm(**settings).reconstruct(scene, tmp_path)
+    assert first.gauge == "georeferenced"
+    assert not any(note.startswith("warning: ") for note in first.notes)
+    # As if one thing stood in several places: four pairs get matches of features that have nothing in common.
+    database = pycolmap.Database.open(tmp_path / "verified/database.db")
+    rng = np.random.default_rng(0)
+    for a, b in ((1, 5), (2, 6), (3, 7), (1, 7)):
+        geometry = database.read_two_view_geometry(a, b)
+        counts = [database.num_keypoints_for_image(number) for number in (a, b)]
+        geometry.inlier_matches = np.stack([rng.permutation(n)[:150] for n in counts], axis=1).astype(np.uint32)
+        database.update_two_view_geometry(a, b, geometry)
+    database.close()
+    made = ColmapSfm(**settings).reconstruct(scene, tmp_path)
+    assert (made.gauge, made.cloud.unit) == ("arbitrary", None)
+    (note,) = [note for note in made.notes if note.startswith("warning: ")]
+    assert re.match("warning: 4 of [0-9]+ pairs of at least 100 matches contradict the solved cameras", note)
+    assert "not aligned to the world: its gauge is arbitrary" in made.notes
+    assert "000.png" in (tmp_path / "pairs.csv").read_text()
+    with pytest.raises(ReconstructionError, match="cannot be aligned to cameras: places that look alike"):
+        ColmapSfm(align="cameras", **settings).reconstruct(scene, tmp_path)
+    # Given cameras stay in their own world: theirs is said to be contradicted.
+    given = ColmapSfm(**QUICK).reconstruct(scene, tmp_path)
+    assert given.gauge == "georeferenced"
+    assert any("contradict the given cameras" in note for note in given.notes)
+
+
 def test_a_solution_that_known_cameras_contradict_is_not_put_into_their_world(photographs, workspace):
     scene = read_scene(photographs)
     order = np.random.default_rng(1).permutation(list(scene.images))

@@ -1,0 +1,76 @@
+"""Where in a scene's folder its images and cameras are: the layouts that programs and data sets leave."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from pcbench.errors import InputError
+from pcbench.io.colmap_model import is_colmap_model
+from pcbench.io.image_header import EXTENSIONS
+
+# COLMAP and nerfstudio; NeRF's synthetic sets; RGB-D sets; Earth Studio's download.
+_IMAGES = ("images", "train", "rgb", "footage")
+_MODELS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # where a COLMAP model may stand in a scene's folder
+_TRANSFORMS = ("transforms.json", "transforms_train.json")
+_CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # where Strecha's files may
+_UNREAD = (".tif", ".tiff", ".webp", ".bmp", ".heic", ".jp2", ".dng", ".gif")
+
+
+def natural_key(name: str) -> tuple[list[tuple[str, int]], str]:
+    """What names are sorted by where people count: frame_2 comes before frame_10."""
+    parts = re.split(r"([0-9]+)", name)
+    pairs = [(text, int(number or -1)) for text, number in zip(parts[::2], [*parts[1::2], ""], strict=True)]
+    return pairs, name  # 1 and 01 count the same: their texts decide
+
+
+def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
+    """The folder of a scene's images, and their names in it as people count them.
+
+    Raises:
+        InputError: there are none, or some are of a format that is not read.
+    """
+    # Only a folder of images is searched to its depths: beside it stand masks, depth maps and results.
+    folders = [(path / name, list((path / name).rglob("*"))) for name in _IMAGES if (path / name).is_dir()]
+    for folder, found in [*folders, (path, list(path.iterdir()))]:
+        files = [p.relative_to(folder) for p in found if p.is_file()]
+        visible = [p for p in files if not any(part.startswith(".") for part in p.parts)]
+        unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNREAD)
+        if unread:
+            raise InputError(f"{folder / unread[0]}: expected JPEG or PNG images: convert it, or move it elsewhere")
+        names = sorted((p.as_posix() for p in visible if p.suffix.lower() in EXTENSIONS), key=natural_key)
+        if names:
+            return folder, tuple(names)
+    inner = ", ".join(f"{name}/" for name in _IMAGES)
+    raise InputError(f"{path}: expected a folder with images (.jpg, .jpeg, .png), directly or in one of {inner}")
+
+
+def find_cameras(path: Path) -> Path | None:
+    """The cameras that belong to a scene's folder: the first of the known formats that is there.
+
+    Raises:
+        InputError: there are two exports of Earth Studio.
+    """
+    for place in _MODELS:
+        if is_colmap_model(path / place):
+            return path / place
+    for name in _TRANSFORMS:
+        if (path / name).is_file():
+            return path / name
+    for place in _CAMERA_FOLDERS:
+        if any((path / place).glob("*.camera")):
+            return path / place
+    exports = [file for file in sorted(path.glob("*.json")) if is_earth_studio(file)]
+    if len(exports) > 1:
+        raise InputError(f"{path}: two camera exports, {exports[0].name} and {exports[1].name}: say which one")
+    return exports[0] if exports else None
+
+
+def is_earth_studio(path: Path) -> bool:
+    """Whether a file is a camera export of Earth Studio."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(document, dict) and "cameraFrames" in document

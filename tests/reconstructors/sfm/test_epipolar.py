@@ -1,0 +1,164 @@
+"""How pairs of images agree with cameras: counted where every match is known, and what is said of those that do not."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import textured_corner as corner
+
+from pcbench.errors import ReconstructionError
+from pcbench.geometry.cameras import look_at
+from pcbench.geometry.transform import Similarity
+from reconstructors.sfm.alignment import moved
+from reconstructors.sfm.epipolar import Agreement, Pair, agreement, check_cameras, repeated, write_pairs
+from reconstructors.sfm.features import DATABASE
+from reconstructors.sfm.matches import without_pairs
+from reconstructors.sfm.solve import Solution, better, differences
+
+pycolmap = pytest.importorskip("pycolmap")
+
+K = corner.standard_intrinsics()
+WRONG = {(0, 3): 150, (1, 4): 120, (0, 5): 110, (2, 3): 40}  # matches of features that are not of one point
+
+
+@pytest.fixture
+def known(tmp_path):
+    """A database of six images whose pairs have 200 true matches, but for those of `WRONG`; and the true cameras."""
+    rng = np.random.default_rng(3)
+    cameras = corner.cameras(6, K)
+    points = rng.uniform(0.1, 1.5, (200, 3))
+    database = pycolmap.Database.open(tmp_path / DATABASE)
+    lens = pycolmap.Camera(model="PINHOLE", width=480, height=360, params=[K.fx, K.fy, K.cx, K.cy])
+    lens_id = database.write_camera(lens)
+    numbers = []
+    for camera in cameras:
+        numbers.append(database.write_image(pycolmap.Image(name=camera.name, camera_id=lens_id)))
+        database.write_keypoints(numbers[-1], camera.project(points)[0].astype(np.float32))
+    for a in range(6):
+        for b in range(a + 1, 6):
+            count = WRONG.get((a, b))
+            true = np.arange(200)
+            matches = np.stack([true, true] if count is None else [true[:count], rng.permutation(200)[:count]], axis=1)
+            geometry = pycolmap.TwoViewGeometry()
+            geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+            geometry.inlier_matches = matches.astype(np.uint32)
+            database.write_matches(numbers[a], numbers[b], matches.astype(np.uint32))
+            database.write_two_view_geometry(numbers[a], numbers[b], geometry)
+    database.close()
+    (tmp_path / "stage.json").write_text("{}")
+    return tmp_path, {camera.name: camera for camera in cameras}
+
+
+def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
+    folder, cameras = known
+    found = check_cameras(folder / DATABASE, cameras)
+    assert len(found.pairs) == 15
+    wrong = {(f"{a:03}.png", f"{b:03}.png") for a, b in WRONG}
+    assert {(pair.a, pair.b) for pair in found.pairs if not pair.agrees} == wrong
+    assert all(pair.share == 1 for pair in found.pairs if (pair.a, pair.b) not in wrong)
+    assert found.share_of_pairs == pytest.approx(11 / 15)
+    # Of 2,200 true and 420 false matches; some of the false ones lie on their epipolar lines by chance.
+    assert 0.84 < found.share < 0.87
+    assert "and 73% of the 15 pairs" in found.describe("given")
+    assert [pair.matches for pair in found.contradicting] == [150, 110, 120]  # that of 40 matches is weak
+    assert not found.is_sound
+    (note,) = repeated(found, "solved")
+    assert "3 of 14 pairs of at least 100 matches contradict the solved cameras" in note
+    assert "000.png with 003.png (150), 005.png (110); 001.png with 004.png (120)" in note
+    assert "tie together 6 (000.png to 005.png) of the images" in note
+    write_pairs(tmp_path / "pairs.csv", found)
+    lines = (tmp_path / "pairs.csv").read_text().splitlines()
+    assert lines[0] == "image_a,image_b,matches,share_that_agrees"
+    assert lines[1] == '"000.png","001.png",200,1.000'
+    assert len(lines) == 16
+
+
+def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(known):
+    folder, cameras = known
+    found = agreement(folder / DATABASE, {name: camera for name, camera in cameras.items() if name != "000.png"})
+    assert len(found.pairs) == 10
+    assert len(found.contradicting) == 1
+    assert found.is_sound
+    assert not repeated(found, "solved")
+    others = dict(zip(cameras, reversed(cameras.values()), strict=True))
+    with pytest.raises(ReconstructionError, match="do not fit the images"):
+        check_cameras(folder / DATABASE, others)
+
+
+def test_pairs_are_dropped_from_a_copy(known, tmp_path):
+    folder, cameras = known
+    before = agreement(folder / DATABASE, cameras)
+    kept = without_pairs(folder, tmp_path, "kept", dropped=[("003.png", "000.png")], least=100)
+    left = {(pair.a, pair.b) for pair in agreement(kept / DATABASE, cameras).pairs}
+    dropped = {("000.png", "003.png"), ("002.png", "003.png")}
+    assert left == {(pair.a, pair.b) for pair in before.pairs} - dropped
+    assert len(agreement(folder / DATABASE, cameras).pairs) == 15
+
+
+def test_groups_of_the_graph():
+    pairs = [Pair("a", "b", 200, 1.0), Pair("c", "d", 200, 1.0), Pair("d", "e", 200, 1.0), Pair("a", "c", 200, 0.1)]
+    assert "tie together 3 (c to e), 2 (a to b) of the images" in Agreement(tuple(pairs)).graph()
+
+
+def solution(images, contradicting):
+    pairs = tuple(Pair("a", f"{n}", 150, 0.0 if n < contradicting else 1.0) for n in range(20))
+    return Solution(f"{images}, {contradicting}", None, dict.fromkeys(map(str, range(images))), Agreement(pairs), [])
+
+
+@pytest.mark.parametrize(
+    "found, kept",
+    [
+        ([(30, 0), (30, 0)], 0),  # what was asked for
+        ([(25, 0), (30, 0)], 0),
+        ([(12, 0), (30, 0)], 1),  # but not of less than half of the images
+        ([(30, 9), (26, 0), (28, 0)], 2),
+        ([(30, 9), (30, 5), (10, 0)], 1),
+        ([(30, 2), (30, 0)], 0),  # a few are borne
+    ],
+)
+def test_the_solution_that_the_fewest_pairs_contradict_is_kept(found, kept):
+    solutions = [solution(*numbers) for numbers in found]
+    assert better(solutions) is solutions[kept]
+
+
+def ring(seed, noise):
+    """Twelve cameras around points about the origin, 5 away, each put elsewhere by some noise."""
+    rng = np.random.default_rng(seed)
+    found = {}
+    for name, angle in zip("abcdefghijkl", np.linspace(0, 2 * np.pi, 12, endpoint=False), strict=True):
+        eye = [5 * np.cos(angle), 5 * np.sin(angle), 0.5 * np.sin(3 * angle)] + rng.normal(0, noise, 3)
+        found[name] = replace(corner.cameras(1, K)[0], name=name, cam_from_world=look_at(eye, [0, 0, 0]))
+    return found
+
+
+def seen_by(cameras):
+    """A model in which every camera sees the same points, about the origin."""
+    track = [SimpleNamespace(has_point3D=lambda: True, point3D_id=number) for number in range(20)]
+    points = np.random.default_rng(4).uniform(-1, 1, (20, 3))
+    return SimpleNamespace(
+        find_image_with_name=lambda name: SimpleNamespace(points2D=track),
+        points3D={number: SimpleNamespace(xyz=point) for number, point in enumerate(points)},
+    )
+
+
+def test_cameras_that_two_ways_put_apart_by_more_than_their_errors_are_named():
+    kept = ring(0, 0.0)
+    turn = look_at([1, 2, 3], [0, 0, 0]).rotation
+    elsewhere = Similarity(turn, np.array([10.0, 20.0, 30.0]), 2.5)
+
+    def other(cameras):
+        return Solution("global mapping", None, {n: moved(c, elsewhere) for n, c in cameras.items()}, Agreement(()), [])
+
+    here = Solution("incremental mapping", seen_by(kept), kept, Agreement(()), [])
+    noisy = ring(1, 0.002)  # a pixel at 5 is 0.0116
+    assert differences(here, other(noisy)) == []
+    pose = noisy["c"].cam_from_world
+    noisy["c"] = replace(noisy["c"], cam_from_world=Similarity(pose.rotation, pose.translation + [0.1, 0, 0]))
+    (note,) = differences(here, other(noisy))
+    apart = re.search(r"puts c ([0-9.]+) from here, the others 0\.00", note)
+    assert float(apart[1]) == pytest.approx(0.1, abs=0.01)
+    (note,) = differences(here, other(ring(2, 0.3)))
+    assert "puts the cameras 0." in note
+    assert differences(here, other({"a": kept["a"], "b": kept["b"]})) == []
