@@ -30,17 +30,24 @@ def views(
         enough: points that so many cameras see are not looked at again.
     """
     counts = np.zeros(len(points), dtype=np.int64)
-    # Lines of sight must not meet what they start from.
-    lifted = points + _LIFT * float(np.ptp(index.mesh.vertices, axis=0).max()) * normals
     for camera in cameras:
         open_ = np.arange(len(points)) if enough is None else np.flatnonzero(counts < enough)
-        framed = open_[in_frame(camera, points[open_])]
-        lines = camera.position - lifted[framed]
-        facing = np.einsum("ni,ni->n", lines, normals[framed]) > 0
-        framed, lines = framed[facing], lines[facing]
-        if len(framed):
-            counts[framed] += ~index.blocked(lifted[framed], lines, limit=1.0)
+        counts[open_] += sees(index, camera, points[open_], normals[open_])
     return counts
+
+
+def sees(index: MeshIndex, camera: Camera, points: FloatArray, normals: FloatArray) -> NDArray[np.bool_]:
+    """Which of `points` (N, 3) of the mesh, with `normals` (N, 3) as in `views`, one camera sees."""
+    seen = in_frame(camera, points)
+    # Lines of sight must not meet what they start from.
+    lifted = points[seen] + _LIFT * float(np.ptp(index.mesh.vertices, axis=0).max()) * normals[seen]
+    lines = camera.position - lifted
+    facing = np.einsum("ni,ni->n", lines, normals[seen]) > 0
+    free = np.zeros(len(lines), dtype=np.bool_)
+    if facing.any():
+        free[facing] = ~index.blocked(lifted[facing], lines[facing], limit=1.0)
+    seen[seen] = free
+    return seen
 
 
 def in_frame(camera: Camera, points: FloatArray, *, beyond: float = 0.0) -> NDArray[np.bool_]:
