@@ -290,26 +290,31 @@ def _crosses(figure: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> list
     groups: dict[tuple[str, str, int], list[float]] = {}  # those of one series that a marker's width would hide
     for row in sorted(failed, key=lambda row: row["wall_s"]):
         at = (np.log(row["wall_s"]) - low) / (high - low) * wide
-        color = look.color[look.series(row["method"], row["choices"])]
-        groups.setdefault((color, row["status"], int(at // 8)), []).append(row["wall_s"])
+        series = look.series(row["method"], row["choices"])
+        groups.setdefault((series, row["status"], int(at // 8)), []).append(row["wall_s"])
     lines: list[list[tuple[float, float]]] = []
     found = []
-    for (color, status, _), times in groups.items():
+    for (series, status, _), times in groups.items():
         text = status if len(times) == 1 else f"{status} ×{len(times)}"
         time = float(np.median(times))
         word = figure.text(0, 0, text, fontsize=8)
         length = word.get_window_extent().width
         word.remove()
         at, gap = float((np.log(time) - low) / (high - low) * wide), 8 * figure.dpi / 72
-        left = at + gap + length > wide  # the word would leave the strip
-        ends = (at - gap - length, at + gap) if left else (at - gap, at + gap + length)
-        line = next(
-            (n for n, taken in enumerate(lines) if all(ends[1] < a or b < ends[0] for a, b in taken)), len(lines)
+        right = (at - gap, at + gap + length), False
+        leftward = (at - gap - length, at + gap), True
+        # Left of its cross where the word would leave the strip, or where only there it touches no other.
+        ways = [way for way in (right, leftward) if way[0][0] >= 0 and way[0][1] <= wide] or [right]
+        lines.append([])
+        line, (ends, left) = next(
+            (line, way)
+            for line, taken in enumerate(lines)
+            for way in ways
+            if all(way[0][1] < a or b < way[0][0] for a, b in taken)
         )
-        if line == len(lines):
-            lines.append([])
         lines[line].append(ends)
-        found.append(_Cross(time, line, color, text, left))
+        lines = [taken for taken in lines if taken]
+        found.append(_Cross(time, line, look.color[series], text, left))
     return found
 
 
