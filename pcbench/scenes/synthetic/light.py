@@ -37,6 +37,11 @@ class Chart:
     nominal: float  # metres: what `texel` is where no camera is near; light is as coarse as that asks for
 
     @property
+    def ring(self) -> int:
+        """Cells of light beyond each edge: ground goes on there, and its light without a seam."""
+        return int(self.kind in ("town", "country"))
+
+    @property
     def size(self) -> tuple[float, float]:
         return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
 
@@ -50,7 +55,7 @@ class Chart:
 class _Lattice(NamedTuple):
     """Points of a chart at which light is computed; it is linear between them."""
 
-    columns: int
+    columns: int  # the ring's too
     rows: int
     points: FloatArray  # (rows * columns, 3), lifted off the surface
     normal: FloatArray  # (3,) or (rows * columns, 3)
@@ -75,14 +80,15 @@ def lights(plan: Plan, charts: list[Chart], index: MeshIndex) -> list[Image | No
         weight += np.maximum(0, direction[2])
     lights: list[Image | None] = []
     at_sun = at_sky = 0
-    for a, b in zip(sun, sky, strict=True):
+    for chart, a, b in zip(charts, sun, sky, strict=True):
         if a is None or b is None:
             lights.append(None)
             continue
         direct = sunny[at_sun : at_sun + len(a.points)] * np.maximum(0, np.broadcast_to(a.normal, a.points.shape) @ SUN)
         ambient = open_[at_sky : at_sky + len(b.points)] / weight[at_sky : at_sky + len(b.points)]
         at_sun, at_sky = at_sun + len(a.points), at_sky + len(b.points)
-        fine = _linear(ambient.reshape(b.rows, b.columns), a.rows, a.columns)
+        inner = a.rows - 2 * chart.ring, a.columns - 2 * chart.ring
+        fine = _linear(ambient.reshape(b.rows, b.columns), chart.ring, inner, chart.ring)
         direct = direct.reshape(a.rows, a.columns).astype(np.float32) / np.float32(SUN[2])
         # A part of the sky's light comes from the ground: walls in the shade are not black.
         lights.append(direct[..., None] * _SUN_COLOR + (0.25 + 0.75 * fine[..., None]) * _SKY_COLOR)
@@ -97,9 +103,10 @@ def _rays(points: list[FloatArray], direction: FloatArray) -> tuple[FloatArray, 
 def _lattice(plan: Plan, chart: Chart, step: float) -> _Lattice:
     width, height = chart.size
     columns, rows = max(2, round(width / step)), max(2, round(height / step))
-    s, t = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+    s, t = np.meshgrid(*((np.arange(-chart.ring, n + chart.ring) + 0.5) / n for n in (columns, rows)))
+    rows, columns = s.shape
     points = chart.corner + s.reshape(-1, 1) * chart.u + t.reshape(-1, 1) * chart.v
-    if chart.kind in ("town", "country"):
+    if chart.ring:
         terrain, d = plan.terrain, 0.5
         x, y = points[:, 0], points[:, 1]
         points[:, 2] = terrain.at(x, y)
@@ -122,15 +129,21 @@ def _hemisphere(count: int) -> FloatArray:
 
 
 def upsampled(light: Image, chart: Chart) -> Image:
-    """The lattice's light at texels, the margin's too: there as at the edge."""
-    inner = [_linear(light[..., k], *chart.shape) for k in range(3)]
-    return np.stack([np.pad(plane, MARGIN, mode="edge") for plane in inner], axis=2)
+    """The lattice's light at texels, the margin's too."""
+    return np.stack([_linear(light[..., k], chart.ring, chart.shape, MARGIN) for k in range(3)], axis=2)
 
 
-def _linear(plane: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
-    """Resampled to cell centres of another grid over the same rectangle, linear along each axis."""
-    for size in (rows, columns):
-        at = np.clip((np.arange(size) + 0.5) * len(plane) / size - 0.5, 0, len(plane) - 1)
+def _linear(plane: NDArray[np.float32], ring: int, shape: tuple[int, int], beyond: int) -> NDArray[np.float32]:
+    """Resampled to cell centres of another grid (rows, columns) over the same rectangle, linear along each axis.
+
+    Args:
+        ring: cells of the plane beyond each edge of the rectangle; where they end, light stays as it is.
+        beyond: cells that are wanted beyond each edge of it.
+    """
+    for size in shape:
+        count = len(plane) - 2 * ring
+        at = (np.arange(-beyond, size + beyond) + 0.5) * count / size - 0.5 + ring
+        at = np.clip(at, 0, len(plane) - 1)
         low = np.minimum(at.astype(int), len(plane) - 2)
         part = (at - low).astype(np.float32)[:, None]
         plane = ((1 - part) * plane[low] + part * plane[low + 1]).T
