@@ -27,14 +27,14 @@ _COLUMNS = (
     _Column("points", "points", 0),
     _Column("precision", "precision", 1, floor="precision_floor"),
     _Column("recall", "recall", 1, floor="recall_floor"),
-    _Column("of seen", "recall_visible", 1, floor="recall_visible_floor"),
+    _Column("of seen", "recall_visible", 1),
     _Column("F-score", "fscore", 1),
     _Column("mean c→r", "mean_c2r", -1, floor="mean_c2r_floor"),
     _Column("mean r→c", "mean_r2c", -1, floor="mean_r2c_floor"),
     _Column("D1 c→r", "d1_c2r", -1, in_terminal=False),
     _Column("D1 r→c", "d1_r2c", -1, in_terminal=False),
     _Column("Chamfer", "chamfer", -1, in_terminal=False),
-    _Column("Hausdorff", "hausdorff", -1),
+    _Column("Hausdorff", "hausdorff", -1, in_terminal=False),
 )
 
 
@@ -75,7 +75,8 @@ def _text(value: float | None, column: _Column, c: Configuration) -> str:
     if value is None:
         return "–"
     floor = None if column.floor is None else c.median(column.floor)
-    beside = "" if floor is None else f" ({floor / column.divisor:.2g})"
+    is_perfect = floor is not None and column.better > 0 and floor > 0.995  # says nothing
+    beside = "" if floor is None or is_perfect else f" ({floor / column.divisor:.2g})"
     return (f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}") + beside
 
 
@@ -146,7 +147,7 @@ def _sentences(doc: dict[str, Any]) -> Iterator[str]:
         yield (
             f"medians over the seeds that were measured; * on the front of time and F-score; marked where all were"
             f" measured; precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in {unit}, D1 in its"
-            f" square; in brackets what the same cloud, or one like it, would score without errors"
+            f" square; in brackets what a cloud as dense as this one would score without errors"
         )
         if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
             to = "the true surface" if measured[0] == "surface" else "the reference's points"
