@@ -162,7 +162,8 @@ def test_water_mirrors_what_the_reflected_ray_meets(renderer, tmp_path):
     surface = CitySurface(None, mesh, uv, np.array([0, 0, 1, 1]), shade, pages, mirrors)
     k = Intrinsics.from_fov(120, 90, 40.0)
     camera = Camera("a.png", k, look_at([0, -20, 12], [0, 20, 0]))
-    render(surface, [camera], tmp_path, optics=Optics(0, 0, 0), reflections=True)
+    away = Camera("b.png", k, look_at([0, -20, 12], [0, -40, 12]))  # with nothing to mirror in sight
+    render(surface, [camera, away], tmp_path, optics=Optics(0, 0, 0), reflections=True)
     found = np.asarray(Image.open(tmp_path / "a.png")).astype(float)
     render(surface, [camera], tmp_path, optics=Optics(0, 0, 0))
     plain = np.asarray(Image.open(tmp_path / "a.png")).astype(float)

@@ -94,7 +94,7 @@ class CityView:
     def _reflect(self, camera: Camera, drawn: Canvas, mirror: Canvas, mirrors: Mirrors) -> None:
         """Blend what glass and water mirror into the samples."""
         places = np.flatnonzero(mirror[..., 0])
-        for some in np.array_split(places, 1 + len(places) // 1_000_000):
+        for some in np.array_split(places, -(-len(places) // 1_000_000)) if len(places) else ():
             y, x = np.divmod(some, self.width)
             rays = np.stack([x + 0.5 - self.width / 2, y + 0.5 - self.height / 2, np.full(len(x), self.focal)], axis=1)
             colors, cosines = mirrors.mirrored(camera.position, rays / self.focal @ camera.cam_from_world.rotation)
