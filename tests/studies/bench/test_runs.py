@@ -86,7 +86,7 @@ def test_whatever_methods_do_is_a_row(here, run):
     assert not (folder / "plugin").exists()
     assert {p.name for p in Path("out/figures").iterdir()} == {"speed.png", "accuracy_completeness.png"}
     with Path("out/bench.md").open() as file:
-        assert sum(line.startswith("| Good") for line in file) == 2
+        assert sum(line.startswith("| Good") for line in file) == 2 + 2 * 2  # and one for each threshold
     # The same threshold, registration and matrix by the other command.
     code, text, _ = run(
         "compare",
