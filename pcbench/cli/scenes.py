@@ -91,6 +91,8 @@ def synth() -> None:
 @click.option("--repeated", is_flag=True, help="Give all buildings one facade.")
 @click.option("--symmetric", is_flag=True, help="Make the city look the same after half a turn.")
 @click.option("--hard", is_flag=True, help="Short for --texture 0.1 --water --repeated.")
+@click.option("--reflections", is_flag=True, help="Let glass and water mirror what is around them.")
+@click.option("--vignetting", is_flag=True, help="Darken images towards their corners, by the cosine's fourth power.")
 @click.option("--points", default=1_000_000, show_default=True, type=click.IntRange(1000), help="Of the true cloud.")
 @seed_option("Of everything.")
 @quiet_option
@@ -111,6 +113,8 @@ def city(
     repeated: bool,
     symmetric: bool,
     hard: bool,
+    reflections: bool,
+    vignetting: bool,
     points: int,
     seed: int,
     quiet: bool,
@@ -123,6 +127,7 @@ def city(
     from pcbench.geometry.cameras import Intrinsics
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
+    from pcbench.scenes.synthetic.render import Optics
 
     pixels, coefficients = image_size(size), numbers("--distortion", distortion, float)
     if coefficients is None or len(coefficients) != 4:
@@ -130,7 +135,8 @@ def city(
     intrinsics = replace(Intrinsics.from_fov(*pixels, fov), distortion=coefficients)
     town = CitySettings(extent, density, height, relief, texture, water, repeated, symmetric, seed)
     town = town.hard() if hard else town
-    settings = SceneSettings(town, images, intrinsics, rig, points=points, gps=gps)
+    optics = Optics(vignetting=1.0 if vignetting else 0.0)
+    settings = SceneSettings(town, images, intrinsics, rig, optics, reflections, points, gps)
     with steps(quiet) as step:
         write_scene(out, settings, step)
     if not quiet:

@@ -105,10 +105,18 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
     "What methods get: auto, none, or a file or folder. With none, those of the scene still register clouds."
 )
 @masks_option
-@click.option("--truth-mesh", type=FILE, help="Of the reference's surface: says what the cameras saw of it.")
+@click.option(
+    "--truth-mesh",
+    type=FILE,
+    help="Of the reference's surface: accuracy is measured to it.  [default: the scene's truth/mesh.ply]",
+)
 @register_option("gauge", "By each cloud's gauge, or as for `compare`.")
 @crop_option
-@click.option("--threshold", type=POSITIVE, help="Of the F-score.  [default: 5 x the reference's spacing]")
+@click.option(
+    "--threshold",
+    metavar="LENGTH,...",
+    help="Of precision, recall and F-score; `2px` is two pixels on the ground. Charts show the last.  [1px,2px,5px]",
+)
 @no_figures_option("charts")
 @quiet_option
 def bench(
@@ -125,7 +133,7 @@ def bench(
     truth_mesh: Path | None,
     register: str,
     crop: str,
-    threshold: float | None,
+    threshold: str | None,
     no_figures: bool,
     quiet: bool,
 ) -> None:

@@ -58,10 +58,11 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
     largest = max(models, key=lambda model: (model.num_reg_images(), model.num_points3D()))
     names = {image.name for image in largest.images.values() if image.has_pose}
     notes = []
-    if len(models) > 1:
+    left = [name for name in scene.images if name not in names]
+    if left and len(models) > 1:  # other components of the same images say nothing
         sizes = ", ".join(str(model.num_reg_images()) for model in models)
         notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
-    if left := [name for name in scene.images if name not in names]:
+    if left:
         notes.append(f"{len(left)} of {len(scene)} images are not registered: {some(left)}")
     return largest, notes
 

@@ -7,15 +7,16 @@ import pytest
 from oracles import first_hits
 
 from pcbench.errors import InputError
-from pcbench.geometry.cameras import Camera, Intrinsics, look_at
-from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.cameras import Intrinsics, look_at
+from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.visibility import views
+from pcbench.scenes.synthetic import surface
 from pcbench.scenes.synthetic.layout import lay_out
-from pcbench.scenes.synthetic.paint import Grid, Painter
+from pcbench.scenes.synthetic.noise import Grid, Noise
+from pcbench.scenes.synthetic.paint import Painter
 from pcbench.scenes.synthetic.plan import CitySettings
-from pcbench.scenes.synthetic.render import Optics, render
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
-from pcbench.scenes.synthetic.surface import CitySurface, build_city
+from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import depth_map
 
 SMALL = CitySettings(extent=120.0, seed=3)
@@ -88,7 +89,7 @@ def test_a_symmetric_city_looks_the_same_after_half_a_turn():
     np.testing.assert_allclose(places[order], turned[other], atol=1e-9)
     np.testing.assert_allclose(plan.terrain.heights, plan.terrain.heights[::-1, ::-1], atol=1e-9)
     at = np.arange(400) + 0.5
-    ground = Painter(plan.settings).town(plan, Grid(at, at, 400.0, 400.0))
+    ground = Painter(plan.settings).town(plan, Grid(at, at, 400.0, 400.0)).color
     np.testing.assert_array_equal(ground, ground[::-1, ::-1])
 
 
@@ -100,13 +101,75 @@ def test_settings_out_of_range(wrong):
         CitySettings(**wrong)
 
 
-def test_textures_go_down_to_blank(city):
-    blank = build_city(replace(SMALL, texture=0.0), texel=0.5)
+def test_textures_fade_to_plain_surfaces():
+    plan = lay_out(replace(SMALL, texture=0.0))
+    painter, rich = Painter(plan.settings), Painter(SMALL)
+    at = np.arange(0.1, 120, 0.4)
+    ground, wide = Grid(at, at, 120.0, 120.0), Grid(2 * at, 2 * at, 240.0, 240.0)
+    for one, other in (
+        (painter.town(plan, ground), rich.town(plan, ground)),
+        (painter.country(wide), rich.country(wide)),
+        (painter.leaves(64), rich.leaves(64)),
+        *(
+            (painter.face(kind, side, 5, Grid(at[:60], at[:40], 24.0, 16.0)), None)
+            for kind in ("house", "block", "tower", "hall", "car", "clutter", "chimney")
+            for side in ("wall0", "slope1", "roof")
+        ),
+    ):
+        assert np.ptp(one.color.reshape(-1, 3), axis=0).max() < 1e-6
+        assert one.mirror is None
+        if other is not None:
+            assert other.color.std() > 0.05
+    half = Painter(replace(SMALL, texture=0.5)).town(plan, ground).color
+    both = painter.town(plan, ground).color, rich.town(plan, ground).color
+    np.testing.assert_allclose(half, np.mean(both, axis=0), atol=1e-6)
+    # A lake is no texture: it stays, and mirrors.
+    lakes = lay_out(replace(CitySettings(seed=1), texture=0.0, water=True))
+    pond = next(block for block in lakes.blocks if block.kind == "lake")
+    u, v = (np.arange(pond.low[a], pond.high[a], 0.5) + 200 for a in (0, 1))
+    shore = Painter(lakes.settings).town(lakes, Grid(u, v, 400.0, 400.0))
+    assert len(np.unique(shore.color[..., 0])) == 2
+    assert shore.mirror.max() == pytest.approx(0.02)
 
-    def detail(pages):  # what changes from texel to texel
-        return np.mean([np.abs(np.diff(p.astype(float), axis=1)).mean() for p in pages])
 
-    assert detail(blank.pages) < 0.5 * detail(city.pages)
+def test_noise_is_of_places_not_of_texels():
+    """Finer texels show more of the same noise: its means over squares are what coarse texels show."""
+    noise = Noise(3, 0.075)
+
+    def seen(texel):
+        at = np.arange(0.5 * texel, 40, texel)
+        return noise(Grid(at, at, 40.0, 40.0), np.random.default_rng(1))
+
+    fine, coarse = seen(0.1), seen(0.4)
+    means = fine.reshape(100, 4, 100, 4).mean(axis=(1, 3))
+    assert np.corrcoef(means.ravel(), coarse.ravel())[0, 1] > 0.97
+    assert coarse.std() < fine.std()
+    at = 0.075 * np.arange(2048)  # once over the whole tile
+    tile = noise(Grid(at, at, 153.6, 153.6), np.random.default_rng(1))
+    assert (tile.mean(), tile.std()) == (pytest.approx(0, abs=1e-4), pytest.approx(1, rel=0.15))
+
+
+def test_texels_are_no_larger_than_pixels_on_them(monkeypatch):
+    plan = lay_out(SMALL)
+    k = Intrinsics.from_fov(192, 128, 40.0)
+    cameras = rig("circles", 7, Site(120.0, 0.0, plan.top), k)
+    near = replace(cameras[0], cam_from_world=look_at([10, -20, 12], [10, 20, 2]))
+    city = build_city(plan, cameras=[*cameras, near])
+    pages = np.array([page.shape[1::-1] for page in city.pages])
+    uv = city.uv * pages[city.page][:, None]
+    (p, q), (a, b) = (np.diff(x, axis=1).transpose(1, 0, 2) for x in (uv, city.mesh.vertices[city.mesh.faces]))
+    texels = np.sqrt(np.linalg.norm(np.cross(a, b), axis=1) / np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
+    foliage = len(city.mesh) - 117 * len(plan.trees)  # trees come last
+    u, v = np.meshgrid(np.arange(192) + 0.5, np.arange(128) + 0.5)
+    for camera in (*cameras, near):
+        rays = k.directions(np.stack([u.ravel(), v.ravel()], axis=1)) @ camera.cam_from_world.rotation
+        hits = MeshIndex(city.mesh).cast(camera.position, rays)
+        met = (hits.faces >= 0) & (hits.faces < foliage)
+        # Edges of charts are of whole texels; texels of slopes are drawn out by the terrain.
+        assert (texels[hits.faces[met]] < 1.05 * hits.distances[met] / k.fx).mean() > 0.9995
+    monkeypatch.setattr(surface, "_MOST_TEXELS", 3e5)  # with more than memory holds, all are larger
+    sizes = sum(page.size for page in city.pages), sum(page.size for page in build_city(plan, cameras=cameras).pages)
+    assert sizes[1] < 0.3 * sizes[0]
 
 
 # ---- rigs ----
@@ -165,114 +228,6 @@ def test_gps_errors():
     cameras = rig("grid", 900, Site(400.0, 0.0, 40.0), Intrinsics.from_fov(96, 54, 40.0))
     errors = perturbed_positions(cameras, 0.5, seed=1) - np.array([c.position for c in cameras])
     np.testing.assert_allclose(errors.std(axis=0), [0.5, 0.5, 1.0], rtol=0.08)  # 900 draws: 2.4 % each, 3 of these
-
-
-# ---- pictures ----
-
-
-def plate(corners):
-    """White quadrilaterals (Q, 4, 3) on a black ground."""
-    ground = np.array([[[-200, -200, 0], [200, -200, 0], [200, 200, 0], [-200, 200, 0]]], dtype=float)
-    quads = np.concatenate([ground, corners])
-    faces = (4 * np.arange(len(quads))[:, None, None] + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
-    mesh = Mesh(quads.reshape(-1, 3), faces)
-    shade = np.full((len(faces), 3), 255, dtype=np.uint8)
-    shade[:2] = 0
-    uv, page = np.full((len(faces), 3, 2), 0.5, dtype=np.float32), np.zeros(len(faces), dtype=np.int64)
-    return CitySurface(None, mesh, uv, page, shade, [np.full((8, 8, 3), 255, dtype=np.uint8)])
-
-
-def centroid(outline):
-    """Of a polygon (N, 2)."""
-    x, y = (outline - outline[0]).T
-    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
-    return outline[0] + [((p + np.roll(p, -1)) * cross).sum() / (3 * cross.sum()) for p in (x, y)]
-
-
-@pytest.mark.parametrize("distortion", [(0, 0, 0, 0), DISTORTION], ids=["pinhole", "distorted"])
-def test_pictures_and_depths_are_where_the_camera_says(distortion, renderer, tmp_path):
-    from PIL import Image
-
-    rng = np.random.default_rng(0)
-    x, y = np.meshgrid(np.linspace(-60, 60, 7), np.linspace(-40, 40, 5))
-    centres = np.stack([x.ravel(), y.ravel(), rng.uniform(0.5, 12, x.size)], axis=1)
-    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 2.5
-    surface = plate(centres[:, None] + square)
-    k = replace(Intrinsics.from_fov(480, 320, 45.0), distortion=distortion, cx=233.0, cy=166.5)
-    camera = Camera("a.png", k, look_at([30, -80, 130], [0, 0, 0]))
-    render(surface, [camera], tmp_path, optics=Optics(0, 0, 0))
-    image = np.asarray(Image.open(tmp_path / "a.png")).astype(float)[..., 0] / 255
-    depth = depth_map(MeshIndex(surface.mesh), camera)
-    u, v = np.meshgrid(np.arange(480) + 0.5, np.arange(320) + 0.5)
-    sides = zip(square, np.roll(square, -1, axis=0), strict=True)
-    rim = np.concatenate([np.linspace(a, b, 16, endpoint=False) for a, b in sides])
-    misses = []
-    for centre in centres:
-        outline = camera.project(np.concatenate([centre + square, [centre]]))[0]
-        low, high = np.floor(outline.min(axis=0)).astype(int) - 2, np.ceil(outline.max(axis=0)).astype(int) + 2
-        if (low < 0).any() or (high > [480, 320]).any():
-            continue
-        part = np.s_[low[1] : high[1], low[0] : high[0]]
-        weight = image[part]
-        found = np.array([(weight * u[part]).sum(), (weight * v[part]).sum()]) / weight.sum()
-        misses.append(found - centroid(camera.project(centre + rim)[0]))
-        # The pixel that holds the centre sees the plate at the height of its plane.
-        pixel = np.floor(outline[-1]).astype(int)
-        ray = camera.intrinsics.directions(pixel[None] + 0.5)[0] * depth[pixel[1], pixel[0]]
-        assert camera.cam_from_world.inverse().apply(ray[None])[0, 2] == pytest.approx(centre[2], abs=2e-5)  # float32
-    assert len(misses) > 20
-    # Four samples a pixel put the outline of one plate to a tenth of a pixel, all of them to a hundredth.
-    assert np.abs(misses).max() < 0.15
-    np.testing.assert_allclose(np.mean(misses, axis=0), 0, atol=0.02)
-
-
-def test_the_citys_outline_is_that_of_its_depths(city, renderer, tmp_path):
-    from PIL import Image
-
-    camera = rig("orbit", 3, Site(120.0, 0.0, city.plan.top), Intrinsics.from_fov(480, 270, 60.0))[1]
-    camera = replace(camera, cam_from_world=look_at(camera.position * [1, 1, 0.4], [0, 0, 20]))
-    black = replace(city, shade=np.zeros_like(city.shade))
-    render(black, [camera], tmp_path, optics=Optics(0, 0, 0))
-    image = np.asarray(Image.open(tmp_path / camera.name)).astype(float)[..., 2]
-    sky = np.median(image[:5])
-    covered = 1 - np.clip(image / sky, 0, 1)
-    solid = (depth_map(MeshIndex(city.mesh), camera) > 0).astype(float)
-    assert 0.1 < solid.mean() < 0.9
-    slope = np.stack([np.gradient(solid, axis=1), np.gradient(solid, axis=0)], axis=-1)
-    edge = np.abs(slope).sum(axis=-1) > 0
-    shift = np.linalg.lstsq(slope[edge], (covered - solid)[edge], rcond=None)[0]
-    assert np.abs(shift).max() < 0.1  # pixels
-    assert (np.abs(covered - solid)[~edge] < 0.1).all()  # the sky is brighter towards the upper side
-
-
-def test_every_picture_has_its_own_gain_and_noise(city, renderer, tmp_path):
-    from PIL import Image
-
-    camera = rig("grid", 1, Site(120.0, 0.0, city.plan.top), Intrinsics.from_fov(240, 160, 40.0))[0]
-    cameras = [replace(camera, name=name) for name in ("a.png", "b.png", "c.png")]
-    render(city, cameras, tmp_path, optics=Optics(0.1, 0, 2.0), seed=1)
-    a, b, c = (np.asarray(Image.open(tmp_path / x.name)).astype(float) for x in cameras)
-    inner = (a > 30) & (a < 200) & (b > 30) & (b < 200)
-    gain = np.median(b[inner] / a[inner])
-    assert gain != pytest.approx(1, abs=1e-3)
-    # Two images' noise: sqrt(1 + gain^2) of 2 grey levels, and the rounding's 0.29 each.
-    assert np.std((b - gain * a)[inner]) == pytest.approx(np.hypot(2, 0.29) * np.sqrt(1 + gain**2), rel=0.05)
-    assert not np.array_equal(b, c)
-
-
-def test_features_enough_for_sfm(city, renderer, tmp_path):
-    pycolmap = pytest.importorskip("pycolmap")
-    from PIL import Image
-
-    site, k = Site(120.0, 0.0, city.plan.top), Intrinsics.from_fov(960, 540, 40.0)
-    counts = {}
-    for name, surface in (("rich", city), ("hard", build_city(SMALL.hard(), texel=0.5))):
-        camera = replace(rig("circles", 7, site, k)[5], name=f"{name}.png")
-        render(surface, [camera], tmp_path)
-        gray = np.asarray(Image.open(tmp_path / camera.name).convert("L")).astype(np.float32) / 255
-        counts[name] = len(pycolmap.Sift(device=pycolmap.Device.cpu).extract(gray)[0])
-    assert counts["rich"] > 1000
-    assert counts["hard"] < 0.7 * counts["rich"]
 
 
 # ---- truth ----

@@ -21,6 +21,7 @@ from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.transforms_json import write_transforms
 from pcbench.scenes.synthetic.demos import Demo
+from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.render import Optics, check_intrinsics, check_renderer, render
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
@@ -45,6 +46,7 @@ class SceneSettings:
         images: how many.
         intrinsics: of all of them.
         rig: circles, grid, oblique, drone or orbit (`pcbench.scenes.synthetic.rigs`).
+        reflections: glass and water mirror what is around them.
         points: of the true cloud.
         gps: standard deviation in metres of the positions in gps.txt; None writes no such file.
     """
@@ -54,6 +56,7 @@ class SceneSettings:
     intrinsics: Intrinsics = field(default_factory=lambda: Intrinsics.from_fov(960, 540, 40.0))
     rig: str = "circles"
     optics: Optics = field(default_factory=Optics)
+    reflections: bool = False
     points: int = 1_000_000
     gps: float | None = None
 
@@ -71,13 +74,20 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
     check_intrinsics(settings.intrinsics)
     with _new_folder(out) as folder:
         step("building the city")
-        city = build_city(settings.city)
-        ground = float(np.median(city.plan.terrain.heights))
-        site = Site(settings.city.extent, ground, city.plan.top)
+        plan = lay_out(settings.city)
+        site = Site(settings.city.extent, float(np.median(plan.terrain.heights)), plan.top)
         cameras = rig(settings.rig, settings.images, site, settings.intrinsics)
+        city = build_city(plan, cameras=cameras)
         (folder / "images").mkdir()
         step(f"taking {len(cameras)} images")
-        render(city, cameras, folder / "images", optics=settings.optics, seed=settings.city.seed)
+        render(
+            city,
+            cameras,
+            folder / "images",
+            optics=settings.optics,
+            reflections=settings.reflections,
+            seed=settings.city.seed,
+        )
         write_transforms(folder / "transforms.json", cameras)
         write_colmap_model(folder / "sparse" / "0", cameras)
         if settings.gps is not None:
@@ -91,7 +101,7 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
             step(f"casting the depths of {camera.name}")
             np.save(folder / "truth" / "depth" / f"{Path(camera.name).stem}.npy", depth_map(index, camera))
         step("sampling the surface")
-        cloud = surface_cloud(city.plan, index, cameras, settings.points, settings.city.seed)
+        cloud = surface_cloud(plan, index, cameras, settings.points, settings.city.seed)
         write_cloud(folder / "truth" / "cloud.ply", cloud)
 
 

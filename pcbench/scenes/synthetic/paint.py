@@ -1,7 +1,8 @@
 """Procedural textures: what colour the ground, walls, roofs, cars and leaves of a city have where no light falls short.
 
 Every pattern is drawn in metres, over texel centres, and its noise has detail at all scales, so that features are found
-from near and far. `CitySettings.texture` scales all of it down to plain surfaces.
+from near and far. Everything is drawn at full contrast and then faded by `CitySettings.texture` to one plain tone a
+surface; what is there or not (windows, hatches, solar panels) is rarer too.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.scenes.synthetic.noise import Grid, Noise, Plane
 from pcbench.scenes.synthetic.plan import Block, CitySettings, Plan
 
 Image = NDArray[np.float32]  # (rows, columns, 3), 0 to 1; row 0 is at v = 0
-_Plane = NDArray[np.float32]  # (rows, columns)
 
 _FACADES = [
     (0.80, 0.74, 0.64),
@@ -41,39 +42,18 @@ _GRASS = (0.38, 0.46, 0.27)
 _ASPHALT = (0.37, 0.37, 0.38)
 _PAVING = (0.60, 0.58, 0.55)
 _WATER = (0.20, 0.33, 0.38)
+_PLAIN = (0.44, 0.43, 0.40)  # of all ground without texture
+_GLASS_MIRRORS = 0.08  # ((1.5 - 1) / (1.5 + 1))^2 at each of a pane's two sides: Fresnel, looking straight at it
+_WATER_MIRRORS = 0.02  # ((1.33 - 1) / (1.33 + 1))^2
+_CELL = 0.075  # m, of the finest noise in a city of up to 400 m
 _ROOTED = 1.2  # m of a wall that are taken to be in the ground
 
 
-class Noise:
-    """Windows of one periodic tile of fractal noise, of mean 0 and variance 1."""
+class Paint(NamedTuple):
+    """How a surface looks: its colour, and the share of light that each texel mirrors to who looks straight at it."""
 
-    def __init__(self, seed: int, side: int = 1024) -> None:
-        rng = np.random.default_rng([seed, 2])
-        f = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
-        # Between white and 1/f^2: blobs of all sizes.
-        amplitude = 1 / np.maximum(np.hypot(*f), 1 / side) ** 1.05
-        amplitude[0, 0] = 0
-        tile = np.fft.irfft2(amplitude * np.fft.rfft2(rng.normal(size=(side, side))), s=(side, side))
-        self._tile: _Plane = (tile / tile.std()).astype(np.float32)
-
-    def __call__(self, rows: int, columns: int, rng: np.random.Generator) -> _Plane:
-        """A window at a random place (rows, columns)."""
-        side = len(self._tile)
-        y, x = rng.integers(0, side, 2)
-        return self._tile[np.ix_((y + np.arange(rows)) % side, (x + np.arange(columns)) % side)]
-
-
-class Grid(NamedTuple):
-    """Texel centres of a texture in metres from its corner; some lie beyond its edges, as a margin."""
-
-    u: FloatArray  # (columns,)
-    v: FloatArray  # (rows,)
-    width: float
-    height: float
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return len(self.v), len(self.u)
+    color: Image
+    mirror: Plane | None = None  # (rows, columns), 0 where nothing reflects
 
 
 class Painter:
@@ -81,37 +61,43 @@ class Painter:
 
     def __init__(self, settings: CitySettings) -> None:
         self.settings = settings
-        self.noise = Noise(settings.seed)
+        self.noise = Noise(settings.seed, _CELL * max(1.0, settings.extent / 400))
 
-    def face(self, kind: str, side: str, seed: int, grid: Grid) -> Image:
+    def face(self, kind: str, side: str, seed: int, grid: Grid) -> Paint:
         """A wall, roof or gable of a solid."""
         rng = np.random.default_rng([self.settings.seed, seed, 3])  # one look for the whole building
         own = np.random.default_rng([self.settings.seed, seed, *side.encode()])  # this side's own
         if kind == "car":
             return self._car(side, grid, rng)
         if kind in ("clutter", "chimney"):
-            return self._plain((0.62, 0.62, 0.63) if kind == "clutter" else (0.55, 0.33, 0.27), grid, own, 0.10)
+            base = (0.62, 0.62, 0.63) if kind == "clutter" else (0.55, 0.33, 0.27)
+            return self._faded(self._rough(base, grid, own, 0.10), base)
         if side.startswith("wall"):
             return self._wall(kind, grid, rng, own)
         if side.startswith("slope"):
             return self._tiles(grid, rng, own)
         return self._flat_roof(grid, rng, own)
 
-    def _plain(self, color: tuple[float, float, float], grid: Grid, rng: np.random.Generator, contrast: float) -> Image:
-        noise = self.noise(*grid.shape, rng)
-        return _tinted(color, 1 + contrast * self.settings.texture * noise)
+    def _faded(self, image: Image, plain: tuple[float, ...] | Image, mirror: Plane | None = None) -> Paint:
+        """The image with as much contrast to a plain colour as `texture` leaves it."""
+        tone = np.asarray(plain, dtype=np.float32)
+        return Paint(tone + np.float32(self.settings.texture) * (image - tone), mirror)
 
-    def _wall(self, kind: str, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
+    def _rough(self, color: tuple[float, float, float], grid: Grid, rng: np.random.Generator, contrast: float) -> Image:
+        return _tinted(color, 1 + np.float32(contrast) * self.noise(grid, rng))
+
+    def _wall(self, kind: str, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Paint:
         """Storeys of windows in frames, a pane's tone each; some blocks have shops."""
         base = _FACADES[rng.integers(len(_FACADES))]
         storey, bay = rng.uniform(2.9, 3.4), rng.uniform(2.2, 4.0)
         glass = kind == "tower" and rng.random() < 0.6
         width, height = (0.86, 0.80) if glass else (rng.uniform(0.38, 0.6), rng.uniform(0.45, 0.62))  # in bays, storeys
-        image = self._plain(base, grid, own, 0.10)
+        image = self._rough(base, grid, own, 0.10)
         if rng.random() >= self.settings.texture or (kind == "hall" and rng.random() < 0.5):
-            return image  # a blank wall
+            return self._faded(image, base)  # a blank wall
         above = grid.v - _ROOTED
         bays = max(1, round(grid.width / bay))
+        storeys = max(1, int((grid.height - _ROOTED) // storey) + 1)
         column, row = np.floor(grid.u / grid.width * bays).astype(int), np.floor(above / storey).astype(int)
         s, t = grid.u / grid.width * bays - column, above / storey - row
         # No window in what is left of a storey under the eaves.
@@ -123,26 +109,31 @@ class Painter:
             return mask
 
         image[opening(1.18)] = (0.55, 0.54, 0.52) if glass else (0.92, 0.90, 0.87)
-        panes = own.uniform(0.25, 1.0, (max(0, row.max()) + 1, bays + 2)) ** 1.6
+        panes = own.uniform(0.25, 1.0, (storeys, bays + 2)) ** 1.6
         if self.settings.repeated:
             panes[:] = 0.5
-        tones = 0.16 + 0.42 * panes[np.ix_(np.maximum(row, 0), np.clip(column, -1, bays) + 1)]
+        tones = 0.16 + 0.42 * panes[np.ix_(np.clip(row, 0, storeys - 1), np.clip(column, -1, bays) + 1)]
         mask = opening(1.0)
         image[mask] = tones[mask][:, None] * np.array([0.80, 0.95, 1.1])
         if kind == "block" and rng.random() < 0.7:
             image[(above > 0) & (above < 2.6)] *= np.array(
                 own.uniform(0.6, 1.0) * own.uniform(0.85, 1.1, 3), dtype=np.float32
             )
-        return image
+        return self._faded(image, base, _mirror(mask, _GLASS_MIRRORS))
 
-    def _tiles(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
+    def _tiles(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Paint:
         rng.random(8)  # the walls' draws are not the roof's
         base = _TILES[rng.integers(len(_TILES))]
         r = self.settings.texture
-        rows = 1 + 0.10 * r * np.sin(2 * np.pi * grid.v / 0.9)
-        up, across = (np.floor((x - x[0]) / size).astype(int) for x, size in ((grid.v, 0.9), (grid.u, 0.7)))
-        blotch = own.normal(0, 0.07 * r, (up[-1] + 1, across[-1] + 1))[np.ix_(up, across)]
-        image = _tinted(base, rows[:, None] + blotch + 0.15 * r * self.noise(*grid.shape, own))
+        rows = 1 + 0.10 * np.sin(2 * np.pi * grid.v / 0.9)
+        counts = int(grid.height // 0.9) + 1, int(grid.width // 0.7) + 1
+        up, across = (
+            np.clip(np.floor(x / size).astype(int), 0, count - 1)
+            for x, size, count in zip((grid.v, grid.u), (0.9, 0.7), counts, strict=True)
+        )
+        blotch = own.normal(0, 0.07, counts)[np.ix_(up, across)]
+        image = _tinted(base, rows[:, None] + blotch + 0.15 * self.noise(grid, own))
+        glass = np.zeros(grid.shape, dtype=bool)
         if own.random() < 0.35 * r:  # solar panels
             low, high = np.array([0.15, 0.25]), np.array([own.uniform(0.5, 0.85), 0.8])
             s, t = grid.u / grid.width, grid.v / grid.height
@@ -150,64 +141,87 @@ class Painter:
             frame = (np.mod(grid.v, 1.6) < 0.12)[:, None] | (np.mod(grid.u, 1.0) < 0.12)
             image[on] = (0.10, 0.13, 0.24)
             image[on & frame] = (0.45, 0.47, 0.52)
+            glass = on & ~frame
         elif own.random() < 0.6 * r:  # skylights
             for _ in range(int(own.integers(1, 4))):
                 left, lower = own.uniform(1, max(1.1, grid.width - 2)), own.uniform(1, max(1.1, grid.height - 2))
-                _rectangle(image, grid, left, lower, 0.9, 1.2, (0.30, 0.36, 0.42))
-        return image
+                where = _rectangle(grid, left, lower, 0.9, 1.2)
+                image[where], glass[where] = (0.30, 0.36, 0.42), True
+        return self._faded(image, base, _mirror(glass, _GLASS_MIRRORS))
 
-    def _flat_roof(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Image:
+    def _flat_roof(self, grid: Grid, rng: np.random.Generator, own: np.random.Generator) -> Paint:
         rng.random(8)  # the walls' draws are not the roof's
         r = self.settings.texture
-        image = self._plain(_FLAT[rng.integers(len(_FLAT))], grid, own, 0.17)
+        base = _FLAT[rng.integers(len(_FLAT))]
+        image = self._rough(base, grid, own, 0.17)
         sheet = rng.uniform(2.5, 5)
-        image *= np.float32(1) - np.float32(0.10 * r) * (np.mod(grid.u, sheet) < 0.25)[None, :, None].astype(np.float32)
+        image *= np.float32(1) - np.float32(0.10) * (np.mod(grid.u, sheet) < 0.25)[None, :, None].astype(np.float32)
         for _ in range(round(r * grid.width * grid.height / 45)):  # hatches, vents, patches
             w, h = own.uniform(0.5, 2.4, 2)
             s, t = own.uniform(1, max(1.1, grid.width - 3)), own.uniform(1, max(1.1, grid.height - 3))
-            _rectangle(image, grid, s, t, w, h, tuple(own.uniform(0.25, 0.85) * np.array([1, 1, 1.02])))
+            image[_rectangle(grid, s, t, w, h)] = own.uniform(0.25, 0.85) * np.array([1, 1, 1.02])
         rim = np.minimum(grid.u, grid.width - grid.u)[None, :], np.minimum(grid.v, grid.height - grid.v)[:, None]
         image[np.minimum(*rim) < 0.5] = (0.80, 0.79, 0.76)
-        return image
+        return self._faded(image, base)
 
-    def _car(self, side: str, grid: Grid, rng: np.random.Generator) -> Image:
+    def _car(self, side: str, grid: Grid, rng: np.random.Generator) -> Paint:
         image: Image = np.empty((*grid.shape, 3), dtype=np.float32)
-        image[:] = _CARS[rng.integers(len(_CARS))]
+        base = _CARS[rng.integers(len(_CARS))]
+        image[:] = base
         if side == "roof":  # bonnet, windscreen, roof, rear window
             s = grid.u / grid.width
             image[:, ((s > 0.24) & (s < 0.36)) | ((s > 0.78) & (s < 0.88))] = (0.10, 0.12, 0.15)
         else:
             image[grid.v < 0.75] = (0.08, 0.08, 0.09)
             image[grid.v > 1.5] = (0.15, 0.17, 0.20)
-        return image
+        return self._faded(image, base)
 
-    def leaves(self, side: int) -> Image:
+    def leaves(self, side: int) -> Paint:
         """Foliage (side, side, 3); trees wear parts of it."""
         rng = np.random.default_rng([self.settings.seed, 4])
-        noise = 0.30 * self.noise(side, side, rng) + rng.normal(0, 0.15, (side, side)).astype(np.float32)
-        return _tinted((0.27, 0.40, 0.16), 1 + max(0.3, self.settings.texture) * noise)
+        at = 2 * _CELL * np.arange(side, dtype=np.float64)  # as fine as its texels
+        noise = 0.30 * self.noise(Grid(at, at, at[-1], at[-1]), rng)
+        green = (0.27, 0.40, 0.16)
+        return self._faded(_tinted(green, 1 + noise + rng.normal(0, 0.15, (side, side)).astype(np.float32)), green)
 
-    def town(self, plan: Plan, grid: Grid) -> Image:
-        """The ground of the city; the grid starts at its south-western corner."""
-        r = self.settings.texture
+    def town(self, plan: Plan, grid: Grid) -> Paint:
+        """A part of the city's ground; the grid counts from the city's south-western corner."""
+        if not self.settings.symmetric:
+            return self._town(plan, grid)
+        # The northern half is the southern one after half a turn.
+        here, turned = (self._town(plan, g) for g in (grid, _turned(grid)))
+        north = (grid.v > grid.height / 2)[:, None]
+        color = np.where(north[..., None], turned.color[::-1, ::-1], here.color)
+        if here.mirror is None and turned.mirror is None:
+            return Paint(color)
+        nothing = np.zeros(grid.shape, dtype=np.float32)
+        planes = [nothing if paint.mirror is None else paint.mirror for paint in (here, turned)]
+        return Paint(color, np.where(north, planes[1][::-1, ::-1], planes[0]))
+
+    def _town(self, plan: Plan, grid: Grid) -> Paint:
         half = self.settings.extent / 2
         rng = np.random.default_rng([self.settings.seed, 5])
         x, y = grid.u - half, grid.v - half
-        image = self._plain(_ASPHALT, grid, rng, 0.10)
+        image = self._rough(_ASPHALT, grid, rng, 0.10)
+        plain: Image = np.empty_like(image)
+        plain[:] = _PLAIN
+        mirror: Plane | None = None
         for street in plan.streets:
             self._markings(image, plan, street.axis, street.at, street.width, x, y)
         for block in plan.blocks:
             i = slice(*np.searchsorted(y, [block.low[1], block.high[1]]))
             j = slice(*np.searchsorted(x, [block.low[0], block.high[0]]))
-            part = Grid(
-                x[j] - block.low[0], y[i] - block.low[1], block.high[0] - block.low[0], block.high[1] - block.low[1]
-            )
-            image[i, j] = self._block(block, part)
-        tone = np.float32(1) + np.float32(0.05 * r) * self.noise(*grid.shape, rng)
-        image *= tone[..., None]
-        if self.settings.symmetric:
-            image[len(y) // 2 :] = image[::-1, ::-1][len(y) // 2 :].copy()
-        return image
+            if i.start == i.stop or j.start == j.stop:
+                continue
+            size = block.high[0] - block.low[0], block.high[1] - block.low[1]
+            part = Grid(x[j] - block.low[0], y[i] - block.low[1], *size)
+            image[i, j], inside = self._block(block, part)
+            if block.kind == "lake":  # which is no texture
+                plain[i, j][inside] = _WATER
+                mirror = np.zeros(grid.shape, dtype=np.float32) if mirror is None else mirror
+                mirror[i, j][inside] = _WATER_MIRRORS
+        image *= (np.float32(1) + np.float32(0.05) * self.noise(grid, rng))[..., None]
+        return self._faded(image, plain, mirror)
 
     def _markings(
         self, image: Image, plan: Plan, axis: int, at: float, width: float, x: FloatArray, y: FloatArray
@@ -230,27 +244,27 @@ class Painter:
         bars = (np.mod(across - at, 1.1) < 0.55) & (near < width / 2 - 0.3)
         view[np.ix_(zebra, bars)] = white
 
-    def _block(self, block: Block, grid: Grid) -> Image:
-        r = self.settings.texture
+    def _block(self, block: Block, grid: Grid) -> tuple[Image, NDArray[np.bool_]]:
+        """The ground between four streets, and which of it is within the pavement."""
         rng = np.random.default_rng([self.settings.seed, block.seed, 6])
         u, v = grid.u[None, :], grid.v[:, None]
         rim = np.minimum(np.minimum(u, grid.width - u), np.minimum(v, grid.height - v))
-        noise = self.noise(*grid.shape, rng)
-        paving = _tinted(_PAVING, 1 + 0.09 * r * noise)
+        noise = self.noise(grid, rng)
+        paving = _tinted(_PAVING, 1 + 0.09 * noise)
         seams = (np.mod(u, 2.0) < 0.2) | (np.mod(v, 2.0) < 0.2)
-        paving[seams & np.ones_like(noise, dtype=bool)] *= np.float32(1 - 0.12 * r)
+        paving[seams & np.ones_like(noise, dtype=bool)] *= np.float32(0.88)
         if block.kind == "core":
-            inner = _tinted(tuple(rng.uniform(0.42, 0.62) * np.array([1.0, 0.97, 0.92])), 1 + 0.13 * r * noise)
+            inner = _tinted(tuple(rng.uniform(0.42, 0.62) * np.array([1.0, 0.97, 0.92])), 1 + 0.13 * noise)
         elif block.kind == "hall":
-            inner = _tinted(_ASPHALT, 1 + 0.12 * r * noise)
+            inner = _tinted(_ASPHALT, 1 + 0.12 * noise)
             lines = (np.mod(v, 2.7) < 0.15) & (u > 0.58 * grid.width)
             inner[lines & np.ones_like(noise, dtype=bool)] = 0.8
         elif block.kind == "lake":
-            inner = _tinted(_WATER, 1 + 0.015 * r * noise)
+            inner = _tinted(_WATER, 1 + 0.015 * noise)
         else:
-            other = self.noise(*grid.shape, rng)[..., None]
-            inner = _tinted(_GRASS, 1 + 0.22 * r * noise)
-            inner += np.float32(0.05 * r) * other * np.array([1.2, 0.5, -0.2], dtype=np.float32)
+            other = self.noise(grid, rng)[..., None]
+            inner = _tinted(_GRASS, 1 + 0.22 * noise)
+            inner += np.float32(0.05) * other * np.array([1.2, 0.5, -0.2], dtype=np.float32)
             if block.kind == "park":
                 angle, bend = rng.uniform(0, np.pi), rng.uniform(0.08, 0.2)
                 for turn in (0, rng.uniform(0.8, 2.2)):
@@ -271,11 +285,12 @@ class Painter:
         walk = rim < 2.2
         inner[walk] = paving[walk]
         inner[rim < 0.25] = 0.72
-        return inner
+        return inner, ~walk
 
-    def country(self, grid: Grid) -> Image:
-        """Fields around the city: patches about their nearest seeds, with furrows along each one's own direction."""
-        r = self.settings.texture
+    def country(self, grid: Grid) -> Paint:
+        """A part of the fields around the city: patches about their nearest seeds, with furrows along each one's own
+        direction. The grid counts from the south-western corner of all land.
+        """
         rng = np.random.default_rng([self.settings.seed, 8])
         count = 110
         seeds = rng.uniform(0, 1, (count, 2)) * [grid.width, grid.height]
@@ -287,19 +302,35 @@ class Painter:
         u, v = grid.u[None, :].astype(np.float32), grid.v[:, None].astype(np.float32)
         first = np.full(grid.shape, np.inf, dtype=np.float32)
         second, which = first.copy(), np.zeros(grid.shape, dtype=np.int16)
-        for k, (x, y) in enumerate(seeds.astype(np.float32)):
-            d = np.hypot(u - x, v - y)
+        for k in _near(seeds, grid):
+            d = np.hypot(u - np.float32(seeds[k, 0]), v - np.float32(seeds[k, 1]))
             closer = d < first
             second = np.where(closer, first, np.minimum(second, d))
             which[closer] = k
             np.minimum(first, d, out=first)
         furrow = np.sin(2 * np.pi * (np.cos(angle)[which] * u + np.sin(angle)[which] * v) / pitch[which])
-        noise = self.noise(*grid.shape, rng)
-        image = color[which] * (1 + r * (0.06 * furrow + 0.16 * noise)).astype(np.float32)[..., None]
+        noise = self.noise(grid, rng, 4.0)
+        image = color[which] * (1 + 0.06 * furrow + 0.16 * noise).astype(np.float32)[..., None]
         image[second - first < 2.0] = (0.30, 0.36, 0.18)  # hedges
         lane = (second - first > 5.0) & (second - first < 7.5) & (which % 3 == 0)
         image[lane] = (0.62, 0.57, 0.48)
-        return image
+        return self._faded(image, _PLAIN)
+
+
+def _near(seeds: FloatArray, grid: Grid) -> NDArray[np.int64]:
+    """The seeds (S, 2) that can be nearest or second to a place of the grid."""
+    low, high = (np.array([side(grid.u), side(grid.v)]) for side in (np.min, np.max))
+    away = np.linalg.norm(seeds - (low + high) / 2, axis=1)
+    return np.flatnonzero(away <= np.sort(away)[1] + np.linalg.norm(high - low))
+
+
+def _turned(grid: Grid) -> Grid:
+    """The places where half a turn about its middle brings those of the grid."""
+    return grid._replace(u=(grid.width - grid.u)[::-1], v=(grid.height - grid.v)[::-1])
+
+
+def _mirror(where: NDArray[np.bool_], share: float) -> Plane | None:
+    return np.where(where, np.float32(share), np.float32(0)) if where.any() else None
 
 
 def _tinted(color: tuple[float, ...], tone: NDArray[np.floating]) -> Image:
@@ -307,9 +338,6 @@ def _tinted(color: tuple[float, ...], tone: NDArray[np.floating]) -> Image:
     return image
 
 
-def _rectangle(
-    image: Image, grid: Grid, u: float, v: float, width: float, height: float, color: tuple[float, ...]
-) -> None:
-    i = slice(*np.searchsorted(grid.v, [v, v + height]))
-    j = slice(*np.searchsorted(grid.u, [u, u + width]))
-    image[i, j] = color
+def _rectangle(grid: Grid, u: float, v: float, width: float, height: float) -> tuple[slice, slice]:
+    """Rows and columns of the texels in a rectangle at u, v."""
+    return slice(*np.searchsorted(grid.v, [v, v + height])), slice(*np.searchsorted(grid.u, [u, u + width]))

@@ -14,11 +14,10 @@ from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.opengl import OFF_SCREEN, check_opengl
-from pcbench.scenes.synthetic.render_worker import FINER
 from pcbench.scenes.synthetic.surface import CitySurface
 
 _MAX_SECONDS = 120  # an image: software OpenGL needs a second for a megapixel
-_MAX_SIDE = 16384  # pixels along a side of what OpenGL draws
+_MAX_SIDE = 8192  # pixels along a side of an image, or of what the lens bends into it
 
 
 @dataclass(frozen=True)
@@ -29,11 +28,14 @@ class Optics:
         exposure: standard deviation of the logarithm of each image's gain.
         blur: standard deviation of the lens's blur in pixels.
         noise: standard deviation of the sensor's noise in grey levels of 255.
+        vignetting: 1: pixels get light by the fourth power of the cosine of their rays' angles with the axis (natural
+            vignetting), 0: all the same; in between a part of the loss.
     """
 
     exposure: float = 0.05
     blur: float = 0.4
     noise: float = 1.5
+    vignetting: float = 0.0
 
 
 def check_renderer() -> None:
@@ -55,23 +57,32 @@ def check_intrinsics(intrinsics: Intrinsics) -> None:
     """Say before anything is computed that no picture can be taken with this camera.
 
     Raises:
-        InputError: the image is larger than OpenGL can draw, or its distortion folds it over.
+        InputError: the image is too large, or its distortion folds it over.
     """
-    drawn = 2 * intrinsics.widest * max(intrinsics.fx, intrinsics.fy) * FINER
+    drawn = 2 * intrinsics.widest * max(intrinsics.fx, intrinsics.fy)
     if drawn.max() > _MAX_SIDE:
         raise InputError(
-            f"expected images of at most {_MAX_SIDE // FINER} pixels along a side (less where the lens widens them),"
+            f"expected images of at most {_MAX_SIDE} pixels along a side (less where the lens widens them),"
             f" got {intrinsics.width} x {intrinsics.height}"
         )
 
 
 def render(
-    city: CitySurface, cameras: Sequence[Camera], folder: Path, *, optics: Optics | None = None, seed: int = 0
+    city: CitySurface,
+    cameras: Sequence[Camera],
+    folder: Path,
+    *,
+    optics: Optics | None = None,
+    reflections: bool = False,
+    seed: int = 0,
 ) -> None:
     """Write a photograph for each camera, by its name, into an existing folder.
 
+    Args:
+        reflections: glass and water mirror what is around them, once, without the sun's own glint.
+
     Raises:
-        InputError: an image is larger than OpenGL can draw, or a lens folds it over.
+        InputError: an image is too large, or a lens folds it over.
         MissingExtra, NoFiguresError: a library is missing.
         PcbenchError: drawing fails.
     """
@@ -84,6 +95,9 @@ def render(
         np.savez(job / "faces.npz", corners=corners, uv=city.uv, page=city.page, shade=city.shade)
         for number, page in enumerate(city.pages):
             np.save(job / f"page{number}.npy", page)
+        for number, mirror in enumerate(city.mirrors):
+            if mirror is not None:
+                np.save(job / f"mirror{number}.npy", mirror)
         rows = [
             {
                 "name": camera.name,
@@ -93,7 +107,8 @@ def render(
             }
             for camera in cameras
         ]
-        (job / "job.json").write_text(json.dumps({"cameras": rows, "optics": asdict(optics or Optics()), "seed": seed}))
+        values = {"cameras": rows, "optics": asdict(optics or Optics()), "reflections": reflections, "seed": seed}
+        (job / "job.json").write_text(json.dumps(values))
         done = run_module(
             "pcbench.scenes.synthetic.render_worker",
             str(job),

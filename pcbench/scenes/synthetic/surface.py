@@ -2,51 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.cameras import Camera
 from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.visibility import pixel_sizes
 from pcbench.scenes.synthetic.layout import lay_out
-from pcbench.scenes.synthetic.paint import Grid, Image, Painter
-from pcbench.scenes.synthetic.plan import CELLS, CitySettings, Plan, Solid, Terrain, Tree
+from pcbench.scenes.synthetic.light import MARGIN, SUN, Chart, lights, upsampled
+from pcbench.scenes.synthetic.noise import Grid
+from pcbench.scenes.synthetic.paint import Paint, Painter
+from pcbench.scenes.synthetic.plan import CitySettings, Plan, Solid, Terrain, Tree
 
-SUN = np.array([-0.52, -0.46, 0.72]) / np.linalg.norm([-0.52, -0.46, 0.72])  # towards it: an afternoon, south-west
-_SUN_COLOR = np.array([0.70, 0.65, 0.56], dtype=np.float32)
-_SKY_COLOR = np.array([0.50, 0.53, 0.58], dtype=np.float32)
-_MARGIN = 4  # texels around a chart, painted as it goes on: mipmaps take their colours from there
 _PAGE = 4096  # texels along a page, which every OpenGL can hold
 _LEAVES = 256  # texels along the foliage
-_LIFT = 0.02  # m, from a surface to where its rays of light start
-
-
-@dataclass(frozen=True, eq=False)
-class Chart:
-    """A parallelogram of the surface with a texture of its own: corner + s * u + t * v, s and t from 0 to 1.
-
-    The ground's charts lie at z = 0 and follow the terrain.
-    """
-
-    kind: str  # of the solid, or "town", "country" or "leaves"
-    side: str
-    seed: int
-    corner: FloatArray
-    u: FloatArray
-    v: FloatArray
-    texel: float
-
-    @property
-    def size(self) -> tuple[float, float]:
-        return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns without the margin."""
-        width, height = self.size
-        return max(2, round(height / self.texel)), max(2, round(width / self.texel))
+_TILE = 10  # cells of the terrain along a piece of ground that has a texture of its own
+_MOST_TEXELS = 120e6  # of a city: 0.4 GB, and minutes of painting
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +35,7 @@ class CitySurface:
     page: IntArray  # (F,)
     shade: NDArray[np.uint8]  # (F, 3) light at the corners of trees, 255 where the texture holds it
     pages: list[NDArray[np.uint8]]  # (rows, columns, 3); row 0 is at v = 0
+    mirrors: list[NDArray[np.uint8] | None]  # (rows, columns) thousandths of the light that glass and water mirror
 
 
 @dataclass
@@ -85,60 +62,65 @@ class _Faces:
         self.shade.append(np.ones((len(faces), 3)) if shade is None else shade)
 
 
-def build_city(settings: CitySettings, texel: float | None = None) -> CitySurface:
-    """Lay out, mesh, paint and light a city; about 8 CPU seconds for the default one.
+def build_city(given: CitySettings | Plan, texel: float | None = None, cameras: Sequence[Camera] = ()) -> CitySurface:
+    """Lay out, mesh, paint and light a city; about 20 CPU seconds for the default one.
 
     Args:
-        settings: what kind of city.
-        texel: metres of a texel in the city; by default 0.15, more where the city is larger than 400 m.
+        given: what kind of city, or one that is laid out.
+        texel: metres of a texel in the city where no camera is near, four times as much in the fields around it; by
+            default 0.15, more where the city is larger than 400 m.
+        cameras: what they see has texels no larger than the smallest of their pixels there, foliage excepted.
     """
-    texel = texel or 0.15 * max(1.0, settings.extent / 400)
-    plan = lay_out(settings)
+    plan = lay_out(given) if isinstance(given, CitySettings) else given
+    texel = texel or 0.15 * max(1.0, plan.settings.extent / 400)
     faces, charts = _Faces(), list[Chart]()
-    _ground(plan.terrain, settings, texel, faces, charts)
+    _ground(plan.terrain, plan.settings, texel, faces, charts)
     for solid in plan.solids:
         _solid(solid, texel, faces, charts)
+    charts = _finer(plan.terrain, charts, cameras)
     leaves = len(charts)
-    charts.append(Chart("leaves", "", 0, np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 1 / _LEAVES))
+    side = 1 / _LEAVES
+    charts.append(Chart("leaves", "", 0, np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), side, side))
     for tree in plan.trees:
         _tree(tree, leaves, faces)
     mesh = Mesh(np.concatenate(faces.vertices), np.concatenate(faces.faces), unit="m")
 
     index = MeshIndex(mesh)
     places = _pack(charts)
-    pages = _paint(plan, charts, places, index)
+    pages, mirrors = _paint(plan, charts, places, index)
     chart = np.array(faces.chart)
-    corner = np.array([[p.x, p.y] for p in places]) + _MARGIN
+    corner = np.array([[p.x, p.y] for p in places]) + MARGIN
     extent = np.array([c.shape[::-1] for c in charts])
     sides = np.array([page.shape[1::-1] for page in pages])
     page = np.array([p.page for p in places])[chart]
     uv = (corner[chart][:, None] + np.concatenate(faces.uv) * extent[chart][:, None]) / sides[page][:, None]
     shade = np.round(255 * np.concatenate(faces.shade)).astype(np.uint8)
-    return CitySurface(plan, mesh, uv.astype(np.float32), page, shade, pages)
+    return CitySurface(plan, mesh, uv.astype(np.float32), page, shade, pages, mirrors)
 
 
 # ---- faces ----
 
 
 def _ground(terrain: Terrain, settings: CitySettings, texel: float, faces: _Faces, charts: list[Chart]) -> None:
+    """Squares of ground, each with a texture of its own: those far from all cameras need no fine one."""
     n = len(terrain.heights)
     at = (np.arange(n) - (n - 1) / 2) * terrain.step
     x, y = np.meshgrid(at, at)
     first = faces.add(np.stack([x, y, terrain.heights], axis=2).reshape(-1, 3))
     i = first + np.arange(n * n).reshape(n, n)
-    cell = np.arange(n - 1) - (n - 1) // 2
-    inside = (cell >= -CELLS // 2) & (cell < CELLS // 2)
-    town = inside[:, None] & inside[None, :]
-    for kind, where, half, size in (
-        ("town", town, settings.extent / 2, texel),
-        ("country", ~town, settings.extent, 4 * texel),
-    ):
-        corner = np.array([-half, -half, 0])
-        charts.append(Chart(kind, "", 0, corner, np.array([2 * half, 0, 0]), np.array([0, 2 * half, 0]), size))
-        a, b, c, d = (block[where] for block in (i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]))
-        triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-        flat = np.stack([x, y], axis=2).reshape(-1, 2)
-        faces.cover(triangles, (flat[triangles - first] + half) / (2 * half), len(charts) - 1)
+    flat = np.stack([x, y], axis=2).reshape(-1, 2)
+    side = _TILE * terrain.step
+    for row in range(0, n - 1, _TILE):
+        for column in range(0, n - 1, _TILE):
+            corner = np.array([at[column], at[row], 0])
+            town = np.abs(corner[:2] + side / 2).max() < settings.extent / 2
+            size = texel if town else 4 * texel
+            u, v = np.array([side, 0, 0]), np.array([0, side, 0])
+            charts.append(Chart("town" if town else "country", "", 0, corner, u, v, size, size))
+            part = i[row : row + _TILE + 1, column : column + _TILE + 1]
+            a, b, c, d = (p.ravel() for p in (part[:-1, :-1], part[:-1, 1:], part[1:, 1:], part[1:, :-1]))
+            triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+            faces.cover(triangles, (flat[triangles - first] - corner[:2]) / side, len(charts) - 1)
 
 
 def _solid(solid: Solid, texel: float, faces: _Faces, charts: list[Chart]) -> None:
@@ -151,7 +133,7 @@ def _solid(solid: Solid, texel: float, faces: _Faces, charts: list[Chart]) -> No
     vertices = np.concatenate([low, high, ridge])
 
     def cover(side: str, corner: FloatArray, u: FloatArray, v: FloatArray, polygon: list[int]) -> None:
-        charts.append(Chart(solid.kind, side, solid.seed, corner, u, v, texel))
+        charts.append(Chart(solid.kind, side, solid.seed, corner, u, v, texel, texel))
         d = vertices[polygon] - corner
         uv = np.stack([d @ u / (u @ u), d @ v / (v @ v)], axis=1)
         fan = np.array([[0, k, k + 1] for k in range(1, len(polygon) - 1)])
@@ -225,7 +207,7 @@ def _pack(charts: list[Chart]) -> list[_Place]:
     places: list[_Place | None] = [None] * len(charts)
     page, x, y, shelf = 0, 0, 0, 0
     for k in sorted(range(len(charts)), key=lambda k: -charts[k].shape[0]):
-        rows, columns = (n + 2 * _MARGIN for n in charts[k].shape)
+        rows, columns = (n + 2 * MARGIN for n in charts[k].shape)
         if max(rows, columns) > _PAGE:
             raise AssertionError(f"a chart of {rows} x {columns} texels does not fit a page")
         if x + columns > _PAGE:
@@ -237,130 +219,66 @@ def _pack(charts: list[Chart]) -> list[_Place]:
     return [place for place in places if place is not None]
 
 
-def _paint(plan: Plan, charts: list[Chart], places: list[_Place], index: MeshIndex) -> list[NDArray[np.uint8]]:
+def _finer(terrain: Terrain, charts: list[Chart], cameras: Sequence[Camera]) -> list[Chart]:
+    """The charts with texels as small as the smallest pixel at 49 places of each; a little smaller, because between
+    them it may be. All are larger by one factor where these would be too many, or one chart too large for a page.
+    """
+    s, t = (x.ravel() for x in np.meshgrid(np.linspace(0, 1, 7), np.linspace(0, 1, 7)))
+    places = np.stack([c.corner + s[:, None] * c.u + t[:, None] * c.v for c in charts])
+    ground = np.array([c.kind in ("town", "country") for c in charts])
+    places[ground, :, 2] = terrain.at(places[ground, :, 0], places[ground, :, 1])
+    smallest = np.full(len(charts), np.inf)
+    for camera in cameras:
+        pixels = pixel_sizes(camera, places.reshape(-1, 3), beyond=0.1)
+        np.fmin(smallest, pixels.reshape(len(charts), -1).min(axis=1), out=smallest)
+    texels = np.fmin([c.texel for c in charts], 0.9 * smallest)
+    sides = np.array([c.size for c in charts])
+    excess = max(
+        float(np.sqrt((sides.prod(axis=1) / texels**2).sum() / _MOST_TEXELS)),
+        float((sides.max(axis=1) / texels).max() / (_PAGE - 2 * MARGIN - 1)),
+    )
+    return [replace(c, texel=float(texel)) for c, texel in zip(charts, texels * max(1.0, excess), strict=True)]
+
+
+def _paint(
+    plan: Plan, charts: list[Chart], places: list[_Place], index: MeshIndex
+) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8] | None]]:
     painter = Painter(plan.settings)
-    heights = [max(p.y + c.shape[0] + 2 * _MARGIN for c, p in zip(charts, places, strict=True) if p.page == page)
+    heights = [max(p.y + c.shape[0] + 2 * MARGIN for c, p in zip(charts, places, strict=True) if p.page == page)
                for page in range(1 + max(p.page for p in places))]  # fmt: skip
     pages = [np.zeros((rows, _PAGE, 3), dtype=np.uint8) for rows in heights]
-    lights = _lights(plan, charts, index)
-    for chart, place, light in zip(charts, places, lights, strict=True):
+    mirrors: list[NDArray[np.uint8] | None] = [None] * len(pages)
+    for chart, place, light in zip(charts, places, lights(plan, charts, index), strict=True):
         grid = _grid(chart)
-        image = _albedo(painter, plan, chart, grid)
+        image, mirror = _albedo(painter, plan, chart, grid)
         if light is not None:
-            image = image * _upsampled(light, chart, grid)
+            image = image * upsampled(light, chart)
         rows, columns = grid.shape
+        at = np.s_[place.y : place.y + rows, place.x : place.x + columns]
         texels = np.clip(image, 0, 1, out=image)
         texels *= 255
         texels += 0.5
-        pages[place.page][place.y : place.y + rows, place.x : place.x + columns] = texels
-    return pages
+        pages[place.page][at] = texels
+        if mirror is not None:
+            whole = mirrors[place.page]
+            if whole is None:
+                whole = mirrors[place.page] = np.zeros(pages[place.page].shape[:2], dtype=np.uint8)
+            whole[at] = np.round(1000 * mirror)
+    return pages, mirrors
 
 
 def _grid(chart: Chart) -> Grid:
     (rows, columns), (width, height) = chart.shape, chart.size
-    u = (np.arange(-_MARGIN, columns + _MARGIN) + 0.5) * width / columns
-    v = (np.arange(-_MARGIN, rows + _MARGIN) + 0.5) * height / rows
+    u = (np.arange(-MARGIN, columns + MARGIN) + 0.5) * width / columns
+    v = (np.arange(-MARGIN, rows + MARGIN) + 0.5) * height / rows
     return Grid(u, v, width, height)
 
 
-def _albedo(painter: Painter, plan: Plan, chart: Chart, grid: Grid) -> Image:
-    if chart.kind == "town":
-        return painter.town(plan, grid)
-    if chart.kind == "country":
-        return painter.country(grid)
+def _albedo(painter: Painter, plan: Plan, chart: Chart, grid: Grid) -> Paint:
     if chart.kind == "leaves":
         return painter.leaves(grid.shape[0])
-    return painter.face(chart.kind, chart.side, chart.seed, grid)
-
-
-# ---- light ----
-
-
-class _Lattice(NamedTuple):
-    """Points of a chart at which light is computed; it is linear between them."""
-
-    columns: int
-    rows: int
-    points: FloatArray  # (rows * columns, 3), lifted off the surface
-    normal: FloatArray  # (3,) or (rows * columns, 3)
-
-
-def _lights(plan: Plan, charts: list[Chart], index: MeshIndex) -> list[Image | None]:
-    """Light (rows, columns, 3) on a lattice over each chart: sun where it reaches, sky by the open share of it."""
-    sun = [None if c.kind == "leaves" else _lattice(plan, c, 2 * c.texel) for c in charts]
-    sky = [None if c.kind == "leaves" else _lattice(plan, c, 8 * c.texel) for c in charts]
-    sunny = ~index.blocked(*_rays([s.points for s in sun if s], SUN))
-    directions = _hemisphere(12)
-    open_ = np.zeros(sum(len(s.points) for s in sky if s), dtype=np.float32)
-    weight = np.zeros_like(open_)
-    points = np.concatenate([s.points for s in sky if s])
-    normals = np.concatenate([np.broadcast_to(s.normal, s.points.shape) for s in sky if s])
-    for direction in directions:
-        facing = normals @ direction
-        upper = np.flatnonzero(facing > 0.02)
-        free = ~index.blocked(points[upper], np.broadcast_to(direction, (len(upper), 3)), limit=60.0)
-        open_[upper] += (free * facing[upper]).astype(np.float32)
-    for direction in directions:
-        weight += np.maximum(0, direction[2])
-    lights: list[Image | None] = []
-    at_sun = at_sky = 0
-    for a, b in zip(sun, sky, strict=True):
-        if a is None or b is None:
-            lights.append(None)
-            continue
-        direct = sunny[at_sun : at_sun + len(a.points)] * np.maximum(0, np.broadcast_to(a.normal, a.points.shape) @ SUN)
-        ambient = open_[at_sky : at_sky + len(b.points)] / weight[at_sky : at_sky + len(b.points)]
-        at_sun, at_sky = at_sun + len(a.points), at_sky + len(b.points)
-        fine = _linear(ambient.reshape(b.rows, b.columns), a.rows, a.columns)
-        direct = direct.reshape(a.rows, a.columns).astype(np.float32) / np.float32(SUN[2])
-        # A part of the sky's light comes from the ground: walls in the shade are not black.
-        lights.append(direct[..., None] * _SUN_COLOR + (0.25 + 0.75 * fine[..., None]) * _SKY_COLOR)
-    return lights
-
-
-def _rays(points: list[FloatArray], direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    starts = np.concatenate(points)
-    return starts, np.broadcast_to(direction, starts.shape)
-
-
-def _lattice(plan: Plan, chart: Chart, step: float) -> _Lattice:
-    width, height = chart.size
-    columns, rows = max(2, round(width / step)), max(2, round(height / step))
-    s, t = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    points = chart.corner + s.reshape(-1, 1) * chart.u + t.reshape(-1, 1) * chart.v
-    if chart.kind in ("town", "country"):
-        terrain, d = plan.terrain, 0.5
-        x, y = points[:, 0], points[:, 1]
-        points[:, 2] = terrain.at(x, y)
-        slope_x = (terrain.at(x + d, y) - terrain.at(x - d, y)) / (2 * d)
-        slope_y = (terrain.at(x, y + d) - terrain.at(x, y - d)) / (2 * d)
-        normal = np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=1)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return _Lattice(columns, rows, points + [0, 0, _LIFT], normal)
-    normal = np.cross(chart.u, chart.v)
-    normal /= np.linalg.norm(normal)
-    return _Lattice(columns, rows, points + _LIFT * normal, normal)
-
-
-def _hemisphere(count: int) -> FloatArray:
-    """Directions (count, 3) spread evenly over the upper half of the sphere."""
-    k = np.arange(count) + 0.5
-    z, angle = 1 - k / count, np.pi * (3 - np.sqrt(5)) * k
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
-
-
-def _upsampled(light: Image, chart: Chart, grid: Grid) -> Image:
-    """The lattice's light at texels, the margin's too: there as at the edge."""
-    inner = [_linear(light[..., k], *chart.shape) for k in range(3)]
-    return np.stack([np.pad(plane, _MARGIN, mode="edge") for plane in inner], axis=2)
-
-
-def _linear(plane: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
-    """Resampled to cell centres of another grid over the same rectangle, linear along each axis."""
-    for size in (rows, columns):
-        at = np.clip((np.arange(size) + 0.5) * len(plane) / size - 0.5, 0, len(plane) - 1)
-        low = np.minimum(at.astype(int), len(plane) - 2)
-        part = (at - low).astype(np.float32)[:, None]
-        plane = ((1 - part) * plane[low] + part * plane[low + 1]).T
-    return plane
+    if chart.kind not in ("town", "country"):
+        return painter.face(chart.kind, chart.side, chart.seed, grid)
+    half = plan.settings.extent * (0.5 if chart.kind == "town" else 1.0)
+    whole = Grid(grid.u + chart.corner[0] + half, grid.v + chart.corner[1] + half, 2 * half, 2 * half)
+    return painter.town(plan, whole) if chart.kind == "town" else painter.country(whole)

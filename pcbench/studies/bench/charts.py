@@ -108,16 +108,19 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
     look = _look(document, found)
     failed = [row for row in document["rows"] if row["status"] != "ok"]
     rows = -(-len(quantities) // 2)
-    strip = [0.13] if failed else []
-    figure = Figure(figsize=(12.5, 0.8 + 4.5 * rows + (0.6 if failed else 0)), dpi=120, layout="constrained")
+    figure = Figure(dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
+    crosses = _crosses(figure, look, failed)
+    height = 0.12 + 0.16 * (1 + max((cross.line for cross in crosses), default=0))  # inches, of the strip
+    strip = [height / 4.2] if failed else []
+    figure.set_size_inches(12.5, 0.8 + 4.5 * rows + (height + 0.1 if failed else 0))
     # A strip for failures below the last row of panels.
     grid = figure.add_gridspec(rows + len(strip), 2, height_ratios=[1.0] * rows + strip)
     panels = [figure.add_subplot(grid[number // 2, number % 2]) for number in range(len(quantities))]
     for axis, quantity in zip(panels, quantities, strict=True):
         _panel(axis, look, quantity)
     for column in range(2 if failed else 0):
-        _strip(figure.add_subplot(grid[rows, column]), look, failed)
+        _strip(figure.add_subplot(grid[rows, column]), look, crosses)
     _legend(figure, look, quantities, bool(failed))
     figure.draw_without_rendering()  # labels are placed where the layout has put the markers
     figure.set_layout_engine("none")
@@ -270,19 +273,63 @@ def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
             text.remove()
 
 
-def _strip(axis: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> None:
+class _Cross(NamedTuple):
+    """Failures of one kind at nearly one time: where in the strip, and what is said of them."""
+
+    time: float
+    line: int
+    color: str
+    text: str
+    left: bool  # whether the text stands to the left
+
+
+def _crosses(figure: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> list[_Cross]:
+    """Each with its word on the first line where it touches no other."""
+    wide = 4.6 * figure.dpi  # pixels of a strip, at least
+    low, high = np.log(look.limits)
+    groups: dict[tuple[str, str, int], list[float]] = {}  # those of one series that a marker's width would hide
+    for row in sorted(failed, key=lambda row: row["wall_s"]):
+        at = (np.log(row["wall_s"]) - low) / (high - low) * wide
+        series = look.series(row["method"], row["choices"])
+        groups.setdefault((series, row["status"], int(at // 8)), []).append(row["wall_s"])
+    lines: list[list[tuple[float, float]]] = []
+    found = []
+    for (series, status, _), times in groups.items():
+        text = status if len(times) == 1 else f"{status} ×{len(times)}"
+        time = float(np.median(times))
+        word = figure.text(0, 0, text, fontsize=8)
+        length = word.get_window_extent().width
+        word.remove()
+        at, gap = float((np.log(time) - low) / (high - low) * wide), 8 * figure.dpi / 72
+        right = (at - gap, at + gap + length), False
+        leftward = (at - gap - length, at + gap), True
+        # Left of its cross where the word would leave the strip, or where only there it touches no other.
+        ways = [way for way in (right, leftward) if way[0][0] >= 0 and way[0][1] <= wide] or [right]
+        lines.append([])
+        line, (ends, left) = next(
+            (line, way)
+            for line, taken in enumerate(lines)
+            for way in ways
+            if all(way[0][1] < a or b < way[0][0] for a, b in taken)
+        )
+        lines[line].append(ends)
+        lines = [taken for taken in lines if taken]
+        found.append(_Cross(time, line, look.color[series], text, left))
+    return found
+
+
+def _strip(axis: Any, look: _Look, crosses: Sequence[_Cross]) -> None:
     """Crosses at the times when runs failed."""
-    for number, row in enumerate(failed):
-        color = look.color[look.series(row["method"], row["choices"])]
-        place = 0.5 if len(failed) == 1 else (0.75, 0.5, 0.25)[number % 3]
-        axis.plot(row["wall_s"], place, marker="x", markersize=8, markeredgewidth=2, color=color)
-        left = row["wall_s"] > (look.limits[0] * look.limits[1]) ** 0.5  # its word would leave the strip
+    lines = 1 + max(cross.line for cross in crosses)
+    for cross in crosses:
+        place = cross.time, 1 - (cross.line + 0.5) / lines
+        axis.plot(*place, marker="x", markersize=7, markeredgewidth=2, color=cross.color)
         axis.annotate(
-            row["status"],
-            (row["wall_s"], place),
-            (-8 if left else 8, 0),
+            cross.text,
+            place,
+            (-7 if cross.left else 7, 0),
             textcoords="offset points",
-            ha="right" if left else "left",
+            ha="right" if cross.left else "left",
             va="center",
             fontsize=8,
         )

@@ -13,7 +13,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,9 @@ from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bench.pareto import choice_words, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
-from pcbench.studies.bench.score import Rules, Truth, check_rules, read_truth, score
+from pcbench.studies.bench.score import Rules, Yardstick, score
 from pcbench.studies.bench.table import bench_markdown, row_words
+from pcbench.studies.bench.truth import mesh_of, read_truth
 
 SCHEMA = "pcbench.bench/1"
 COLUMNS = (
@@ -44,18 +45,29 @@ COLUMNS = (
     "gpu_bytes",
     "points",
     "registration",
+    "accuracy_to",
+    "mean_c2r",
+    "mean_c2r_floor",
+    "mean_r2c",
+    "mean_r2c_floor",
     "d1_c2r",
     "d1_r2c",
     "chamfer",
     "hausdorff",
     "threshold",
+    "pixels",
     "precision",
+    "precision_floor",
     "recall",
+    "recall_floor",
     "fscore",
     "recall_visible",
+    "recall_visible_floor",
+    "fscore_visible",
     "pareto",
     "message",
 )
+_MEASURES = 2  # raised when clouds are measured in another way: scores from before are measured again
 _RUNS, _RUN, _SCORE, _LOCK = "runs", "run.json", "score.json", ".lock"
 
 
@@ -71,7 +83,8 @@ class BenchJob:
         seeds: how many runs of each method that has a setting `seed`.
         cameras: what methods get, as `read_scene` takes it; with `none` clouds are still registered by those that the
             scene has.
-        mesh: of the reference's surface, to say what the cameras saw.
+        mesh: of the reference's surface, which accuracy is measured to, and which says what the cameras saw; None: the
+            scene's own, where the reference is of its folder `truth`.
         time_limit_s: of a run.
     """
 
@@ -135,25 +148,28 @@ def bench(
     methods = [Method(label, spec, describe(spec, limit)) for label, spec in specs]
     todo, notes = trials(methods, job.axes, job.seeds)
     on_step("reading the reference")
+    if job.mesh is None:
+        job = replace(job, mesh=mesh_of(job.scene, job.reference))
     truth = read_truth(job.reference, job.mesh, _true_cameras(job, scene, on_warning), on_warning)
-    check_rules(job.rules, truth)
+    on_step("looking at what the cameras saw")
+    yardstick = Yardstick.of(truth, job.rules)
     if truth.visible is None:
         notes.append(f"no recall_visible: {truth.visibility}")
-    inputs = _Inputs.of(job, scene, truth)
+    inputs = _Inputs.of(job, scene, yardstick)
     with _bench_folder(out):
         rows: list[dict[str, Any]] = []
         for number, trial in enumerate(todo, 1):
             on_step(f"{number} of {len(todo)}: {trial.words}")
-            row, kept = _row(job, trial, inputs, truth, out)
+            row, kept = _row(job, trial, inputs, yardstick, out)
             rows.append(row)
             mark_front(rows)
-            doc = _document(job, inputs, truth, methods, rows, notes)
+            doc = _document(job, inputs, yardstick, methods, rows, notes)
             _write(out, doc)
             on_row(Done(row, number, len(todo), kept))
         stale = {p.name for p in (out / _RUNS).iterdir()} - {_folder_name(trial) for trial in todo}
         if stale:
             notes.append(f"{len(stale)} runs in {out / _RUNS} are of other settings: they are not in the tables")
-            doc = _document(job, inputs, truth, methods, rows, notes)
+            doc = _document(job, inputs, yardstick, methods, rows, notes)
             _write(out, doc)
     return doc
 
@@ -177,7 +193,8 @@ class _Inputs:
     score: Mapping[str, Any]
 
     @classmethod
-    def of(cls, job: BenchJob, scene: Scene, truth: Truth) -> _Inputs:
+    def of(cls, job: BenchJob, scene: Scene, yardstick: Yardstick) -> _Inputs:
+        truth = yardstick.truth
         points = scene.points.points.tobytes() if scene.points is not None else b""
         true = b"".join(truth.cameras[name].cam_from_world.matrix.tobytes() for name in sorted(truth.cameras))
         run = {
@@ -191,6 +208,7 @@ class _Inputs:
             "mesh": None if job.mesh is None else digest(job.mesh),
             "cameras": hashlib.sha256(true).hexdigest(),
             "rules": asdict(job.rules),
+            "measures": _MEASURES,
             "named_files": [digest(path) for path in _named_files(job.rules)],
             "global": find_spec("kiss_matcher") is not None,
         }
@@ -203,7 +221,7 @@ def _named_files(rules: Rules) -> list[Path]:
     return [path for path in paths if path.is_file()]
 
 
-def _row(job: BenchJob, trial: Trial, inputs: _Inputs, truth: Truth, out: Path) -> tuple[dict[str, Any], bool]:
+def _row(job: BenchJob, trial: Trial, inputs: _Inputs, yardstick: Yardstick, out: Path) -> tuple[dict[str, Any], bool]:
     """The row of a trial, and whether it was there already."""
     folder = out / _RUNS / _folder_name(trial)
     record, kept = _reconstruct(job, trial, inputs, folder)
@@ -216,7 +234,7 @@ def _row(job: BenchJob, trial: Trial, inputs: _Inputs, truth: Truth, out: Path) 
     }
     if record["status"] != "ok":
         return row, kept
-    measured, as_before = _measure(inputs, job.rules, truth, folder, record["id"])
+    measured, as_before = _measure(inputs, yardstick, folder, record["id"])
     return {**row, **{key: value for key, value in measured.items() if key != "key"}}, kept and as_before
 
 
@@ -286,13 +304,13 @@ def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) 
     return True
 
 
-def _measure(inputs: _Inputs, rules: Rules, truth: Truth, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
+def _measure(inputs: _Inputs, yardstick: Yardstick, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
     key = {"run": identity, **inputs.score}
     old = _read(folder / _SCORE)
     if old is not None and old.get("key") == json.loads(json.dumps(key)):
         return old, True
     try:
-        values = score(truth, read_reconstruction(folder), rules, folder)
+        values = score(yardstick, read_reconstruction(folder), folder).row()
     except PcbenchError as error:
         values = {"status": "unmeasured", "message": str(error)}
     except (ValueError, ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:  # nonsense has many forms
@@ -333,11 +351,12 @@ def _bench_folder(out: Path) -> Iterator[None]:
 def _document(
     job: BenchJob,
     inputs: _Inputs,
-    truth: Truth,
+    yardstick: Yardstick,
     methods: Sequence[Method],
     rows: Sequence[Mapping[str, Any]],
     notes: Sequence[str],
 ) -> dict[str, Any]:
+    truth = yardstick.truth
     return {
         "schema": SCHEMA,
         "scene": {"path": str(job.scene), "sha256": inputs.run["scene"]},
@@ -349,6 +368,9 @@ def _document(
             "mesh": None if job.mesh is None else {"path": str(job.mesh), "sha256": inputs.score["mesh"]},
             "visible_share": None if truth.visible is None else float(truth.visible.mean()),
             "visibility": truth.visibility,
+            "pixel": truth.pixel,
+            "seen_points": None if yardstick.seen is None else len(yardstick.seen),
+            "seen_spacing": yardstick.seen_spacing,
         },
         "methods": [{"method": m.label, "spec": m.spec, **asdict(m.described)} for m in methods],
         "settings": {

@@ -2,98 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
-from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
-from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.normals import Surface
 from pcbench.geometry.region_text import parse_region
+from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity, format_matrix, robust_similarity
-from pcbench.geometry.visibility import SEEN_BY, views
-from pcbench.io import read_cloud
-from pcbench.io.files import Warn, atomic_write
-from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.files import atomic_write
+from pcbench.measure.metrics import harmonic_mean
 from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, Registration, local_origin, parse_method
+from pcbench.registration import METHODS, Registration, parse_method
 from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report import compare, document
+from pcbench.studies.bench.truth import Truth
 
 BY_GAUGE = "gauge"
-_MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """What clouds are measured against.
-
-    Args:
-        cloud: the reference.
-        cameras: the true ones by image name, in its frame.
-        visible: which of its points (N,) the cameras saw; None where that cannot be said.
-        visibility: where that is from, or why it cannot be said.
-    """
-
-    cloud: Cloud
-    cameras: Mapping[str, Camera]
-    visible: NDArray[np.bool_] | None
-    visibility: str
-
-
-def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera], warn: Warn) -> Truth:
-    """The reference and what the cameras saw of it: by its attribute `visible`, else by rays against a mesh.
-
-    Args:
-        reference: a cloud or a mesh, which is sampled by area.
-        mesh: of the same surface, its faces anticlockwise seen from outside.
-        cameras: the true ones by image name.
-        warn: called with one line for each thing left out.
-
-    Raises:
-        InputError: a file is not usable.
-    """
-    surface = read_mesh(mesh, on_warning=warn) if mesh is not None else None
-    if holds_mesh(reference):
-        whole = read_mesh(reference, on_warning=warn)
-        surface = whole if surface is None else surface
-        cloud = whole.sample(_MESH_SAMPLES)
-    else:
-        cloud = read_cloud(reference, on_warning=warn)
-    if mesh is None and "visible" in cloud.attributes:
-        seen = np.asarray(cloud.attributes["visible"]) != 0
-        return Truth(cloud, cameras, *_some(seen, "the reference's attribute `visible`"))
-    if surface is None:
-        return Truth(cloud, cameras, None, "the reference has no attribute `visible`, and no mesh is given")
-    if not cameras:
-        return Truth(cloud, cameras, None, "the scene has no cameras")
-    how = f"seen by {SEEN_BY} of the scene's {len(cameras)} cameras: rays against {mesh or reference}"
-    return Truth(cloud, cameras, *_some(seen_points(cloud, surface, cameras), how))
-
-
-def _some(seen: NDArray[np.bool_], how: str) -> tuple[NDArray[np.bool_] | None, str]:
-    return (seen, how) if seen.any() else (None, f"none of its points is visible ({how})")
-
-
-def seen_points(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDArray[np.bool_]:
-    """Which points (N,) of a cloud of the mesh's surface at least three cameras see: from the place on the mesh that is
-    nearest to them, which takes a scanner's noise out.
-    """
-    index = MeshIndex(mesh)
-    _, closest, faces = index.query(cloud.points)
-    counts = views(index, list(cameras.values()), closest, mesh.normals()[faces], enough=SEEN_BY)
-    seen: NDArray[np.bool_] = counts >= SEEN_BY
-    return seen
+PIXELS = (1.0, 2.0, 5.0)  # thresholds by default, in pixels on the ground; the last one heads tables and charts
+_NEIGHBORS = 16  # that the density of the reference is taken from
 
 
 class Alignment(NamedTuple):
@@ -146,38 +82,167 @@ class Rules:
     Args:
         register: `gauge`, or one of `pcbench.registration.METHODS` for all.
         crop: see `pcbench.geometry.region_text.parse_region`.
-        threshold: of the F-score; None: 5 times the reference's median spacing, where its sampling hardly counts.
+        threshold: of precision, recall and F-score: lengths in the reference's unit, or with `px` in pixels on the
+            ground (`Truth.pixel`), several with commas between them; the last one heads tables and charts. None: 1, 2
+            and 5 pixels, or times the reference's median spacing where there are no cameras.
     """
 
     register: str = BY_GAUGE
     crop: str = "none"
-    threshold: float | None = None
+    threshold: str | None = None
 
 
-def check_rules(rules: Rules, truth: Truth) -> None:
-    """Say before anything runs that no cloud could be measured like this.
+class Threshold(NamedTuple):
+    """In the reference's unit, and in pixels on the ground where it was given so."""
 
-    Raises:
-        InputError: there is no such registration or region, or it leaves nothing of the reference.
+    length: float
+    pixels: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """A truth, the rules by which clouds are held against it, and what follows from both.
+
+    Args:
+        thresholds: at least one; the last one heads tables and charts.
+        region: that is measured; None for all.
+        seen: points (M, 3) evenly spread over what the cameras saw in the region; None where that cannot be said.
+        seen_spacing: how far apart they are; at most the smallest threshold, but for large scenes.
     """
-    kind, _, path = rules.register.partition(":")
-    names_file = path and kind in ("points", "matrix")
-    if not names_file and rules.register not in (BY_GAUGE, *METHODS):
-        expected = ", ".join((BY_GAUGE, *METHODS))
-        raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
-    if names_file:
-        parse_method(rules.register)  # which reads the file
-    if rules.threshold is None and Surface(Index(truth.cloud.points)).spacing == 0:
-        raise InputError("the reference has no two points apart, so no spacing: give --threshold")
-    points_inside(truth.cloud.points, parse_region(rules.crop, truth.cloud), rules.crop, "the reference's")
+
+    truth: Truth
+    rules: Rules
+    thresholds: tuple[Threshold, ...]
+    region: Region | None
+    seen: FloatArray | None
+    seen_spacing: float | None
+
+    @classmethod
+    def of(cls, truth: Truth, rules: Rules) -> Yardstick:
+        """Check the rules, and say before anything runs that no cloud could be measured by them.
+
+        Raises:
+            InputError: there is no such registration, region or threshold, or the region leaves nothing of the
+                reference.
+        """
+        kind, _, path = rules.register.partition(":")
+        names_file = path and kind in ("points", "matrix")
+        if not names_file and rules.register not in (BY_GAUGE, *METHODS):
+            expected = ", ".join((BY_GAUGE, *METHODS))
+            raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
+        if names_file:
+            parse_method(rules.register)  # which reads the file
+        region = parse_region(rules.crop, truth.cloud)
+        points_inside(truth.cloud.points, region, rules.crop, "the reference's")
+        thresholds = _thresholds(rules.threshold, truth)
+        seen = truth.seen(min(t.length for t in thresholds), region)
+        return cls(truth, rules, thresholds, region, *(seen or (None, None)))
 
 
-def score(truth: Truth, made: Reconstruction, rules: Rules, folder: Path) -> dict[str, Any]:
-    """Numbers of one cloud, JSON-ready; writes T.txt, the matrix candidate -> reference, into the folder.
+def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
+    if text is None and truth.pixel is not None:
+        return tuple(Threshold(n * truth.pixel, n) for n in PIXELS)
+    if text is None:
+        if truth.spacing == 0:
+            raise InputError("the reference has no two points apart, so no spacing: give --threshold")
+        return tuple(Threshold(n * truth.spacing) for n in PIXELS)
+    found = []
+    for word in text.split(","):
+        number, in_pixels = (word.strip().removesuffix("px"), word.strip().endswith("px"))
+        try:
+            value = float(number)
+        except ValueError:
+            value = 0.0
+        if not 0 < value < float("inf"):
+            raise InputError(f"expected --threshold as lengths, or as pixels (1px,2px,5px), above 0; got {text!r}")
+        if in_pixels and truth.pixel is None:
+            raise InputError(f"--threshold {text}: the scene has no cameras that see the reference, so no pixels on it")
+        found.append(Threshold(value * truth.pixel, value) if in_pixels and truth.pixel else Threshold(value))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class ThresholdScore:
+    """Shares at one threshold.
+
+    Attributes:
+        threshold: in the reference's unit; pixels: the same in pixels on the ground, where it was given so.
+        precision: of the cloud's points within the threshold of the true surface, or of the reference's points where
+            the surface is not known.
+        recall: of the reference's points with a point of the cloud within the threshold; fscore: the harmonic mean.
+        recall_visible: of the area that the cameras saw, and fscore_visible: precision with that. None where it cannot
+            be said.
+        precision_floor: what a cloud without errors would have: 1 by the surface, less by points that are far apart.
+        recall_floor, recall_visible_floor: what the cloud's own points would have if they had no error: lower where
+            they are few, or lie in one place. None where the surface is not known.
+    """
+
+    threshold: float
+    pixels: float | None
+    precision: float
+    recall: float
+    fscore: float
+    recall_visible: float | None
+    fscore_visible: float | None
+    precision_floor: float
+    recall_floor: float | None
+    recall_visible_floor: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What a bench says of one cloud.
+
+    Attributes:
+        registration: how it was brought onto the reference.
+        accuracy_to: `surface`, where it is known, or `points` of the reference.
+        mean_c2r, d1_c2r: mean and mean square of the distances from the cloud to that; mean_r2c, d1_r2c: from the
+            reference's points to the cloud.
+        mean_c2r_floor, mean_r2c_floor: what clouds without errors would score. None where there is no such thing.
+        hausdorff: the largest distance of either direction.
+        at: one for each threshold.
+        notes: one line each.
+        comparison: the whole comparison, as in comparison.json.
+    """
+
+    registration: str
+    accuracy_to: str
+    mean_c2r: float
+    mean_c2r_floor: float | None
+    mean_r2c: float
+    mean_r2c_floor: float | None
+    d1_c2r: float
+    d1_r2c: float
+    hausdorff: float
+    at: tuple[ThresholdScore, ...]
+    notes: tuple[str, ...]
+    comparison: dict[str, Any]
+
+    @property
+    def chamfer(self) -> float:
+        """The sum of the mean distances."""
+        return self.mean_c2r + self.mean_r2c
+
+    def row(self) -> dict[str, Any]:
+        """For bench.json: the columns of bench.csv, what is at every threshold, and the whole comparison."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("at", "notes", "comparison")}
+        return {
+            **values,
+            "chamfer": self.chamfer,
+            **asdict(self.at[-1]),
+            "thresholds": [asdict(at) for at in self.at],
+            "notes": list(self.notes),
+            "comparison": self.comparison,
+        }
+
+
+def score(yardstick: Yardstick, made: Reconstruction, folder: Path) -> Score:
+    """Measure one cloud; writes T.txt, the matrix candidate -> reference, into the folder.
 
     Raises:
         InputError, RegistrationError: it cannot be measured.
     """
+    truth, rules = yardstick.truth, yardstick.rules
     chosen = alignment(made, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
     matrix = folder / "T.txt"
     if chosen.transform is not None:
@@ -185,44 +250,112 @@ def score(truth: Truth, made: Reconstruction, rules: Rules, folder: Path) -> dic
     settings = Settings(
         register=chosen.how if chosen.transform is None else f"matrix:{matrix}",
         crop=rules.crop,
-        thresholds=None if rules.threshold is None else (rules.threshold,),
+        thresholds=tuple(t.length for t in yardstick.thresholds),
     )
     comparison = compare(truth.cloud, {"cloud": made.cloud}, settings)
     result = comparison.candidates[0]
     _write(matrix, result.registration.T_reference_candidate)
-    whole = document(comparison)["candidates"][0]
-    metrics, at = result.metrics, result.metrics.fscores[-1]
-    return {
-        "registration": chosen.how,
-        "d1_c2r": metrics.d1_mse.accuracy.value,
-        "d1_r2c": metrics.d1_mse.completeness.value,
-        "mean_c2r": metrics.mean_distance.accuracy.value,
-        "mean_r2c": metrics.mean_distance.completeness.value,
-        "chamfer": metrics.chamfer.sum_unsquared.value,
-        "hausdorff": metrics.hausdorff.symmetric_max,
-        "threshold": at.threshold,
-        "precision": at.precision.value,
-        "recall": at.recall.value,
-        "fscore": at.fscore.value,
-        "recall_visible": _recall_visible(truth, made.cloud, result.registration, at.threshold, rules.crop),
-        "notes": [*chosen.notes, *map(str, result.warnings), *_of_registration(result.registration)],
-        "comparison": whole,
-    }
+    metrics = result.metrics
+    forth, exact = _accuracy(yardstick, result.registration.T_local.apply(made.cloud.points - truth.origin))
+    by_surface = exact is not None
+    mean, square, farthest = (
+        (float(forth.distances.mean()), float(np.square(forth.distances).mean()), float(forth.distances.max()))
+        if by_surface
+        else (
+            _known(metrics.mean_distance.accuracy.value),
+            _known(metrics.d1_mse.accuracy.value),
+            metrics.hausdorff.accuracy.largest,
+        )
+    )
+    return Score(
+        registration=chosen.how,
+        accuracy_to="surface" if by_surface else "points",
+        mean_c2r=mean,
+        mean_c2r_floor=0.0 if by_surface else metrics.mean_distance.accuracy.floor,
+        mean_r2c=_known(metrics.mean_distance.completeness.value),
+        mean_r2c_floor=metrics.mean_distance.completeness.floor,
+        d1_c2r=square,
+        d1_r2c=_known(metrics.d1_mse.completeness.value),
+        hausdorff=max(farthest, metrics.hausdorff.completeness.largest),
+        at=tuple(_at_thresholds(yardstick, forth, exact)),
+        notes=(*chosen.notes, *map(str, result.warnings), *_of_registration(result.registration)),
+        comparison=document(comparison)["candidates"][0],
+    )
 
 
-def _recall_visible(
-    truth: Truth, cloud: Cloud, registration: Registration, threshold: float, crop: str
-) -> float | None:
-    """Share of the reference's visible points (inside the region) that the cloud comes as near to as the threshold."""
-    if truth.visible is None:
-        return None
-    region = parse_region(crop, truth.cloud)
-    counted = truth.visible if region is None else truth.visible & region.contains(truth.cloud.points)
-    if not counted.any():
-        return None
-    origin = local_origin(truth.cloud)
-    aligned = Index(registration.T_local.apply(cloud.points - origin))
-    return float(np.mean(aligned.query(truth.cloud.points[counted] - origin).distances <= threshold))
+class _Accuracy(NamedTuple):
+    """Of a cloud on the reference, minus its origin.
+
+    Attributes:
+        points: (N, 3), all of them: completeness is no matter of the region's edge.
+        distances: (M,) of those inside the region, to the surface, or to the reference's points.
+        spacings: (M,) square roots of the area a point that the reference's points have there.
+    """
+
+    points: FloatArray
+    distances: FloatArray
+    spacings: FloatArray
+
+
+def _accuracy(yardstick: Yardstick, points: FloatArray) -> tuple[_Accuracy, FloatArray | None]:
+    """Distances of a cloud's points, and where they would be without errors (N, 3): None without the surface."""
+    truth = yardstick.truth
+    local = None if yardstick.region is None else yardstick.region.shifted(truth.origin)
+    inside = np.ones(len(points), dtype=bool) if local is None else local.contains(points)
+    if truth.local_surface is not None:
+        matches = truth.local_surface.query(points)
+        # What is far off would be nowhere, and not at the nearest wall.
+        near = matches.distances <= max(t.length for t in yardstick.thresholds)
+        distances = matches.distances[inside]
+        return _Accuracy(points, distances, np.zeros(len(distances))), matches.closest[near]
+    distances, nearest = truth.local_index.query(points[inside])
+    others = min(_NEIGHBORS, len(truth.cloud) - 1)
+    # The nearest point is one with much room around it: its density is taken from a neighbour, which chance chose.
+    places = truth.local_index.query(truth.local_index.points[nearest], k=others + 1).indices[:, -1]
+    radii = truth.local_index.query(truth.local_index.points[places], k=others + 1).distances[:, -1]
+    # Of k others within r, (k - 1) / (pi r^2) is an unbiased density.
+    return _Accuracy(points, distances, radii * np.sqrt(np.pi / max(1, others - 1))), None
+
+
+def _at_thresholds(yardstick: Yardstick, forth: _Accuracy, exact: FloatArray | None) -> Iterator[ThresholdScore]:
+    truth, region = yardstick.truth, yardstick.region
+    whole = truth.cloud.points if region is None else truth.cloud.points[region.contains(truth.cloud.points)]
+    places = {"recall": whole - truth.origin}
+    if yardstick.seen is not None:
+        places["recall_visible"] = yardstick.seen - truth.origin
+    back = {name: _distances(forth.points, at) for name, at in places.items()}
+    if exact is not None:
+        back |= {f"{name}_floor": _distances(exact, at) for name, at in places.items()}
+    for threshold in yardstick.thresholds:
+        t = threshold.length
+        precision = float(np.mean(forth.distances <= t))
+        shares = {name: float(np.mean(distances <= t)) for name, distances in back.items()}
+        seen = shares.get("recall_visible")
+        # Random places of a density d have a point within t with probability 1 - exp(-pi d t^2).
+        with np.errstate(divide="ignore"):
+            chances = -np.expm1(-np.pi * np.square(t / forth.spacings))
+        yield ThresholdScore(
+            threshold=t,
+            pixels=threshold.pixels,
+            precision=precision,
+            recall=shares["recall"],
+            fscore=harmonic_mean(precision, shares["recall"]),
+            recall_visible=seen,
+            fscore_visible=None if seen is None else harmonic_mean(precision, seen),
+            precision_floor=float(chances.mean()),
+            recall_floor=shares.get("recall_floor"),
+            recall_visible_floor=shares.get("recall_visible_floor"),
+        )
+
+
+def _distances(points: FloatArray, places: FloatArray) -> FloatArray:
+    """From places (M, 3) to the nearest of points (N, 3); infinite where there are none."""
+    return Index(points).query(places).distances if len(points) else np.full(len(places), np.inf)
+
+
+def _known(value: float | None) -> float:
+    assert value is not None  # distances to points always exist
+    return value
 
 
 def _of_registration(registration: Registration) -> list[str]:

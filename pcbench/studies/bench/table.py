@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pcbench.studies.bench.pareto import choice_words, configurations
+from pcbench.studies.bench.pareto import Configuration, choice_words, configurations
 
 _BEST, _SECOND = "¹", "²"
 
@@ -16,6 +16,7 @@ class _Column(NamedTuple):
     better: int  # 1 more, -1 less, 0 neither
     divisor: float = 1.0
     in_terminal: bool = True
+    floor: str | None = None  # the key of what a cloud without errors would score: stands beside it in brackets
 
 
 _COLUMNS = (
@@ -24,14 +25,16 @@ _COLUMNS = (
     _Column("MiB", "peak_rss_bytes", -1, 2**20),
     _Column("GPU MiB", "gpu_bytes", -1, 2**20, in_terminal=False),
     _Column("points", "points", 0),
-    _Column("precision", "precision", 1),
-    _Column("recall", "recall", 1),
+    _Column("precision", "precision", 1, floor="precision_floor"),
+    _Column("recall", "recall", 1, floor="recall_floor"),
     _Column("of seen", "recall_visible", 1),
     _Column("F-score", "fscore", 1),
+    _Column("mean c→r", "mean_c2r", -1, floor="mean_c2r_floor"),
+    _Column("mean r→c", "mean_r2c", -1, floor="mean_r2c_floor"),
     _Column("D1 c→r", "d1_c2r", -1, in_terminal=False),
     _Column("D1 r→c", "d1_r2c", -1, in_terminal=False),
-    _Column("Chamfer", "chamfer", -1),
-    _Column("Hausdorff", "hausdorff", -1),
+    _Column("Chamfer", "chamfer", -1, in_terminal=False),
+    _Column("Hausdorff", "hausdorff", -1, in_terminal=False),
 )
 
 
@@ -51,7 +54,7 @@ def _lines(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_Line]:
     places = [_places([row[number] for row in ranked], column.better) for number, column in enumerate(columns)]
     for row, (c, values) in enumerate(zip(found, medians, strict=True)):
         cells = [
-            (_text(value, column), places[number][row])
+            (_text(value, column, c), places[number][row])
             for number, (value, column) in enumerate(zip(values, columns, strict=True))
         ]
         registration = ", ".join(dict.fromkeys(r["registration"] for r in c.done))
@@ -68,10 +71,13 @@ def _places(values: Sequence[float | None], better: int) -> list[int]:
     return [0 if value is None else (1 if value == known[0] else 2 if value == known[1] else 0) for value in values]
 
 
-def _text(value: float | None, column: _Column) -> str:
+def _text(value: float | None, column: _Column, c: Configuration) -> str:
     if value is None:
         return "–"
-    return f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}"
+    floor = None if column.floor is None else c.median(column.floor)
+    is_perfect = floor is not None and column.better > 0 and floor > 0.995  # says nothing
+    beside = "" if floor is None or is_perfect else f" ({floor / column.divisor:.2g})"
+    return (f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}") + beside
 
 
 def print_bench(doc: dict[str, Any]) -> None:
@@ -109,18 +115,43 @@ def bench_markdown(doc: dict[str, Any]) -> str:
     for line in _lines(doc, _COLUMNS):
         cells = [{0: text, 1: f"**{text}**", 2: f"_{text}_"}[place] for text, place in line.cells]
         lines.append(_md_row([*(word.replace("|", "\\|") for word in line.head), *cells, "*" if line.on_front else ""]))
-    lines += ["", "Best in bold, second in italics.", "", *(f"- {sentence}" for sentence in _sentences(doc))]
+    lines += ["", "Best in bold, second in italics.", "", *_md_thresholds(doc)]
+    lines += [f"- {sentence}" for sentence in _sentences(doc)]
     return "\n".join(lines) + "\n"
+
+
+def _md_thresholds(doc: dict[str, Any]) -> Iterator[str]:
+    """Precision, recall and F-score at every threshold, over what the cameras saw where that is known."""
+    found = [c for c in configurations(doc["rows"]) if any(row.get("thresholds") for row in c.done)]
+    if not found:  # written before there were several
+        return
+    unit = doc["reference"].get("unit") or "the files' unit"
+    yield _md_row(
+        ["method", "settings", f"threshold [{unit}]", "pixels", "precision", "recall", "of seen", "F of seen"]
+    )
+    yield _md_row(["---"] * 2 + ["---:"] * 6)
+    keys = ("threshold", "pixels", "precision", "recall", "recall_visible", "fscore_visible")
+    for c in found:
+        for number in range(len(c.done[0]["thresholds"])):
+            at = Configuration(c.method, c.choices, [{**row, **row["thresholds"][number]} for row in c.done])
+            texts = ("–" if (value := at.median(key)) is None else f"{value:.4g}" for key in keys)
+            yield _md_row([c.method.replace("|", "\\|"), choice_words(c.choices).replace("|", "\\|"), *texts])
+    yield ""
 
 
 def _sentences(doc: dict[str, Any]) -> Iterator[str]:
     threshold = next((row["threshold"] for row in doc["rows"] if row.get("threshold") is not None), None)
     unit = doc["reference"].get("unit") or "the files' unit"
     if threshold is not None:
+        pixels = next((f", {row['pixels']:g} pixels" for row in doc["rows"] if row.get("pixels") is not None), "")
         yield (
             f"medians over the seeds that were measured; * on the front of time and F-score; marked where all were"
-            f" measured; precision, recall and F-score at {threshold:.4g} {unit}; lengths in {unit}, D1 in its square"
+            f" measured; precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in {unit}, D1 in its"
+            f" square; in brackets what a cloud as dense as this one would score without errors"
         )
+        if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
+            to = "the true surface" if measured[0] == "surface" else "the reference's points"
+            yield f"accuracy (c→r, precision) is measured to {to}"
         if doc["reference"]["visible_share"] is not None:
             share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]
             yield f"of seen: recall over the {share:.1%} of the reference that cameras saw ({how})"

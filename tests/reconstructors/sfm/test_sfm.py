@@ -16,6 +16,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors
+from reconstructors.sfm.mapping import largest_component
 from reconstructors.sfm.sfm import ColmapSfm
 
 pytest.importorskip("pycolmap")
@@ -320,6 +321,16 @@ def test_the_largest_component_is_kept(photographs, tmp_path):
     assert sorted(made.cameras) == ["000.png", "001.png", "002.png", "003.png", "004.png"]
     assert "2 components (of 5, 3 images): the largest is kept" in made.notes
     assert "3 of 8 images are not registered: 006.png, 007.png, 008.png" in made.notes
+
+
+def test_other_components_of_the_same_images_are_not_counted(photographs, workspace, tmp_path):
+    scene = read_scene(photographs)
+    ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
+    mapped = tmp_path / "mapped"
+    for number in "01":
+        shutil.copytree(workspace / "mapping" / "0", mapped / number)
+    model, notes = largest_component(mapped, scene)
+    assert (model.num_reg_images(), notes) == (7, [])
 
 
 def test_images_without_cameras_are_left_out_and_said(photographs, tmp_path):

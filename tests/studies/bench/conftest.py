@@ -11,7 +11,7 @@ from pcbench import Cloud, write_cloud
 from pcbench.children import Ended
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import describe_child, reconstruct_child
-from pcbench.studies.bench.score import read_truth
+from pcbench.studies.bench.truth import read_truth
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ from pcbench.studies.bench.plan import Axis, Method, labels, trials
         (("--crop", "box:900,900,900,901,901,901"), "leaves none of the reference's 10000 points"),
         (("--seeds", "0"), "0 is not in the range"),
         (("--sweep", f"noise={','.join(map(str, range(101)))}", "--seeds", "100"), "10,100 runs are asked for"),
-        (("--threshold", "nan"), "nan is not a finite number"),
+        (("--threshold", "nan"), "expected --threshold as lengths, or as pixels"),
         (("--time-limit", "inf"), "inf is not a finite number"),
         (("--reference", "nowhere.ply"), "nowhere.ply"),
     ],

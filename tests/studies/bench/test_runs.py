@@ -28,7 +28,7 @@ from pcbench.studies.bench.runs import COLUMNS, BenchJob, bench
 def test_whatever_methods_do_is_a_row(here, run):
     names = ("Good", "Crash", "Garbage", "Cannot", "Elsewhere", "Missing", "Nobody")
     methods = [word for name in names for word in ("--method", f"methods.py:{name}")]
-    sweeps = ("--sweep", "Good.image_scale=0.5,1", "--set", "Good.noise=1", "--seeds", "2")
+    sweeps = ("--sweep", "Good.image_scale=0.5,1", "--set", "Good.noise=1", "--seeds", "2", "--threshold", "1px,1")
     code, out, err = run("bench", "photos", "--reference", "truth.ply", *methods, *sweeps, "--out", "out")
     assert (code, err) == (0, "")
     with Path("out/bench.csv").open() as file:
@@ -36,8 +36,9 @@ def test_whatever_methods_do_is_a_row(here, run):
         rows = list(table)
     assert tuple(table.fieldnames) == COLUMNS
     assert " ".join(COLUMNS) == (
-        "method settings seed status wall_s cpu_s peak_rss_bytes gpu_bytes points registration d1_c2r d1_r2c chamfer"
-        " hausdorff threshold precision recall fscore recall_visible pareto message"
+        "method settings seed status wall_s cpu_s peak_rss_bytes gpu_bytes points registration accuracy_to mean_c2r"
+        " mean_c2r_floor mean_r2c mean_r2c_floor d1_c2r d1_r2c chamfer hausdorff threshold pixels precision"
+        " precision_floor recall recall_floor fscore recall_visible recall_visible_floor fscore_visible pareto message"
     )
     good, bad = rows[:4], rows[4:]
     assert [(row["settings"], row["seed"]) for row in good] == [
@@ -85,10 +86,18 @@ def test_whatever_methods_do_is_a_row(here, run):
     assert not (folder / "plugin").exists()
     assert {p.name for p in Path("out/figures").iterdir()} == {"speed.png", "accuracy_completeness.png"}
     with Path("out/bench.md").open() as file:
-        assert sum(line.startswith("| Good") for line in file) == 2
+        assert sum(line.startswith("| Good") for line in file) == 2 + 2 * 2  # and one for each threshold
     # The same threshold, registration and matrix by the other command.
     code, text, _ = run(
-        "compare", "truth.ply", folder / "cloud.ply", "--register", f"matrix:{folder / 'T.txt'}", "--json", "-"
+        "compare",
+        "truth.ply",
+        folder / "cloud.ply",
+        "--register",
+        f"matrix:{folder / 'T.txt'}",
+        "--json",
+        "-",
+        "--thresholds",
+        first["threshold"],
     )
     assert code == 0
     assert json.loads(text)["candidates"][0]["metrics"]["fscore"][-1]["fscore"] == first["fscore"]

@@ -14,12 +14,18 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.transform import Similarity
 from pcbench.plugins import Reconstruction
 from pcbench.studies.bench import score as scoring
-from pcbench.studies.bench.score import Rules, alignment, read_truth, seen_points
+from pcbench.studies.bench import truth as truths
+from pcbench.studies.bench.score import Rules, Yardstick, alignment
+from pcbench.studies.bench.truth import read_truth, seen_points
+
+
+def score(truth, made, folder, rules=None):
+    return scoring.score(Yardstick.of(truth, rules or Rules()), made, folder).row()
 
 
 def test_an_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
-    straight = scoring.score(truth, made_of(POINTS, "georeferenced"), Rules(), tmp_path)
-    values = scoring.score(truth, made_of(POINTS, "arbitrary", OWN), Rules(), tmp_path)
+    straight = score(truth, made_of(POINTS, "georeferenced"), tmp_path)
+    values = score(truth, made_of(POINTS, "arbitrary", OWN), tmp_path)
     assert values["registration"] == "cameras"
     for key in ("d1_c2r", "d1_r2c", "fscore", "recall_visible", "chamfer"):
         assert values[key] == pytest.approx(straight[key], rel=1e-6)
@@ -37,22 +43,22 @@ def test_an_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
 
 def test_errors_of_a_georeferenced_cloud_are_not_fitted_away(truth, tmp_path):
     made = made_of(POINTS + [0, 0, 1.5], "georeferenced")
-    values = scoring.score(truth, made, Rules(), tmp_path)
+    values = score(truth, made, tmp_path)
     assert values["registration"] == "none"
     distances = oracles.nearest(made.cloud.points, TRUTH.points)[0]
     assert values["d1_c2r"] == pytest.approx(np.mean(distances**2), rel=1e-9)
     assert values["d1_c2r"] > 0.2
-    fitted = scoring.score(truth, made, Rules(register="icp"), tmp_path)
+    fitted = score(truth, made, tmp_path, Rules(register="icp"))
     assert fitted["registration"] == "icp"
     assert fitted["d1_c2r"] < 0.2 * values["d1_c2r"]
 
 
 def test_a_metric_cloud_gets_no_scale(truth, tmp_path):
     rigid = Similarity(OWN.rotation, OWN.translation)
-    exact = scoring.score(truth, made_of(POINTS, "metric", rigid), Rules(), tmp_path)
+    exact = score(truth, made_of(POINTS, "metric", rigid), tmp_path)
     centre = POINTS.mean(axis=0)
     larger = made_of(POINTS, "metric", Similarity(np.eye(3), -0.05 * centre, 1.05))
-    values = scoring.score(truth, larger, Rules(), tmp_path)
+    values = score(truth, larger, tmp_path)
     assert (exact["registration"], values["registration"]) == ("cameras", "cameras")
     assert exact["comparison"]["registration"]["scale"] == pytest.approx(1, abs=1e-9)
     assert values["comparison"]["registration"]["scale"] == 1
@@ -68,7 +74,7 @@ def test_without_cameras_the_surfaces_decide(truth, tmp_path, monkeypatch):
     assert found.how == "similarity"
     assert "kiss-matcher is not installed" in found.notes[0]
     near = Similarity(shapes.rotation([0, 0, 1], 1.0), np.array([0.1, 0.2, 0.0]), 1.02)
-    values = scoring.score(truth, made_of(POINTS, "arbitrary", near, cameras=()), Rules(), tmp_path)
+    values = score(truth, made_of(POINTS, "arbitrary", near, cameras=()), tmp_path)
     assert values["registration"] == "similarity"
     assert values["comparison"]["registration"]["scale"] == pytest.approx(1 / 1.02, rel=2e-3)
     # Two cameras, or cameras on one line, fix no similarity: said, and the surfaces decide.
@@ -79,8 +85,8 @@ def test_without_cameras_the_surfaces_decide(truth, tmp_path, monkeypatch):
 
 def test_recall_of_the_visible_part(truth, tmp_path):
     part = POINTS[POINTS[:, 0] > 15]
-    rules = Rules(threshold=0.7, crop="box:5,5,-5,35,35,50")
-    values = scoring.score(truth, made_of(part, "georeferenced"), rules, tmp_path)
+    rules = Rules(threshold="0.7", crop="box:5,5,-5,35,35,50")
+    values = score(truth, made_of(part, "georeferenced"), tmp_path, rules)
     near = oracles.nearest(TRUTH.points, part)[0] <= 0.7
     inside = ((TRUTH.points >= [5, 5, -5]) & (TRUTH.points <= [35, 35, 50])).all(axis=1)
     visible = TRUTH.attributes["visible"] != 0
@@ -115,7 +121,7 @@ def test_visibility_by_rays_is_that_of_brute_force():
 
 
 def test_where_visibility_comes_from(here, monkeypatch):
-    monkeypatch.setattr(scoring, "_MESH_SAMPLES", 20_000)  # enough for the tolerance below
+    monkeypatch.setattr(truths, "_MESH_SAMPLES", 20_000)  # enough for the tolerance below
     cameras = {camera.name: camera for camera in RIG}
     by_attribute = read_truth(Path("truth.ply"), None, cameras, print)
     np.testing.assert_array_equal(by_attribute.visible, TRUTH.attributes["visible"] != 0)

@@ -25,3 +25,28 @@ def test_best_and_second_are_marked():
     assert "*" not in lines["c"].replace("_0.7_", "")
     assert "0 of 1 ok, failed" in lines["d"]
     assert "d, seed 0: failed: no" in bench_markdown(doc)
+    assert "of seen |" not in bench_markdown(doc).split("Best in bold")[1]  # of a bench from before several thresholds
+
+
+def test_floors_stand_beside_scores_and_every_threshold_has_its_row():
+    rows = [row("a", 1.0, 0.5, seed=0), row("a", 1.0, 0.5, seed=1), row("b", 1.0, None, "failed", message="no")]
+    shares = {"recall": 0.4, "recall_visible": 0.45, "fscore_visible": 0.6}
+    for n, r in enumerate(rows[:2]):
+        r |= {"registration": "none", "points": 10, "threshold": 0.5, "pixels": 5.0, "accuracy_to": "points"}
+        r |= {"precision": 0.9, "precision_floor": 0.93, "recall": 0.4, "recall_floor": 0.999}
+        r |= {"mean_c2r": 0.51, "mean_c2r_floor": 0.5 + 0.02 * n, "mean_r2c": 0.7, "mean_r2c_floor": None}
+        r["thresholds"] = [
+            {"threshold": 0.1, "pixels": 1.0, "precision": 0.2 + 0.2 * n, **shares},
+            {"threshold": 0.3, "pixels": None, "precision": 0.9, **shares, "recall_visible": None},
+        ]
+    mark_front(rows)
+    reference = {"path": "r", "unit": "m", "visible_share": None, "visibility": ""}
+    text = bench_markdown({"scene": {"path": "s"}, "reference": reference, "rows": rows, "notes": []})
+    first = next(line for line in text.splitlines() if line.startswith("| a"))
+    cells = [cell.strip() for cell in first.split("|")]
+    assert {"0.9 (0.93)", "0.4", "0.51 (0.51)", "0.7"} <= set(cells)
+    assert "| a |  | 0.1 | 1 | 0.3 | 0.4 | 0.45 | 0.6 |" in text
+    assert "| a |  | 0.3 | – | 0.9 | 0.4 | – | 0.6 |" in text
+    assert "| b |  |" not in text.split("of seen | F of seen")[1]
+    assert "at 0.5 m, 5 pixels;" in text
+    assert "measured to the reference's points" in text

@@ -1,0 +1,80 @@
+"""Fractal noise over the surfaces of a city: the same places have the same noise however fine their texels are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.arrays import FloatArray
+
+Plane = NDArray[np.float32]  # (rows, columns)
+
+
+class Grid(NamedTuple):
+    """Texel centres of a texture in metres from its corner; some lie beyond its edges, as a margin."""
+
+    u: FloatArray  # (columns,)
+    v: FloatArray  # (rows,)
+    width: float
+    height: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.v), len(self.u)
+
+
+class Noise:
+    """Windows of one periodic tile of fractal noise, of mean 0 and variance 1, averaged over cells as large as texels.
+
+    Args:
+        seed: of the tile.
+        cell: metres of its finest cells.
+        side: cells along it; the noise repeats after cell * side metres.
+    """
+
+    def __init__(self, seed: int, cell: float, side: int = 2048) -> None:
+        from scipy import fft
+
+        rng = np.random.default_rng([seed, 2])
+        f = fft.fftfreq(side)[:, None], fft.rfftfreq(side)[None, :]
+        # Between white and 1/f^2: blobs of all sizes.
+        amplitude = (1 / np.maximum(np.hypot(*f), 1 / side) ** 1.05).astype(np.float32)
+        amplitude[0, 0] = 0
+        white = rng.standard_normal((side, side), dtype=np.float32)
+        tile = fft.irfft2(amplitude * fft.rfft2(white), s=(side, side))
+        self._cell = cell
+        self._levels: list[Plane] = [(tile / tile.std()).astype(np.float32)]
+        while len(self._levels[-1]) > 16:
+            half = len(self._levels[-1]) // 2
+            self._levels.append(self._levels[-1].reshape(half, 2, half, 2).mean(axis=(1, 3)))
+
+    def __call__(self, grid: Grid, rng: np.random.Generator, stretch: float = 1.0) -> Plane:
+        """A window at a random place, at the texels (rows, columns) of `grid`.
+
+        Args:
+            stretch: how much larger all blobs are.
+        """
+        cell = stretch * self._cell
+        start = rng.integers(0, len(self._levels[0]), 2)
+        texel = (grid.v[-1] - grid.v[0]) / max(1, len(grid.v) - 1) or cell
+        level = int(np.clip(np.round(np.log2(abs(texel) / cell)), 0, len(self._levels) - 1))
+        tile, size = self._levels[level], cell * 2**level
+        rows, columns = (at / size + s / 2**level - 0.5 for at, s in zip((grid.v, grid.u), start, strict=True))
+        window = tile[np.ix_(*(_span(at) % len(tile) for at in (rows, columns)))]
+        return np.ascontiguousarray(_along_rows(_along_rows(window, rows).T, columns).T)
+
+
+def _span(at: FloatArray) -> NDArray[np.int64]:
+    """All whole numbers that are needed to interpolate at `at`."""
+    return np.arange(int(np.floor(at.min())), int(np.floor(at.max())) + 2)
+
+
+def _along_rows(window: Plane, at: FloatArray) -> Plane:
+    """Linear between rows of a window whose first one is at floor(min(at))."""
+    low = np.floor(at).astype(int)
+    part = (at - low).astype(np.float32)[:, None]
+    low -= low.min()
+    between: Plane = (1 - part) * window[low] + part * window[low + 1]
+    return between

@@ -1,0 +1,78 @@
+"""The charts of a bench: what stands in them does not lie on each other."""
+
+import itertools
+
+import pytest
+from benches import row
+
+pytest.importorskip("matplotlib")
+
+from pcbench.studies.bench import charts
+
+
+def document(rows):
+    for r in rows:
+        r |= {"peak_rss_bytes": 2e8, "mean_c2r": 0.1, "mean_r2c": 0.2, "precision": 0.5, "recall": 0.4}
+    return {"rows": rows, "reference": {"unit": "m"}}
+
+
+@pytest.fixture
+def drawn(monkeypatch, tmp_path):
+    """Draws a chart of rows, and gives its figure."""
+    from matplotlib.figure import Figure
+
+    kept = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path: (kept.append(figure), save(figure, path)))
+
+    def draw(rows, chart=charts.speed):
+        assert chart(document(rows), tmp_path / "chart.png")
+        return kept[-1]
+
+    return draw
+
+
+def words(figure):
+    """Texts of the strips of failures, by strip."""
+    return [axis.texts for axis in figure.axes if axis.get_ylabel() == "failed"]
+
+
+TIMES = {
+    "apart": [1.0, 10.0, 100.0],
+    "close": [5.0, 5.1, 5.4, 6.0, 6.1, 7.0, 7.5, 8.0, 8.1, 9.0, 9.5, 11.0],
+    "at the end": [98.0, 99.0, 100.0, 100.0, 103.0],
+}
+
+
+@pytest.mark.parametrize("times", TIMES.values(), ids=TIMES)
+def test_words_on_failures_do_not_overlap(drawn, times):
+    rows = [row("good", 2.0, 0.5), row("good", 60.0, 0.7, choices={"x": "1"})]
+    statuses = itertools.cycle(["crashed", "failed", "timeout", "unmeasured"])
+    rows += [row(f"m{n % 3}", time, None, next(statuses), seed=n) for n, time in enumerate(times)]
+    figure = drawn(rows)
+    strips = words(figure)
+    assert len(strips) == 2
+    for texts in strips:
+        assert sum(int(text.get_text().partition("×")[2] or 1) for text in texts) == len(times)
+        boxes = [text.get_window_extent() for text in texts]
+        assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+        frame = texts[0].axes.bbox
+        for box in boxes:
+            assert frame.x0 - 1 <= box.x0 < box.x1 <= frame.x1 + 1
+            assert frame.y0 - 1 <= box.y0 < box.y1 <= frame.y1 + 1
+
+
+def test_crosses_that_lie_on_each_other_are_counted(drawn):
+    rows = [row("good", 2.0, 0.5), *(row("bad", 5.0 + 0.001 * n, None, "crashed", seed=n) for n in range(9))]
+    for texts in words(drawn(rows)):
+        assert [text.get_text() for text in texts] == ["crashed ×9"]
+    apart = [row("good", 2.0, 0.5), *(row(f"bad{n}", 5.0, None, "crashed") for n in range(3))]
+    for texts in words(drawn(apart)):
+        assert [text.get_text() for text in texts] == ["crashed"] * 3  # of three methods
+
+
+def test_benches_from_before_thresholds_were_pixels_are_drawn(drawn):
+    rows = [row("a", 1.0, 0.5, threshold=0.3), row("b", 2.0, 0.9, threshold=0.3)]
+    figure = drawn(rows)
+    assert figure.axes[0].get_ylabel() == "F-score at 0.3 m"
+    assert words(figure) == []

@@ -1,0 +1,190 @@
+"""What a bench measures against: true errors beside their floors, pixels on the ground, what was seen."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcbench import Cloud
+from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.mesh import Mesh
+from pcbench.plugins import Reconstruction
+from pcbench.studies.bench.score import Rules, Yardstick, score
+from pcbench.studies.bench.truth import Truth
+
+K = Intrinsics(200, 200, 100, 100, 100, 100)
+
+
+def square(side, height=0.0):
+    """A horizontal mesh from the origin."""
+    corners = np.array([[0, 0, height], [side, 0, height], [side, side, height], [0, side, height]], dtype=float)
+    return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), unit="m")
+
+
+def from_above(*heights, side=40.0):
+    """Cameras that look straight down on the middle, at their heights, a little beside each other."""
+    middle = side / 2
+    poses = [look_at([middle + 0.01 * n, middle, h], [middle + 0.01 * n, middle, 0]) for n, h in enumerate(heights)]
+    return {f"{n}.png": Camera(f"{n}.png", K, pose) for n, pose in enumerate(poses)}
+
+
+def truth_of(mesh, points, cameras=(), visible=None):
+    seen = np.ones(points, bool) if visible is None else visible
+    return Truth(mesh.sample(points, seed=1), dict(cameras), seen, "said so", mesh)
+
+
+def values(truth, points, tmp_path, **rules):
+    made = Reconstruction(Cloud(points), "georeferenced")
+    return score(Yardstick.of(truth, Rules(**rules)), made, tmp_path)
+
+
+@pytest.mark.parametrize("error", [0.056, 0.110, 0.190])
+def test_accuracy_is_the_true_one_however_sparse_the_reference(tmp_path, error):
+    mesh = square(40.0)
+    truth = truth_of(mesh, 1600)  # one a square metre: half a metre to the nearest
+    cloud = mesh.sample(20_000, seed=2)
+    offsets = np.random.default_rng(3).normal(0, error * np.sqrt(np.pi / 2), len(cloud))
+    points = cloud.points + offsets[:, None] * [0, 0, 1]
+    found = values(truth, points, tmp_path, threshold="0.1,0.2,0.5")
+    assert found.accuracy_to == "surface"
+    assert found.mean_c2r == pytest.approx(np.abs(offsets).mean(), rel=1e-9)
+    assert found.mean_c2r == pytest.approx(error, rel=0.03)
+    assert found.d1_c2r == pytest.approx(np.mean(offsets**2), rel=1e-9)
+    assert (found.mean_c2r_floor, found.at[0].precision_floor) == (0, 1)
+    for at in found.at:
+        assert at.precision == pytest.approx(np.mean(np.abs(offsets) <= at.threshold), abs=1e-12)
+    assert found.row()["threshold"] == 0.5  # the last one heads
+    assert [at["threshold"] for at in found.row()["thresholds"]] == [0.1, 0.2, 0.5]
+    # Against points alone it drowns, and the floor beside it says so.
+    bare = values(Truth(truth.cloud, {}, None, ""), points, tmp_path, threshold="0.1,0.2,0.5")
+    assert bare.accuracy_to == "points"
+    assert bare.mean_c2r > 0.45
+    assert bare.mean_c2r_floor > 0.45
+    for at in bare.at:
+        assert at.precision_floor == pytest.approx(1 - np.exp(-np.pi * at.threshold**2), rel=0.06)
+        assert at.recall_floor is None
+
+
+def test_the_floor_of_precision_is_what_no_error_scores(tmp_path):
+    """Beside what error-free clouds score, by uneven samples, and by some that keep a distance from each other."""
+    rng = np.random.default_rng(0)
+    uneven = np.column_stack([40 * rng.random((3000, 2)) ** 1.7, np.zeros(3000)])
+    jittered = np.stack(np.meshgrid(np.arange(55), np.arange(55)), axis=2).reshape(-1, 2) + rng.random((55**2, 2))
+    for points, off in ((uneven, 0.03), (np.column_stack([jittered * 40 / 55, np.zeros(55**2)]), 0.15)):
+        candidate = square(40.0).sample(8000, seed=4).points
+        found = values(Truth(Cloud(points), {}, None, ""), candidate, tmp_path, threshold="0.3,0.6,1")
+        for at in found.at:
+            assert at.precision_floor == pytest.approx(at.precision, abs=off)
+
+
+def test_completeness_is_of_areas_not_of_the_references_points(tmp_path):
+    """A lattice of points a metre apart comes within t of pi t^2 of the plane."""
+    mesh = square(40.0)
+    visible = np.random.default_rng(0).random(500) < 0.9
+    truth = truth_of(mesh, 500, from_above(30.0, 31.0, 32.0), visible)
+    lattice = np.stack(np.meshgrid(np.arange(-0.5, 41), np.arange(-0.5, 41), [0.0]), axis=-1).reshape(-1, 3)
+    found = values(truth, lattice, tmp_path, threshold="0.05,0.1,0.4")
+    for at in found.at:
+        assert at.recall_visible == pytest.approx(np.pi * at.threshold**2, rel=0.02)
+        assert at.recall_visible_floor == pytest.approx(at.recall_visible, rel=1e-9)  # it has no error
+        assert at.fscore_visible == pytest.approx(2 / (1 / at.precision + 1 / at.recall_visible), rel=1e-9)
+    # Errors cost what is between recall and its floor.
+    lifted = values(truth, lattice + [0, 0, 0.3], tmp_path, threshold="0.05,0.1,0.4").at[-1]
+    assert lifted.recall_visible == pytest.approx(np.pi * (0.4**2 - 0.3**2), rel=0.02)
+    assert lifted.recall_visible_floor == pytest.approx(found.at[-1].recall_visible, rel=1e-9)
+    # What is far from the surface stands for no place on it.
+    astray = values(truth, lattice + [0, 0, 1] * (lattice[:, :1] > 20), tmp_path, threshold="0.4").at[-1]
+    assert astray.recall_visible_floor == pytest.approx(found.at[-1].recall_visible / 2, rel=0.03)
+
+
+def test_what_was_seen_is_sampled_as_densely_as_thresholds_ask(monkeypatch):
+    from pcbench.studies.bench import truth as module
+
+    mesh = square(40.0)
+    truth = truth_of(mesh, 500, from_above(15.0, 15.0, 15.0))  # they see the middle 30 m
+    stick = Yardstick.of(truth, Rules(threshold="0.2,1"))
+    assert stick.seen_spacing == pytest.approx(0.2)
+    assert len(stick.seen) == pytest.approx(900 / 0.2**2, rel=0.03)
+    assert np.abs(stick.seen[:, :2] - 20).max() <= 15.03
+    part = Yardstick.of(truth, Rules(threshold="0.2", crop="box:10,10,-1,20,20,1"))
+    assert len(part.seen) == pytest.approx(100 / 0.2**2, rel=0.06)
+    # The reference's own points where they do.
+    own = Yardstick.of(truth, Rules(threshold="5"))
+    np.testing.assert_array_equal(own.seen, truth.cloud.points)
+    monkeypatch.setattr(module, "_MOST_SAMPLES", 10_000)
+    assert Yardstick.of(truth, Rules(threshold="0.01")).seen_spacing == pytest.approx(np.sqrt(1600 / 10_000))
+    assert Yardstick.of(Truth(truth.cloud, {}, None, ""), Rules(threshold="0.2")).seen is None
+
+
+def test_a_pixel_is_depth_over_focal_length_on_what_was_seen():
+    mesh = square(40.0)
+    assert truth_of(mesh, 500, from_above(50.0)).pixel == pytest.approx(0.5)
+    assert truth_of(mesh, 500, from_above(30.0, 40.0, 60.0)).pixel == pytest.approx(0.4)
+    # A roof hides the ground, which only the surface tells; without cameras there are no pixels.
+    roof = square(40.0, height=20.0)
+    both = Mesh(np.concatenate([mesh.vertices, roof.vertices]), np.concatenate([mesh.faces, roof.faces + 4]))
+    cameras = from_above(50.0, 50.0, 50.0)
+    assert truth_of(both, 4000, cameras).pixel == pytest.approx(0.3)
+    cloud = both.sample(4001, seed=1)
+    assert Truth(cloud, cameras, None, "").pixel in (pytest.approx(0.3), pytest.approx(0.5))
+    assert Truth(cloud, {}, None, "").pixel is None
+    away = {"a.png": Camera("a.png", K, look_at([20, 20, 50], [20, 20, 90], up=[0, 1, 0]))}
+    assert truth_of(mesh, 500, away).pixel is None
+
+
+def test_thresholds_are_lengths_or_pixels():
+    truth = truth_of(square(40.0), 500, from_above(50.0))
+    assert [(t.length, t.pixels) for t in Yardstick.of(truth, Rules()).thresholds] == [(0.5, 1), (1.0, 2), (2.5, 5)]
+    mixed = Yardstick.of(truth, Rules(threshold="0.3, 3px")).thresholds
+    assert [(t.length, t.pixels) for t in mixed] == [(0.3, None), (pytest.approx(1.5), 3)]
+    bare = Truth(truth.cloud, {}, None, "")
+    assert [t.length / bare.spacing for t in Yardstick.of(bare, Rules()).thresholds] == pytest.approx([1, 2, 5])
+    for text in ("0", "-1px", "a", "1,,2", "nan", "inf", ""):
+        with pytest.raises(InputError, match="expected --threshold as lengths, or as pixels"):
+            Yardstick.of(truth, Rules(threshold=text))
+    with pytest.raises(InputError, match="no cameras that see the reference"):
+        Yardstick.of(bare, Rules(threshold="2px"))
+    with pytest.raises(InputError, match="no two points apart"):
+        Yardstick.of(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
+
+
+def test_far_from_the_origin_nothing_changes(tmp_path):
+    far = np.array([4_500_000.0, 5_200_000.0, 0.0])
+    mesh = square(40.0)
+    noise = np.random.default_rng(3).normal(0, 0.05, 3000)
+    points = mesh.sample(3000, seed=2).points + noise[:, None] * [0, 0, 1]
+    near = values(truth_of(mesh, 2000), points, tmp_path, threshold="0.1")
+    moved = Mesh(mesh.vertices + far, mesh.faces, unit="m")
+    there = values(truth_of(moved, 2000), points + far, tmp_path, threshold="0.1")
+    assert there.mean_c2r == pytest.approx(near.mean_c2r, rel=1e-6)
+    assert there.at[0].precision == near.at[0].precision
+
+
+def test_the_scenes_own_mesh_is_found(here, one_process):
+    from benches import RIG
+
+    from pcbench import write_cloud
+    from pcbench.scenes.synthetic.files import write_mesh_ply
+    from pcbench.studies.bench.runs import BenchJob, bench
+
+    mesh = square(40.0)
+    Path("photos/truth").mkdir()
+    write_mesh_ply(Path("photos/truth/mesh.ply"), mesh)
+    write_cloud("photos/truth/cloud.ply", mesh.sample(3000))
+    write_cloud("made.ply", Cloud(mesh.sample(1000, seed=3).points))
+    doc = bench(BenchJob(Path("photos"), Path("photos/truth/cloud.ply"), ["methods.py:Good"]), Path("out"))
+    (row,) = doc["rows"]
+    assert (row["accuracy_to"], row["mean_c2r_floor"]) == ("surface", 0)
+    assert row["mean_c2r"] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
+    assert doc["reference"]["mesh"]["path"] == "photos/truth/mesh.ply"
+    assert [at["pixels"] for at in row["thresholds"]] == [1, 2, 5]
+    assert 25 / 35 < doc["reference"]["pixel"] < 60 / 35  # of cameras 25 m up
+    assert row["threshold"] == pytest.approx(5 * doc["reference"]["pixel"])
+    assert len(RIG) == 5
+    text = Path("out/bench.md").read_text()
+    assert "measured to the true surface" in text
+    assert "F of seen" in text
+    # A reference from elsewhere is not of that truth.
+    elsewhere = bench(BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"]), Path("out2"))
+    assert elsewhere["rows"][0]["accuracy_to"] == "points"
