@@ -1,8 +1,8 @@
 """The deformation verdict where the deformation is known: python tests/bench/deformation.py [--runs 20] [--only TEXT]
 
 Every pair goes the whole way from two clouds to the answer, registration included; see `tests/deformation_cases.py` for
-the scenes and their noise. Real clouds are left out where the data folder is absent. `--chart` draws ROC curves of
-domes in a city, `--times` measures whole clouds instead.
+the scenes and their noise. Real clouds are left out where the data folder is absent. `--domes`
+asks how small a bend is found, `--times` measures whole clouds instead.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from measure import limit_threads, setting
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import pytest
-from deformation_cases import BENDS, NULLS, PARTS, SIGMA, Pair, bent, null_city, shown, turned
+from deformation_cases import BENDS, NULLS, PARTS, Pair, bent, shown, turned
 
 from pcbench.deformation import Deformation, deform
 
@@ -88,34 +88,15 @@ def parts(runs: int, only: str, first: int) -> None:
         )
 
 
-def roc(runs: int, file: str) -> None:
-    """ROC curves of the p-value, a panel for each noise; dots are the verdict's own."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, len(RATIOS), figsize=(10, 3.6), sharey=True, constrained_layout=True)
-    colors = plt.colormaps["viridis"](np.linspace(0.85, 0.1, len(DOMES)))
-    for axis, ratio in zip(axes, RATIOS, strict=True):
-        flat = [judged(null_city(40_000, ratio), seed) for seed in range(runs)]
-        without = np.sort([1.0 if each.p_value is None else each.p_value for each in flat])
-        wrong = np.mean([each.verdict == "non-affine" for each in flat])
-        for times, color in zip(DOMES, colors, strict=True):
-            rows = [judged(bent("dome", times, ratio), 1000 + seed) for seed in range(runs)]
-            p = np.sort([1.0 if each.p_value is None else each.p_value for each in rows])
-            limits = np.sort(np.concatenate([without, p]))
-            false, right = (np.searchsorted(x, limits, side="right") / runs for x in (without, p))
-            line_of = np.concatenate([[0], false]), np.concatenate([[0], right])
-            axis.step(*line_of, where="post", color=color, lw=1.6, label=f"{times:g} x the noise")
-            found = np.mean([each.verdict == "non-affine" for each in rows])
-            axis.plot(wrong, found, marker="o", color=color, markersize=6, clip_on=False, zorder=3)
-            print(f"L/{ratio}, dome of {times:g} x {SIGMA * 2**0.5:.3f} m: found {found:.2f}", flush=True)
-        axis.plot([0, 1], [0, 1], color="#A9ADB3", lw=0.8, zorder=0)
-        axis.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="undeformed pairs called bent")
-        axis.set_title(f"correlated over L/{ratio}", fontsize=10, loc="left")
-        axis.spines[["top", "right"]].set_visible(False)
-    axes[0].set_ylabel("domes found")
-    axes[-1].legend(frameon=False, fontsize=8.5, loc="lower right", title="RMS of the dome", title_fontsize=8.5)
-    figure.savefig(file, dpi=110)
-    print(f"wrote {file}")
+def domes(runs: int, first: int) -> None:
+    print("\nshare of domes found in a city, by their RMS length in units of a point's noise")
+    print(f"{'noise':8}{'runs':>5}" + "".join(f"{times:8.2f}" for times in DOMES))
+    for ratio in RATIOS:
+        shares = []
+        for times in DOMES:
+            found = [judged(bent("dome", times, ratio), seed) for seed in range(first, first + runs)]
+            shares.append(np.mean([each.verdict == "non-affine" for each in found]))
+        print(f"L/{ratio:<6}{runs:5}" + "".join(f"{share:8.2f}" for share in shares), flush=True)
 
 
 def times(sizes: list[int]) -> None:
@@ -150,14 +131,14 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20, help="of each row")
     parser.add_argument("--only", default="", metavar="TEXT", help="rows whose name holds it")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="of the runs")
-    parser.add_argument("--chart", metavar="FILE", help="nothing but ROC curves of domes")
+    parser.add_argument("--domes", action="store_true", help="nothing but how small a dome is found")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--times", action="store_true", help="nothing but seconds for whole clouds")
     options = parser.parse_args()
     limit_threads(options.threads)
     print(setting())
-    if options.chart:
-        return roc(options.runs, options.chart)
+    if options.domes:
+        return domes(options.runs, options.first)
     if options.times:
         return times([100_000, 1_270_820, 5_000_000])
     for table in (nulls, bends, parts):
