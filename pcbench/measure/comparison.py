@@ -117,7 +117,9 @@ def _compare_one(
     step(f"{name}: measuring")
     with _timed(timings, "floors"):
         accuracy = from_candidate(reference, queries, forth)
-        completeness = from_reference(reference, index, forth, back)
+        matched = np.full(len(cloud), -1)
+        matched[inside] = forth.indices
+        completeness = from_reference(reference, index, matched, back, forth=accuracy, seed=settings.seed)
     with _timed(timings, "metrics"):
         spacing = reference.spacing
         thresholds = settings.thresholds or tuple(f * spacing for f in (1.0, 2.0, 5.0) if spacing > 0)
