@@ -79,13 +79,13 @@ class Direction(NamedTuple):
         points: (M, 3) the queries, in local coordinates.
         distances: (M,) each.
         floors: of each mean metric by name, what it would be without any error; None where there is no such thing.
-        blocks: (M,) of the bootstrap.
+        cells: (M,) of the intervals, in which each query is measured.
     """
 
     points: FloatArray
     distances: Distances
     floors: Mapping[str, float | None]
-    blocks: IntArray
+    cells: IntArray
 
 
 def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) -> Direction:
@@ -95,8 +95,8 @@ def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) 
     if reference.has_normals:
         n = reference.surface.with_normals_at(closest)
         planes = metrics.plane_distances(queries, reference.points, n, closest_rows=closest, normal_rows=closest)
-    blocks = reference.blocks.of_point[closest]
-    return Direction(queries, Distances(distances, planes), _means(floors.to_reference(reference, queries)), blocks)
+    floor = _means(floors.to_reference(reference, queries))
+    return Direction(queries, Distances(distances, planes), floor, reference.cells.of_point[closest])
 
 
 def from_reference(
@@ -114,12 +114,12 @@ def from_reference(
     if reference.has_normals:
         n = reference.surface.with_normals_at(rows)
         planes = metrics.plane_distances(queries, candidate.points, n, closest_rows=back.indices, normal_rows=rows)
-    blocks = reference.blocks.of_point if rows is None else reference.blocks.of_point[rows]
+    cells = reference.cells.of_point if rows is None else reference.cells.of_point[rows]
     error = 0.0
     if forth.distances.to_planes is not None:
         error = _excess(metrics.mean_square(forth.distances.to_planes), forth.floors["d2_mse"])
     floor = _means(floors.to_candidate(reference, candidate, matched, error, seed))
-    return Direction(queries, Distances(back.distances, planes), floor, blocks)
+    return Direction(queries, Distances(back.distances, planes), floor, cells)
 
 
 def _means(distances: Distances | None) -> dict[str, float | None]:

@@ -19,10 +19,9 @@ from pcbench.geometry.normals import plane_normals
 from pcbench.measure.metrics import Distances, plane_distances
 from pcbench.measure.reference import Reference
 
-_MAX_QUERIES = 20_000  # an even sample: the mean of as many squared distances is right to 1 %
+_MAX_QUERIES = 2_500  # an even sample: the mean of as many squared distances is right to 2 %
 _STANDS = 4  # the nearest, the second nearest, ...: which point of the searched cloud stands for a query
 _OTHERS = 8  # of its neighbours are looked at: duplicates are no neighbours, and noise changes their order
-_TINY = float(np.finfo(float).tiny)
 _THINNED = 3  # points of the reference for each of a sparse candidate, so that some neighbour is as far away as its are
 
 
@@ -114,25 +113,24 @@ def _off_planes(reference: Reference, rows: IntArray, distances: FloatArray, see
     """
     index, points = reference.index, reference.points
     near = around = _around(reference, rows)
-    share = 1.0
-    if reference.spacing > 0:
-        share = _THINNED * float(reference.spacing / np.median(distances)) ** 2
-    if share < 1:
+    typical = float(np.median(distances))
+    share = _THINNED * (reference.spacing / typical) ** 2 if typical > 0 else 1.0
+    if 0 < share < 1:
         some = np.random.default_rng(seed).choice(len(points), max(2, int(share * len(points))), replace=False)
         index = Index(points[some])
         near = index.query(points[rows], k=min(around.shape[1], len(index))).indices
     apart = np.linalg.norm(index.points[near] - points[rows, None], axis=2)
-    ratio = apart / np.maximum(distances, _TINY)[:, None]
-    which = np.abs(np.log(np.maximum(ratio, _TINY))).argmin(axis=1)
+    least = 1e-12 * float(apart.max()) or 1.0
+    ratio = np.maximum(apart, least) / np.maximum(distances, least)[:, None]
+    which = np.abs(np.log(ratio)).argmin(axis=1)
     closest, found = _picked(near, which), _picked(apart, which)
     normals = _normals_without(reference, rows, around, closest if index is reference.index else None)
     off = plane_distances(points, index.points, normals, query_rows=rows, closest_rows=closest)
+    found = np.maximum(found, least)
     slope, curvature = _slope_and_curvature(np.square(off), np.square(found))
-    grown = slope + curvature * np.square(np.stack([distances, found]))
-    at_distances: FloatArray = (
-        off * distances / np.maximum(found, _TINY) * np.sqrt(grown[0] / np.maximum(grown[1], _TINY))
-    )
-    return at_distances
+    wanted, there = (slope + curvature * np.square(lengths) for lengths in (distances, found))
+    bridged: FloatArray = off * distances / found * np.sqrt(wanted / there)
+    return bridged
 
 
 def _slope_and_curvature(squares: FloatArray, lengths: FloatArray) -> tuple[float, float]:
