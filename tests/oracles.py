@@ -113,16 +113,12 @@ def voxel_mean(values, points, side, lower):
 # Sampling floors: what two samples of one surface would score
 
 
-def floor_candidate_to_reference(candidate, reference):
-    """(N,) leave-one-out distances inside the reference at the places the candidate's points are matched to."""
-    _, matched = nearest(candidate, reference)
-    return leave_one_out(reference)[matched]
-
-
-def floor_reference_to_candidate(candidate, reference):
-    """(M,) distances from the reference to the unique reference points nearest to the candidate's points."""
-    _, matched = nearest(candidate, reference)
-    return nearest(reference, reference[np.unique(matched)])[0]
+def floor_distances(queries, points):
+    """(N,) leave-one-out distances inside the searched cloud, at the points fourth nearest to the queries."""
+    fourth = [
+        np.argsort(((points - query) ** 2).sum(axis=1), kind="stable")[min(3, len(points) - 1)] for query in queries
+    ]
+    return leave_one_out(points)[fourth]
 
 
 # MPEG's pc_error

@@ -58,8 +58,14 @@ def cell_means(points: FloatArray, side: float, lower: FloatArray | None = None)
     return np.stack([grid.means(points[:, axis]) for axis in range(3)], axis=1)
 
 
-def robust_extent(points: FloatArray) -> float:
-    """Diagonal of the box that holds the inner 98 % of points (N, 3) along each axis: stragglers do not count."""
+def robust_bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Corners (3,) of the box that holds the inner 98 % of points (N, 3) along each axis: stragglers do not count."""
     some = np.ascontiguousarray(points[:: max(1, len(points) // 100_000)].T)
     lower, upper = np.percentile(some, [1, 99], axis=1)
+    return lower, upper
+
+
+def robust_extent(points: FloatArray) -> float:
+    """Diagonal of the robust bounds of points (N, 3)."""
+    lower, upper = robust_bounds(points)
     return float(np.linalg.norm(upper - lower))

@@ -29,7 +29,7 @@ from pcbench.measure.deviation import DeviationMap, m3c2
 from pcbench.measure.directions import Direction, from_candidate, from_reference
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, Comparison, Difference
-from pcbench.measure.scores import Sampled, measure
+from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
 from pcbench.registration import Registration, register
 
@@ -80,17 +80,17 @@ def compare(
     if "poisson" in settings.maps:
         step("reconstructing the reference's surface")
         prepared = prepared.with_poisson_mesh()
-    results, means = [], []
+    results, measured = [], []
     for name, cloud in named.items():
-        result, sampled = _compare_one(prepared, name, as_cloud(cloud), settings, step)
+        result, measurement = _compare_one(prepared, name, as_cloud(cloud), settings, step)
         results.append(replace(result, timings_s={**result.timings_s, **shared}))
-        means.append(sampled)
-    return Comparison(settings, prepared.summary(), tuple(results), tuple(_differences(results, means)))
+        measured.append(measurement)
+    return Comparison(settings, prepared.summary(), tuple(results), tuple(_differences(prepared, results, measured)))
 
 
 def _compare_one(
     reference: Reference, name: str, cloud: Cloud, settings: Settings, step: Callable[[str], None]
-) -> tuple[Candidate, Mapping[str, Sampled]]:
+) -> tuple[Candidate, Measurement]:
     timings: dict[str, float] = {}
 
     step(f"{name}: registering")
@@ -117,7 +117,9 @@ def _compare_one(
     step(f"{name}: measuring")
     with _timed(timings, "floors"):
         accuracy = from_candidate(reference, queries, forth)
-        completeness = from_reference(reference, index, forth, back)
+        matched = np.full(len(cloud), -1)
+        matched[inside] = forth.indices
+        completeness = from_reference(reference, index, matched, back, forth=accuracy, seed=settings.seed)
     with _timed(timings, "metrics"):
         spacing = reference.spacing
         thresholds = settings.thresholds or tuple(f * spacing for f in (1.0, 2.0, 5.0) if spacing > 0)
@@ -125,7 +127,7 @@ def _compare_one(
             accuracy,
             completeness,
             thresholds,
-            block_weights=reference.blocks.weights,
+            cells=reference.cells,
             voxel=reference.voxel,
             corner=bounds(reference.measured_points)[0],
             origin=reference.origin,
@@ -150,9 +152,9 @@ def _compare_one(
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),
-        warnings=tuple(_crs_warnings(reference.cloud, cloud)),
+        warnings=(*_crs_warnings(reference.cloud, cloud), *measurement.warnings),
     )
-    return result, measurement.sampled
+    return result, measurement
 
 
 def _deviation_map(
@@ -201,14 +203,20 @@ def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]
     return presets.match(cut, Index(candidate.points[inside]), nearest_other, normals, given)
 
 
-def _differences(results: Sequence[Candidate], means: Sequence[Mapping[str, Sampled]]) -> Iterator[Difference]:
-    """Every mean's difference a - b with its interval over the same replicates."""
-    for (a, of_a), (b, of_b) in combinations(zip(results, means, strict=True), 2):
-        for metric in of_a:
-            if metric in of_b:
-                samples = of_a[metric].replicates - of_b[metric].replicates
-                difference = of_a[metric].value - of_b[metric].value
-                yield Difference(a.name, b.name, metric, difference, intervals.interval(samples))
+def _differences(
+    reference: Reference, results: Sequence[Candidate], measured: Sequence[Measurement]
+) -> Iterator[Difference]:
+    """Every score's difference a - b, cell by cell: what both have in common is no doubt about it."""
+    for (a, of_a), (b, of_b) in combinations(zip(results, measured, strict=True), 2):
+        apart = {
+            name: intervals.Sampled(one.value - other.value, one.influence - other.influence)
+            for name, one in of_a.sampled.items()
+            if (other := of_b.sampled.get(name)) is not None
+        }
+        spreads = intervals.spreads(apart, reference.cells, 0.5 * (of_a.shares + of_b.shares))
+        for name, score in apart.items():
+            found = intervals.difference(score.value, spreads[name])
+            yield Difference(a.name, b.name, name, score.value, found)
 
 
 def _crs_warnings(reference: Cloud, candidate: Cloud) -> Iterator[Notice]:

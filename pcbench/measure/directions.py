@@ -6,19 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
-from pcbench.measure import metrics
+from pcbench.measure import floors, metrics
+from pcbench.measure.metrics import Distances
 from pcbench.measure.reference import Reference
-
-
-class Distances(NamedTuple):
-    """Of each query of one direction (M,): to the nearest point, and signed to tangent planes of the reference."""
-
-    to_points: FloatArray
-    to_planes: FloatArray | None  # None without normals
 
 
 class MeanMetric(NamedTuple):
@@ -86,55 +79,58 @@ class Direction(NamedTuple):
         points: (M, 3) the queries, in local coordinates.
         distances: (M,) each.
         floors: of each mean metric by name, what it would be without any error; None where there is no such thing.
-        blocks: (M,) of the bootstrap.
+        cells: (M,) of the intervals, in which each query is measured.
     """
 
     points: FloatArray
     distances: Distances
     floors: Mapping[str, float | None]
-    blocks: IntArray
+    cells: IntArray
 
 
 def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) -> Direction:
-    """Candidate → reference. Floor: leave-one-out distances inside the reference at the matched places."""
+    """Candidate → reference."""
     distances, closest = matches
     planes = None
     if reference.has_normals:
         n = reference.surface.with_normals_at(closest)
         planes = metrics.plane_distances(queries, reference.points, n, closest_rows=closest, normal_rows=closest)
-    floor = None
-    if reference.nearest_other is not None:
-        other = reference.nearest_other.indices[closest]
-        floor_planes = None
-        if reference.has_normals:
-            n, a = reference.surface.with_normals_at(other), reference.points
-            floor_planes = metrics.plane_distances(a, a, n, query_rows=closest, closest_rows=other, normal_rows=other)
-        floor = Distances(reference.nearest_other.distances[closest], floor_planes)
-    blocks = reference.blocks.of_point[closest]
-    return Direction(queries, Distances(distances, planes), _floors(floor), blocks)
+    floor = _means(floors.to_reference(reference, queries))
+    return Direction(queries, Distances(distances, planes), floor, reference.cells.of_point[closest])
 
 
-def from_reference(reference: Reference, candidate: Index, forth: Matches, back: Matches) -> Direction:
-    """Reference → candidate. Floor: distances to the pseudo-candidate of the matched reference points."""
+def from_reference(
+    reference: Reference, candidate: Index, matched: IntArray, back: Matches, *, forth: Direction, seed: int
+) -> Direction:
+    """Reference → candidate.
+
+    Args:
+        forth: the other direction: its distances to planes and their floor tell how large the candidate's errors are.
+        matched: (N,) the reference's point nearest to each point of the candidate; negative where it is not known.
+        seed: of the floor's sample.
+    """
     rows, queries = reference.rows, reference.measured_points
-    chosen: NDArray[np.bool_] = np.zeros(len(reference.points), bool)
-    chosen[forth.indices] = True
-    pseudo = Index(reference.points[chosen])
-    floor, nearest = pseudo.nearest_of(reference.index) if rows is None else pseudo.query(queries)
-    planes = floor_planes = None
+    planes = None
     if reference.has_normals:
         n = reference.surface.with_normals_at(rows)
         planes = metrics.plane_distances(queries, candidate.points, n, closest_rows=back.indices, normal_rows=rows)
-        floor_planes = metrics.plane_distances(queries, pseudo.points, n, closest_rows=nearest, normal_rows=rows)
-    blocks = reference.blocks.of_point if rows is None else reference.blocks.of_point[rows]
-    floors = _floors(Distances(floor, floor_planes))
-    return Direction(queries, Distances(back.distances, planes), floors, blocks)
+    cells = reference.cells.of_point if rows is None else reference.cells.of_point[rows]
+    error = 0.0
+    if forth.distances.to_planes is not None:
+        error = _excess(metrics.mean_square(forth.distances.to_planes), forth.floors["d2_mse"])
+    floor = _means(floors.to_candidate(reference, candidate, matched, error, seed))
+    return Direction(queries, Distances(back.distances, planes), floor, cells)
 
 
-def _floors(distances: Distances | None) -> dict[str, float | None]:
-    """Means over error-free distances: arrays are not kept, only one takes room at a time."""
-    floors: dict[str, float | None] = {}
+def _means(distances: Distances | None) -> dict[str, float | None]:
+    """Of each mean metric by name."""
+    means: dict[str, float | None] = {}
     for metric in MEAN_METRICS:
         values = None if distances is None else metric.of_each(distances)
-        floors[metric.name] = None if values is None else float(np.mean(values))
-    return floors
+        means[metric.name] = None if values is None else float(np.mean(values))
+    return means
+
+
+def _excess(score: float, floor: float | None) -> float:
+    """The share of a score that sampling does not explain."""
+    return 0.0 if floor is None or score <= floor else 1 - floor / score

@@ -16,6 +16,13 @@ from pcbench.geometry.voxels import Cells
 from pcbench.native import _core
 
 
+class Distances(NamedTuple):
+    """Of each query of one direction (M,): to the nearest point, and signed to tangent planes of the reference."""
+
+    to_points: FloatArray
+    to_planes: FloatArray | None  # None without normals
+
+
 class FScore(NamedTuple):
     """Shares in [0, 1] at one threshold (in the clouds' unit)."""
 

@@ -40,7 +40,7 @@ class Reference:
     rows: IntArray | None  # of the points inside; None for all
     nearest_other: Matches | None
     spacing: float
-    blocks: intervals.Blocks
+    cells: intervals.Cells
     voxel: float
     meshes: Mapping[str, MeshIndex]  # by the name of the map, in local coordinates
 
@@ -71,7 +71,7 @@ class Reference:
             rows=rows,
             nearest_other=nearest_other,
             spacing=median_spacing(surface.index, nearest_other),
-            blocks=intervals.partition(points, settings.seed),
+            cells=intervals.partition(points),
             voxel=robust_extent(points if rows is None else points[rows]) / _VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
         )
@@ -122,6 +122,6 @@ class Reference:
             unit=self.cloud.unit,
             normals="given" if self.cloud.normals is not None else "estimated" if self.has_normals else None,
             faces=None if mesh is None else len(mesh.mesh.faces),
-            block_side=self.blocks.side,
+            block_side=self.cells.side,
             voxel_side=self.voxel,
         )

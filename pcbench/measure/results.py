@@ -32,8 +32,8 @@ class Estimate(NamedTuple):
 
     Attributes:
         value: as measured.
-        floor: what two error-free samples of one surface would score with these points; a value near it says nothing.
-        interval: where the value would lie on another, equally large piece of the scene.
+        floor: what independent, error-free points of the same surface would score; a value near it says nothing.
+        interval: where the value's expectation lies: over other draws of the noise and of the points on this scene.
         area_weighted: the mean over occupied voxels of each voxel's mean: dense places do not decide alone.
     """
 
@@ -169,7 +169,7 @@ class ReferenceSummary:
         crs, unit: of the coordinates, if known.
         normals: "given" with the points, "estimated", or None where there are too few points for normals.
         faces: of the mesh that the reference is; None for a cloud.
-        block_side: of the bootstrap's blocks; voxel_side: of the cells of area weighting.
+        block_side: of the cells of the intervals; voxel_side: of the cells of area weighting.
     """
 
     points: int

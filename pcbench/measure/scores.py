@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.errors import Notice
+from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.voxels import Cells, cells
 from pcbench.measure import intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction, MeanMetric
+from pcbench.measure.intervals import Sampled, Spread
 from pcbench.measure.results import (
     BACK,
     FORTH,
@@ -23,19 +26,23 @@ from pcbench.measure.results import (
     ThresholdScores,
 )
 
-
-class Sampled(NamedTuple):
-    """A mean, and what it is (R,) under each replicate of the bootstrap."""
-
-    value: float
-    replicates: FloatArray
+MIN_PIECES = 10  # independent ones, of the scene: fewer do not show how far distances are alike
+_CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # of which mean in both directions
 
 
 class Measurement(NamedTuple):
-    """Metrics of a candidate, and every mean among them with its replicates by name, as `Difference.metric` has it."""
+    """Metrics of a candidate, with what their differences from those of other candidates need.
+
+    Attributes:
+        sampled: every score by name, as `Difference.metric` has it.
+        shares: (B,) of the queries of both directions in each cell.
+        warnings: on the intervals.
+    """
 
     metrics: Metrics
     sampled: Mapping[str, Sampled]
+    shares: FloatArray
+    warnings: tuple[Notice, ...]
 
 
 def measure(
@@ -43,7 +50,7 @@ def measure(
     back: Direction,
     thresholds: tuple[float, ...],
     *,
-    block_weights: FloatArray,
+    cells: intervals.Cells,
     voxel: float,
     corner: FloatArray,
     origin: FloatArray,
@@ -52,38 +59,42 @@ def measure(
 
     Args:
         thresholds: of the F-score.
-        block_weights: (R, B) of the bootstrap's replicates.
+        cells: of the intervals.
         voxel, corner: side of the cells that area weighting averages over first, and where (3,) they are counted from.
         origin: (3,) added to the coordinates of the worst points.
     """
-    means = {
-        way: _means(direction, thresholds, block_weights, cells(direction.points, voxel, corner))
-        for way, direction in ((FORTH, forth), (BACK, back))
-    }
-    sampled: dict[str, Sampled] = {}
+    ways = {FORTH: forth, BACK: back}
+    shares = {way: np.bincount(d.cells, minlength=cells.number) / len(d.cells) for way, d in ways.items()}
+    uneven = shares[FORTH] - shares[BACK]
+    means = {way: _means(direction, thresholds, shares[way], uneven) for way, direction in ways.items()}
+    whole = _sampled(means, thresholds)
+    parts = {f"{way}/{_within(t)}": means[way][_within(t)] for way in ways for t in thresholds}
+    both = 0.5 * (shares[FORTH] + shares[BACK])
+    spreads = intervals.spreads({**whole, **parts}, cells, both)
 
-    def estimate(name: str, value: float, replicates: FloatArray) -> Estimate:
-        sampled[name] = Sampled(value, replicates)
-        return Estimate(value, interval=intervals.interval(replicates))
+    def estimate(name: str) -> Estimate:
+        score = whole.get(name) or parts[name]
+        return Estimate(score.value, interval=intervals.interval(score, spreads[name]))
+
+    weighted = {way: voxels.cells(direction.points, voxel, corner) for way, direction in ways.items()}
 
     def directed(metric: MeanMetric) -> DirectedMetric:
         key = metric.name
-        if not all(key in means[way] for way in (FORTH, BACK)):  # no normals, no distances to planes
+        if f"{key}/{FORTH}" not in whole:  # no normals, no distances to planes
             return DirectedMetric(symmetric_max=Estimate() if metric.has_symmetric_max else None)
-        both: list[Estimate] = []
-        for way, direction in ((FORTH, forth), (BACK, back)):
-            mean = means[way][key]
-            found = estimate(f"{key}/{way}", mean.value, mean.replicates)
-            both.append(found._replace(floor=direction.floors[key], area_weighted=mean.area_weighted))
-        if not metric.has_symmetric_max:
-            return DirectedMetric(both[0], both[1])
-        larger = np.maximum(means[FORTH][key].replicates, means[BACK][key].replicates)
-        value = max(means[way][key].value for way in (FORTH, BACK))
-        return DirectedMetric(both[0], both[1], estimate(f"{key}/symmetric_max", value, larger))
+        found = {}
+        for way, direction in ways.items():
+            values = metric.of_each(direction.distances)
+            assert values is not None
+            area_weighted = metrics.area_weighted_mean(values, weighted[way])
+            floor = direction.floors[key]
+            found[way] = estimate(f"{key}/{way}")._replace(floor=floor, area_weighted=area_weighted)
+        larger = estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
+        return DirectedMetric(found[FORTH], found[BACK], larger)
 
-    def chamfer(name: str, key: str, value: float) -> Estimate:
-        found = estimate(f"chamfer/{name}", value, means[FORTH][key].replicates + means[BACK][key].replicates)
-        return found._replace(floor=_total((forth.floors[key], back.floors[key])))
+    def chamfer(name: str) -> Estimate:
+        floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
+        return estimate(f"chamfer/{name}")._replace(floor=floor)
 
     a, b = forth.distances.to_points, back.distances.to_points
     accuracy, completeness = metrics.percentiles(a), metrics.percentiles(b)
@@ -91,35 +102,58 @@ def measure(
         Metrics(
             directed={metric.name: directed(metric) for metric in MEAN_METRICS},
             hausdorff=Hausdorff(_extremes(forth, accuracy, origin), _extremes(back, completeness, origin)),
-            chamfer=Chamfer(
-                sum_unsquared=chamfer("sum_unsquared", "mean_distance", metrics.chamfer_unsquared(a, b)),
-                sum_squared=chamfer("sum_squared", "d1_mse", metrics.chamfer_squared(a, b)),
+            chamfer=Chamfer(**{name: chamfer(name) for name in _CHAMFER}),
+            fscores=tuple(
+                ThresholdScores(
+                    threshold,
+                    precision=estimate(f"{FORTH}/{_within(threshold)}"),
+                    recall=estimate(f"{BACK}/{_within(threshold)}"),
+                    fscore=estimate(f"fscore/{threshold!r}"),
+                )
+                for threshold in thresholds
             ),
-            fscores=tuple(_fscore(a, b, means, threshold, sampled) for threshold in thresholds),
             percentiles_accuracy=accuracy,
             percentiles_completeness=completeness,
         ),
-        sampled,
+        whole,
+        both,
+        tuple(_doubts(spreads)),
     )
 
 
-def _fscore(
-    a: FloatArray,
-    b: FloatArray,
-    means: Mapping[str, Mapping[str, _Mean]],
-    threshold: float,
-    sampled: dict[str, Sampled],
-) -> ThresholdScores:
-    score = metrics.fscore(a, b, threshold)
-    precision, recall = (means[way][_within(threshold)].replicates for way in (FORTH, BACK))
-    both = np.array([metrics.harmonic_mean(p, r) for p, r in zip(precision, recall, strict=True)])
-    sampled[f"fscore/{threshold!r}"] = Sampled(score.fscore, both)
-    return ThresholdScores(
-        threshold,
-        precision=Estimate(score.precision, interval=intervals.interval(precision)),
-        recall=Estimate(score.recall, interval=intervals.interval(recall)),
-        fscore=Estimate(score.fscore, interval=intervals.interval(both)),
-    )
+def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float, ...]) -> dict[str, Sampled]:
+    """Every score that candidates are told apart by: means, the larger of both directions, sums, and F-scores."""
+    found: dict[str, Sampled] = {}
+    forth, back = means[FORTH], means[BACK]
+    for metric in MEAN_METRICS:
+        key = metric.name
+        if key in forth and key in back:
+            found[f"{key}/{FORTH}"], found[f"{key}/{BACK}"] = forth[key], back[key]
+            if metric.has_symmetric_max:
+                found[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
+    for name, key in _CHAMFER.items():
+        a, b = forth[key], back[key]
+        found[f"chamfer/{name}"] = Sampled(a.value + b.value, a.influence + b.influence)
+    for threshold in thresholds:
+        p, r = forth[_within(threshold)], back[_within(threshold)]
+        total = p.value + r.value
+        slopes = (2 * (r.value / total) ** 2, 2 * (p.value / total) ** 2) if total > 0 else (0.0, 0.0)
+        influence = slopes[0] * p.influence + slopes[1] * r.influence
+        found[f"fscore/{threshold!r}"] = Sampled(metrics.harmonic_mean(p.value, r.value), influence, 1.0)
+    return found
+
+
+def _doubts(spreads: Mapping[str, Spread]) -> Iterator[Notice]:
+    """Whether the scene is too small to know how well the mean distances are known."""
+    found = {name: spread for name, spread in spreads.items() if name.split("/")[0] in ("mean_distance", "d2_mse")}
+    name, worst = min(found.items(), key=lambda item: item[1].pieces)
+    if worst.pieces < MIN_PIECES:
+        over = f"distances are alike over about {worst.reach:.3g}: " if worst.reach > 0 else ""
+        yield Notice(
+            "few-pieces",
+            f"intervals are rough: {over}the scene holds about {worst.pieces:.0f} independent pieces, and fewer than"
+            f" {MIN_PIECES} do not show how scores vary ({name})",
+        )
 
 
 def _extremes(direction: Direction, ranks: Mapping[str, float], origin: FloatArray) -> Extremes:
@@ -128,28 +162,30 @@ def _extremes(direction: Direction, ranks: Mapping[str, float], origin: FloatArr
     return Extremes(metrics.one_way_hausdorff(distances), ranks["p95"], ranks["p99"], worst)
 
 
-class _Mean(NamedTuple):
-    """Of one quantity of one direction."""
+def _means(
+    direction: Direction, thresholds: tuple[float, ...], shares: FloatArray, uneven: FloatArray
+) -> dict[str, Sampled]:
+    """Every mean of one direction; one quantity after the other, so that only one takes room.
 
-    value: float
-    replicates: FloatArray  # (R,)
-    area_weighted: float | None = None
+    How many points of either cloud fall into a cell is chance, but how many there are in all is not: what cells with
+    more of the one and less of the other (`uneven`, 0 in sum) add to the mean is made up for elsewhere.
+    """
+    square = float(uneven @ uneven)
 
+    def mean(values: FloatArray, largest: float = math.inf) -> Sampled:
+        value = float(np.mean(values))
+        influence = np.bincount(direction.cells, values, len(shares)) / len(values) - value * shares
+        if square > 0:
+            influence = influence - float(uneven @ influence) / square * uneven
+        return Sampled(value, influence, largest)
 
-def _means(direction: Direction, thresholds: tuple[float, ...], weights: FloatArray, voxels: Cells) -> dict[str, _Mean]:
-    """Every mean of one direction; one quantity after the other, so that only one takes room."""
-    count = intervals.replicate_sums(direction.blocks, None, weights)
-
-    def mean(values: FloatArray) -> _Mean:
-        return _Mean(float(np.mean(values)), intervals.replicate_sums(direction.blocks, values, weights) / count)
-
-    means: dict[str, _Mean] = {}
+    means: dict[str, Sampled] = {}
     for metric in MEAN_METRICS:
         values = metric.of_each(direction.distances)
         if values is not None:
-            means[metric.name] = mean(values)._replace(area_weighted=metrics.area_weighted_mean(values, voxels))
+            means[metric.name] = mean(values)
     for threshold in thresholds:
-        means[_within(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64))
+        means[_within(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64), 1.0)
     return means
 
 

@@ -26,8 +26,8 @@ _LABELS = {
 _WAYS = {FORTH: "accuracy", BACK: "completeness"}
 _LEGEND = (
     "c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit}, squares in"
-    " its square, [95 % interval over blocks of space]. The sampling floor is what two samples of the same surface"
-    " would score: a value near it says nothing about the surface. It does not know correlated noise."
+    " its square, [95 % interval]. The sampling floor is what independent, error-free points of the same surface"
+    " would score: a value near it says nothing about the surface."
 )
 
 
@@ -339,7 +339,8 @@ def _warnings(comparison: Comparison) -> Iterator[str]:
     for candidate in comparison:
         if inputs is not None:
             yield from inputs.candidates[candidate.name].warnings
-        yield from map(str, candidate.warnings)
+        for warning in candidate.warnings:
+            yield f"{candidate.name}: {warning}"
         for warning in candidate.registration.warnings:
             yield f"{candidate.name}: {warning}"
         if candidate.deformation.verdict != "undecided":  # then its sentence holds them

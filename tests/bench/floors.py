@@ -1,0 +1,62 @@
+"""Scores of independent, error-free samples over their sampling floors: python tests/bench/floors.py [--runs 60]
+
+Every row is a surface, the numbers of points of the reference and the candidate, and how much denser the candidate is
+at one end of the scene than at the other. The mean score over runs is divided by the mean floor: 1 is right. `--noise`
+displaces the candidate along the normals, in its own mean spacings: the score grows, and the floor (in brackets: over
+that without noise) should not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from measure import limit_threads, setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from floor_cases import METRICS, Case, measured
+
+SIZES = (
+    (50, 50, 1),
+    (200, 200, 1),
+    (1_000, 1_000, 1),
+    (5_000, 5_000, 1),
+    (8_000, 2_000, 1),
+    (8_000, 500, 1),
+    (2_000, 8_000, 1),
+    (500, 8_000, 1),
+    (4_000, 4_000, 16),
+)
+CASES = [Case(name, *size) for name in ("plane", "torus", "sphere", "cylinder", "boxes", "city") for size in SIZES]
+NOISES = (0.0, 0.25, 0.5, 1.0, 2.0)
+NOISY = [Case(name, 5_000, 5_000, 1, noise) for name in ("plane", "torus", "boxes") for noise in NOISES]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=60)
+    parser.add_argument("--noise", action="store_true")
+    options = parser.parse_args()
+    limit_threads(1)
+    print(setting())
+    columns = "".join(f"{way + ' ' + name:>18}" for way in ("c→r", "r→c") for name in METRICS)
+    print(f"{'surface':9}{'reference':>10}{'candidate':>10}{'falling':>8}{'noise':>6}{columns}")
+    without = np.ones((2, len(METRICS)))
+    for case in NOISY if options.noise else CASES:
+        found = measured(case, options.runs)
+        if case.noise == 0:
+            without = np.maximum(found.floors, 1e-30)
+        grown = found.floors / without
+        cells = "".join(
+            f"{ratio:11.3f} ({of:4.2f})" if options.noise else f"{ratio:18.3f}"
+            for ratio, of in zip(found.ratios.ravel(), grown.ravel(), strict=True)
+        )
+        name, reference, candidate, falling, noise = case
+        print(f"{name:9}{reference:10,}{candidate:10,}{falling:8g}{noise:6g}{cells}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""How often 95 % intervals hold the expectation: python tests/bench/intervals.py [--runs 200] [--points 4000]
+
+Every row draws both clouds and the candidate's noise anew in each run; the expectation is the mean over the runs. A
+cell is the share of runs whose interval holds it, and how wide intervals are, over the range of 95 % of the scores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from measure import limit_threads, setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from coverage_cases import NOISES, SCORES, Case, coverage
+
+from pcbench.measure.results import ARROWS
+
+SURFACES = ("plane", "torus", "boxes", "city")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--points", type=int, nargs=2, default=(4_000, 4_000), metavar=("REFERENCE", "CANDIDATE"))
+    parser.add_argument("--surfaces", nargs="*", default=SURFACES)
+    parser.add_argument("--noises", nargs="*", default=NOISES)
+    options = parser.parse_args()
+    limit_threads(1)
+    print(setting())
+    print(f"{'surface':9}{'noise':10}" + "".join(f"{f'{name} {ARROWS[way]}':>20}" for name, way in SCORES))
+    for name in options.surfaces:
+        for noise in options.noises:
+            found = coverage(Case(name, noise, *options.points), options.runs)
+            pairs = zip(found.shares, found.widths, strict=True)
+            print(
+                f"{name:9}{noise:10}" + "".join(f"{share:13.3f} ({width:4.2f})" for share, width in pairs), flush=True
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,99 @@
+"""How often 95 % intervals hold a score's expectation, over draws of both clouds and of the candidate's noise."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from surfaces import surface
+
+from pcbench import Cloud, Settings
+from pcbench.errors import Notice
+from pcbench.geometry.neighbors import Index, match_both_ways
+from pcbench.measure.directions import Direction
+from pcbench.measure.metrics import Distances
+from pcbench.measure.reference import Reference
+from pcbench.measure.results import BACK, FORTH
+from pcbench.measure.scores import measure
+
+Floats = NDArray[np.float64]
+NOISES = ("none", "white", "L/40", "L/20", "L/10", "clusters")
+SCORES = (("d1_mse", FORTH), ("d1_mse", BACK), ("d2_mse", FORTH), ("mean_distance", FORTH), ("precision", FORTH))
+
+
+class Case(NamedTuple):
+    surface: str
+    noise: str
+    reference: int = 4_000
+    candidate: int = 4_000
+
+
+def noise(kind: str, points: Floats, spacing: float, rng: np.random.Generator) -> Floats:
+    """(N,) displacements: correlated ones are 1.5 spacings large, with half as much white noise."""
+    white = 1.5 * spacing * rng.normal(size=len(points))
+    if kind == "none":
+        return np.zeros(len(points))
+    if kind == "white":
+        return white
+    found = 0.5 * white
+    if kind == "clusters":  # hills and hollows of L/30, as many as chance has it
+        for center in points[rng.choice(len(points), rng.poisson(25))]:
+            squared = ((points - center) ** 2).sum(axis=1)
+            found += 4.5 * spacing * rng.normal() * np.exp(-squared / (2 / 30**2))
+        return found
+    length = 1 / float(kind.removeprefix("L/"))
+    waves, phases = rng.normal(size=(3, 300)) / length, rng.uniform(0, 2 * np.pi, 300)
+    return found + 1.5 * spacing * np.sqrt(2 / 300) * np.cos(points @ waves + phases).sum(axis=1)
+
+
+class Draw(NamedTuple):
+    """Of each of SCORES: its value, and the ends of its interval."""
+
+    values: Floats
+    low: Floats
+    high: Floats
+
+
+def draw(case: Case, run: int) -> tuple[Draw, tuple[Notice, ...]]:
+    """One draw, with the warnings on its intervals."""
+    rng = np.random.default_rng([run, 77])
+    reference, _ = surface(case.surface).sample(case.reference, rng)
+    candidate, directions = surface(case.surface).sample(case.candidate, rng)
+    spacing = case.reference**-0.5
+    candidate = candidate + noise(case.noise, candidate, spacing, rng)[:, None] * directions
+    prepared = Reference.prepare(Cloud(reference), Settings())
+    index, normals = Index(candidate - prepared.origin), prepared.surface.with_normals_at(None)
+    forth, back = match_both_ways(prepared.index, index)
+    ways = []
+    for queries, matches, searched, closest in (
+        (index.points, forth, prepared.points, forth.indices),
+        (prepared.points, back, index.points, np.arange(len(reference))),
+    ):
+        planes = ((queries - searched[matches.indices]) * normals[closest]).sum(axis=1)
+        none = dict.fromkeys(("d1_mse", "d2_mse", "mean_distance"))
+        ways.append(Direction(queries, Distances(matches.distances, planes), none, prepared.cells.of_point[closest]))
+    found = measure(*ways, (1.5 * spacing,), cells=prepared.cells, voxel=0.1, corner=np.zeros(3), origin=np.zeros(3))
+    estimates = [found.metrics.directed[metric][way] for metric, way in SCORES[:-1]]
+    estimates.append(found.metrics.fscores[0].precision)
+    rows = [(e.value, e.interval.low, e.interval.high) for e in estimates if e.interval is not None]
+    return Draw(*np.array(rows, float).T), found.warnings
+
+
+class Coverage(NamedTuple):
+    """Of each of SCORES: the share of intervals that hold the mean of all draws, and how wide they are: their mean
+    width over the width of the interval that 95 % of the scores lie in.
+    """
+
+    shares: Floats
+    widths: Floats
+
+
+def coverage(case: Case, runs: int) -> Coverage:
+    draws = [draw(case, run)[0] for run in range(runs)]
+    values, low, high = (np.array(rows) for rows in zip(*draws, strict=True))
+    truth = values.mean(axis=0)
+    slack = 1e-12 * np.abs(truth)
+    inside = (low <= truth + slack) & (truth - slack <= high)
+    wanted = 2 * 1.96 * values.std(axis=0, ddof=1)
+    return Coverage(inside.mean(axis=0), (high - low).mean(axis=0) / np.maximum(wanted, 1e-300))

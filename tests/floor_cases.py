@@ -1,0 +1,63 @@
+"""Scores of independent, error-free samples of one surface, and their sampling floors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from surfaces import surface
+
+from pcbench import Cloud, Settings
+from pcbench.geometry.neighbors import Index
+from pcbench.measure.directions import MEAN_METRICS, Direction, from_candidate, from_reference
+from pcbench.measure.reference import Reference
+
+METRICS = tuple(metric.name for metric in MEAN_METRICS)
+
+
+class Case(NamedTuple):
+    """Numbers of points; how much denser the candidate is at one end of the scene; its noise, in its mean spacings."""
+
+    surface: str
+    reference: int
+    candidate: int
+    falling: float = 1.0
+    noise: float = 0.0
+
+
+class Means(NamedTuple):
+    """Over runs: scores and floors (2, METRICS), candidate → reference and back."""
+
+    scores: np.ndarray
+    floors: np.ndarray
+
+    @property
+    def ratios(self) -> np.ndarray:
+        return self.scores / np.maximum(self.floors, 1e-30)
+
+
+def directions(reference: np.ndarray, candidate: np.ndarray, settings: Settings) -> tuple[Direction, Direction]:
+    """Candidate → reference and back, of clouds that lie on each other."""
+    prepared = Reference.prepare(Cloud(reference), settings)
+    index = Index(candidate - prepared.origin)
+    forth, back = prepared.index.query(index.points), index.query(prepared.points)
+    accuracy = from_candidate(prepared, index.points, forth)
+    return accuracy, from_reference(prepared, index, forth.indices, back, forth=accuracy, seed=settings.seed)
+
+
+def measured(case: Case, runs: int) -> Means:
+    scores, floors = np.zeros((2, 2, len(METRICS)))
+    for run in range(runs):
+        rng = np.random.default_rng([run, case.reference, case.candidate])
+        reference, _ = surface(case.surface).sample(case.reference, rng)
+        candidate, normals = surface(case.surface).sample(case.candidate, rng, case.falling)
+        size = case.noise * len(candidate) ** -0.5
+        candidate = candidate + size * rng.normal(size=(len(candidate), 1)) * normals
+        for way, direction in enumerate(directions(reference, candidate, Settings(seed=run))):
+            for column, metric in enumerate(MEAN_METRICS):
+                values, floor = metric.of_each(direction.distances), direction.floors[metric.name]
+                assert values is not None
+                assert floor is not None
+                scores[way, column] += np.mean(values) / runs
+                floors[way, column] += floor / runs
+    return Means(scores, floors)

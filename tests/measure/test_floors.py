@@ -1,0 +1,84 @@
+"""Sampling floors: closed forms on a plane, and the scores of independent error-free samples of other surfaces."""
+
+import numpy as np
+import pytest
+from floor_cases import Case, measured
+
+from pcbench import Cloud, Settings, compare
+from pcbench.measure.results import BACK, FORTH
+
+
+@pytest.mark.parametrize(("reference", "candidate"), [(20_000, 1_250), (5_000, 5_000), (1_250, 20_000)])
+def test_a_poisson_plane_has_its_closed_form(reference, candidate):
+    """E r^2 = 1 / (pi d) and E r = 1 / (2 sqrt d) to a Poisson process of density d; inside, where there is no edge."""
+    rng = np.random.default_rng(reference)
+    found = []
+    for _ in range(5):
+        clouds = [np.column_stack([rng.random((n, 2)), np.zeros(n)]) for n in (reference, candidate)]
+        settings = Settings(register="none", crop="box:0.1,0.1,-1,0.9,0.9,1")
+        found.append(compare(*clouds, settings).candidates[0].metrics)
+    for way, density in ((FORTH, reference), (BACK, candidate)):
+        d1 = np.mean([metrics.d1_mse[way].floor for metrics in found])
+        assert d1 == pytest.approx(1 / (np.pi * density), rel=0.08)
+        assert np.mean([m.mean_distance[way].floor for m in found]) == pytest.approx(0.5 * density**-0.5, rel=0.04)
+        assert found[0].d2_mse[way].floor == pytest.approx(0, abs=1e-20)
+    sums = found[0].d1_mse[FORTH].floor + found[0].d1_mse[BACK].floor
+    assert found[0].chamfer.sum_squared.floor == pytest.approx(sums, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case("torus", 1_000, 1_000),
+        Case("torus", 4_000, 250),
+        Case("boxes", 250, 4_000),
+        Case("city", 200, 200),
+        Case("cylinder", 2_000, 2_000, falling=16),
+    ],
+    ids=lambda case: f"{case.surface}-{case.reference}-{case.candidate}",
+)
+def test_error_free_samples_score_their_floors(case):
+    ratios = measured(case, 12).ratios
+    np.testing.assert_allclose(ratios[:, [0, 2]], 1, atol=0.1)  # D1 and the mean distance
+    np.testing.assert_allclose(ratios[:, 1], 1, atol=0.25)  # D2: a few places at edges decide
+
+
+def test_noise_of_the_candidate_is_not_in_the_floor():
+    without, noisy = measured(Case("torus", 3_000, 3_000), 3), measured(Case("torus", 3_000, 3_000, noise=0.5), 3)
+    np.testing.assert_allclose(noisy.floors / without.floors, 1, atol=0.07)
+    assert (noisy.ratios[:, 0] > 1.15).all()
+    assert (noisy.ratios[:, 1] > 20).all()
+
+
+def test_duplicates_are_no_neighbours():
+    rng = np.random.default_rng(3)
+    clouds = [np.column_stack([rng.random((2_000, 2)), np.zeros(2_000)]) for _ in range(2)]
+    once, doubled = (
+        compare(*(Cloud(np.tile(cloud, (times, 1))) for cloud in clouds), Settings(register="none"))[
+            "candidate_1"
+        ].metrics
+        for times in (1, 2)
+    )
+    for way in (FORTH, BACK):
+        assert doubled.d1_mse[way].floor == pytest.approx(once.d1_mse[way].floor, rel=0.08)
+
+
+def test_a_hole_of_the_candidate_is_not_in_its_floor():
+    """It is what completeness is about: the floor is that of the points around it."""
+    rng = np.random.default_rng(4)
+    reference, candidate = (np.column_stack([rng.random((n, 2)), np.zeros(n)]) for n in (4_000, 4_000))
+    candidate = candidate[np.linalg.norm(candidate[:, :2] - 0.5, axis=1) > 0.3]
+    d1 = compare(reference, candidate, Settings(register="none"))["candidate_1"].metrics.d1_mse
+    assert d1[BACK].floor == pytest.approx(1 / (np.pi * 4_000), rel=0.15)
+    assert d1[BACK].value > 30 * d1[BACK].floor
+
+
+def test_points_in_one_place_have_a_floor_of_nothing():
+    rng = np.random.default_rng(5)
+    reference = np.column_stack([rng.random((50, 2)), np.zeros(50)])
+    for clouds in ((reference, np.tile([0.5, 0.5, 0], (20, 1))), (np.tile(reference[:1], (9, 1)), reference)):
+        found = compare(*clouds, Settings(register="none"))["candidate_1"].metrics
+        assert 0 in (found.d1_mse[FORTH].floor, found.d1_mse[BACK].floor)
+        assert all(
+            np.isfinite(found.directed[name][way].floor or 0) for name in found.directed for way in (FORTH, BACK)
+        )

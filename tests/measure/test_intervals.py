@@ -1,0 +1,102 @@
+"""Intervals: variances of fields whose variance is known, and how often they hold what they should."""
+
+import numpy as np
+import pytest
+from coverage_cases import Case, coverage, draw
+from scipy.stats import t
+
+from pcbench.measure.intervals import (
+    Cells,
+    Interval,
+    Sampled,
+    Spread,
+    difference,
+    interval,
+    partition,
+    quantile,
+    spreads,
+)
+
+SIDE = 24
+CELLS = Cells(np.arange(SIDE * SIDE), (SIDE, SIDE, 1), 0.5)
+EVEN = np.full(SIDE * SIDE, 1 / SIDE**2)
+
+
+def moving_average(rng, width):
+    """(SIDE^2,) a field whose cells are sums of `width` by `width` independent ones, and the variance of its mean."""
+    larger = rng.normal(size=(SIDE + width - 1, SIDE + width - 1))
+    windows = np.lib.stride_tricks.sliding_window_view(larger, (width, width))
+    weights = np.convolve(np.ones(SIDE), np.ones(width))  # how many cells each independent one is in, along an axis
+    return windows.sum(axis=(2, 3)).ravel(), np.square(weights).sum() ** 2 / SIDE**4
+
+
+def spread_of(field):
+    influence = (field - field.mean()) / field.size
+    return spreads({"x": Sampled(1.0, influence)}, CELLS, EVEN)["x"]
+
+
+@pytest.mark.parametrize(
+    ("width", "reach", "pieces"), [(1, (0, 1), (300, 576)), (3, (1, 3), (40, 110)), (5, (1.5, 5), (12, 50))]
+)
+def test_the_variance_of_a_correlated_field(width, reach, pieces):
+    rng = np.random.default_rng(width)
+    fields, truths = zip(*(moving_average(rng, width) for _ in range(60)), strict=True)
+    found = [spread_of(field) for field in fields]
+    # Products that are there by chance are taken for more: on the safe side.
+    assert 0.9 * truths[0] < np.mean([s.sigma**2 for s in found]) < 1.4 * truths[0]
+    assert reach[0] <= np.median([s.reach for s in found]) <= reach[1]
+    assert pieces[0] <= np.median([s.pieces for s in found]) <= pieces[1]
+    low = [mean - quantile(s.degrees) * s.sigma <= 0 for mean, s in zip(map(np.mean, fields), found, strict=True)]
+    high = [mean + quantile(s.degrees) * s.sigma >= 0 for mean, s in zip(map(np.mean, fields), found, strict=True)]
+    assert np.mean(np.logical_and(low, high)) >= 0.88
+
+
+def test_few_strong_places_leave_few_degrees_of_freedom():
+    rng = np.random.default_rng(0)
+    even = rng.normal(size=SIDE * SIDE)
+    peaked = even.copy()
+    peaked[rng.choice(SIDE * SIDE, 4, replace=False)] += 60
+    assert spread_of(even).degrees > 60
+    assert spread_of(peaked).degrees < 6
+
+
+def test_quantiles_are_those_of_student():
+    for degrees in (2, 3, 5, 10, 30, 1e6):
+        assert quantile(degrees) == pytest.approx(t.ppf(0.975, degrees), rel=0.008)
+
+
+def test_scales_keep_scores_possible():
+    spread = Spread(0.4, 3.0, 20.0, 1.0)
+    low, high = interval(Sampled(0.5, EVEN), spread)
+    assert 0 < low < 0.5 < high
+    low, high = interval(Sampled(0.95, EVEN, 1.0), spread)
+    assert 0 < low < 0.95 < high < 1
+    assert interval(Sampled(1.0, EVEN, 1.0), spread) == Interval(1.0, 1.0)
+    assert difference(-0.5, Spread(0.0, np.inf, np.inf, 0.0)) == Interval(-0.5, -0.5)
+    low, high = difference(-0.5, spread)
+    assert low < -1 < 0 < high
+
+
+def test_stragglers_do_not_make_cells():
+    points = np.random.default_rng(1).random((5_000, 3)) * [1, 1, 0.01]
+    points[0] = 1e6
+    cells = partition(points)
+    assert 300 < cells.number < 900
+    assert cells.of_point.max() < cells.number
+    assert partition(np.ones((3, 3))).number == 1
+
+
+@pytest.mark.parametrize("case", [Case("torus", "none", 1_500, 1_500), Case("boxes", "L/10", 1_500, 1_500)])
+def test_intervals_hold_the_expectation(case):
+    """The quick form of tests/bench/intervals.py: 95 % of 60 is 57, and fewer than 51 has a probability below 0.01."""
+    found = coverage(case, 60)
+    assert (found.shares >= 0.85).all()
+    assert (found.widths < 1.9).all()
+
+
+def test_noise_over_a_third_of_the_scene_is_said():
+    def warned(noise):
+        return ["few-pieces" in [notice.code for notice in draw(Case("plane", noise), run)[1]] for run in range(8)]
+
+    assert sum(warned("L/2")) >= 6
+    assert not any(warned("white"))

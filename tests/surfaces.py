@@ -1,0 +1,106 @@
+"""Analytic surfaces to draw independent, error-free samples of, evenly or with a density that falls over the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Draw = Callable[[int, np.random.Generator], tuple[Floats, Floats]]
+
+
+class Surface(NamedTuple):
+    """A surface about 1 long: `draw(n, rng)` gives independent places (n, 3), even by area, and unit normals (n, 3)."""
+
+    name: str
+    draw: Draw
+
+    def sample(self, count: int, rng: np.random.Generator, falling: float = 1.0) -> tuple[Floats, Floats]:
+        """Places and normals; `falling` times denser at one end of the x axis than at the other."""
+        if falling == 1:
+            return self.draw(count, rng)
+        places, normals = self.draw(int(count * falling), rng)
+        x = places[:, 0]
+        share = (x - x.min()) / np.ptp(x)
+        kept = np.flatnonzero(rng.random(len(x)) < falling**-share)
+        kept = np.sort(rng.permutation(kept)[:count])
+        return places[kept], normals[kept]
+
+
+def plane(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    return np.column_stack([rng.random((count, 2)), np.zeros(count)]), np.tile([0.0, 0, 1], (count, 1))
+
+
+def torus(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    large, small = 0.35, 0.15
+    u = rng.uniform(0, 2 * np.pi, 3 * count)
+    v = rng.uniform(0, 2 * np.pi, 3 * count)
+    kept = np.flatnonzero(rng.random(3 * count) * (large + small) < large + small * np.cos(v))[:count]
+    u, v = u[kept], v[kept]
+    normals = np.column_stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)])
+    return large * np.column_stack([np.cos(u), np.sin(u), np.zeros(len(u))]) + small * normals, normals
+
+
+def sphere(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return 0.5 * normals, normals
+
+
+def cylinder(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    u = rng.uniform(0, 2 * np.pi, count)
+    normals = np.column_stack([np.zeros(count), np.cos(u), np.sin(u)])
+    return 0.12 * normals + np.column_stack([rng.random(count), np.zeros((count, 2))]), normals
+
+
+def buildings(along: int, seed: int) -> Draw:
+    """Boxes in a square of `along` by `along` on the ground: five faces each, and the ground between them."""
+    layout = np.random.default_rng(seed)
+    pitch = 1 / along
+    widths = layout.uniform(0.4, 0.7, (along * along, 2)) * pitch
+    heights = layout.uniform(0.3, 1.0, along * along) * min(pitch, 0.25)
+    row, column = np.divmod(np.arange(along * along), along)
+    centers = (np.column_stack([row, column]) + 0.5) * pitch
+    faces = []  # corner, two edges, normal
+    for (x, y), (w, d), h in zip(centers, widths, heights, strict=True):
+        corner = np.array([x - w / 2, y - d / 2, 0])
+        a, b, c = np.diag([w, d, h])
+        faces.append((corner + c, a, b, [0, 0, 1]))
+        faces += [(corner, a, c, [0, -1, 0]), (corner + b, a, c, [0, 1, 0])]
+        faces += [(corner, b, c, [-1, 0, 0]), (corner + a, b, c, [1, 0, 0])]
+    corners, a, b, normals = (np.array(part, float) for part in zip(*faces, strict=True))
+    areas = np.linalg.norm(np.cross(a, b), axis=1)
+
+    def draw(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        free = 1 - np.prod(widths, axis=1).sum()
+        on_ground = rng.binomial(count, free / (free + areas.sum()))
+        ground = rng.random((8 * on_ground + 64, 2))
+        box = np.floor(ground / pitch).astype(int).clip(0, along - 1) @ [along, 1]
+        ground = ground[(np.abs(ground - centers[box]) > widths[box] / 2).any(axis=1)][:on_ground]
+        face = rng.choice(len(areas), count - len(ground), p=areas / areas.sum())
+        s, t = rng.random((2, len(face), 1))
+        flat = np.column_stack([ground, np.zeros(len(ground))])
+        places = np.vstack([flat, corners[face] + s * a[face] + t * b[face]])
+        directions = np.vstack([np.tile([0.0, 0, 1], (len(ground), 1)), normals[face]])
+        order = rng.permutation(count)
+        return places[order], directions[order]
+
+    return draw
+
+
+@cache
+def surface(name: str) -> Surface:
+    """plane, torus, sphere, cylinder, boxes (3 by 3) or city (12 by 12)."""
+    draws: dict[str, Draw] = {
+        "plane": plane,
+        "torus": torus,
+        "sphere": sphere,
+        "cylinder": cylinder,
+        "boxes": buildings(3, seed=1),
+        "city": buildings(12, seed=2),
+    }
+    return Surface(name, draws[name])
