@@ -25,6 +25,12 @@ NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were
 WEAK_EVIDENCE = "weak-evidence"  # the best of the poses from features is hardly better than chance
 AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
 UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a factor that looks like a unit
+DOUBTFUL_POSE = "doubtful-pose"  # what meets does not lie on the reference as well as the reference on itself
+
+# Those that say that the pose may be wrong. The others speak of how well a right one is known.
+_OF_A_WRONG_POSE = frozenset(
+    (FEW_POINTS, OFF_SURFACE, FAR_OFF, NO_CONVERGENCE, WEAK_EVIDENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE)
+)
 
 
 class CheckPoint(NamedTuple):
@@ -70,6 +76,15 @@ class Registration:
     check_points: tuple[CheckPoint, ...] = ()
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether any warning says that the pose may be wrong: then no score that is computed after it can be trusted.
+
+        What the geometry does not fix, a scale that is missing and a small overlap are warned of too; they speak of how
+        well a right pose is known, and do not make it doubtful.
+        """
+        return any(notice.code in _OF_A_WRONG_POSE for notice in self.warnings)
 
     def __repr__(self) -> str:
         state = {True: "converged", False: "NOT converged", None: "not iterated"}[self.converged]

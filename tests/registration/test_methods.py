@@ -21,7 +21,7 @@ from pcbench.registration import (
     parse_method,
     register,
 )
-from pcbench.registration.result import UNIT_MISMATCH
+from pcbench.registration.result import UNIT_MISMATCH, UNOBSERVABLE
 
 
 def test_refusals(scene):
@@ -117,6 +117,15 @@ def test_a_target_of_another_reference_is_refused(scene):
             register(reference, candidate, target=Target(Surface(Index(surface))))
     with pytest.raises(InputError, match="expected a target made from"):
         register(Cloud(moved), candidate, target=Target.of(reference))
+
+
+def test_a_pose_is_doubtful_where_a_warning_says_that_it_may_be_wrong(scene):
+    reference, candidate = scene
+    assert not register(reference, candidate, "none").doubtful
+    assert register(reference, candidate / 0.3048, "none").doubtful
+    pole = register(reference[:, :2] @ [[1.0, 0, 0], [0, 1, 0]], candidate[:, :2] @ [[1.0, 0, 0], [0, 1, 0]])
+    assert codes(pole) == {UNOBSERVABLE}  # the pose is right where it is known
+    assert not pole.doubtful
 
 
 def test_a_registration_is_told_in_a_line(scene):
