@@ -11,19 +11,25 @@ from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample_to
+from pcbench.registration.contrast import contrast
 from pcbench.registration.degeneracy import observability
-from pcbench.registration.result import FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE
+from pcbench.registration.result import DOUBTFUL_POSE, FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE
 from pcbench.registration.target import Target
 from pcbench.registration.weighted_pairs import weigh
 
 MIN_EXTENT = 1e-150  # of a reference: squares of less are lost
 MIN_POINTS = 10  # that a fit is judged by
-MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before that is said
+MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before others are tried
+MIN_CONTRAST = 0.7  # of the reference's own: below it a pose is doubtful
 
 _MAX_SAMPLE = 30_000  # candidate points that a given pose is judged by
 _MAX_SPACINGS_ON_SURFACE = 5  # of the reference: a candidate point nearer than that lies on it
 _MAX_NEAR = 0.05  # of the extent: where a point has its counterpart, if there is one
 _MIN_OVERLAP = 0.3  # before a small one is said
+_SURE_CONTRAST = 0.85  # above it a pose is right, however little of the candidate meets the reference
+_MAX_HOVERING = 0.1  # share of the candidate near the reference that floats beside its surface, before that is said
+_SIGMAS_OFF = 4.0  # of the residuals: what floats is farther off than noise is
+_MIN_UPRIGHT = 0.9  # cosine to the normal: what floats, and does not lie beyond the surface's end
 _MAX_SPACINGS_OFF = 10  # of the candidate's nearest quarter, before that is said
 
 
@@ -33,6 +39,7 @@ class Quality(NamedTuple):
     rmse: float
     overlap: float
     off_surface: float  # share of the points near the reference that do not lie on it
+    contrast: float | None  # of the reference's own, see `contrast`; None where too few points meet
     eigenvalues: tuple[float, ...]
     weakest_sigma: float | None
     unobservable: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
@@ -77,22 +84,42 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
         rms = float(np.sqrt(np.mean(np.square(distances))))
         nothing = np.zeros((7 if with_scale else 6, 0))
         notice = Notice(FEW_POINTS, "too few points to say what the geometry fixes")
-        return Quality(rms, overlap, off_surface, (), None, nothing, (notice,))
+        return Quality(rms, overlap, off_surface, None, (), None, nothing, (notice,))
     on_it, pairs = (pairs.take(pairs.weights > 0) for pairs in weighed)
     errors = on_it.residuals if plane else on_it.distances
     rmse = float(np.sqrt((on_it.weights * errors**2).sum() / on_it.weights.sum()))
     typical = float(np.percentile(distances, 25))  # the quarter that fits best: partial overlap is no failure
     observed = observability(surface, pairs, with_scale=with_scale)
     warnings = list(observed.warnings)
+    sharp = contrast(
+        surface,
+        moved,
+        nearest,
+        np.flatnonzero(near),
+        sigma=weighed[0].sigma,
+        spacing=spacing,
+        extent=target.extent,
+        with_scale=with_scale,
+    )
+    if sharp is not None and sharp < MIN_CONTRAST:
+        text = (
+            f"the pose may be wrong: moving the candidate away from it costs {max(sharp, 0):.0%} of what moving the"
+            " reference away from itself costs"
+        )
+        warnings.append(Notice(DOUBTFUL_POSE, text))
     if overlap < _MIN_OVERLAP:
         warnings.append(Notice(LOW_OVERLAP, f"only {overlap:.0%} of the candidate lies on the reference"))
-    if off_surface > MAX_OFF_SURFACE:
+    beside = max(within, _SIGMAS_OFF * weighed[0].sigma)
+    residuals = np.abs(weighed[0].residuals)
+    floating = (distances > beside) & (residuals > _MIN_UPRIGHT * distances)
+    hovering = float(np.mean(floating[distances <= max(_MAX_NEAR * target.extent, 2 * beside)]))
+    if hovering > _MAX_HOVERING:
         text = (
-            f"{off_surface:.0%} of the candidate near the reference does not lie on it: a wrong alignment, outliers or"
+            f"{hovering:.0%} of the candidate near the reference does not lie on it: a wrong alignment, outliers or"
             " changes"
         )
         warnings.append(Notice(OFF_SURFACE, text))
-    if typical > _MAX_SPACINGS_OFF * spacing > 0:
+    if typical > _MAX_SPACINGS_OFF * spacing > 0 and (sharp is None or sharp < _SURE_CONTRAST):
         text = (
             f"the candidate lies far off the reference (its nearest quarter by {typical:.3g}, {typical / spacing:.0f}"
             " times the reference's spacing): the registration may have failed"
@@ -102,6 +129,7 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
         rmse,
         overlap,
         off_surface,
+        sharp,
         observed.eigenvalues,
         observed.weakest_sigma,
         observed.unobservable,

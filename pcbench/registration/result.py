@@ -25,7 +25,7 @@ NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were
 WEAK_EVIDENCE = "weak-evidence"  # the best of the poses from features is hardly better than chance
 AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
 UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a factor that looks like a unit
-DOUBTFUL_POSE = "doubtful-pose"  # what meets does not lie on the reference as well as the reference on itself
+DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than those about it
 
 # Those that say that the pose may be wrong. The others speak of how well a right one is known.
 _OF_A_WRONG_POSE = frozenset(
@@ -62,6 +62,8 @@ class Registration:
         check_points: pairs that were not used for the fit.
         warnings: what the user should know before reading any score, as codes (those of this module) with texts.
         solved_scale: whether the scale was estimated from the data. A scale that was given is none of these.
+        contrast: what moving the candidate away from the pose costs, as a share of what moving the reference away from
+            itself costs: about 1 at a right pose, whatever the scene. None where too few points meet to say.
     """
 
     method: str
@@ -76,6 +78,7 @@ class Registration:
     check_points: tuple[CheckPoint, ...] = ()
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
+    contrast: float | None = None
 
     @property
     def doubtful(self) -> bool:

@@ -91,6 +91,7 @@ def outcome(name: str, scene: Scene, method: str, number: int) -> dict:
     except RegistrationError:
         return row | {"kind": "refused", "cpu": _cpu_seconds() - cpu}
     row |= {"cpu": _cpu_seconds() - cpu, "codes": [notice.code for notice in found.warnings]}
+    row["contrast"] = found.contrast
     row["pose"] = found.T_reference_candidate.matrix.tolist()
     if made.true is not None:
         places = made.true.apply(made.candidate)
