@@ -13,14 +13,18 @@ from __future__ import annotations
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Matches
+from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 
-_MAX_PLACES = 500  # of the reference that are looked at: the share is then good to some per cent
+LEAST = 0.75  # below this share a pose is doubtful
+SURE = 0.85  # above it a pose is right, however little of the candidate meets the reference
+
+_MAX_PLACES = 800  # of the reference that are looked at: the share is then good to some per cent
 _MIN_PLACES = 50  # for less the share is chance
 _MIN_SPACINGS, _MAX_SPACINGS, _MAX_OF_EXTENT = 3.0, 12.0, 0.1  # that the candidate is displaced by
 _SIGMAS = 8.0  # and at least so many times what the residuals are, where those are larger than the spacing
-_MIN_GROWTH = 0.3  # of the largest: motions that the reference's own points hardly feel tell nothing
+# Motions that the reference's own points feel by less tell nothing: of the displacement, and in standard errors.
+_MIN_GROWTH, _MIN_SIGNIFICANCE = 0.03, 10.0
 
 
 def contrast(
@@ -54,47 +58,76 @@ def contrast(
     places, first = np.unique(nearest.indices[near], return_index=True)
     if len(places) < _MIN_PLACES or spacing <= 0:
         return None
-    step = max(1, len(places) // _MAX_PLACES)
-    places, rows = places[::step], near[first[::step]]
-    ours, theirs = moved[rows], surface.points[places]
+    rows = near[first]
+    some = slice(None, None, max(1, len(places) // _MAX_PLACES))
+    own, ours, theirs = places[some], moved[rows[some]], surface.points[places[some]]
     distance = max(_MAX_SPACINGS * spacing, _SIGMAS * sigma)
     distance = min(distance, max(_MAX_OF_EXTENT * extent, _MIN_SPACINGS * spacing))
     center = ours.mean(axis=0)
     radius = float(np.sqrt(np.square(ours - center).sum(axis=1).mean())) or 1.0
+    size = 7 if with_scale else 6
 
-    def growth(points: FloatArray, own: IntArray | None) -> FloatArray:
-        """(6 or 7,) mean growth of the distances, none of which counts for more than the displacement."""
-        ways = _displaced(points, center, distance, radius)
-        displaced = np.concatenate([points, *(ways if with_scale else ways[:-2])])
-        if own is None:
-            distances = surface.index.query(displaced).distances
-        else:  # not what the point itself was
-            found = surface.index.query(displaced, 2)
-            is_own = found.indices[:, 0] == np.tile(own, len(displaced) // len(own))
-            distances = np.where(is_own, found.distances[:, 1], found.distances[:, 0])
-        means = np.minimum(distances, distance).reshape(-1, len(points)).mean(axis=1)
-        grown: FloatArray = (means[1::2] + means[2::2]) / 2 - means[0]
-        return grown
+    def grown(distances: FloatArray) -> FloatArray:
+        """(size, P) growth of each point's distance to both sides; none counts for more than the displacement."""
+        bounded = (np.minimum(distances, distance) / distance).reshape(1 + 2 * size, -1)
+        growth: FloatArray = (bounded[1::2] + bounded[2::2]) / 2 - bounded[0]
+        return growth
 
-    felt, own_felt = growth(ours, None), growth(theirs, places)
-    telling = own_felt > max(_MIN_GROWTH * own_felt.max(), 1e-3 * distance)
-    return float((felt[telling] / own_felt[telling]).min()) if telling.any() else None
+    def felt_by_reference(points: FloatArray) -> FloatArray:
+        displaced = _displaced(points, center, distance, radius, size)
+        found = surface.index.query(displaced, 2)
+        is_own = found.indices[:, 0] == np.tile(own, 1 + 2 * size)  # what a point itself was does not count
+        return grown(np.where(is_own, found.distances[:, 1], found.distances[:, 0]))
+
+    felt = grown(surface.index.query(_displaced(ours, center, distance, radius, size)).distances).mean(axis=1)
+    growth = felt_by_reference(theirs)
+    mean, error = growth.mean(axis=1), growth.std(axis=1) / np.sqrt(len(own))
+    telling = mean > np.maximum(_MIN_GROWTH, _MIN_SIGNIFICANCE * error)
+    if not telling.any():
+        return None
+    share = float((felt[telling] / mean[telling]).min())
+    if share < SURE:
+        noise = _added_noise(moved[rows], surface.points[places])
+        theirs = theirs + np.random.default_rng(0).normal(0, noise, theirs.shape)
+        blurred = np.minimum(mean, felt_by_reference(theirs).mean(axis=1))[telling]
+        # Where the noise would leave nothing to feel, the plain share stands.
+        share = float((felt[telling] / np.where(blurred > _MIN_GROWTH, blurred, mean[telling])).min())
+    return share
 
 
-def _displaced(points: FloatArray, center: FloatArray, distance: float, radius: float) -> list[FloatArray]:
-    """Points (N, 3) moved by `distance` to either side along the three axes, about them (at `radius`), and by scale."""
-    moved = []
+def _added_noise(candidate: FloatArray, reference: FloatArray) -> float:
+    """Standard deviation that the candidate (N, 3) has more than the reference at the same N places."""
+    own, other = _roughness(candidate), _roughness(reference)
+    return float(np.sqrt(max(0.0, own**2 - other**2)))
+
+
+def _roughness(points: FloatArray) -> float:
+    """Robust standard deviation of points about the tangent planes of the points nearest to them."""
+    surface = Surface(Index(points))
+    some = points[:: max(1, len(points) // _MAX_PLACES)]
+    nearest = surface.index.query(some, 2).indices[:, 1]
+    steps = np.einsum("ni,ni->n", some - points[nearest], surface.normals(nearest))
+    return 1.4826 * float(np.median(np.abs(steps)))
+
+
+def _displaced(points: FloatArray, center: FloatArray, distance: float, radius: float, size: int) -> FloatArray:
+    """Points (N, 3) as they are, moved by `distance` to either side along the axes, about them (at `radius`), by scale.
+
+    Returns:
+        (N + 2 size N, 3); the scale only where `size` is 7.
+    """
+    ways = [points]
     arms = points - center
+    for shift in distance * np.eye(3):
+        ways += [points + shift, points - shift]
     cos, sin = np.cos(distance / radius), np.sin(distance / radius)
-    for axis in range(3):
-        shift = np.zeros(3)
-        shift[axis] = distance
-        moved += [points + shift, points - shift]
     for axis in range(3):
         b, c = (axis + 1) % 3, (axis + 2) % 3
         for s in (sin, -sin):
             turned = arms.copy()
             turned[:, b], turned[:, c] = cos * arms[:, b] - s * arms[:, c], s * arms[:, b] + cos * arms[:, c]
-            moved.append(turned + center)
-    growth = distance / radius
-    return [*moved, center + (1 + growth) * arms, center + (1 - min(growth, 0.9)) * arms]
+            ways.append(turned + center)
+    if size == 7:
+        factor = np.exp(distance / radius)
+        ways += [center + factor * arms, center + arms / factor]
+    return np.concatenate(ways)

@@ -31,6 +31,9 @@ from pcbench.registration.weighted_pairs import WeightedPairs
 _NORMAL_NEIGHBORS = 20
 _MAX_INFORMING_PAIRS = 10_000  # that are asked what the geometry fixes
 _TILES_ALONG = 8  # the scene: of the bootstrap
+# Of what is observed: a scan has most of its points in few tiles of an eighth, too few to tell their scatter. Errors
+# of normals are alike over less than a fine tile.
+_FINE_TILES_ALONG = 16
 _REPLICATES = 400
 _MIN_SCALE_SIGNIFICANCE = 5  # standard deviations before a scale is said to be missing
 
@@ -74,10 +77,13 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     by_tile = with_growth[:, :size, :size]
     values, vectors = np.linalg.eigh(by_tile.sum(axis=0) / total)
 
-    # Scatter of each direction's information over tiles.
-    shares = np.einsum("ik,tij,jk->tk", vectors, by_tile, vectors, optimize=False)
-    error = np.sqrt(np.square(shares - values * weight[:, None]).sum(axis=0)) / total
-    observable = (values > np.maximum(3 * error, 1e-9)) & (np.count_nonzero(weight) > 1)
+    # Scatter of each direction's information over fine tiles.
+    fine = cells(some.moved, side * _TILES_ALONG / _FINE_TILES_ALONG or 1.0).of_point
+    fine_weight = np.bincount(fine, some.weights)
+    informs = _sums_by_tile(fine, a[:, :size], b[:, :size] * some.weights[:, None], len(fine_weight))
+    shares = np.einsum("ik,tij,jk->tk", vectors, informs, vectors, optimize=False)
+    error = np.sqrt(np.square(shares - values * fine_weight[:, None]).sum(axis=0)) / total
+    observable = (values > np.maximum(3 * error, 1e-9)) & (np.count_nonzero(fine_weight) > 1)
     eigenvalues, unobservable = tuple(float(v) for v in values), vectors[:, ~observable]
     if not observable.all():
         motions = " and ".join(_describe_motion(vector) for vector in unobservable.T)

@@ -11,7 +11,7 @@ from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample_to
-from pcbench.registration.contrast import contrast
+from pcbench.registration.contrast import LEAST, SURE, contrast
 from pcbench.registration.degeneracy import observability
 from pcbench.registration.result import DOUBTFUL_POSE, FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE
 from pcbench.registration.target import Target
@@ -20,13 +20,11 @@ from pcbench.registration.weighted_pairs import weigh
 MIN_EXTENT = 1e-150  # of a reference: squares of less are lost
 MIN_POINTS = 10  # that a fit is judged by
 MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before others are tried
-MIN_CONTRAST = 0.7  # of the reference's own: below it a pose is doubtful
 
 _MAX_SAMPLE = 30_000  # candidate points that a given pose is judged by
 _MAX_SPACINGS_ON_SURFACE = 5  # of the reference: a candidate point nearer than that lies on it
 _MAX_NEAR = 0.05  # of the extent: where a point has its counterpart, if there is one
 _MIN_OVERLAP = 0.3  # before a small one is said
-_SURE_CONTRAST = 0.85  # above it a pose is right, however little of the candidate meets the reference
 _MAX_HOVERING = 0.1  # share of the candidate near the reference that floats beside its surface, before that is said
 _SIGMAS_OFF = 4.0  # of the residuals: what floats is farther off than noise is
 _MIN_UPRIGHT = 0.9  # cosine to the normal: what floats, and does not lie beyond the surface's end
@@ -101,7 +99,7 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
         extent=target.extent,
         with_scale=with_scale,
     )
-    if sharp is not None and sharp < MIN_CONTRAST:
+    if sharp is not None and sharp < LEAST:
         text = (
             f"the pose may be wrong: moving the candidate away from it costs {max(sharp, 0):.0%} of what moving the"
             " reference away from itself costs"
@@ -119,7 +117,7 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
             " changes"
         )
         warnings.append(Notice(OFF_SURFACE, text))
-    if typical > _MAX_SPACINGS_OFF * spacing > 0 and (sharp is None or sharp < _SURE_CONTRAST):
+    if typical > _MAX_SPACINGS_OFF * spacing > 0 and (sharp is None or sharp < SURE):
         text = (
             f"the candidate lies far off the reference (its nearest quarter by {typical:.3g}, {typical / spacing:.0f}"
             " times the reference's spacing): the registration may have failed"
