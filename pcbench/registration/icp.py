@@ -133,6 +133,16 @@ def align(
     return fit
 
 
+def refine(target: Target, points: FloatArray, settings: IcpSettings, initial: Similarity) -> Similarity:
+    """The quick start of `align` alone, and nothing said of its result: for many poses of which few are kept.
+
+    Raises:
+        RegistrationError: as `align`.
+    """
+    problem = _Problem.of(target, initial.apply(points), settings)
+    return _both_stages(problem, _QUICK, np.zeros((7 if settings.with_scale else 6, 0)))[0] @ initial
+
+
 class _Start(NamedTuple):
     """How the maximum correspondence distance of the coarse stage narrows."""
 
@@ -220,6 +230,14 @@ def _attempt(problem: _Problem, start: _Start, constrained: FloatArray) -> Fit:
     Args:
         constrained: (6 or 7, C) orthonormal motions that are not to be made.
     """
+    target, plane = problem.target, problem.settings.residuals == "plane"
+    T, iterations, converged = _both_stages(problem, start, constrained)
+    quality = assess(target, problem.sample, T, plane=plane, with_scale=problem.settings.with_scale)
+    return Fit(T, quality, iterations, converged)
+
+
+def _both_stages(problem: _Problem, start: _Start, constrained: FloatArray) -> tuple[Similarity, int, bool]:
+    """The pose, the number of iterations, and whether they converged."""
     target, settings = problem.target, problem.settings
     # Strays within a large distance shrink the candidate: its scale stands still at first, unless all pairs are kept.
     rigid = settings.with_scale and start.kept < 1 and not constrained.shape[1]
@@ -228,9 +246,7 @@ def _attempt(problem: _Problem, start: _Start, constrained: FloatArray) -> Fit:
     stages = (target.coarse, problem.coarse_sample), (target.surface, problem.sample)
     T, first, _ = _iterate(*stages[0], T, *coarse, problem.coarse_schedule(start), target.extent)
     T, second, converged = _iterate(*stages[1], T, settings, constrained, problem.fine_schedule(), target.extent)
-    plane = settings.residuals == "plane"
-    quality = assess(target, problem.sample, T, plane=plane, with_scale=settings.with_scale)
-    return Fit(T, quality, first + second, converged)
+    return T, first + second, converged
 
 
 def _iterate(
