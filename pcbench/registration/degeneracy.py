@@ -35,6 +35,7 @@ _TILES_ALONG = 8  # the scene: of the bootstrap
 # of normals are alike over less than a fine tile.
 _FINE_TILES_ALONG = 16
 _REPLICATES = 400
+_MIN_WEAK = 0.3  # of the spacing and of the residuals: a motion that is known less well than that is hardly fixed
 _MIN_SCALE_SIGNIFICANCE = 5  # standard deviations before a scale is said to be missing
 
 
@@ -106,7 +107,7 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
             factor = np.exp(wanted[6] / frame.radius)
             text = f"the pairs ask for a scale of about {factor:.5g}: --register similarity finds it"
             warnings.append(Notice(SCALE_MISSING, text))
-    if weakest > 0.5 * residual:
+    if weakest > max(_MIN_WEAK * target.spacing, _MIN_WEAK * residual):
         text = f"the geometry hardly fixes {_describe_motion(direction)} (predicted sigma {weakest:.3g})"
         warnings.append(Notice(WEAKLY_OBSERVABLE, text))
     return Observability(eigenvalues, weakest, unobservable, tuple(warnings))

@@ -35,13 +35,14 @@ _MAX_POSES = 8  # from each comparison of features
 _MAX_REFINED, _MAX_TURNED = 6, 3  # the most promising ones of those, and of the best one turned around
 _MAX_POINTS = 300_000  # of a cloud that are looked at
 _MAX_VARIATION = 0.12  # surface variation of what lies on a surface; edges have less, strays in the air more
+_MIN_FLAT = 0.6  # share of a cloud on surfaces, for it to be taken for strays and edges what is not
 _MAX_SAMPLE = 3_000  # points that a pose is refined and judged by
 _MIN_POINTS = 100  # of either cloud
 _MIN_MET = 0.05  # share of either cloud that has to meet the other, and
 _MIN_MET_POINTS = 20  # of its sample
 _MIN_COSINE = 0.85  # between normals that agree
 _ENOUGH_MET = 0.2  # share of a cloud that meets the other: more of it is no more evidence
-_MIN_CONTRAST = 0.6  # below it a pose is refused
+_MIN_CONTRAST = 0.7  # below it a pose is refused
 _MIN_RIVAL = 0.8  # of the best pose's evidence
 
 
@@ -82,7 +83,8 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
     icp = IcpSettings(with_scale=settings.with_scale)
     middle = local_origin(Cloud(points))  # turning what is far away costs digits
     local = points - middle
-    judge = _Judge(_View(target.surface.points), _View(local), icp)
+    seen = _on_surfaces(target.surface.points, local)
+    judge = _Judge(_View(seen[0]), _View(seen[1]), icp)
     poses = judge.found()
     if not poses:
         raise _nothing_fits("none could be refined")
@@ -136,11 +138,20 @@ def _check_size(target: Target, points: FloatArray) -> None:
             )
 
 
+def _on_surfaces(reference: FloatArray, candidate: FloatArray) -> list[FloatArray]:
+    """At most 300,000 points of each cloud, those on surfaces; all where much of a cloud is none, such as a wood."""
+    clouds = [points[:: max(1, len(points) // _MAX_POINTS)] for points in (reference, candidate)]
+    flat = [estimate_normals(Index(points)).variation < _MAX_VARIATION for points in clouds]
+    if any(some.mean() < _MIN_FLAT or np.count_nonzero(some) < _MIN_POINTS for some in flat):
+        return clouds
+    return [points[some] for points, some in zip(clouds, flat, strict=True)]
+
+
 class _View:
     """A cloud as means over small cells, where noise and density hardly show; and an even sample of those.
 
     Attributes:
-        points: those of them that lie on surfaces.
+        points: those that are looked at.
         side: of the cells that features are compared with, such that there are about 15,000.
         surface, target: the means over cells of a third of that.
         sample, normals, weights: (S, 3), (S, 3), (S,) of the surface; every direction of normals weighs about the same.
@@ -148,9 +159,7 @@ class _View:
     """
 
     def __init__(self, points: FloatArray) -> None:
-        points = points[:: max(1, len(points) // _MAX_POINTS)]
-        flat = estimate_normals(Index(points)).variation < _MAX_VARIATION
-        self.points = points = points[flat] if np.count_nonzero(flat) >= _MIN_POINTS else points
+        self.points = points
         self.side = _cell_side(points, min(_CELLS, len(points) // 2))
         self.surface = Surface(Index(cell_means(points, self.side / 3)))
         self.target = Target(self.surface)
