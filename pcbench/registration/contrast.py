@@ -19,12 +19,12 @@ from pcbench.geometry.normals import Surface
 LEAST = 0.75  # below this share a pose is doubtful
 SURE = 0.85  # above it a pose is right, however little of the candidate meets the reference
 
-_MAX_PLACES = 800  # of the reference that are looked at: the share is then good to some per cent
+_MAX_PLACES = 600  # of the reference that are looked at: the share is then good to some per cent
 _MIN_PLACES = 50  # for less the share is chance
 _MIN_SPACINGS, _MAX_SPACINGS, _MAX_OF_EXTENT = 3.0, 12.0, 0.1  # that the candidate is displaced by
 _SIGMAS = 8.0  # and at least so many times what the residuals are, where those are larger than the spacing
 # Motions that the reference's own points feel by less tell nothing: of the displacement, and in standard errors.
-_MIN_GROWTH, _MIN_SIGNIFICANCE = 0.03, 10.0
+_MIN_GROWTH, _MIN_SIGNIFICANCE = 0.03, 8.0
 
 
 def contrast(

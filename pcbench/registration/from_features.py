@@ -43,7 +43,7 @@ _MIN_MET_POINTS = 20  # of its sample
 _MIN_COSINE = 0.85  # between normals that agree
 _ENOUGH_MET = 0.2  # share of a cloud that meets the other: more of it is no more evidence
 _MIN_CONTRAST = 0.7  # below it a pose is refused
-_MIN_RIVAL = 0.8  # of the best pose's evidence
+_MIN_RIVAL = 0.9  # of the best pose's evidence
 
 
 @dataclass(frozen=True)

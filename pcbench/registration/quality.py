@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.errors import Notice, RegistrationError
-from pcbench.geometry.arrays import FloatArray, bounds
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample_to
@@ -53,7 +53,9 @@ class Fit(NamedTuple):
     converged: bool | None = None
 
 
-def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_scale: bool) -> Quality:
+def assess(
+    target: Target, sample: Index, T: Similarity, *, plane: bool, with_scale: bool, hint: IntArray | None = None
+) -> Quality:
     """Residual, overlap and what the geometry fixes, at a pose that is taken as it is.
 
     Args:
@@ -62,9 +64,10 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
         T: the pose between local coordinates.
         plane: whether the RMSE is of distances to tangent planes, or to points.
         with_scale: whether the scale is one of the motions that the geometry has to fix.
+        hint: the reference's points that the sample's were nearest to last, where the search starts.
     """
     surface, spacing = target.surface, target.spacing
-    moved, nearest = surface.index.nearest_of_moved(sample, T.matrix)
+    moved, nearest = surface.index.nearest_of_moved(sample, T.matrix, hint)
     distances = nearest.distances
     # One distance for every method: were it to follow the fit, the worse the fit, the more would count as overlap.
     within = _MAX_SPACINGS_ON_SURFACE * spacing
