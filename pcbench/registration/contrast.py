@@ -10,6 +10,8 @@ wrong by: hence the least share of them is what counts.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
@@ -27,6 +29,13 @@ _SIGMAS = 8.0  # and at least so many times what the residuals are, where those 
 _MIN_GROWTH, _MIN_SIGNIFICANCE = 0.03, 8.0
 
 
+class Contrast(NamedTuple):
+    """What a pose is better than its surroundings by."""
+
+    share: float  # of the reference's own, the least of all motions that its own points feel
+    felt: float  # by the reference's own points along the motion that they feel least, of the displacement
+
+
 def contrast(
     surface: Surface,
     moved: FloatArray,
@@ -37,7 +46,7 @@ def contrast(
     spacing: float,
     extent: float,
     with_scale: bool,
-) -> float | None:
+) -> Contrast | None:
     """The candidate's growth of distances by displacement as a share of the reference's own: about 1 at a right pose.
 
     Args:
@@ -50,7 +59,7 @@ def contrast(
         with_scale: whether the scale is one of the motions.
 
     Returns:
-        The least share of all motions that the reference's own points feel; None where too few points meet.
+        None where too few points meet.
     """
     near = np.random.default_rng(0).permutation(near)
     # One candidate point a place of the reference: what lies beyond the reference's end is nearest to its last points
@@ -92,7 +101,7 @@ def contrast(
         blurred = np.minimum(mean, felt_by_reference(theirs).mean(axis=1))[telling]
         # Where the noise would leave nothing to feel, the plain share stands.
         share = float((felt[telling] / np.where(blurred > _MIN_GROWTH, blurred, mean[telling])).min())
-    return share
+    return Contrast(share, float(mean.min()))
 
 
 def _added_noise(candidate: FloatArray, reference: FloatArray) -> float:

@@ -251,7 +251,7 @@ class _Judge:
         if not len(near):
             return 0.0
         off = np.einsum("ni,ni->n", moved - surface.points[nearest.indices], surface.normals(nearest.indices))[near]
-        share = contrast(
+        sharp = contrast(
             surface,
             moved,
             nearest,
@@ -261,7 +261,7 @@ class _Judge:
             extent=target.extent,
             with_scale=self.icp.with_scale,
         )
-        return min(max(share or 0.0, 0.0), 1.0)
+        return min(max(sharp.share, 0.0), 1.0) if sharp else 0.0
 
     def evidence(self, pose: Similarity) -> float:
         """How much speaks for a pose, 0 to 1: agreement, for as much as the pose is better than its surroundings.

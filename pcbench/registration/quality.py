@@ -13,7 +13,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample_to
 from pcbench.registration.contrast import LEAST, SURE, contrast
 from pcbench.registration.degeneracy import observability
-from pcbench.registration.result import DOUBTFUL_POSE, FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE
+from pcbench.registration.result import DOUBTFUL_POSE, FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE, WEAKLY_OBSERVABLE
 from pcbench.registration.target import Target
 from pcbench.registration.weighted_pairs import weigh
 
@@ -25,6 +25,7 @@ _MAX_SAMPLE = 30_000  # candidate points that a given pose is judged by
 _MAX_SPACINGS_ON_SURFACE = 5  # of the reference: a candidate point nearer than that lies on it
 _MAX_NEAR = 0.05  # of the extent: where a point has its counterpart, if there is one
 _MIN_OVERLAP = 0.3  # before a small one is said
+_MIN_FELT, _WHOLE_OVERLAP = 0.015, 0.95  # see `Contrast.felt`, and the overlap above which nothing is left to meet
 _MAX_HOVERING = 0.1  # share of the candidate near the reference that floats beside its surface, before that is said
 _SIGMAS_OFF = 4.0  # of the residuals: what floats is farther off than noise is
 _MIN_UPRIGHT = 0.9  # cosine to the normal: what floats, and does not lie beyond the surface's end
@@ -102,12 +103,16 @@ def assess(
         extent=target.extent,
         with_scale=with_scale,
     )
-    if sharp is not None and sharp < LEAST:
+    if sharp is not None and sharp.share < LEAST:
         text = (
-            f"the pose may be wrong: moving the candidate away from it costs {max(sharp, 0):.0%} of what moving the"
-            " reference away from itself costs"
+            f"the pose may be wrong: moving the candidate away from it costs {max(sharp.share, 0):.0%} of what moving"
+            " the reference away from itself costs"
         )
         warnings.append(Notice(DOUBTFUL_POSE, text))
+    # A round body fits turned about its axis. What would tell the turn, such as its handle, then meets nothing.
+    if sharp is not None and sharp.felt < _MIN_FELT and overlap < _WHOLE_OVERLAP and not observed.warnings:
+        text = "what meets hardly fixes some motion, and the rest, which would fix it, does not meet"
+        warnings.append(Notice(WEAKLY_OBSERVABLE, text))
     if overlap < _MIN_OVERLAP:
         warnings.append(Notice(LOW_OVERLAP, f"only {overlap:.0%} of the candidate lies on the reference"))
     beside = max(within, _SIGMAS_OFF * weighed[0].sigma)
@@ -120,7 +125,7 @@ def assess(
             " changes"
         )
         warnings.append(Notice(OFF_SURFACE, text))
-    if typical > _MAX_SPACINGS_OFF * spacing > 0 and (sharp is None or sharp < SURE):
+    if typical > _MAX_SPACINGS_OFF * spacing > 0 and (sharp is None or sharp.share < SURE):
         text = (
             f"the candidate lies far off the reference (its nearest quarter by {typical:.3g}, {typical / spacing:.0f}"
             " times the reference's spacing): the registration may have failed"
@@ -130,7 +135,7 @@ def assess(
         rmse,
         overlap,
         off_surface,
-        sharp,
+        None if sharp is None else sharp.share,
         observed.eigenvalues,
         observed.weakest_sigma,
         observed.unobservable,
