@@ -33,7 +33,7 @@ _MAX_INFORMING_PAIRS = 10_000  # that are asked what the geometry fixes
 _TILES_ALONG = 8  # the scene: of the bootstrap
 # Of what is observed: a scan has most of its points in few tiles of an eighth, too few to tell their scatter. Errors
 # of normals are alike over less than a fine tile.
-_FINE_TILES_ALONG = 16
+_FINE_TILES_ALONG = 24
 _REPLICATES = 400
 _MIN_WEAK = 0.3  # of the spacing and of the residuals: a motion that is known less well than that is hardly fixed
 _MIN_SCALE_SIGNIFICANCE = 5  # standard deviations before a scale is said to be missing
