@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra, RegistrationError
@@ -26,7 +27,8 @@ _TOLERANCE = 2.0  # cells; means over differently placed cells of one surface st
 _MIN_SIDE = 5.0  # cells; smaller triangles say little about the rotation
 _EVALUATIONS = 20_000_000  # poses times pairs: a second's work
 _MAX_POSES = 20_000  # few points make many triples, but no more different ones
-_PROBES = 50
+_AT_A_TIME = 65_536  # of those: what fits into a processor's cache
+_PROBES = 12
 
 
 class Pairs(NamedTuple):
@@ -66,10 +68,9 @@ def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similari
     p, q = pairs
     if len(p) < 3:
         return []
-    triples = np.random.default_rng(0).integers(0, len(p), (_TRIPLES, 3))
+    draws = min(_TRIPLES, len(p) ** 3)  # of few points there are no more
+    triples = _alike(pairs, np.random.default_rng(0).integers(0, len(p), (draws, 3)), RUNG if with_scale else 1.0)
     sides_p, sides_q = _sides(p, triples), _sides(q, triples)
-    long = (np.minimum(sides_p, sides_q) > _MIN_SIDE).all(axis=1)
-    triples, sides_p, sides_q = triples[long], sides_p[long], sides_q[long]
     scales = sides_q.sum(axis=1) / sides_p.sum(axis=1) if with_scale else np.ones(len(triples))
     alike = (np.abs(sides_q - scales[:, None] * sides_p) < _TOLERANCE).all(axis=1)
     alike &= np.abs(np.log(scales)) < np.log(RUNG)
@@ -82,11 +83,13 @@ def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similari
     shifts = q[triples].mean(axis=1) - np.einsum("nij,nj->ni", linear, p[triples].mean(axis=1))
     support = _support(pairs, linear, shifts)
 
-    probes = p[:: max(1, len(p) // _PROBES)]
+    probes = p[:: -(-len(p) // _PROBES)]
     moved = np.einsum("nij,mj->nmi", linear, probes) + shifts[:, None]
     poses: list[Similarity] = []
     left = support >= 4  # three agree with any pose through them
-    while left.any() and len(poses) < count:
+    for _ in range(20 * count):
+        if not left.any() or len(poses) == count:
+            break
         best = int(np.argmax(np.where(left, support, 0)))
         left &= np.square(moved - moved[best]).sum(axis=2).mean(axis=1) > (2 * _TOLERANCE) ** 2
         pose = _refined(pairs, Similarity(rotations[best], shifts[best], float(scales[best])), with_scale=with_scale)
@@ -98,6 +101,21 @@ def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similari
 def apart(a: Similarity, b: Similarity, points: FloatArray) -> float:
     """Root mean square distance between where two poses put points (N, 3)."""
     return float(np.sqrt(np.square(a.apply(points) - b.apply(points)).sum(axis=1).mean()))
+
+
+def _alike(pairs: Pairs, triples: IntArray, factor: float) -> IntArray:
+    """The triples whose sides are long and about as long in both clouds, whatever the scale within `factor` of 1.
+
+    Side by side: most triples fall with their first, and their other sides are never looked at.
+    """
+    p, q = pairs
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        along_p, along_q = p[triples[:, j]] - p[triples[:, i]], q[triples[:, j]] - q[triples[:, i]]
+        side_p, side_q = (np.sqrt(np.einsum("ni,ni->n", along, along)) for along in (along_p, along_q))
+        kept = np.minimum(side_p, side_q) > _MIN_SIDE
+        kept &= (side_q < factor * side_p + _TOLERANCE) & (side_q > side_p / factor - _TOLERANCE)
+        triples = triples[kept]
+    return triples
 
 
 def _sides(points: FloatArray, triples: IntArray) -> FloatArray:
@@ -121,12 +139,19 @@ def _frames(corners: FloatArray) -> FloatArray:
 
 def _support(pairs: Pairs, linear: FloatArray, shifts: FloatArray) -> IntArray:
     """How many pairs agree with each pose (T,)."""
-    support = np.empty(len(linear), np.int64)
-    step = 200
-    for k in range(0, len(linear), step):
-        moved = np.einsum("nij,mj->nmi", linear[k : k + step], pairs.candidate) + shifts[k : k + step, None]
-        squares = np.square(moved - pairs.reference).sum(axis=2)
-        support[k : k + step] = np.count_nonzero(squares < _TOLERANCE**2, axis=1)
+    p, q = (np.ascontiguousarray(side.T, np.float32) for side in pairs)  # (3, N): cells need no more digits
+    rows, offsets = linear.astype(np.float32), shifts.astype(np.float32)
+    support = np.empty(len(rows), np.int64)
+    step = max(1, _AT_A_TIME // p.shape[1])
+    for k in range(0, len(rows), step):
+        some = slice(k, k + step)
+        squares: NDArray[np.float32] = np.zeros((len(rows[some]), p.shape[1]), np.float32)
+        for axis in range(3):  # no BLAS: the same bits from any number of threads
+            apart = offsets[some, axis, None] - q[axis]
+            for column in range(3):
+                apart += rows[some, axis, column, None] * p[column]
+            squares += np.square(apart, out=apart)
+        support[some] = np.count_nonzero(squares < _TOLERANCE**2, axis=1)
     return support
 
 

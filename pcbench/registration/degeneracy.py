@@ -31,7 +31,11 @@ from pcbench.registration.weighted_pairs import WeightedPairs
 _NORMAL_NEIGHBORS = 20
 _MAX_INFORMING_PAIRS = 10_000  # that are asked what the geometry fixes
 _TILES_ALONG = 8  # the scene: of the bootstrap
+# Of what is observed: a scan has most of its points in few tiles of an eighth, too few to tell their scatter. Errors
+# of normals are alike over less than a fine tile.
+_FINE_TILES_ALONG = 24
 _REPLICATES = 400
+_MIN_WEAK = 0.3  # of the spacing and of the residuals: a motion that is known less well than that is hardly fixed
 _MIN_SCALE_SIGNIFICANCE = 5  # standard deviations before a scale is said to be missing
 
 
@@ -74,10 +78,13 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     by_tile = with_growth[:, :size, :size]
     values, vectors = np.linalg.eigh(by_tile.sum(axis=0) / total)
 
-    # Scatter of each direction's information over tiles.
-    shares = np.einsum("ik,tij,jk->tk", vectors, by_tile, vectors, optimize=False)
-    error = np.sqrt(np.square(shares - values * weight[:, None]).sum(axis=0)) / total
-    observable = (values > np.maximum(3 * error, 1e-9)) & (np.count_nonzero(weight) > 1)
+    # Scatter of each direction's information over fine tiles.
+    fine = cells(some.moved, side * _TILES_ALONG / _FINE_TILES_ALONG or 1.0).of_point
+    fine_weight = np.bincount(fine, some.weights)
+    informs = _sums_by_tile(fine, a[:, :size], b[:, :size] * some.weights[:, None], len(fine_weight))
+    shares = np.einsum("ik,tij,jk->tk", vectors, informs, vectors, optimize=False)
+    error = np.sqrt(np.square(shares - values * fine_weight[:, None]).sum(axis=0)) / total
+    observable = (values > np.maximum(3 * error, 1e-9)) & (np.count_nonzero(fine_weight) > 1)
     eigenvalues, unobservable = tuple(float(v) for v in values), vectors[:, ~observable]
     if not observable.all():
         motions = " and ".join(_describe_motion(vector) for vector in unobservable.T)
@@ -100,7 +107,7 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
             factor = np.exp(wanted[6] / frame.radius)
             text = f"the pairs ask for a scale of about {factor:.5g}: --register similarity finds it"
             warnings.append(Notice(SCALE_MISSING, text))
-    if weakest > 0.5 * residual:
+    if weakest > max(_MIN_WEAK * target.spacing, _MIN_WEAK * residual):
         text = f"the geometry hardly fixes {_describe_motion(direction)} (predicted sigma {weakest:.3g})"
         warnings.append(Notice(WEAKLY_OBSERVABLE, text))
     return Observability(eigenvalues, weakest, unobservable, tuple(warnings))

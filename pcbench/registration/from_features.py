@@ -20,26 +20,30 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, estimate_normals
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
+from pcbench.registration.contrast import SURE, contrast
 from pcbench.registration.correspondences import RUNG, Pairs, apart, likely_poses, matched
-from pcbench.registration.icp import IcpSettings, align
+from pcbench.registration.icp import IcpSettings, align, refine
 from pcbench.registration.quality import Fit, assess_given
-from pcbench.registration.result import AMBIGUOUS, NO_CONVERGENCE, WEAK_EVIDENCE
+from pcbench.registration.result import AMBIGUOUS, NO_CONVERGENCE
 from pcbench.registration.target import Target, local_origin
 
 _CELLS = 15_000  # of the larger cloud, when features are compared: a second's work
 _COARSER = 1.6  # what finer cells do not find, coarser ones may
-_RUNGS = 7  # up and down: what either cloud covers may differ by 3.6 times a side
+# Rungs up and down, the likeliest first: what either cloud covers may differ by 3.6 times a side.
+_LADDER = ((0, -1, 1), (-2, 2, -3, 3), (-4, 4, -5, 5, -6, 6, -7, 7))
 _MAX_POSES = 8  # from each comparison of features
 _MAX_REFINED, _MAX_TURNED = 6, 3  # the most promising ones of those, and of the best one turned around
 _MAX_POINTS = 300_000  # of a cloud that are looked at
 _MAX_VARIATION = 0.12  # surface variation of what lies on a surface; edges have less, strays in the air more
+_MIN_FLAT = 0.6  # share of a cloud on surfaces, for it to be taken for strays and edges what is not
 _MAX_SAMPLE = 3_000  # points that a pose is refined and judged by
 _MIN_POINTS = 100  # of either cloud
 _MIN_MET = 0.05  # share of either cloud that has to meet the other, and
 _MIN_MET_POINTS = 20  # of its sample
 _MIN_COSINE = 0.85  # between normals that agree
-_MIN_AGREEMENT, _MIN_SURE_AGREEMENT = 0.45, 0.5  # refused, warned of; other cities on one street grid reach 0.4
-_MIN_RIVAL = 0.8  # of the best pose's agreement
+_ENOUGH_MET = 0.2  # share of a cloud that meets the other: more of it is no more evidence
+_MIN_CONTRAST = 0.7  # below it a pose is refused
+_MIN_RIVAL = 0.9  # of the best pose's evidence
 
 
 @dataclass(frozen=True)
@@ -79,40 +83,45 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
     icp = IcpSettings(with_scale=settings.with_scale)
     middle = local_origin(Cloud(points))  # turning what is far away costs digits
     local = points - middle
-    judge = _Judge(_View(target.surface.points), _View(local), icp)
-    poses = judge.refined(judge.promising(judge.hypotheses(), _MAX_REFINED))
-    if poses:  # what is symmetric looks the same turned around
-        turned = [poses[0] @ turn for turn in _turns(judge.candidate.sample)]
-        poses = judge.best_first(poses + judge.refined(judge.promising(turned, _MAX_TURNED)))
-    if not poses or judge.agreement(poses[0]) < _MIN_AGREEMENT:
-        why = f"of the best one only {judge.agreement(poses[0]):.0%} agrees" if poses else "none could be refined"
-        raise RegistrationError(
-            f"no pose of the candidate fits the reference ({why}): they show different scenes, overlap too little, or"
-            " differ in scale (--register global-similarity). Align them coarsely first (--register points:FILE or"
-            " matrix:FILE)"
+    seen = _on_surfaces(target.surface.points, local)
+    judge = _Judge(_View(seen[0]), _View(seen[1]), icp)
+    poses = judge.found()
+    if not poses:
+        raise _nothing_fits("none could be refined")
+    # Full resolution may end elsewhere than the views: the pose that is returned is the one that is compared.
+    start, fit = poses[0], judge.finished(poses[0], target, local)
+    if len(poses) > 1 and judge.evidence(fit.T_local) < judge.evidence(poses[1]):
+        other = judge.finished(poses[1], target, local)
+        if judge.evidence(other.T_local) > judge.evidence(fit.T_local):
+            start, fit = poses[1], other
+    pose = fit.T_local
+    # The whole candidate is judged, not only the part that ICP was given.
+    quality = assess_given(target, points, _unshifted(pose, middle), origin, settings.text).quality
+    if quality.contrast is None or quality.contrast < _MIN_CONTRAST:
+        raise _nothing_fits(
+            f"moving away from the best one costs {max(quality.contrast or 0, 0):.0%} of what it should"
         )
-    # What does not meet the reference would only pull at a pose that starts right.
-    start = poses[0]
-    refined = align(target, local[judge.meets(start, local)], icp, start, may_be_far=False)
-    pose = refined.T_local
-    agreement = judge.agreement(pose)
-    warnings = [notice for notice in refined.quality.warnings if notice.code == NO_CONVERGENCE]
-    if agreement < _MIN_SURE_AGREEMENT:
-        text = f"the evidence for this pose is weak: only {agreement:.0%} of what meets agrees"
-        warnings.append(Notice(WEAK_EVIDENCE, text))
-    rivals = [other for other in poses if judge.differ(other, pose) and judge.agreement(other) > _MIN_RIVAL * agreement]
+    warnings = [notice for notice in fit.quality.warnings if notice.code == NO_CONVERGENCE]
+    rivals = [p for p in poses if p is not start and judge.differ(p, pose)]
+    rivals = [p for p in rivals if judge.evidence(p) > _MIN_RIVAL * judge.evidence(pose)]
     if rivals:
         away = apart(rivals[0], pose, judge.candidate.sample)
         rows = _unshifted(rivals[0], middle).about(origin).matrix[:3]
         text = (
-            f"ambiguous: {agreement:.0%} of what meets agrees, but {judge.agreement(rivals[0]):.0%} does with the"
+            f"ambiguous: {judge.evidence(pose):.0%} speaks for this pose, but {judge.evidence(rivals[0]):.0%} for the"
             f" candidate {away:.3g} away ({'; '.join(' '.join(f'{v:.6g}' for v in row) for row in rows)})"
         )
         warnings.append(Notice(AMBIGUOUS, text))
-    # The whole candidate is judged, not only the part that ICP was given.
-    quality = assess_given(target, points, _unshifted(pose, middle), origin, settings.text).quality
     quality = quality._replace(warnings=(*quality.warnings, *warnings))
-    return Fit(_unshifted(pose, middle), quality, refined.iterations, refined.converged)
+    return Fit(_unshifted(pose, middle), quality, fit.iterations, fit.converged)
+
+
+def _nothing_fits(why: str) -> RegistrationError:
+    return RegistrationError(
+        f"no pose of the candidate fits the reference ({why}): they show different scenes, overlap too little, or"
+        " differ in scale (--register global-similarity). Align them coarsely first (--register points:FILE or"
+        " matrix:FILE)"
+    )
 
 
 def _check_size(target: Target, points: FloatArray) -> None:
@@ -129,11 +138,20 @@ def _check_size(target: Target, points: FloatArray) -> None:
             )
 
 
+def _on_surfaces(reference: FloatArray, candidate: FloatArray) -> list[FloatArray]:
+    """At most 300,000 points of each cloud, those on surfaces; all where much of a cloud is none, such as a wood."""
+    clouds = [points[:: max(1, len(points) // _MAX_POINTS)] for points in (reference, candidate)]
+    flat = [estimate_normals(Index(points)).variation < _MAX_VARIATION for points in clouds]
+    if any(some.mean() < _MIN_FLAT or np.count_nonzero(some) < _MIN_POINTS for some in flat):
+        return clouds
+    return [points[some] for points, some in zip(clouds, flat, strict=True)]
+
+
 class _View:
     """A cloud as means over small cells, where noise and density hardly show; and an even sample of those.
 
     Attributes:
-        points: those of them that lie on surfaces.
+        points: those that are looked at.
         side: of the cells that features are compared with, such that there are about 15,000.
         surface, target: the means over cells of a third of that.
         sample, normals, weights: (S, 3), (S, 3), (S,) of the surface; every direction of normals weighs about the same.
@@ -141,9 +159,7 @@ class _View:
     """
 
     def __init__(self, points: FloatArray) -> None:
-        points = points[:: max(1, len(points) // _MAX_POINTS)]
-        flat = estimate_normals(Index(points)).variation < _MAX_VARIATION
-        self.points = points = points[flat] if np.count_nonzero(flat) >= _MIN_POINTS else points
+        self.points = points
         self.side = _cell_side(points, min(_CELLS, len(points) // 2))
         self.surface = Surface(Index(cell_means(points, self.side / 3)))
         self.target = Target(self.surface)
@@ -163,14 +179,28 @@ class _Judge:
 
     def __init__(self, reference: _View, candidate: _View, icp: IcpSettings) -> None:
         self.reference, self.candidate, self.icp = reference, candidate, icp
+        self._evidence: dict[bytes, float] = {}
 
-    def hypotheses(self) -> list[Similarity]:
-        """Poses that features speak for; with scale, at each rung of a ladder about the ratio of the extents."""
+    def found(self) -> list[Similarity]:
+        """The different poses with evidence, the best first; no more are looked for where one leaves no doubt."""
+        ratio = 1.0
+        batches: list[list[tuple[int, float]]] = [[(0, _COARSER)], [(0, 1.0)]]
         if self.icp.with_scale:
             ratio = robust_extent(self.reference.points) / robust_extent(self.candidate.points)
-            tried = [(ratio * RUNG**rung, _COARSER) for rung in range(-_RUNGS, _RUNGS + 1)]
-        else:
-            tried = [(1.0, 1.0), (1.0, _COARSER)]
+            batches = [[(rung, _COARSER) for rung in rungs] for rungs in _LADDER]
+        poses: list[Similarity] = []
+        for batch in batches:
+            rough = self.hypotheses([(ratio * RUNG**rung, coarser) for rung, coarser in batch])
+            poses = self.best_first(poses + self.refined(self.promising(rough, _MAX_REFINED)))
+            if poses and self.is_sure(poses[0]):
+                break
+        if poses:  # what is symmetric looks the same turned around
+            turned = [poses[0] @ turn for turn in _turns(self.candidate.sample)]
+            poses = self.best_first(poses + self.refined(self.promising(turned, _MAX_TURNED)))
+        return [pose for pose in poses if self.evidence(pose) > 0]
+
+    def hypotheses(self, tried: list[tuple[float, float]]) -> list[Similarity]:
+        """Poses that features speak for, at each of some scales with cells that are coarser by a factor."""
         sides = [coarser * self.side(scale) for scale, coarser in tried]
         clouds = [
             Pairs(
@@ -184,6 +214,10 @@ class _Judge:
             for pose in likely_poses(pairs, _MAX_POSES, with_scale=self.icp.with_scale):
                 poses.append(Similarity(pose.rotation, side * pose.translation, scale * pose.scale))
         return poses
+
+    def finished(self, pose: Similarity, target: Target, points: FloatArray) -> Fit:
+        """ICP at full resolution. What does not meet the reference would only pull at a pose that starts right."""
+        return align(target, points[self.meets(pose, points)], self.icp, pose, may_be_far=False)
 
     def side(self, scale: float) -> float:
         """Of cells that are as coarse as either cloud needs."""
@@ -208,26 +242,68 @@ class _Judge:
         moved = back.apply(self.reference.sample), back.apply_normals(self.reference.normals)
         return (forth + _agreement(*moved, self.reference.weights, self.candidate.surface, reach / pose.scale)) / 2
 
+    def contrast(self, pose: Similarity) -> float:
+        """Of the candidate's sample on the reference's surface, see `contrast`; 0 where hardly anything meets."""
+        surface, target = self.reference.surface, self.reference.target
+        moved, reach = pose.apply(self.candidate.sample), self.reach(pose.scale)
+        nearest = surface.index.query(moved)
+        near = np.flatnonzero(nearest.distances < 2 * reach)
+        if not len(near):
+            return 0.0
+        off = np.einsum("ni,ni->n", moved - surface.points[nearest.indices], surface.normals(nearest.indices))[near]
+        sharp = contrast(
+            surface,
+            moved,
+            nearest,
+            near,
+            sigma=1.4826 * float(np.median(np.abs(off))),
+            spacing=target.spacing,
+            extent=target.extent,
+            with_scale=self.icp.with_scale,
+        )
+        return min(max(sharp.share, 0.0), 1.0) if sharp else 0.0
+
+    def evidence(self, pose: Similarity) -> float:
+        """How much speaks for a pose, 0 to 1: agreement, for as much as the pose is better than its surroundings.
+
+        The least of 0 to 1 that meets counts, up to a fifth: a corner that agrees is no agreement of two clouds.
+        """
+        key = pose.matrix.tobytes()
+        if key not in self._evidence:
+            met = min(self.met(pose) / _ENOUGH_MET, 1.0)
+            self._evidence[key] = met * self.agreement(pose) * self.contrast(pose)
+        return self._evidence[key]
+
+    def met(self, pose: Similarity) -> float:
+        """Share of the candidate's sample, or of the reference's where that is larger, within a reach of the other."""
+        forth = self.meets(pose, self.candidate.sample, 1.0).mean()
+        back = self.candidate.surface.index.query(pose.inverse().apply(self.reference.sample)).distances
+        return float(max(forth, (back < self.reach(pose.scale) / pose.scale).mean()))
+
+    def is_sure(self, pose: Similarity) -> bool:
+        return self.contrast(pose) > SURE and self.met(pose) > _ENOUGH_MET
+
     def promising(self, poses: list[Similarity], count: int) -> list[Similarity]:
         """The `count` different poses that agree best while they are still rough."""
-        ordered = sorted(poses, key=lambda pose: -self.agreement(pose, reaches=4.0))
+        agreement = [self.agreement(pose, reaches=4.0) for pose in poses]
+        ordered = [poses[k] for k in np.argsort(np.negative(agreement), kind="stable")]
         return self._different(ordered)[:count]
 
     def best_first(self, poses: list[Similarity]) -> list[Similarity]:
-        return self._different(sorted(poses, key=lambda pose: -self.agreement(pose)))
+        return self._different(sorted(poses, key=lambda pose: -self.evidence(pose)))
 
     def refined(self, poses: list[Similarity]) -> list[Similarity]:
-        """The different poses that ICP makes of these, the best first; those that it refuses are left out."""
+        """What ICP makes of poses; those that it refuses are left out."""
         results = []
         for pose in poses:
             try:
                 for reaches in (4.0, 2.0):
                     near = self.candidate.sample[self.meets(pose, self.candidate.sample, reaches)]
-                    pose = align(self.reference.target, near, self.icp, pose, may_be_far=False).T_local
+                    pose = refine(self.reference.target, near, self.icp, pose)
             except (InputError, RegistrationError):  # nothing to fit there
                 continue
             results.append(pose)
-        return self.best_first(results)
+        return results
 
     def differ(self, a: Similarity, b: Similarity) -> bool:
         """Whether two poses put the candidate clearly elsewhere: by 3 reaches."""

@@ -133,6 +133,16 @@ def align(
     return fit
 
 
+def refine(target: Target, points: FloatArray, settings: IcpSettings, initial: Similarity) -> Similarity:
+    """The quick start of `align` alone, and nothing said of its result: for many poses of which few are kept.
+
+    Raises:
+        RegistrationError: as `align`.
+    """
+    problem = _Problem.of(target, initial.apply(points), settings)
+    return _both_stages(problem, _QUICK, np.zeros((7 if settings.with_scale else 6, 0))).T @ initial
+
+
 class _Start(NamedTuple):
     """How the maximum correspondence distance of the coarse stage narrows."""
 
@@ -220,17 +230,33 @@ def _attempt(problem: _Problem, start: _Start, constrained: FloatArray) -> Fit:
     Args:
         constrained: (6 or 7, C) orthonormal motions that are not to be made.
     """
+    target, plane = problem.target, problem.settings.residuals == "plane"
+    end = _both_stages(problem, start, constrained)
+    with_scale = problem.settings.with_scale
+    quality = assess(target, problem.sample, end.T, plane=plane, with_scale=with_scale, hint=end.hint)
+    return Fit(end.T, quality, end.iterations, end.converged)
+
+
+class _End(NamedTuple):
+    """Where iterations ended."""
+
+    T: Similarity
+    iterations: int
+    converged: bool
+    hint: IntArray | None  # the reference's points that the sample's were nearest to: the next search starts there
+
+
+def _both_stages(problem: _Problem, start: _Start, constrained: FloatArray) -> _End:
+    """The fine stage's end, with the iterations of both."""
     target, settings = problem.target, problem.settings
     # Strays within a large distance shrink the candidate: its scale stands still at first, unless all pairs are kept.
     rigid = settings.with_scale and start.kept < 1 and not constrained.shape[1]
     coarse = (replace(settings, with_scale=False), np.zeros((6, 0))) if rigid else (settings, constrained)
     T = Similarity.identity()
     stages = (target.coarse, problem.coarse_sample), (target.surface, problem.sample)
-    T, first, _ = _iterate(*stages[0], T, *coarse, problem.coarse_schedule(start), target.extent)
-    T, second, converged = _iterate(*stages[1], T, settings, constrained, problem.fine_schedule(), target.extent)
-    plane = settings.residuals == "plane"
-    quality = assess(target, problem.sample, T, plane=plane, with_scale=settings.with_scale)
-    return Fit(T, quality, first + second, converged)
+    first = _iterate(*stages[0], T, *coarse, problem.coarse_schedule(start), target.extent)
+    second = _iterate(*stages[1], first.T, settings, constrained, problem.fine_schedule(), target.extent)
+    return second._replace(iterations=first.iterations + second.iterations)
 
 
 def _iterate(
@@ -241,7 +267,7 @@ def _iterate(
     constrained: FloatArray,
     schedule: _Schedule,
     extent: float,
-) -> tuple[Similarity, int, bool]:
+) -> _End:
     """Gauss-Newton on re-matched pairs until the update is below the noise of the estimate.
 
     Args:
@@ -252,13 +278,10 @@ def _iterate(
         constrained: (6 or 7, C) orthonormal motions that are not to be made.
         schedule: of the maximum correspondence distance.
         extent: of the reference.
-
-    Returns:
-        The pose, the number of iterations, and whether they converged.
     """
     max_distance = schedule.first
     previous = np.inf
-    hint: IntArray | None = None  # where the last search ended: the next one starts there
+    hint: IntArray | None = None
     for iteration in range(1, settings.max_iterations + 1):
         annealing = max_distance > schedule.final
         moved, nearest = target.index.nearest_of_moved(sample, T.matrix, hint)
@@ -284,10 +307,10 @@ def _iterate(
         tolerance = max(0.05 * pairs.sigma / np.sqrt(total), 1e-12 * extent)
         # Matches flip for ever at the level of the noise: no further progress also ends it.
         if not annealing and (size < tolerance or (size > 0.5 * previous and size < 20 * tolerance)):
-            return T, iteration, True
+            return _End(T, iteration, True, hint)
         previous = size if not annealing else np.inf
         max_distance = max(schedule.final, schedule.start.narrowing * max_distance)
-    return T, settings.max_iterations, False
+    return _End(T, settings.max_iterations, False, hint)
 
 
 def _plane_step(

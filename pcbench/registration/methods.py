@@ -102,6 +102,7 @@ def register(
         check_points=check_points,
         warnings=(*quality.warnings, *_unit_warnings(target.extent, points, fit.T_local.scale)),
         solved_scale=method.with_scale,
+        contrast=quality.contrast,
     )
 
 

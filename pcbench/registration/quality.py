@@ -7,23 +7,28 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.errors import Notice, RegistrationError
-from pcbench.geometry.arrays import FloatArray, bounds
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample_to
+from pcbench.registration.contrast import LEAST, SURE, contrast
 from pcbench.registration.degeneracy import observability
-from pcbench.registration.result import FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE
+from pcbench.registration.result import DOUBTFUL_POSE, FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE, WEAKLY_OBSERVABLE
 from pcbench.registration.target import Target
 from pcbench.registration.weighted_pairs import weigh
 
 MIN_EXTENT = 1e-150  # of a reference: squares of less are lost
 MIN_POINTS = 10  # that a fit is judged by
-MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before that is said
+MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before others are tried
 
 _MAX_SAMPLE = 30_000  # candidate points that a given pose is judged by
 _MAX_SPACINGS_ON_SURFACE = 5  # of the reference: a candidate point nearer than that lies on it
 _MAX_NEAR = 0.05  # of the extent: where a point has its counterpart, if there is one
 _MIN_OVERLAP = 0.3  # before a small one is said
+_MIN_FELT, _WHOLE_OVERLAP = 0.015, 0.95  # see `Contrast.felt`, and the overlap above which nothing is left to meet
+_MAX_HOVERING = 0.1  # share of the candidate near the reference that floats beside its surface, before that is said
+_SIGMAS_OFF = 4.0  # of the residuals: what floats is farther off than noise is
+_MIN_UPRIGHT = 0.9  # cosine to the normal: what floats, and does not lie beyond the surface's end
 _MAX_SPACINGS_OFF = 10  # of the candidate's nearest quarter, before that is said
 
 
@@ -33,6 +38,7 @@ class Quality(NamedTuple):
     rmse: float
     overlap: float
     off_surface: float  # share of the points near the reference that do not lie on it
+    contrast: float | None  # of the reference's own, see `contrast`; None where too few points meet
     eigenvalues: tuple[float, ...]
     weakest_sigma: float | None
     unobservable: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
@@ -48,7 +54,9 @@ class Fit(NamedTuple):
     converged: bool | None = None
 
 
-def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_scale: bool) -> Quality:
+def assess(
+    target: Target, sample: Index, T: Similarity, *, plane: bool, with_scale: bool, hint: IntArray | None = None
+) -> Quality:
     """Residual, overlap and what the geometry fixes, at a pose that is taken as it is.
 
     Args:
@@ -57,9 +65,10 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
         T: the pose between local coordinates.
         plane: whether the RMSE is of distances to tangent planes, or to points.
         with_scale: whether the scale is one of the motions that the geometry has to fix.
+        hint: the reference's points that the sample's were nearest to last, where the search starts.
     """
     surface, spacing = target.surface, target.spacing
-    moved, nearest = surface.index.nearest_of_moved(sample, T.matrix)
+    moved, nearest = surface.index.nearest_of_moved(sample, T.matrix, hint)
     distances = nearest.distances
     # One distance for every method: were it to follow the fit, the worse the fit, the more would count as overlap.
     within = _MAX_SPACINGS_ON_SURFACE * spacing
@@ -77,22 +86,46 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
         rms = float(np.sqrt(np.mean(np.square(distances))))
         nothing = np.zeros((7 if with_scale else 6, 0))
         notice = Notice(FEW_POINTS, "too few points to say what the geometry fixes")
-        return Quality(rms, overlap, off_surface, (), None, nothing, (notice,))
+        return Quality(rms, overlap, off_surface, None, (), None, nothing, (notice,))
     on_it, pairs = (pairs.take(pairs.weights > 0) for pairs in weighed)
     errors = on_it.residuals if plane else on_it.distances
     rmse = float(np.sqrt((on_it.weights * errors**2).sum() / on_it.weights.sum()))
     typical = float(np.percentile(distances, 25))  # the quarter that fits best: partial overlap is no failure
     observed = observability(surface, pairs, with_scale=with_scale)
     warnings = list(observed.warnings)
+    sharp = contrast(
+        surface,
+        moved,
+        nearest,
+        np.flatnonzero(near),
+        sigma=weighed[0].sigma,
+        spacing=spacing,
+        extent=target.extent,
+        with_scale=with_scale,
+    )
+    if sharp is not None and sharp.share < LEAST:
+        text = (
+            f"the pose may be wrong: moving the candidate away from it costs {max(sharp.share, 0):.0%} of what moving"
+            " the reference away from itself costs"
+        )
+        warnings.append(Notice(DOUBTFUL_POSE, text))
+    # A round body fits turned about its axis. What would tell the turn, such as its handle, then meets nothing.
+    if sharp is not None and sharp.felt < _MIN_FELT and overlap < _WHOLE_OVERLAP and not observed.warnings:
+        text = "what meets hardly fixes some motion, and the rest, which would fix it, does not meet"
+        warnings.append(Notice(WEAKLY_OBSERVABLE, text))
     if overlap < _MIN_OVERLAP:
         warnings.append(Notice(LOW_OVERLAP, f"only {overlap:.0%} of the candidate lies on the reference"))
-    if off_surface > MAX_OFF_SURFACE:
+    beside = max(within, _SIGMAS_OFF * weighed[0].sigma)
+    residuals = np.abs(weighed[0].residuals)
+    floating = (distances > beside) & (residuals > _MIN_UPRIGHT * distances)
+    hovering = float(np.mean(floating[distances <= max(_MAX_NEAR * target.extent, 2 * beside)]))
+    if hovering > _MAX_HOVERING:
         text = (
-            f"{off_surface:.0%} of the candidate near the reference does not lie on it: a wrong alignment, outliers or"
+            f"{hovering:.0%} of the candidate near the reference does not lie on it: a wrong alignment, outliers or"
             " changes"
         )
         warnings.append(Notice(OFF_SURFACE, text))
-    if typical > _MAX_SPACINGS_OFF * spacing > 0:
+    if typical > _MAX_SPACINGS_OFF * spacing > 0 and (sharp is None or sharp.share < SURE):
         text = (
             f"the candidate lies far off the reference (its nearest quarter by {typical:.3g}, {typical / spacing:.0f}"
             " times the reference's spacing): the registration may have failed"
@@ -102,6 +135,7 @@ def assess(target: Target, sample: Index, T: Similarity, *, plane: bool, with_sc
         rmse,
         overlap,
         off_surface,
+        None if sharp is None else sharp.share,
         observed.eigenvalues,
         observed.weakest_sigma,
         observed.unobservable,

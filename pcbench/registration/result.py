@@ -19,17 +19,16 @@ UNOBSERVABLE = "unobservable"  # the geometry does not fix some motion at all
 WEAKLY_OBSERVABLE = "weakly-observable"  # it hardly fixes some motion
 SCALE_MISSING = "scale-missing"  # the residuals ask for a scale that was not solved for
 LOW_OVERLAP = "low-overlap"  # little of the candidate lies on the reference
-OFF_SURFACE = "off-surface"  # much of what is near the reference does not lie on it
+OFF_SURFACE = "off-surface"  # much of what is near the reference floats beside its surface
 FAR_OFF = "far-off"  # even the best quarter is far from the reference
 NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were small
-WEAK_EVIDENCE = "weak-evidence"  # the best of the poses from features is hardly better than chance
 AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
 UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a factor that looks like a unit
-DOUBTFUL_POSE = "doubtful-pose"  # what meets does not lie on the reference as well as the reference on itself
+DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than those about it
 
 # Those that say that the pose may be wrong. The others speak of how well a right one is known.
 _OF_A_WRONG_POSE = frozenset(
-    (FEW_POINTS, OFF_SURFACE, FAR_OFF, NO_CONVERGENCE, WEAK_EVIDENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE)
+    (FEW_POINTS, OFF_SURFACE, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE)
 )
 
 
@@ -62,6 +61,8 @@ class Registration:
         check_points: pairs that were not used for the fit.
         warnings: what the user should know before reading any score, as codes (those of this module) with texts.
         solved_scale: whether the scale was estimated from the data. A scale that was given is none of these.
+        contrast: what moving the candidate away from the pose costs, as a share of what moving the reference away from
+            itself costs: about 1 at a right pose, whatever the scene. None where too few points meet to say.
     """
 
     method: str
@@ -76,6 +77,7 @@ class Registration:
     check_points: tuple[CheckPoint, ...] = ()
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
+    contrast: float | None = None
 
     @property
     def doubtful(self) -> bool:

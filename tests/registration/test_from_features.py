@@ -18,7 +18,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity, read_matrix
 from pcbench.registration import register
 from pcbench.registration.correspondences import Pairs, likely_poses
-from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE, WEAK_EVIDENCE
+from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
 needs_kiss = pytest.mark.skipif(importlib.util.find_spec("kiss_matcher") is None, reason="kiss-matcher is missing")
@@ -58,7 +58,7 @@ def test_finds_any_pose(method, seed, overlap, scale):
     assert result.method == method
     assert result.converged
     assert result.solved_scale == (method == "global-similarity")
-    assert not codes(result) & {AMBIGUOUS, WEAK_EVIDENCE}
+    assert not result.doubtful
     if method == "global":
         assert result.T_reference_candidate.scale == 1.0
 

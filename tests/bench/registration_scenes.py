@@ -1,0 +1,144 @@
+"""Scenes of the trials of registrations: clouds that are cut into independent halves, one moved, and brought back.
+
+Those with surfaces everywhere (objects, a room, a town) and those without (forest, hills, a street as a scanner sees
+it). Some need real data (environment variable PCBENCH_DATA), which are left out where they are absent.
+"""
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pcbench import Mesh, read_cloud, read_mesh
+from pcbench.geometry.arrays import FloatArray
+from pcbench.scenes.synthetic import city
+
+_MAX_POINTS = 80_000
+
+Scene = Callable[[int], FloatArray]
+
+
+def forest(_: int) -> FloatArray:
+    return _real("wild/MixedConifer.laz")
+
+
+def hills(_: int) -> FloatArray:
+    return _real("wild/Topography.laz")
+
+
+def street(_: int) -> FloatArray:
+    return _real("small_gicp/target.ply")
+
+
+def crossing(_: int) -> FloatArray:
+    return _real("small_gicp/source.ply")
+
+
+def stadium(_: int) -> FloatArray:
+    return _real("autzen/autzen_trim.las")
+
+
+def town(seed: int) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    points = city(seed).sample(350_000, rng)[0]
+    return points[np.abs(points[:, :2]).max(axis=1) < 75]
+
+
+def room(seed: int) -> FloatArray:
+    """One depth image, 4.2 m x 5.6 m x 2.6 m of walls and a dozen boxes: dense near by, sparse far off."""
+    rng = np.random.default_rng(seed)
+    size = np.array([4.2, 5.6, 2.6])
+    half = rng.uniform(0.15, 0.6, (12, 3)) * [1, 1, 1.3]
+    center = np.column_stack([rng.uniform(0.5, 3.7, 12), rng.uniform(1.5, 5.2, 12), half[:, 2]])
+    eye = np.array([2.1, 0.3, 1.5])
+    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.75, 0.75, 320), np.linspace(-0.56, 0.56, 240)))
+    rays = np.column_stack([u, np.ones_like(u), v - 0.15])
+    depth = np.where(rays > 0, (size - eye) / rays, -eye / rays).min(axis=1)
+    for middle, arm in zip(center, half, strict=True):
+        enter, leave = np.sort([(middle - arm - eye) / rays, (middle + arm - eye) / rays], axis=0)
+        near, far = enter.max(axis=1), leave.min(axis=1)
+        depth = np.where((near < far) & (near > 0), np.minimum(depth, near), depth)
+    return eye + rays * (depth + rng.normal(0, 0.002, len(depth)) * depth**2)[:, None]
+
+
+def bumps(seed: int) -> FloatArray:
+    """A ball of radius 1 with waves of ten directions."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(60_000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    waves, phases = rng.normal(0, 2.5, (10, 3)), rng.uniform(0, 2 * np.pi, 10)
+    return directions * (1 + 0.05 * np.sin(directions @ waves.T + phases).sum(axis=1))[:, None]
+
+
+def knot(seed: int) -> FloatArray:
+    """A trefoil of a tube whose thickness varies once along it."""
+    rng = np.random.default_rng(seed)
+    t, turn = rng.uniform(0, 2 * np.pi, (2, 60_000))
+    middle, ahead = _trefoil(t), _trefoil(t + 1e-4)
+    along = (ahead - middle) / np.linalg.norm(ahead - middle, axis=1)[:, None]
+    side = np.cross(along, [0.3, 0.5, 0.8])
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    arm = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(along, side)
+    return middle + (0.35 + 0.12 * np.sin(t + 1))[:, None] * arm
+
+
+def rough_ground(seed: int) -> FloatArray:
+    """Rolling ground of 200 m with shrubs: returns anywhere up to 3 m above a third of it."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-100, 100, (60_000, 2))
+    waves, phases = rng.normal(0, 0.12, (25, 2)), rng.uniform(0, 2 * np.pi, 25)
+    heights = np.sin(xy @ waves.T + phases) @ (0.25 / np.linalg.norm(waves, axis=1).clip(0.05))
+    shrub = np.sin(xy @ rng.normal(0, 0.4, (6, 2)).T).sum(axis=1) > 1
+    return np.column_stack([xy, heights + shrub * rng.uniform(0, 3, len(xy)) + rng.normal(0, 0.1, len(xy))])
+
+
+# The gates were looked for on the first ones only.
+TUNED: dict[str, Scene] = {"forest": forest, "street": street, "town": town, "room": room, "bumps": bumps}
+HELD_OUT: dict[str, Scene] = {
+    "hills": hills,
+    "crossing": crossing,
+    "stadium": stadium,
+    "rough ground": rough_ground,
+    "knot": knot,
+}
+
+
+def of_folder(folder: Path) -> dict[str, Scene]:
+    """A scene of each mesh in a folder: 60,000 points on it."""
+    meshes = {path.stem: read_mesh(path) for path in sorted(folder.iterdir())}
+    return {name: partial(_sampled, mesh) for name, mesh in meshes.items()}
+
+
+def available(scenes: dict[str, Scene]) -> dict[str, Scene]:
+    """Those whose data are there."""
+    found = {}
+    for name, scene in scenes.items():
+        try:
+            scene(0)
+        except FileNotFoundError:
+            continue
+        found[name] = scene
+    return found
+
+
+def _sampled(mesh: Mesh, seed: int) -> FloatArray:
+    return mesh.sample(60_000, seed).points
+
+
+def _trefoil(t: FloatArray) -> FloatArray:
+    return np.column_stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)])
+
+
+def _real(name: str) -> FloatArray:
+    path = Path(os.environ.get("PCBENCH_DATA", Path(__file__).parents[3] / "shared" / "data"), name)
+    if not path.exists():
+        raise FileNotFoundError(path)
+    points = read_cloud(path).points
+    return _thinned(points - np.floor(points.mean(axis=0)))
+
+
+def _thinned(points: FloatArray) -> FloatArray:
+    """At most 80,000 points."""
+    return points if len(points) <= _MAX_POINTS else np.random.default_rng(0).permutation(points)[:_MAX_POINTS]

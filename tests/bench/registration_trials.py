@@ -1,0 +1,148 @@
+"""Is a wrong pose ever returned without a word? python tests/bench/registration_trials.py
+
+--trials 20       of each scene
+--methods icp,similarity,global,global-similarity
+--only forest     only these scenes
+--meshes FOLDER   more scenes: a file each
+--start 0         the first trial's number
+--rows FILE       keep the outcomes
+
+Each trial cuts one cloud into two halves that share no point, lets them overlap in part, adds noise of 0.2 spacings to
+both, thins the candidate, and moves it by 5 to 60 degrees and up to 5 % of the extent; with a scale of 0.5 to 2 where
+the method solves for one. A pose is right where it puts the candidate within one spacing of the reference of where the
+true one does (root mean square). Anything else is *wrong*: *said* where a warning stands with it, *refused* where no
+pose is returned, else *silent*. Every tenth candidate is a mirror image, which has no right pose.
+"""
+
+import argparse
+import json
+import resource
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from measure import setting
+from registration_cases import rotation
+from registration_scenes import HELD_OUT, TUNED, Scene, available, of_folder
+
+from pcbench import register
+from pcbench.errors import RegistrationError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.transform import Similarity
+from pcbench.geometry.voxels import robust_extent
+
+METHODS = ("icp", "similarity", "global", "global-similarity")
+ANGLES, OVERLAPS, RATIOS, NOISE = (5, 10, 15, 20, 30, 45, 60), (0.3, 0.5, 0.7, 1.0), (1, 4), 0.2
+SYMMETRIC = ("teapot", "airplane", "ant")  # their mirror images are themselves
+KINDS = ("right", "right, warned", "said", "silent", "refused")
+
+
+class Trial(NamedTuple):
+    """Two clouds, the true pose candidate -> reference (none of a mirror image), and the reference's spacing."""
+
+    reference: FloatArray
+    candidate: FloatArray
+    true: Similarity | None
+    spacing: float
+    angle: float
+    overlap: float
+    ratio: int
+
+
+def trial(name: str, scene: Scene, method: str, number: int) -> Trial:
+    """The same numbers give the same trial for every method without a scale, and for every one with."""
+    rng = np.random.default_rng([number, *name.encode()])
+    points = rng.permutation(scene(number))
+    first, second = points[::2], points[1::2]
+    angle, overlap, ratio = (rng.choice(values) for values in (ANGLES, OVERLAPS, RATIOS))
+    if method.startswith("global"):
+        angle = rng.uniform(5, 180)
+    upright = np.ptp(points[:, 2]) < 0.3 * np.ptp(points[:, :2], axis=0).max()  # a scene is cut by upright walls
+    way = rng.normal(size=3) * [1, 1, not upright]
+    along = [cloud @ (way / np.linalg.norm(way)) for cloud in (first, second)]
+    width = 1 / (2 - overlap)
+    first = first[along[0] <= np.quantile(along[0], width)]
+    second = second[along[1] >= np.quantile(along[1], 1 - width)][::ratio]
+    spacing = median_spacing(Index(first))
+    first, second = (cloud + rng.normal(0, NOISE * spacing, cloud.shape) for cloud in (first, second))
+    axis, heading = rng.normal(size=(2, 3))
+    axis = [0, 0, 1] + 0.1 * axis if upright and rng.random() < 0.5 else axis
+    scale = float(np.exp(rng.uniform(-np.log(2), np.log(2)))) if "similarity" in method else 1.0
+    mirrored = name not in SYMMETRIC and rng.random() < 0.1
+    R, center = rotation(axis / np.linalg.norm(axis), np.radians(angle)), second.mean(axis=0)
+    shift = rng.uniform(0, 0.05) * robust_extent(first) * heading / np.linalg.norm(heading)
+    true = Similarity(R, center + shift - scale * R @ center, scale)
+    if mirrored:
+        second = (second - center) * [-1, 1, 1] + center
+    candidate = true.inverse().apply(second)
+    return Trial(first, candidate, None if mirrored else true, spacing, float(angle), overlap, ratio)
+
+
+def outcome(name: str, scene: Scene, method: str, number: int) -> dict:
+    made = trial(name, scene, method, number)
+    row = {"scene": name, "method": method, "number": number, "angle": made.angle, "overlap": made.overlap}
+    row |= {"ratio": int(made.ratio), "mirrored": made.true is None, "off": None, "codes": []}
+    cpu = _cpu_seconds()
+    try:
+        found = register(made.reference, made.candidate, method)
+    except RegistrationError:
+        return row | {"kind": "refused", "cpu": _cpu_seconds() - cpu}
+    row |= {"cpu": _cpu_seconds() - cpu, "codes": [notice.code for notice in found.warnings]}
+    row["contrast"] = found.contrast
+    row["pose"] = found.T_reference_candidate.matrix.tolist()
+    if made.true is not None:
+        places = made.true.apply(made.candidate)
+        there = found.T_reference_candidate.apply(made.candidate)
+        row["off"] = float(np.sqrt(np.square(there - places).sum(axis=1).mean()) / made.spacing)
+    if row["off"] is not None and row["off"] <= 1:
+        return row | {"kind": "right, warned" if found.warnings else "right"}
+    return row | {"kind": "said" if found.warnings else "silent"}
+
+
+def run(scenes: dict[str, Scene], methods: Iterable[str], numbers: Iterable[int]) -> list[dict]:
+    rows = []
+    for method in methods:
+        print(f"\n{method:20}{'trials':>8}" + "".join(f"{kind:>15}" for kind in KINDS) + f"{'CPU s':>8}")
+        for name, scene in scenes.items():
+            found = [outcome(name, scene, method, number) for number in numbers]
+            _print(name, found)
+            rows += found
+        _print("all", [row for row in rows if row["method"] == method])
+    return rows
+
+
+def _print(name: str, rows: list[dict]) -> None:
+    counts = [sum(row["kind"] == kind for row in rows) for kind in KINDS]
+    cpu = float(np.median([row["cpu"] for row in rows]))
+    print(f"{name:20}{len(rows):8}" + "".join(f"{count:15}" for count in counts) + f"{cpu:8.2f}", flush=True)
+
+
+def _cpu_seconds() -> float:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--start", type=int, default=0)
+    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--only")
+    parser.add_argument("--meshes", type=Path)
+    parser.add_argument("--rows", type=Path)
+    options = parser.parse_args()
+    print(setting())
+    scenes = available(TUNED | HELD_OUT) | (of_folder(options.meshes) if options.meshes else {})
+    if options.only:
+        scenes = {name: scenes[name] for name in options.only.split(",")}
+    numbers = range(options.start, options.start + options.trials)
+    rows = run(scenes, options.methods.split(","), numbers)
+    if options.rows:
+        options.rows.write_text(json.dumps(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""A pose is told to be right or wrong by what moving away from it costs, whatever the scene, the noise, the density."""
+
+import numpy as np
+import pytest
+import shapes
+from registrations import codes, error
+from repository import ROOT
+
+from pcbench import Similarity
+from pcbench.registration import register
+from pcbench.registration.result import DOUBTFUL_POSE, LOW_OVERLAP, UNOBSERVABLE, WEAKLY_OBSERVABLE
+from pcbench.scenes.synthetic import city
+
+
+def wood(count, seed):
+    """Two clouds of one wood of 60 m that share no point: rolling ground, and returns anywhere in 90 crowns."""
+    rng, place = np.random.default_rng(seed), np.random.default_rng(99)
+    trees, heights = place.uniform(0, 60, (90, 2)), place.uniform(4, 14, 90)
+    which, arms = rng.integers(0, 90, count // 2), rng.normal(size=(count // 2, 3))
+    arms *= (rng.random(len(arms)) ** (1 / 3) / np.linalg.norm(arms, axis=1))[:, None] * [1.8, 1.8, 3.0]
+    crowns = np.column_stack([trees, heights])[which] + arms
+    xy = rng.uniform(0, 60, (count - len(crowns), 2))
+    ground = np.column_stack([xy, np.sin(xy[:, 0] / 7) + np.cos(xy[:, 1] / 9)]) + rng.normal(0, 0.05, (len(xy), 3))
+    points = np.concatenate([crowns, ground])
+    return points[(points[:, :2] > 0).all(axis=1) & (points[:, :2] < 60).all(axis=1)]
+
+
+def bumpy(count, seed):
+    """A ball whose waves no mirror and no turn maps onto themselves."""
+    rng, shape = np.random.default_rng(seed), np.random.default_rng(1)
+    out = rng.normal(size=(count, 3))
+    out /= np.linalg.norm(out, axis=1)[:, None]
+    waves = np.sin(out @ shape.normal(0, 2.5, (3, 10)) + shape.uniform(0, 6, 10)).sum(axis=1)
+    return out * (1 + 0.05 * waves)[:, None]
+
+
+def houses(count, seed):
+    points = city(5).sample(4 * count, np.random.default_rng(seed))[0]
+    return points[np.abs(points[:, :2]).max(axis=1) < 90]
+
+
+@pytest.mark.parametrize("scene", ["wood", "ball", "town"])
+@pytest.mark.parametrize(("ratio", "noise"), [(1, 0.0), (4, 0.2), (0.25, 0.2), (1, 1.0)])
+def test_the_true_pose_is_as_sharp_as_the_reference(scene, ratio, noise):
+    """Random halves, denser, sparser, and one with noise as large as the spacing."""
+    make = {"wood": wood, "ball": bumpy, "town": houses}[scene]
+    reference, candidate = make(16_000, 0), make(int(16_000 / ratio), 1)
+    spacing = np.median(np.sort(np.linalg.norm(reference[:300, None] - reference[None], axis=2), axis=1)[:, 1])
+    candidate = candidate + np.random.default_rng(7).normal(0, noise * spacing, candidate.shape)
+    found = register(reference, candidate, "none")
+    assert 0.8 < found.contrast < 1.6
+    assert not found.doubtful
+
+
+@pytest.mark.parametrize("shift", [(7.0, 0, 0), (0, -5.0, 0), (4.0, 4.0, 0.3)])
+def test_a_slide_in_a_wood_is_doubtful(shift):
+    """Points fill the crowns: most of the candidate still lies on the reference."""
+    reference, candidate = wood(16_000, 0), wood(16_000, 1) + np.array(shift)
+    found = register(reference, candidate, "none")
+    assert found.overlap > 0.55
+    assert DOUBTFUL_POSE in codes(found)
+    assert found.contrast < 0.6
+
+
+def test_a_mirror_image_is_doubtful():
+    reference, candidate = bumpy(20_000, 0), bumpy(20_000, 1) * [-1, 1, 1]
+    for method in ("icp", "similarity"):
+        assert register(reference, candidate, method).doubtful
+
+
+def test_a_turn_that_is_missed_is_doubtful():
+    reference, candidate = bumpy(20_000, 0), bumpy(10_000, 1)
+    turned = Similarity(shapes.rotation([1, 2, 3], 25), np.zeros(3)).apply(candidate)
+    found = register(reference, turned)
+    assert (
+        error(found.T_reference_candidate, Similarity(shapes.rotation([1, 2, 3], -25), np.zeros(3)), candidate) < 0.01
+    )
+    assert not found.warnings
+    lost = register(reference, Similarity(shapes.rotation([1, 2, 3], 100), np.zeros(3)).apply(candidate))
+    assert lost.doubtful
+
+
+def jug(count, seed):
+    """A body of revolution with a handle: without the handle nothing tells its turn."""
+    rng = np.random.default_rng(seed)
+    height, turn = rng.uniform(0, 2, count), rng.uniform(0, 2 * np.pi, count)
+    radius = 1 + 0.25 * np.sin(2.5 * height)
+    body = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])
+    along, around = rng.uniform(-1.2, 1.2, count // 8), rng.uniform(0, 2 * np.pi, count // 8)
+    reach = 0.9 + 0.9 * np.cos(along) + 0.12 * np.cos(around)
+    handle = np.column_stack([reach, 0.12 * np.sin(around), 1 + 0.8 * np.sin(along) * reach / 1.8])
+    points = np.concatenate([body, handle])
+    return points + rng.normal(0, 0.004, points.shape)
+
+
+def test_a_round_body_turned_about_its_axis_is_not_sure():
+    reference, candidate = jug(20_000, 0), jug(20_000, 1)
+    assert not register(reference, candidate, "none").warnings
+    turned = Similarity(shapes.rotation([0, 0, 1], 90), np.zeros(3)).apply(candidate)
+    assert register(reference, turned, "none").warnings
+
+
+def test_a_small_overlap_is_not_far_off_where_the_pose_is_sharp():
+    reference, candidate = bumpy(40_000, 0), bumpy(40_000, 1)
+    reference, candidate = reference[reference[:, 0] < 0.1], candidate[candidate[:, 0] > -0.1]
+    found = register(reference, candidate, "none")
+    assert found.overlap < 0.3
+    assert codes(found) == {LOW_OVERLAP}
+    assert not found.doubtful
+
+
+def test_exact_copies_are_not_warned_of():
+    points = bumpy(20_000, 0)
+    for scale in (1.0, 0.9):
+        true = Similarity(shapes.rotation([1, 0, 2], 3), np.array([0.02, 0, 0.01]), scale)
+        found = register(points, true.inverse().apply(points[::3]), "similarity")
+        assert found.rmse < 1e-12
+        assert not found.warnings
+
+
+def test_few_points_have_no_contrast():
+    points = np.random.default_rng(0).normal(size=(40, 3))
+    assert register(points, points, "none").contrast is None
+
+
+def test_a_scan_with_most_points_in_few_places_is_observed():
+    """The density of a scanner falls with the square of the distance; walls and ground fix the pose."""
+    rng = np.random.default_rng(3)
+    clouds = []
+    for seed in (1, 2):
+        points = city(4).sample(500_000, np.random.default_rng(seed))[0]
+        distance = np.linalg.norm(points - [5.0, 3, 2], axis=1)
+        clouds.append(points[rng.random(len(points)) < np.minimum(1, (12 / distance) ** 2)])
+    found = register(*clouds)
+    assert not codes(found) & {UNOBSERVABLE, WEAKLY_OBSERVABLE}
+
+
+def test_no_trial_is_wrong_without_a_word(monkeypatch, capsys):
+    """The bench's quick form: made scenes only, and mirror images among them."""
+    trials, scenes = _bench(monkeypatch)
+    chosen = {name: (scenes.TUNED | scenes.HELD_OUT)[name] for name in ("bumps", "rough ground")}
+    rows = trials.run(chosen, ["icp", "similarity"], range(2))
+    kinds = [row["kind"] for row in rows]
+    assert "silent" not in kinds
+    assert kinds.count("right") >= 4
+    assert "right, warned" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_no_trial_of_any_scene_is_wrong_without_a_word(monkeypatch):
+    trials, scenes = _bench(monkeypatch)
+    rows = trials.run(scenes.available(scenes.TUNED | scenes.HELD_OUT), trials.METHODS[:2], range(400, 410))
+    kinds = [row["kind"] for row in rows]
+    assert kinds.count("silent") <= 0.01 * len(kinds)
+    assert kinds.count("right, warned") <= 0.06 * kinds.count("right")
+
+
+def _bench(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    import registration_scenes
+    import registration_trials
+
+    return registration_trials, registration_scenes
