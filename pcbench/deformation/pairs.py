@@ -165,8 +165,8 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
     around = index.query(index.points[closest], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
     places = index.points[around].mean(axis=1)
     for _ in range(_LAST_FITS):  # with all that these pairs show, now that none are looked for any more
-        field = field.fitted(asked, normals, residuals, weights, noise, _HALF_FOLLOWED_LAST)
-        fitted = np.einsum("ni,ni->n", field(asked), normals)
+        field = field.fitted(places, normals, residuals, weights, noise, _HALF_FOLLOWED_LAST)
+        fitted = np.einsum("ni,ni->n", field(places), normals)
         left = residuals - fitted
         squared = np.square(np.clip(left / width, -1, 1))
         weights = quality * np.square(1 - squared)

@@ -27,9 +27,7 @@ UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a factor that looks lik
 DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than those about it
 
 # Those that say that the pose may be wrong. The others speak of how well a right one is known.
-_OF_A_WRONG_POSE = frozenset(
-    (FEW_POINTS, OFF_SURFACE, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE)
-)
+_OF_A_WRONG_POSE = frozenset((FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE))
 
 
 class CheckPoint(NamedTuple):
@@ -84,7 +82,8 @@ class Registration:
         """Whether any warning says that the pose may be wrong: then no score that is computed after it can be trusted.
 
         What the geometry does not fix, a scale that is missing and a small overlap are warned of too; they speak of how
-        well a right pose is known, and do not make it doubtful.
+        well a right pose is known, and do not make it doubtful. Nor do points beside the surface: strays and changes
+        lie there under a right pose, and what else a wrong one shows is warned of by itself.
         """
         return any(notice.code in _OF_A_WRONG_POSE for notice in self.warnings)
 
