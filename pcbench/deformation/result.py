@@ -224,7 +224,7 @@ class Deformation:
 
     def __repr__(self) -> str:
         size = "" if self.amplitude is None else f", bend {self.amplitude.rms:.3g} RMS"
-        p = "" if self.p_value is None else f", p = {self.p_value:.2g}"
+        p = "" if self.p_value is None else f", {_p(self.p_value)}"
         return f"<Deformation: {self.verdict} ({self.model} model{size}{p})>"
 
     @classmethod
@@ -259,7 +259,7 @@ class Deformation:
             over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
             return (
                 f"{name} is bent against the reference: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals"
-                f" of smooth places{over} beyond any affine motion ({self.model} model, p = {self.p_value:.2g}){parts}"
+                f" of smooth places{over} beyond any affine motion ({self.model} model, {_p(self.p_value)}){parts}"
             )
         if self.verdict == "affine":
             return f"{name} is sheared or stretched against the reference, but not bent{unseen}{parts}"
@@ -290,6 +290,13 @@ class Deformation:
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         return replace(self, warnings=(*self.warnings, *notes))
+
+
+def _p(value: float | None) -> str:
+    """A p-value in words: beyond a billionth it says nothing more."""
+    if value is None:
+        return "p unknown"
+    return f"p = {value:.2g}" if value >= 1e-9 else "p < 1e-9"
 
 
 def rounded(value: Any) -> Any:
