@@ -119,6 +119,13 @@ def null_city(candidate: int, ratio: float, kernel: str = "gauss", uneven: float
     return make
 
 
+def null_sparse(seed: int) -> Pair:
+    """The city at metres, as sparse reconstructions see it: half of the planes bridge edges."""
+    rng = np.random.default_rng(seed)
+    reference, candidate = on_city(60_000, rng, seed % 5), on_city(8_000, rng, seed % 5)
+    return Pair(metric(reference), metric(candidate + rng.normal(0, 0.03, candidate.shape)))
+
+
 def null_terrain(ratio: float, uneven: float = 1.0) -> Callable[[int], Pair]:
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
@@ -279,6 +286,8 @@ NULLS: dict[str, Callable[[int], Pair]] = {
     "city, L/50": null_city(40_000, 50),
     "city, L/25": null_city(40_000, 25),
     "city, L/50 exp": null_city(40_000, 50, "exp"),
+    "city sparse, white": null_sparse,
+    "city, L/10": null_city(40_000, 10),
     "city dense, L/50": null_city(200_000, 50),
     "city uneven, L/50": null_city(40_000, 50, uneven=4),
     "terrain, L/100": null_terrain(100),

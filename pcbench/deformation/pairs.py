@@ -33,7 +33,7 @@ _MIN_TILES = 60  # wanted of the middle size
 _MAX_CELLS = 480  # more only cost time
 _NEIGHBORS = 8  # that a place is the mean of
 _ROUGH = 4.0  # times the lower quartile of the surface variation: a pair that is so rough counts a quarter
-_MAX_ROUGH = 0.01  # surface variation; whatever the scene, a pair that is so rough counts a quarter: it is no surface
+_MAX_ROUGH = 0.005  # surface variation; whatever the scene, a pair that is so rough counts a quarter: it is no plane
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
 
 

@@ -19,7 +19,7 @@ from pcbench.registration import Registration
 
 _RESOLUTION = 5e-3  # spacings of the points that planes go through
 _MIN_GAIN = 0.1  # of the median distance: so much nearer the clouds are under the bend, or it is not what they show
-_MANY_ROUGH = 0.8  # of the pairs: half of a city is corners and edges
+_MANY_ROUGH = 0.9  # of the pairs: most of a city that is seen at metres is corners and edges
 _MIN_INLIERS, _MAX_DISTANCE = 0.85, 1.25  # of pairs that belong together, and spacings that they lie apart
 _MIN_MAP_COORDINATE = 1e5  # beyond it, coordinates are a map's
 _EARTH_RADIUS = 6.37e6  # metres

@@ -22,7 +22,7 @@ from reconstructors.sfm.mapping import Mapper, largest_component, map_images
 from reconstructors.sfm.matches import without_pairs
 from reconstructors.sfm.model import Refine, cameras_of
 
-_MAX_BOTH = 30  # images that are solved in both ways: the second takes a fifth of the time of finding features
+_MAX_BOTH = 30  # images that are solved in both ways
 # Of the pairs; where fewer agree, wrong ones may have moved a camera, and the strong pairs alone are asked.
 _FEW_PAIRS = 0.9
 # A camera's two places are apart by more than their errors where they are so many pixels of its view from each other,

@@ -206,13 +206,15 @@ def lidar():
     return read_cloud(data_folder("autzen") / "autzen_trim.las")  # feet: a river's banks, trees, a stadium's edge
 
 
-@pytest.mark.parametrize("seed", [15, 18])  # at 18 a field that is free among the trees finds pairs that bear it out
+@pytest.mark.parametrize(
+    "seed", [pytest.param(15, marks=pytest.mark.slow), 18]
+)  # at 18 a field that is free among the trees finds pairs that bear it out
 def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
     found, _ = Halves(lidar, 0.1, seed).judge(None, 0.0)
     assert found.verdict == "none", found.warnings
 
 
-@pytest.mark.parametrize("kind", ["dome", "strip drift", "half wave of a sine"])
+@pytest.mark.parametrize("kind", ["dome", "strip drift", pytest.param("half wave of a sine", marks=pytest.mark.slow)])
 def test_bent_halves_of_a_lidar_cloud(lidar, kind):
     found, error = Halves(lidar, 0.1, 16).judge(kind, 2.0)
     assert found.verdict == "non-affine", found.warnings

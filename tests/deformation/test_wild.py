@@ -26,8 +26,8 @@ def test_halves_of_a_forest_are_not_bent(case):
     assert found(NULLS[case], 40).verdict == "none"
 
 
-@pytest.mark.parametrize("case", ["city uneven, L/50", pytest.param("terrain, L/50", marks=SLOW)])
-def test_noise_that_is_uneven_or_smooth_ground_is_no_bend(case):
+@pytest.mark.parametrize("case", ["city uneven, L/50", "city sparse, white", pytest.param("terrain, L/50", marks=SLOW)])
+def test_uneven_noise_bridged_edges_and_smooth_ground_are_no_bend(case):
     assert found(NULLS[case], 41).verdict == "none"
 
 

@@ -328,7 +328,7 @@ def test_other_components_of_the_same_images_are_not_counted(photographs, worksp
     ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
     mapped = tmp_path / "mapped"
     for number in "01":
-        shutil.copytree(workspace / "mapping" / "0", mapped / number)
+        shutil.copytree(workspace / "incremental" / "0", mapped / number)
     model, notes = largest_component(mapped, scene)
     assert (model.num_reg_images(), notes) == (7, [])
 
