@@ -25,7 +25,8 @@ _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # of all but the last rounds
 _ROUNDS = 7
 MIN_PAIRS = 300
-_LAST_FITS, _HALF_FOLLOWED_LAST = 3, 1e-4
+_LAST_FITS, _HALF_FOLLOWED_LAST = 12, 1e-4  # far fewer fits but where a part that moved is let go
+_SETTLED = 0.01  # of the noise
 _TUKEY = 4.685  # standard deviations: 95 % efficient for normal residuals
 _MIN_SLOPE = 0.2  # of the mean influence of a residual: below it, nearly all are outliers
 CELLS_ALONG = 16  # of the scene's extent, at first
@@ -164,12 +165,15 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
     # A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
     around = index.query(index.points[closest], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
     places = index.points[around].mean(axis=1)
+    left = np.full(len(residuals), np.inf)
     for _ in range(_LAST_FITS):  # with all that these pairs show, now that none are looked for any more
         field = field.fitted(places, normals, residuals, weights, noise, _HALF_FOLLOWED_LAST)
         fitted = np.einsum("ni,ni->n", field(places), normals)
-        left = residuals - fitted
+        before, left = left, residuals - fitted
         squared = np.square(np.clip(left / width, -1, 1))
         weights = quality * np.square(1 - squared)
+        if np.abs(left - before).max() <= _SETTLED * noise:
+            break
     slopes = (1 - squared) * (1 - 5 * squared)  # of Tukey's influence function left * (1 - squared)^2
     mean_slope = np.maximum(smoothed(asked, slopes, quality), _MIN_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope

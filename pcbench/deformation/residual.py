@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from pcbench.deformation.answer import describe
 from pcbench.deformation.breaks import find_break
 from pcbench.deformation.displacement import share_of
+from pcbench.deformation.field import local_changes
 from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
 from pcbench.deformation.result import Deformation
 from pcbench.deformation.verdict import Finding, View, decide
@@ -19,6 +21,8 @@ from pcbench.registration import Registration
 
 _RESOLUTION = 5e-3  # spacings of the points that planes go through
 _MIN_GAIN = 0.1  # of the median distance: so much nearer the clouds are under the bend, or it is not what they show
+_MAX_MOVED = 0.1  # of the cells: more of them are no exception
+_SURELY_MOVED, _REMOVALS = 3.0, 3  # standard deviations of a pair's noise
 _MANY_ROUGH = 0.9  # of the pairs: most of a city that is seen at metres is corners and edges
 _MIN_INLIERS, _MAX_DISTANCE = 0.85, 1.25  # of pairs that belong together, and spacings that they lie apart
 _MIN_MAP_COORDINATE = 1e5  # beyond it, coordinates are a map's
@@ -44,14 +48,15 @@ def residual_deformation(
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     resolution = _RESOLUTION * pairs.spacing
-    views = [View.of(tile_sums(pairs))]
+    whole = View.of(tile_sums(pairs))
+    views = [without_moved(whole, resolution)]
     finding = decide(views, metric=metric, resolution=resolution)
     if finding.verdict != "none":
         # What is claimed has to show without having been assumed.
         plain = find_pairs(reference, candidate, follow=False)
         if plain is not None:
             plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
-            views.append(View.of(tile_sums(plain)))
+            views.append(without_moved(View.of(tile_sums(plain)), resolution))
             finding = decide(views, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN) * plain.distance:
                 text = "a bend brings the clouds nearer to each other, but closest points as they are do not show it"
@@ -66,7 +71,23 @@ def residual_deformation(
     # A claim is described as the pairs show it that follow it; where these claimed too much, the others are right.
     described = views[-1] if finding.verdict == "none" else views[0]
     answer = describe(described, finding, resolution=resolution, seed=seed)
+    if described is not whole:
+        answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
     return answer.shifted(origin).with_warnings(notes)
+
+
+def without_moved(whole: View, resolution: float) -> View:
+    """The view of all cells but the few that surely moved by themselves: a smooth model would bend towards them."""
+    view, most = whole, (1 - _MAX_MOVED) * len(whole.sums.counts)
+    for _ in range(_REMOVALS):  # without some of them, more stand out
+        changed, length, _ = local_changes(view.geometry, view.noise, view.sums, resolution)
+        moved = changed & (length > _SURELY_MOVED * math.sqrt(view.noise.white + view.noise.correlated))
+        if not moved.any():
+            break
+        if len(moved) - np.count_nonzero(moved) < most:
+            return whole
+        view = View.of(view.sums.without(moved))
+    return view
 
 
 def _with_registration(finding: Finding, registration: Registration, pairs: Pairs) -> Finding:

@@ -288,6 +288,20 @@ class Deformation:
             local = replace(local, at=(x, y, z))
         return replace(self, local=local, field=field and replace(field, places=field.places + origin))
 
+    def with_changes(self, whole: Deformation) -> Deformation:
+        """This answer, which left out cells that moved, with the changes and the cells that an answer on all of them
+        holds.
+        """
+        if self.field is None or whole.field is None:
+            return self
+        kept = {tuple(place) for place in self.field.places.tolist()}
+        left_out = np.array([tuple(place) not in kept for place in whole.field.places.tolist()])
+        parts = {
+            name: np.concatenate([getattr(self.field, name), getattr(whole.field, name)[left_out]])
+            for name in Field.__annotations__
+        }
+        return replace(self, local=whole.local, field=Field(**parts))
+
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         return replace(self, warnings=(*self.warnings, *notes))
 

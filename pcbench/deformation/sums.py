@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
@@ -58,6 +59,23 @@ class TileSums:
     apart: FloatArray
     spread: FloatArray
     surface: FloatArray
+
+    def without(self, cells: NDArray[np.bool_]) -> TileSums:
+        """The sums but those of some cells (C,). What is not kept by cells is that of all pairs together."""
+        per_cell = (
+            "cells",
+            "moments",
+            "white",
+            "loads",
+            "near",
+            "scores",
+            "energy",
+            "counts",
+            "local",
+            "apart",
+            "spread",
+        )
+        return replace(self, **{name: getattr(self, name)[~cells] for name in per_cell})
 
     @classmethod
     def of(
