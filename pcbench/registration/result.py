@@ -85,7 +85,10 @@ class Registration:
         well a right pose is known, and do not make it doubtful. Nor do points beside the surface: strays and changes
         lie there under a right pose, and what else a wrong one shows is warned of by itself.
         """
-        return any(notice.code in _OF_A_WRONG_POSE for notice in self.warnings)
+        codes = {notice.code for notice in self.warnings}
+        if UNOBSERVABLE in codes:
+            codes.discard(NO_CONVERGENCE)  # the iteration wanders along what the geometry does not fix
+        return bool(codes & _OF_A_WRONG_POSE)
 
     def __repr__(self) -> str:
         state = {True: "converged", False: "NOT converged", None: "not iterated"}[self.converged]

@@ -1,12 +1,14 @@
 """Methods as texts and as objects, the reference's target, and what every method says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapes
 from registrations import codes, motion
 
 from pcbench import Cloud, Similarity
-from pcbench.errors import InputError, RegistrationError
+from pcbench.errors import InputError, Notice, RegistrationError
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import format_matrix
@@ -21,7 +23,7 @@ from pcbench.registration import (
     parse_method,
     register,
 )
-from pcbench.registration.result import UNIT_MISMATCH, UNOBSERVABLE
+from pcbench.registration.result import NO_CONVERGENCE, UNIT_MISMATCH, UNOBSERVABLE
 
 
 def test_refusals(scene):
@@ -126,6 +128,9 @@ def test_a_pose_is_doubtful_where_a_warning_says_that_it_may_be_wrong(scene):
     pole = register(reference[:, :2] @ [[1.0, 0, 0], [0, 1, 0]], candidate[:, :2] @ [[1.0, 0, 0], [0, 1, 0]])
     assert codes(pole) == {UNOBSERVABLE}  # the pose is right where it is known
     assert not pole.doubtful
+    wanders, stopped = Notice(UNOBSERVABLE, ""), Notice(NO_CONVERGENCE, "")
+    assert not replace(pole, warnings=(wanders, stopped)).doubtful
+    assert replace(pole, warnings=(stopped,)).doubtful
 
 
 def test_a_registration_is_told_in_a_line(scene):
