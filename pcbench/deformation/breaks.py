@@ -24,13 +24,11 @@ class Break(NamedTuple):
         place: (3,) on the plane.
         azimuth: of the plane's horizontal direction, in degrees from x towards y.
         offset: (3,) of the part to the left of that direction against the other, as far as surfaces show it.
-        share: of what an affine field leaves of the residuals' squares, that which it explains.
     """
 
     place: FloatArray
     azimuth: float
     offset: FloatArray
-    share: float
 
     def text(self, origin: FloatArray) -> str:
         x, y = (self.place + origin)[:2]
@@ -70,8 +68,7 @@ def find_break(view: View) -> Break | None:
         cut = int(np.argmax(power)) if len(power) else 0
         if len(power) and (best is None or power[cut] > best[0]):
             offset = vectors[cut] @ np.where(shown[cut], modes[cut] / np.where(shown[cut], values[cut], 1.0), 0.0)
-            best = float(power[cut]), float(azimuth), geometry.means[order[inner[cut]]], -offset
+            best = float(power[cut]), geometry.means[order[inner[cut]]], float(azimuth), -offset
     if best is None or best[0] < max(_MIN_SHARE * energy, smooth):
         return None
-    power_found, azimuth, place, offset = best
-    return Break(place, azimuth, offset, power_found / energy)
+    return Break(*best[1:])

@@ -48,15 +48,16 @@ def residual_deformation(
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     resolution = _RESOLUTION * pairs.spacing
-    whole = View.of(tile_sums(pairs))
-    views = [without_moved(whole, resolution)]
+    wholes = [View.of(tile_sums(pairs))]
+    views = [without_moved(wholes[0], resolution)]
     finding = decide(views, metric=metric, resolution=resolution)
     if finding.verdict != "none":
         # What is claimed has to show without having been assumed.
         plain = find_pairs(reference, candidate, follow=False)
         if plain is not None:
             plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
-            views.append(without_moved(View.of(tile_sums(plain)), resolution))
+            wholes.append(View.of(tile_sums(plain)))
+            views.append(without_moved(wholes[1], resolution))
             finding = decide(views, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN) * plain.distance:
                 text = "a bend brings the clouds nearer to each other, but closest points as they are do not show it"
@@ -69,7 +70,8 @@ def residual_deformation(
         finding = finding.undecided(Notice("parts-displaced", broken.text(origin)))
     finding = _with_registration(finding, registration, pairs)
     # A claim is described as the pairs show it that follow it; where these claimed too much, the others are right.
-    described = views[-1] if finding.verdict == "none" else views[0]
+    which = -1 if finding.verdict == "none" else 0
+    described, whole = views[which], wholes[which]
     answer = describe(described, finding, resolution=resolution, seed=seed)
     if described is not whole:
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))

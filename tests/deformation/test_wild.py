@@ -1,15 +1,22 @@
 """Where scenes are no smooth surfaces, where noise is uneven, and where only parts moved: what the verdict says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bent_clouds import codes, dome, noisy, sampled, verdict
-from deformation_cases import NULLS, PARTS, correlated, turned
+from deformation_cases import BENDS, NULLS, PARTS, correlated, turned
 from scipy.spatial.distance import cdist
 
 from pcbench import Cloud
-from pcbench.deformation import deform
+from pcbench.deformation import Side, deform, residual_deformation
 from pcbench.deformation.blocks import noise_sizes, smoothed
 from pcbench.deformation.sums import kernel_sums
+from pcbench.errors import Notice
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface, estimate_normals
+from pcbench.registration import register
+from pcbench.registration.result import FAR_OFF
 
 
 def found(make, seed, method="icp"):
@@ -32,8 +39,6 @@ def test_uneven_noise_bridged_edges_and_smooth_ground_are_no_bend(case):
 
 
 def test_a_bend_shows_in_a_forest():
-    from deformation_cases import BENDS
-
     answer = found(BENDS["conifer bent 0.7"], 42)
     assert answer.verdict == "non-affine", answer.warnings
 
@@ -70,9 +75,6 @@ def test_both_sizes_of_a_bend_are_right():
     surface, size = sampled(200_000, np.random.default_rng(47)), answer.amplitude
     lift = (dome(surface, 0.1) - surface)[:, 2]
     # The city's normals: vertical on flat ground and roofs, horizontal on walls.
-    from pcbench.geometry.neighbors import Index
-    from pcbench.geometry.normals import estimate_normals
-
     normals = estimate_normals(Index(surface)).directions
     columns = (normals[:, :, None] * np.hstack([np.ones((len(surface), 1)), surface / 200])[:, None]).reshape(-1, 12)
     seen = lift * normals[:, 2]
@@ -124,6 +126,17 @@ def test_correlated_noise_of_the_cases_is_what_it_says():
 
 def test_a_doubtful_registration_withholds_the_verdict():
     rng = np.random.default_rng(51)
-    reference = sampled(30_000, rng)
-    _, answer = deform(Cloud(reference, unit="m"), Cloud(reference[:60], unit="m"), "none")
-    assert answer.verdict == "undecided"
+    clouds = [Cloud(noisy(sampled(count, rng), rng), unit="m") for count in (30_000, 10_000)]
+    registration = register(*clouds, "none")
+    sides = [Side(Surface(Index(c.points)), np.ones(len(c), dtype=bool), c) for c in clouds]
+    assert residual_deformation(*sides, registration, np.zeros(3)).verdict == "none"
+    doubted = replace(registration, warnings=(Notice(FAR_OFF, "far off"),))
+    answer = residual_deformation(*sides, doubted, np.zeros(3))
+    assert (answer.verdict, codes(answer)) == ("undecided", ["doubtful-registration"])
+
+
+def test_cells_are_told_once():
+    """These halves are judged by both kinds of pairs and told from those that followed nothing."""
+    answer = found(NULLS["topography halves"], 40)
+    assert answer.field.counts.sum() == answer.pairs
+    assert len(np.unique(answer.field.places, axis=0)) == len(answer.field.places)
