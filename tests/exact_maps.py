@@ -42,7 +42,7 @@ def mesh_map(camera, index):
     lines = rays(camera).reshape(-1, 3)
     hits = index.cast(camera.position, lines)
     shape = (camera.intrinsics.height, camera.intrinsics.width)
-    normals = index.mesh.normals[np.maximum(hits.faces, 0)]
+    normals = index.mesh.normals()[np.maximum(hits.faces, 0)]
     depth = np.where(hits.faces < 0, 0.0, hits.distances)
     return _map(camera, depth.reshape(shape), normals.reshape(*shape, 3))
 

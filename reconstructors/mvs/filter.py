@@ -18,7 +18,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
 
-_BLOCK = 1 << 17  # pixels at a time: what lies between map and map is twenty numbers each in float64
+_BLOCK = 1 << 16  # pixels at a time: what lies between map and map is twenty numbers each in float64
 _MAX_SLOPE = 1.05  # of depths on the plane of a pixel half a pixel beside its centre: steeper ones are guessed
 
 
@@ -72,13 +72,33 @@ def filter_map(
         asked &= valid
     agree = np.zeros((len(sources), *asked.shape), dtype=np.bool_)
     for k, (other, map_) in enumerate(sources):
-        confident = map_.where(map_.confidence >= criteria.confidence)
         rows, columns = np.nonzero(asked)
         for start in range(0, len(rows), _BLOCK):
             at = (rows[start : start + _BLOCK], columns[start : start + _BLOCK])
-            agree[k][at] = _agrees(camera, made, at, other, confident, criteria)
+            agree[k][at] = _agrees(camera, made, at, other, map_, criteria)
     kept = asked & (1 + agree.sum(axis=0) >= criteria.views)
     return Filtered(made.where(kept), agree & kept)
+
+
+class _Warp(NamedTuple):
+    """From pixels of one pinhole and their depths to homogeneous ones of another: depth * linear (u, v, 1) + shift."""
+
+    linear: FloatArray
+    shift: FloatArray
+
+    @classmethod
+    def between(cls, a: Camera, b: Camera) -> _Warp:
+        """From pixels of a to pixels of b."""
+        k = b.intrinsics.matrix
+        turn = b.cam_from_world.rotation @ a.cam_from_world.rotation.T
+        step = b.cam_from_world.translation - turn @ a.cam_from_world.translation
+        return cls(k @ turn @ np.linalg.inv(a.intrinsics.matrix), k @ step)
+
+    def apply(self, u: FloatArray, v: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Pixel coordinates and depths (N,) each; not finite, or of no meaning, behind the other camera."""
+        x, y, z = (depth * (m[0] * u + m[1] * v + m[2]) + t for m, t in zip(self.linear, self.shift, strict=True))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return x / z, y / z, z
 
 
 def _agrees(
@@ -89,40 +109,39 @@ def _agrees(
     theirs: DepthMap,
     criteria: Criteria,
 ) -> NDArray[np.bool_]:
-    """Which pixels (rows, columns) of a map another one confirms."""
-    pixels = np.stack([at[1] + 0.5, at[0] + 0.5], axis=1)
-    points = world_points(camera, pixels, made.depth[at])
-    there, depth = other.project(points)
+    """Which pixels (rows, columns) of a map another one confirms; those that fail one test are not asked the next."""
     height, width = theirs.depth.shape
-    with np.errstate(invalid="ignore"):
-        column, row = (np.floor(np.nan_to_num(there, nan=-1.0).clip(-1, 1 << 20))).astype(np.int64).T
-    inside = (depth > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-    inside &= theirs.depth[row, column] > 0
+    v, u = (index.astype(np.float64) + 0.5 for index in at)
+    x, y, z = _Warp.between(camera, other).apply(u, v, made.depth[at].astype(np.float64))
+    open_ = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
+    row, column = y[open_].astype(np.int64), x[open_].astype(np.int64)
+    known = (theirs.depth[row, column] > 0) & (theirs.confidence[row, column] >= criteria.confidence)
+    open_, row, column = open_[known], row[known], column[known]
 
-    found = _depth_beside(other, theirs, row, column, np.where(inside[:, None], there, 0.5))
-    back, depth_back = camera.project(world_points(other, np.where(inside[:, None], there, 0.5), found))
-    close = inside & (depth_back > 0)
-    close &= np.abs(found - depth) <= criteria.depth * depth
-    with np.errstate(invalid="ignore"):
-        close &= np.linalg.norm(back - pixels, axis=1) <= criteria.pixels
+    found = _depth_beside(other, theirs, row, column, x[open_], y[open_])
+    close = np.abs(found - z[open_]) <= criteria.depth * z[open_]
+    open_, row, column, found = open_[close], row[close], column[close], found[close]
+
+    back_u, back_v, back_z = _Warp.between(other, camera).apply(x[open_], y[open_], found)
+    close = (back_z > 0) & (np.hypot(back_u - u[open_], back_v - v[open_]) <= criteria.pixels)
     turn = camera.cam_from_world.rotation @ other.cam_from_world.rotation.T
-    cosine = np.einsum("ni,ni->n", made.normal[at], theirs.normal[row, column] @ turn.T)
-    result: NDArray[np.bool_] = close & (cosine >= np.cos(np.radians(criteria.normal_deg)))
-    return result
+    own, there = made.normal[at[0][open_], at[1][open_]], theirs.normal[row, column] @ turn.T.astype(np.float32)
+    close &= np.einsum("ni,ni->n", own, there) >= np.cos(np.radians(criteria.normal_deg))
+    agree = np.zeros(len(u), dtype=np.bool_)
+    agree[open_[close]] = True
+    return agree
 
 
 def _depth_beside(
-    camera: Camera, made: DepthMap, row: NDArray[np.int64], column: NDArray[np.int64], at: FloatArray
+    camera: Camera, made: DepthMap, row: NDArray[np.int64], column: NDArray[np.int64], u: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Depths (N,) of a map between the centres of its pixels, at coordinates (N, 2): on the plane of the pixel."""
-    k = camera.intrinsics
-    depth, normal = made.depth[row, column].astype(np.float64), made.normal[row, column]
-    centre = k.directions(np.stack([column + 0.5, row + 0.5], axis=1))
+    """Depths (N,) of a map at coordinates between the centres of its pixels: on the plane of the pixel."""
+    k, (a, b, c) = camera.intrinsics, made.normal[row, column].T.astype(np.float64)
+    centre = a * ((column + 0.5 - k.cx) / k.fx) + b * ((row + 0.5 - k.cy) / k.fy) + c
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.einsum("ni,ni->n", normal, centre) / np.einsum("ni,ni->n", normal, k.directions(at))
+        slope = centre / (a * ((u - k.cx) / k.fx) + b * ((v - k.cy) / k.fy) + c)
     steep = ~((slope < _MAX_SLOPE) & (slope > 1 / _MAX_SLOPE))
-    found: FloatArray = depth * np.where(steep, 1.0, slope)
+    found: FloatArray = made.depth[row, column].astype(np.float64) * np.where(steep, 1.0, slope)
     return found
 
 

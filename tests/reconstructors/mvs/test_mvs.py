@@ -10,8 +10,8 @@ from exact_maps import ExactMatcher, corner_map, rays
 from PIL import Image
 
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
-from pcbench.io.meshes import read_mesh
 from pcbench.scenes import read_scene
 from reconstructors.mvs.maps import read_map
 from reconstructors.mvs.mvs import DenseMvs
@@ -39,7 +39,7 @@ def solved(photographs, tmp_path_factory):
     workspace, scene = tmp_path_factory.mktemp("solved"), read_scene(photographs)
     with pytest.MonkeyPatch.context() as patch:
         matcher = ExactMatcher(scene.cameras, corner_map).install(patch)
-        made = DenseMvs(backend="bundled", mesh=True).reconstruct(scene, workspace)
+        made = DenseMvs(backend="bundled").reconstruct(scene, workspace)
     return workspace, made, matcher
 
 
@@ -89,7 +89,7 @@ def test_what_was_chosen_is_said(solved):
     assert "5 depth maps fused; points of" in notes
 
 
-def test_maps_and_mesh_are_there_for_others(solved):
+def test_maps_are_there_for_others(solved):
     workspace, made, _ = solved
     cameras = read_colmap_cameras(workspace / "maps")
     assert [camera.name for camera in cameras] == sorted(made.cameras)
@@ -100,9 +100,23 @@ def test_maps_and_mesh_are_there_for_others(solved):
         np.testing.assert_allclose(got.depth[kept], true.depth[kept], rtol=1e-6)
         np.testing.assert_allclose(got.normal[kept], true.normal[kept], atol=1e-5)
         assert (workspace / "views" / camera.name / "image.png").is_file()
-    mesh = read_mesh(workspace / "mesh.ply")
-    assert f"Poisson's mesh of {len(mesh)} faces: {workspace / 'mesh.ply'}" in made.notes
-    assert np.median(corner.distances(mesh.vertices)) < 0.01
+
+
+def test_a_mesh_is_made_on_request(workspace, solved, photographs, monkeypatch):
+    asked = []
+
+    def meshed(fused, out, origin, unit):
+        asked.append((fused, out, origin, unit))
+        return 1234
+
+    monkeypatch.setattr("reconstructors.mvs.mvs.write_mesh", meshed)
+    made = DenseMvs(backend="bundled", mesh=True).reconstruct(read_scene(photographs), workspace)
+    ((fused, out, origin, unit),) = asked
+    assert out == workspace / "mesh.ply"
+    assert f"Poisson's mesh of 1234 faces: {out}" in made.notes
+    assert unit is None
+    raw = read_cloud(fused).points + origin
+    np.testing.assert_array_equal(raw, solved[1].cloud.points)
 
 
 def test_a_killed_run_loses_one_image(workspace, solved, photographs, monkeypatch):
