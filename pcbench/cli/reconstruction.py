@@ -100,7 +100,7 @@ def reconstruct(
         step(f"reconstructing with {name}")
         work = workspace or out.with_suffix(".work")
         check_workspace(work)
-        result = run(job, work, time_limit)
+        result = run(job, work, time_limit, lambda text: step(f"reconstructing with {name}: {text}"))
     if not quiet:
         for warning in result.warnings:
             if not (wgs84 and "--wgs84" in warning):
