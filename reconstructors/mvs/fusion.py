@@ -188,8 +188,8 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
 
 
 def visibility(path: Path) -> tuple[IntArray, IntArray]:
-    """Numbers of points and of images (M,), a pair for each image that a point comes from, of a .vis file of COLMAP: its
-    uint64 number of points, then each point's uint32 count and so many uint32 numbers of images, from 0.
+    """Numbers of points and of images (M,), a pair for each image that a point comes from, of a .vis file of COLMAP:
+    the uint64 number of points, then each point's uint32 count and so many uint32 numbers of images, from 0.
     """
     words = np.fromfile(path, dtype="<u4")
     count = int(words[:2].view("<u8")[0])

@@ -202,6 +202,7 @@ class DenseMvs:
             inputs = {
                 "maps": {name: digest_of(made[name]) for name in (reference.name, *sources)},
                 "criteria": repr(criteria),
+                "files": [COUNTS, _LINKS],
             }
             folder = stage(*in_folder(workspace / MAPS, reference.name), inputs, make)
             if read_map(folder).known.any():
