@@ -163,7 +163,9 @@ class DenseMvs:
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         progress("sparse points" if given else "cameras and sparse points")
         (workspace / "sfm").mkdir(exist_ok=True)
-        return ColmapSfm(poses=self.poses, upsample=not given, seed=self.seed).reconstruct(scene, workspace / "sfm")
+        # Of its cloud only the model is used: how many images have to show a point is decided there.
+        sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
+        return sfm.reconstruct(scene, workspace / "sfm")
 
     def _planned(self, scene: Scene, sparse: Sparse) -> tuple[list[Reference], Plan, list[str]]:
         """What each image is matched with and how much is done, and a note on the images that are left out."""
