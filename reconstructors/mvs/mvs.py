@@ -52,6 +52,7 @@ MESH = "mesh.ply"  # in the workspace
 
 COUNTS = "views.npy"  # in the folder of a map: the number (H, W) of images that agree at each pixel
 _LINKS = "links.npz"
+_CONFIRMING = 12  # images whose maps may confirm a depth
 _SAMPLED = 8  # images that tell how much texture there is
 _SAMPLE_SIDE = 1000  # pixels of their longer side
 _BYTES = 3 * 20 + 4  # a pixel: depth, normal and confidence three times, and the photograph
@@ -132,7 +133,7 @@ class DenseMvs:
             name: view_stage(scene, sparse.cameras[name], camera, workspace)
             for name, camera in counted(list(cameras.items()), "undistorting")
         }
-        photographs = Photographs(cameras, views, MOST_SOURCES + _KEEP)
+        photographs = Photographs(cameras, views, _CONFIRMING + _KEEP)
         matching = Matching(photographs, views, plan, self.seed)
         # Sources were chosen one after the other: the first of them are those that would be chosen if they were fewer.
         # The maps of all of them confirm depths, which costs little.
@@ -169,7 +170,7 @@ class DenseMvs:
 
     def _planned(self, scene: Scene, sparse: Sparse) -> tuple[list[Reference], Plan, list[str]]:
         """What each image is matched with and how much is done, and a note on the images that are left out."""
-        references, alone = choose_references(sparse, MOST_SOURCES)
+        references, alone = choose_references(sparse, _CONFIRMING)
         plan = make_plan(_survey(scene, sparse, references), self.spacing, self.sources)
         if not any(len(r.sources) >= self.views - 1 for r in references):
             raise ReconstructionError(
