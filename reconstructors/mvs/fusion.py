@@ -7,8 +7,8 @@ workspace has its principal points shifted by half a pixel, and is for nobody el
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -135,18 +135,20 @@ def workspace_model(cameras: Mapping[str, Camera], tracks: Sequence[Track]) -> A
     return model
 
 
-def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], views: int) -> None:
-    """Write COLMAP's fused cloud and its .vis file.
+def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], normal_deg: float) -> None:
+    """Write COLMAP's fused cloud and its .vis file. Every depth of a filtered map becomes part of a point: those that
+    are one are merged, and none has to be confirmed again by pixels that are no part of another point yet.
 
     Args:
         workspace: as `write_workspace` and `link_maps` make it.
-        views: pixels that have to agree on a point.
+        normal_deg: between the normals of pixels that are merged, at most.
     """
     import pycolmap
 
     options = pycolmap.StereoFusionOptions()
     options.num_threads = 1  # the same cloud again
-    options.min_num_pixels = views
+    options.min_num_pixels = 1
+    options.max_normal_error = normal_deg
     options.check_num_images = _NEIGHBOURS
     options.max_traversal_depth = _FROM_REFERENCE
     options.use_cache = True
@@ -155,37 +157,50 @@ def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], views: int) 
     pycolmap.stereo_fusion(out, workspace, input_type="geometric", options=options, output_type="PLY")
 
 
-def read_fused(path: Path, origin: FloatArray, unit: str | None) -> Cloud:
-    """The fused cloud in the world, with normals, colours and the attribute `views`: images that agree on each point.
+def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, Path], least: int) -> Cloud:
+    """The fused cloud in the frame that it was fused in, with normals, colours and the attribute `views`: the number of
+    images that agree on a point, as the filter counted it at that of its pixels where it is largest.
 
     Args:
-        origin: (3,), of the frame that was fused in.
+        cameras: by image name, in the order of the workspace.
+        counts: by image name: an .npy file with the number (H, W) of images that agree at each pixel.
+        least: images that agree on every point, by the filter.
 
     Raises:
         ReconstructionError: nothing was fused.
     """
-    views = np.array(list(visibility_counts(path.with_name(path.name + ".vis"))), dtype=np.int32)
-    if not len(views):
+    point, image = visibility(path.with_name(path.name + ".vis"))
+    if not len(point):
         raise ReconstructionError(
             "nothing is fused: no depth is confirmed by enough images; take more images with more overlap, check the"
             " cameras, or ask for less (--set confidence, --set views)"
         )
     cloud = read_cloud(path, on_warning=lambda _: None)
-    return Cloud(
-        cloud.points + origin, normals=cloud.normals, colors=cloud.colors, attributes={"views": views}, unit=unit
-    )
+    # The median of merged pixels may lie in the next pixel, of which nothing is known.
+    views = np.full(len(cloud), least, dtype=np.int32)
+    for k, (name, camera) in enumerate(cameras.items()):
+        here, count = point[image == k], np.load(counts[name])
+        u, v = camera.project(cloud.points[here])[0].T
+        row = np.clip(v, 0, count.shape[0] - 1).astype(np.int64)
+        column = np.clip(u, 0, count.shape[1] - 1).astype(np.int64)
+        views[here] = np.maximum(views[here], count[row, column])
+    return replace(cloud, attributes={"views": views})
 
 
-def visibility_counts(path: Path) -> Iterator[int]:
-    """The numbers of images of the points in a .vis file of COLMAP: uint64 points, then each point's uint32 count and
-    so many uint32 numbers of images.
+def visibility(path: Path) -> tuple[IntArray, IntArray]:
+    """Numbers of points and of images (M,), a pair for each image that a point comes from, of a .vis file of COLMAP:
+    the uint64 number of points, then each point's uint32 count and so many uint32 numbers of images, from 0.
     """
     words = np.fromfile(path, dtype="<u4")
-    numbers = words.tolist()
-    place = 2
-    for _ in range(int(words[:2].view("<u8")[0])):
-        yield numbers[place]
+    count = int(words[:2].view("<u8")[0])
+    numbers, starts, place = words.tolist(), np.empty(count, dtype=np.int64), 2
+    for point in range(count):
+        starts[point] = place
         place += 1 + numbers[place]
+    lengths = words[starts].astype(np.int64)
+    is_image = np.ones(place, dtype=np.bool_)
+    is_image[:2] = is_image[starts] = False
+    return np.repeat(np.arange(count), lengths), words[:place][is_image].astype(np.int64)
 
 
 def tracks_of(found: Mapping[str, Links], cameras: Collection[str]) -> list[Track]:
@@ -218,7 +233,7 @@ def write_mesh(fused: Path, out: Path, origin: FloatArray, unit: str | None) -> 
 
     # An octree as deep as the points are dense, were they spread evenly; and surface is left where they are this dense
     # but for three levels, not where it was made up to close holes.
-    count = sum(1 for _ in visibility_counts(fused.with_name(fused.name + ".vis")))
+    count = int(np.fromfile(fused.with_name(fused.name + ".vis"), dtype="<u8", count=1)[0])
     depth = int(np.clip(np.ceil(0.5 * np.log2(count)), 6, 13))
     options = pycolmap.PoissonMeshingOptions()
     options.depth, options.trim = depth, float(depth - 3)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -50,7 +50,9 @@ from reconstructors.sfm.sfm import ColmapSfm
 MAPS = "maps"  # in the workspace: a folder for each image, and the model of their cameras
 MESH = "mesh.ply"  # in the workspace
 
+COUNTS = "views.npy"  # in the folder of a map: the number (H, W) of images that agree at each pixel
 _LINKS = "links.npz"
+_CONFIRMING = 12  # images whose maps may confirm a depth
 _SAMPLED = 8  # images that tell how much texture there is
 _SAMPLE_SIDE = 1000  # pixels of their longer side
 _BYTES = 3 * 20 + 4  # a pixel: depth, normal and confidence three times, and the photograph
@@ -131,18 +133,23 @@ class DenseMvs:
             name: view_stage(scene, sparse.cameras[name], camera, workspace)
             for name, camera in counted(list(cameras.items()), "undistorting")
         }
-        photographs = Photographs(cameras, views, plan.sources + _KEEP)
+        photographs = Photographs(cameras, views, _CONFIRMING + _KEEP)
         matching = Matching(photographs, views, plan, self.seed)
+        # Sources were chosen one after the other: the first of them are those that would be chosen if they were fewer.
+        # The maps of all of them confirm depths, which costs little.
+        matched = [r._replace(sources=r.sources[: plan.sources]) for r in references]
         if backend == "colmap":
-            made = colmap_maps(matching, references, sparse, workspace)
+            made = colmap_maps(matching, matched, sparse, workspace)
         else:
-            made = bundled_maps(matching, references, workspace)
+            made = bundled_maps(matching, matched, workspace)
 
         kept = self._filtered(photographs, references, made, workspace)
         notes += _empties(kept, references)
         write_colmap_model(workspace / MAPS, [_back(cameras[name], origin) for name in kept.folders])
         fused = self._fused(cameras, views, kept.folders, workspace)
-        cloud = read_fused(fused / FUSED, origin, solved.cloud.unit)
+        counts = {name: folder / COUNTS for name, folder in kept.folders.items()}
+        cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
+        cloud = replace(cloud, points=cloud.points + origin, unit=solved.cloud.unit)
         notes.append(
             f"{len(kept.folders)} depth maps fused; points of {np.median(cloud.attributes['views']):.0f} images"
         )
@@ -157,14 +164,14 @@ class DenseMvs:
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         progress("sparse points" if given else "cameras and sparse points")
         (workspace / "sfm").mkdir(exist_ok=True)
-        return ColmapSfm(poses=self.poses, upsample=not given, seed=self.seed).reconstruct(scene, workspace / "sfm")
+        # Of its cloud only the model is used: how many images have to show a point is decided there.
+        sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
+        return sfm.reconstruct(scene, workspace / "sfm")
 
     def _planned(self, scene: Scene, sparse: Sparse) -> tuple[list[Reference], Plan, list[str]]:
         """What each image is matched with and how much is done, and a note on the images that are left out."""
-        references, alone = choose_references(sparse, MOST_SOURCES)
+        references, alone = choose_references(sparse, _CONFIRMING)
         plan = make_plan(_survey(scene, sparse, references), self.spacing, self.sources)
-        # Sources were chosen one after the other: the first of them are those that would be chosen if they were fewer.
-        references = [r._replace(sources=r.sources[: plan.sources]) for r in references]
         if not any(len(r.sources) >= self.views - 1 for r in references):
             raise ReconstructionError(
                 f"no overlap: no image has {self.views - 1} others that show the same: take more images, or --set"
@@ -191,12 +198,14 @@ class DenseMvs:
                 others = [(photographs.cameras[source], photographs.map(made[source])) for source in sources]
                 kept, agree = filter_map(camera, photographs.map(made[name]), others, criteria, view.valid)
                 write_map(folder, kept)
+                np.save(folder / COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
                 found = links(camera, kept, agree, sources)
                 np.savez(folder / _LINKS, points=found.points, agree=found.agree, sources=np.array(sources, dtype=str))
 
             inputs = {
                 "maps": {name: digest_of(made[name]) for name in (reference.name, *sources)},
                 "criteria": repr(criteria),
+                "files": [COUNTS, _LINKS],
             }
             folder = stage(*in_folder(workspace / MAPS, reference.name), inputs, make)
             if read_map(folder).known.any():
@@ -215,7 +224,7 @@ class DenseMvs:
         self, cameras: Mapping[str, Camera], views: Mapping[str, Path], maps: Mapping[str, Path], workspace: Path
     ) -> Path:
         """The stage with the fused cloud and the workspace it comes from."""
-        inputs = {"maps": {name: digest_of(folder) for name, folder in maps.items()}, "views": self.views}
+        inputs = {"maps": {name: digest_of(folder) for name, folder in maps.items()}}
 
         def make(folder: Path) -> None:
             progress(f"fusing {len(maps)} maps")
@@ -224,7 +233,7 @@ class DenseMvs:
             found = {name: _among(link, used) for name, link in found.items()}
             write_workspace(folder, used, {name: views[name] / IMAGE for name in maps}, tracks_of(found, used))
             link_maps(folder, maps)
-            fuse(folder, folder / FUSED, used, self.views)
+            fuse(folder, folder / FUSED, used, Criteria.normal_deg)
 
         return stage(workspace, "fused", inputs, make)
 

@@ -99,9 +99,9 @@ def _scale(survey: Survey, spacing: float | None) -> tuple[float, str]:
     wanted = survey.footprint / spacing
     least = min(1.0, _LEAST_SIDE / survey.side)
     if wanted > 1:
-        return 1.0, f"their full size, whose pixels are {survey.footprint:.3g}: a spacing of {spacing:.3g} is finer"
+        return 1.0, f"their full size (a spacing of {spacing:.3g} is finer)"
     if wanted < least:
-        return least, f"the smallest that can be matched: a spacing of {spacing:.3g} is coarser"
+        return least, f"the smallest that can be matched (a spacing of {spacing:.3g} is coarser)"
     return wanted, f"{wanted:.2f} of their size, as a spacing of {spacing:.3g} asks for"
 
 

@@ -18,6 +18,7 @@ _MIN_SHARED = 5  # points that two images have to share at an angle that tells d
 # Degrees between the lines of sight. Below the first depths are uncertain, below the least a map would be noise; above
 # the last the images look too different to be matched.
 _LEAST_DEG, _GOOD_DEG, _WIDE_DEG, _FALL_DEG = 1.0, 10.0, 30.0, 15.0
+_BEST = 4  # sources whose angles are told
 _MARGIN = 0.25  # of the nearest and the farthest depth, as COLMAP's
 _TAIL = 0.01  # of the points at each end: some are wrong
 
@@ -30,7 +31,7 @@ class Reference(NamedTuple):
         sources: names of the others, the best first.
         depths: nearest and farthest.
         median_depth: of its points.
-        angle_deg: median over its points of the angle at which the sources see them.
+        angle_deg: median over its points of the angle at which the best four sources see them.
     """
 
     name: str
@@ -44,7 +45,8 @@ def choose_references(sparse: Sparse, most: int) -> tuple[list[Reference], list[
     """What each image is matched with, at most `most` sources; and the names of the images that share too little.
 
     The sources are chosen one after the other, each for the points that it shows at a good angle and that those before
-    it leave uncertain: from one side alone, what is hidden there would be hidden from all.
+    it leave uncertain: from one side alone, what is hidden there would be hidden from all. Those that share features
+    come first, those whose frames alone have the points after them.
 
     Raises:
         ReconstructionError: no image has a source.
@@ -75,11 +77,16 @@ def _choose(sparse: Sparse, name: str, most: int) -> Reference | None:
         return None
     angles = np.stack([angles_deg(camera, sparse.cameras[other], points) for other in others])
     weights = angle_weights(angles) * _sharpness(camera, [sparse.cameras[other] for other in others], points)
-    weights *= _shown_by(sparse, others, numbers, by_frame)
-    chosen = _greedy(weights, most)
+    chosen = list[int]()
+    if not by_frame:
+        chosen = _greedy(weights * _shown_by(sparse, others, numbers), most, chosen)
+    # Features are not found again from everywhere a surface is seen from.
+    weights *= np.stack([in_frame(sparse.cameras[other], points) for other in others])
+    chosen = _greedy(weights, most, chosen)
     if not chosen:
         return None
-    seen = np.where(weights[chosen] > 0, angles[chosen], np.nan)
+    best = chosen[:_BEST]
+    seen = np.where(weights[best] > 0, angles[best], np.nan)
     # One point at each end at least is left out.
     near = np.quantile(depths, _TAIL, method="higher")
     far = np.quantile(depths, 1 - _TAIL, method="lower")
@@ -119,23 +126,20 @@ def _sharpness(camera: Camera, others: Sequence[Camera], points: FloatArray) -> 
     return ratio
 
 
-def _shown_by(sparse: Sparse, others: Sequence[str], numbers: IntArray, by_frame: bool) -> FloatArray:
-    """(others, N): 1 where another image shows a point; by its frame alone where features are few."""
-    if by_frame:
-        points = sparse.points[numbers]
-        return np.stack([in_frame(sparse.cameras[other], points) for other in others]).astype(np.float64)
+def _shown_by(sparse: Sparse, others: Sequence[str], numbers: IntArray) -> FloatArray:
+    """(others, N): 1 where a feature of another image is of the point."""
     columns = [sparse.names.index(other) for other in others]
     shown: FloatArray = sparse.shows[numbers][:, columns].toarray().T.astype(np.float64)
     return shown
 
 
-def _greedy(weights: FloatArray, most: int) -> list[int]:
-    """Rows of `weights` (others, N), one after the other: each gains a point's weight over what the rows before it
-    gave to that point.
+def _greedy(weights: FloatArray, most: int, before: Sequence[int]) -> list[int]:
+    """Rows of `weights` (others, N) after those `before`, one after the other: each gains a point's weight over what
+    the rows before it gave to that point.
     """
-    covered = np.ones(weights.shape[1])
+    chosen = list(before)
+    covered = 1 + weights[chosen].sum(axis=0)
     enough = (weights > 0).sum(axis=1) >= min(_MIN_SHARED, weights.shape[1])
-    chosen: list[int] = []
     while len(chosen) < most:
         gains = (weights / covered).sum(axis=1)
         gains[~enough] = 0

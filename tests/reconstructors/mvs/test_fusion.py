@@ -9,6 +9,7 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.visibility import in_frame
 from pcbench.io.meshes import read_mesh
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.rigs import Site, rig
@@ -23,7 +24,7 @@ from reconstructors.mvs.fusion import (
     links,
     read_fused,
     tracks_of,
-    visibility_counts,
+    visibility,
     write_mesh,
     write_workspace,
 )
@@ -39,15 +40,17 @@ def over_a_plane(count=5):
 
 
 def fused(folder, cameras, maps, image=None):
-    """The cloud of maps by the steps that the reconstructor takes; with two views fusion alone decides."""
+    """The cloud of maps by the steps that the reconstructor takes, as points, cameras and files of counts."""
     by_name = {camera.name: camera for camera in cameras}
-    found, folders, images = {}, {}, {}
+    found, folders, images, counts = {}, {}, {}, {}
     for k, (camera, made) in enumerate(zip(cameras, maps, strict=True)):
         others = [j for j in range(len(cameras)) if j != k]
-        kept, agree = filter_map(camera, made, [(cameras[j], maps[j]) for j in others], Criteria(views=2))
+        kept, agree = filter_map(camera, made, [(cameras[j], maps[j]) for j in others], Criteria())
         folders[camera.name] = folder / f"map{k}"
         folders[camera.name].mkdir()
         write_map(folders[camera.name], kept)
+        counts[camera.name] = folder / f"count{k}.npy"
+        np.save(counts[camera.name], np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
         found[camera.name] = links(camera, kept, agree, [cameras[j].name for j in others])
         images[camera.name] = folder / f"image{k}.png"
         grey = np.full((camera.intrinsics.height, camera.intrinsics.width, 3), 10 + k, np.uint8)
@@ -56,8 +59,8 @@ def fused(folder, cameras, maps, image=None):
     workspace.mkdir()
     write_workspace(workspace, by_name, images, tracks_of(found, by_name))
     link_maps(workspace, folders)
-    fuse(workspace, workspace / FUSED, by_name, 3)
-    return workspace / FUSED
+    fuse(workspace, workspace / FUSED, by_name, 30.0)
+    return workspace / FUSED, by_name, counts, 3
 
 
 @pytest.fixture(scope="module")
@@ -69,31 +72,35 @@ def plane(tmp_path_factory):
 
 
 def test_a_plane_comes_back(plane):
-    cloud = read_fused(plane, np.zeros(3), "m")
+    cloud = read_fused(*plane)
     assert len(cloud) > 5000
     assert np.abs(cloud.points[:, 2]).max() < 1e-6 * 5
     np.testing.assert_allclose(cloud.normals, np.broadcast_to([0, 0, 1], cloud.points.shape), atol=1e-5)
-    assert cloud.unit == "m"
     # Points are a pixel apart, not fewer and larger: 5 / 150 along a side.
     inner = cloud.points[(np.abs(cloud.points[:, :2] - [1, 0]) < 0.5).all(axis=1)]
     assert len(inner) == pytest.approx(1 / (5 / 150) / (5 / 155), rel=0.35)
-    # In another frame it is the same cloud there.
-    moved = read_fused(plane, np.array([4e5, 5e6, 100.0]), None)
-    np.testing.assert_allclose(moved.points - [4e5, 5e6, 100.0], cloud.points, atol=1e-8)
 
 
 def test_images_are_counted(plane):
-    cloud = read_fused(plane, np.zeros(3), None)
+    cloud = read_fused(*plane)
     assert cloud.attributes["views"].min() == 3
     assert cloud.attributes["views"].max() == 5
+    # Fewer images than frames that show it never agree on a point of an exact plane.
+    shown = sum(in_frame(camera, cloud.points, beyond=0.02).astype(int) for camera in plane[1].values())
+    assert (cloud.attributes["views"] <= shown).all()
+    inner = sum(in_frame(camera, cloud.points, beyond=-0.02).astype(int) for camera in plane[1].values())
+    assert (cloud.attributes["views"] >= inner).mean() > 0.99
     # The file of COLMAP read byte by byte.
-    data = plane.with_name("fused.ply.vis").read_bytes()
+    path = plane[0].with_name("fused.ply.vis")
+    data = path.read_bytes()
     count, place, expected = int.from_bytes(data[:8], "little"), 8, []
-    for _ in range(count):
-        expected.append(int.from_bytes(data[place : place + 4], "little"))
-        place += 4 + 4 * expected[-1]
+    for point in range(count):
+        length = int.from_bytes(data[place : place + 4], "little")
+        places = range(place + 4, place + 4 + 4 * length, 4)
+        expected += [(point, int.from_bytes(data[at : at + 4], "little")) for at in places]
+        place += 4 + 4 * length
     assert place == len(data)
-    assert list(visibility_counts(plane.with_name("fused.ply.vis"))) == expected
+    assert list(zip(*(column.tolist() for column in visibility(path)), strict=True)) == expected
 
 
 def test_a_tilted_plane_comes_back(tmp_path):
@@ -101,7 +108,7 @@ def test_a_tilted_plane_comes_back(tmp_path):
     normal = np.array([0.2, -0.3, 0.933]) / np.linalg.norm([0.2, -0.3, 0.933])
     cameras = over_a_plane()
     path = fused(tmp_path, cameras, [plane_map(camera, normal, 0.1) for camera in cameras])
-    error = read_fused(path, np.zeros(3), None).points @ normal - 0.1
+    error = read_fused(*path).points @ normal - 0.1
     assert abs(error.mean()) < 0.01 * 0.033
     assert np.abs(error).max() < 0.5 * 0.033
 
@@ -113,7 +120,7 @@ def test_a_city_comes_back(tmp_path):
     k = Intrinsics(160, 120, 130.0, 130.0, 80.0, 60.0)
     cameras = rig("oblique", 8, Site(100.0, float(np.median(plan.terrain.heights)), plan.top), k)
     path = fused(tmp_path, cameras, [mesh_map(camera, index) for camera in cameras])
-    cloud = read_fused(path, np.zeros(3), "m")
+    cloud = read_fused(*path)
     truth = surface_cloud(plan, index, cameras, 4000)
     footprint = float(np.median([np.median(mesh_map(c, index).depth) / k.fx for c in cameras]))
     off = index.query(cloud.points).distances
@@ -130,11 +137,11 @@ def test_nothing_fused_is_said(tmp_path):
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras]
     path = fused(tmp_path, cameras, [made.where(np.zeros(made.depth.shape, bool)) for made in maps])
     with pytest.raises(ReconstructionError, match="nothing is fused"):
-        read_fused(path, np.zeros(3), None)
+        read_fused(*path)
 
 
 def test_a_mesh_of_the_plane(plane, tmp_path):
-    faces = write_mesh(plane, tmp_path / "mesh.ply", np.array([0.0, 0, 7]), "m")
+    faces = write_mesh(plane[0], tmp_path / "mesh.ply", np.array([0.0, 0, 7]), "m")
     mesh = read_mesh(tmp_path / "mesh.ply")
     assert len(mesh) == faces > 500
     inside = (mesh.vertices[:, :2] > [0.2, -0.8]).all(axis=1) & (mesh.vertices[:, :2] < [1.4, 0.8]).all(axis=1)

@@ -105,3 +105,16 @@ def test_a_shifted_origin_changes_nothing_but_the_frame():
     back = far.about(origin)
     np.testing.assert_allclose(back.points, sparse.points, atol=1e-8)
     np.testing.assert_allclose(back.cameras["a"].cam_from_world.translation, [1, 2, 3], atol=1e-8)
+
+
+def test_those_that_share_features_come_first():
+    """Features are shared by next neighbours alone; the frames of others have the same points."""
+    cameras = [down(f"{k}", 2.0 * k - 6) for k in range(7)]
+    sparse = over_a_plane(cameras)
+    shows = sparse.shows.toarray()
+    middle = np.flatnonzero(shows[:, 3])
+    shows[np.ix_(middle, [0, 1, 5, 6])] = 0
+    references, _ = choose_references(Sparse(sparse.cameras, sparse.points, csc_matrix(shows)), 4)
+    (chosen,) = [r.sources for r in references if r.name == "3"]
+    assert set(chosen[:2]) == {"2", "4"}
+    assert set(chosen[2:]) == {"1", "5"}
