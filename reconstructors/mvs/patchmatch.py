@@ -160,8 +160,8 @@ class _State(NamedTuple):
 
 
 def noise_variance(gray: NDArray[np.uint8]) -> float:
-    """Of a picture (H, W), in grey levels squared: what is left of its flattest parts after Immerkaer's operator (1996),
-    which takes planes and second derivatives away. 0 for a picture too small to tell.
+    """Of a picture (H, W), in grey levels squared: what is left of its flattest parts after Immerkaer's operator
+    (1996), which takes planes and second derivatives away. 0 for a picture too small to tell.
     """
     rows, columns = ((n - 2) // _BLOCK for n in gray.shape)
     if rows < 1 or columns < 1:
@@ -180,7 +180,7 @@ def _halved(view: View) -> View:
     gray = ((cut.sum(axis=(1, 3)) + 2) // 4).astype(np.uint8)
     valid = None
     if view.valid is not None:
-        valid = view.valid[: 2 * height, : 2 * width].reshape(height, 2, width, 2).all(axis=(1, 3))
+        valid = np.asarray(view.valid[: 2 * height, : 2 * width].reshape(height, 2, width, 2).all(axis=(1, 3)))
     k = view.camera.intrinsics
     half = type(k)(width, height, k.fx / 2, k.fy / 2, k.cx / 2, k.cy / 2)
     return View(gray, Camera(view.camera.name, half, view.camera.cam_from_world), valid)
@@ -201,7 +201,7 @@ def _motion(one: Camera, other: Camera) -> NDArray[np.float32]:
 
 
 def _pixels_per_depth(one: Camera, other: Camera, depth_range: tuple[float, float]) -> float:
-    """How far the image of what `one` shows in its middle moves in the other, while its inverse depth changes by one."""
+    """How far, in pixels, what `one` shows in its middle moves in the other while its inverse depth changes by one."""
     motion = _motion(one, other).astype(np.float64)
     middle = np.array([one.intrinsics.cx, one.intrinsics.cy, 1.0])
     inverse = 0.5 * (1 / depth_range[0] + 1 / depth_range[1])
