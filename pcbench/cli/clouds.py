@@ -99,7 +99,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
     yield f"shift at the centroid: {float(sum(shift**2)) ** 0.5:.4g}{of_unit} ({across})"
     axis = "" if motion.axis is None else f" about ({', '.join(f'{x:+.4f}' for x in motion.axis)})"
     yield f"turn: {motion.angle_deg:.4g} degrees{axis}"
-    solved = "" if result.solved_scale else " (not solved for)" if motion.scale == 1 else " (given)"
+    solved = " (not solved for)" if motion.scale == 1 and not result.solved_scale else ""
     yield f"scale: {motion.scale:.8g}{solved}"
     sigma = "not fixed" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}"
     state = {True: "converged", False: "NOT converged", None: "not iterated"}[result.converged]

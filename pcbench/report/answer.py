@@ -131,9 +131,10 @@ class _Writer:
     def _pose(self, candidate: Candidate) -> str:
         found, least = candidate.registration, rounding(self.comparison)
         how = found.method.partition(":")[0]
-        pose = "Taken in the pose as it is" if how == "none" else f"Registered by {how}"
+        given = {"none": "Taken in the pose as it is", "matrix": "Taken in the given pose"}
+        pose = given.get(how, f"Registered by {'control points' if how == 'points' else how}")
         text = f"{pose}: {found.overlap:.1%} of it lies on the reference"
-        if found.weakest_sigma is not None and found.weakest_sigma > least and how not in ("none", "matrix"):
+        if found.weakest_sigma is not None and found.weakest_sigma > least and how not in given:
             text += f", and the pose is known to {self.length(found.weakest_sigma)} (one sigma, weakest direction)"
         value, floor, *_ = candidate.metrics.mean_distance.accuracy
         if value is not None and floor is not None and least < value <= _NEAR_FLOOR * floor:
@@ -150,6 +151,8 @@ class _Writer:
             why = "; their densities explain that"
         elif len(missing) == len(candidates):
             why = "; all leave parts of it out, beyond what their densities explain"
+        elif [c.name for c in missing] == [max(away, key=lambda name: away[name].value)]:
+            why = " and leaves parts of it out, beyond what its density explains"
         else:
             leaves = "leaves" if len(missing) == 1 else "leave"
             why = f"; {self.all(missing)} {leaves} parts of it out, beyond what density explains"

@@ -70,7 +70,7 @@ def main_columns(comparison: Comparison, width: int) -> list[Column]:
     h = [c.metrics.hausdorff for c in candidates]
     pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
     columns = [  # in the order in which they stand, with their rank
-        (8, Column(("points", ""), [f"{c.points_in_region:,}" for c in candidates])),
+        (8, Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates])),
         (0 if any(pose) else None, Column(("", "pose"), pose)),
         (4, Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates])),
         (0, Column(("D2 RMS", "c→r"), [show(_root(d.accuracy.value, True)) for d in d2])),

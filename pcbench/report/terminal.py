@@ -58,6 +58,7 @@ def print_comparison(comparison: Comparison, *, full: bool = False, folder: Path
     if full:
         for sentence in details(comparison):
             say(sentence)
+        console.print()
     for text in _elsewhere(folder, full=full):
         say(text, "dim")
 
