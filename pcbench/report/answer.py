@@ -7,16 +7,14 @@ from typing import NamedTuple
 
 from pcbench.measure.intervals import Interval
 from pcbench.measure.results import BACK, FORTH, Candidate
-from pcbench.registration.result import UNOBSERVABLE
 from pcbench.report.comparison import Comparison
-from pcbench.report.notes import overlaps_little
+from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.words import joined, length, rounding, shortened
 
 _MOST_SENTENCES = 4
 _NEAR_FLOOR = 1.25  # times the floor, as lengths: up to there a score is mostly sampling
 _MANY_STRAYS = 2.0  # times the NMAD: an RMS from which on strays are worth a word
 _LONGEST_NAME = 28
-_CLAIMS = ("similarity", "affine", "non-affine")  # of a deformation
 
 
 class _Distance(NamedTuple):
@@ -41,7 +39,7 @@ def answer(comparison: Comparison) -> list[str]:
     writer = _Writer(comparison)
     if not trusted:
         return writer.no_verdict(doubtful)
-    sentences = writer.cautions(doubtful, [c for c in trusted if _is_open(c)])
+    sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
     return sentences[:_MOST_SENTENCES]
 
@@ -94,9 +92,7 @@ class _Writer:
         if candidate.metrics.hausdorff.symmetric_max <= rounding(self.comparison):
             same = f"{self.names[candidate.name]} coincides with the reference: all distances are rounding."
             return [same, self._pose(candidate)]
-        bend = candidate.deformation.sentence(self.names[candidate.name], self.comparison.reference.unit or "")
-        if _is_open(candidate) and candidate.deformation.verdict in _CLAIMS:
-            bend = f"Whether {self.names[candidate.name]} is deformed is not said: its pose is not fixed"
+        bend = bend_sentence(self.comparison, candidate, self.names[candidate.name])
         return [self._how_far(candidate), self._how_complete(candidate), f"{bend}.", self._pose(candidate)]
 
     def _how_far(self, candidate: Candidate) -> str:
@@ -238,14 +234,10 @@ class _Writer:
         return True
 
 
-def _is_open(candidate: Candidate) -> bool:
-    return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
-
-
 def _verdict(candidate: Candidate) -> str:
     """On deformation: none is claimed under a pose that the geometry leaves open."""
     verdict = candidate.deformation.verdict
-    return "undecided" if _is_open(candidate) and verdict in _CLAIMS else verdict
+    return "undecided" if is_open(candidate) and verdict in CLAIMS else verdict
 
 
 def _off_surface(candidate: Candidate) -> _Distance:

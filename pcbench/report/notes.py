@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference
-from pcbench.registration.result import LOW_OVERLAP
+from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.comparison import Comparison
 from pcbench.report.words import LABELS, joined, length
 
+CLAIMS = ("similarity", "affine", "non-affine")  # of a deformation
 _SMALL_OVERLAP = 0.8  # from which down distances tell more of what is not there than of what is
 _TOLD = (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared")  # whose differences are told
 
@@ -28,12 +29,25 @@ def warnings(comparison: Comparison) -> list[str]:
 
 
 def details(comparison: Comparison) -> Iterator[str]:
-    """Is a candidate deformed, and is a better than b? Of every candidate and of every pair."""
+    """Is a candidate deformed, and is a better than b? Of every candidate, and of every pair whose poses are right."""
     for candidate in comparison:
-        yield candidate.deformation.sentence(candidate.name, comparison.reference.unit or "")
+        yield bend_sentence(comparison, candidate, candidate.name)
+    doubtful = {c.name for c in comparison if c.registration.doubtful}
     for difference in comparison.differences:
-        if difference.metric in _TOLD:
+        if difference.metric in _TOLD and not {difference.a, difference.b} & doubtful:
             yield _difference_words(difference)
+
+
+def bend_sentence(comparison: Comparison, candidate: Candidate, name: str) -> str:
+    """The verdict on deformation; none is claimed under a pose that the geometry leaves open."""
+    if is_open(candidate) and candidate.deformation.verdict in CLAIMS:
+        return f"whether {name} is deformed is not said: the geometry does not fix its pose"
+    return candidate.deformation.sentence(name, comparison.reference.unit or "")
+
+
+def is_open(candidate: Candidate) -> bool:
+    """Whether the geometry leaves some motion of a candidate open."""
+    return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
 
 
 def overlaps_little(comparison: Comparison, candidate: Candidate) -> bool:

@@ -42,7 +42,8 @@ def joined(names: Sequence[str], most: int = 8) -> str:
 
 
 def shortened(name: str, width: int) -> str:
-    """A name in at most `width` letters: its ends, which tell files apart, are kept."""
+    """A name in one line of at most `width` letters: its ends, which tell files apart, are kept."""
+    name = "".join(letter if letter.isprintable() else "?" for letter in name)
     if len(name) <= width:
         return name
     tail = (width - 1) // 2

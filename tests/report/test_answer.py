@@ -110,6 +110,9 @@ def test_no_verdict_on_a_doubtful_registration(measured):
     assert "points:FILE" in then
     assert "deformed" not in first + then
     assert "a: doubtful-pose said" in warnings(one)
+    assert not any(
+        "a is lower" in said or "lower than a" in said for said in details(with_registration(measured, "a", "far-off"))
+    )
     three = with_registration(some(measured, "a", "b", "c"), "a", result.DOUBTFUL_POSE)
     first, accuracy, complete, bend = answer(three)
     assert first.startswith("The registration of a is doubtful")
@@ -130,7 +133,8 @@ def test_no_bend_is_claimed_where_the_geometry_leaves_the_pose_open(measured):
     assert "Bent" not in bends
     alone = answer(some(left_open, "a"))
     assert len(alone) == 4
-    assert "bent" not in " ".join(alone)
+    for said in (alone, details(left_open), [markdown(left_open)]):
+        assert "is bent" not in " ".join(said)
 
 
 def test_a_small_overlap_is_said_and_names_the_crop(measured):
@@ -184,3 +188,4 @@ def test_words():
     assert (length(0.12345, "m"), length(1234.5, None), length(None, "m")) == ("0.123 m", "1,234", "–")
     assert shortened("reconstruction_2024-05-17", 15) == "reconst…4-05-17"
     assert shortened("short", 15) == "short"
+    assert shortened("two\nlines\udcff", 15) == "two?lines?"
