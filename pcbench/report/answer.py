@@ -15,6 +15,11 @@ _MOST_SENTENCES = 4
 _NEAR_FLOOR = 1.25  # times the floor, as lengths: up to there a score is mostly sampling
 _MANY_STRAYS = 2.0  # times the NMAD: an RMS from which on strays are worth a word
 _LONGEST_NAME = 28
+_OTHER_WAYS = {  # to register, by the method that they are
+    "global": "global (from any pose), global-similarity (of any scale too)",
+    "points": "points:FILE (control points)",
+    "matrix": "matrix:FILE (a pose that is known)",
+}
 
 
 class _Distance(NamedTuple):
@@ -60,11 +65,11 @@ class _Writer:
         return joined([self.names[c.name] for c in candidates])
 
     def no_verdict(self, doubtful: Sequence[Candidate]) -> list[str]:
-        is_global = all(c.registration.method.startswith("global") for c in doubtful)
-        search = "" if is_global else "global (from any pose), global-similarity (of any scale too), "
+        tried = {c.registration.method.partition(":")[0].partition("-")[0] for c in doubtful}
+        ways = [text for name, text in _OTHER_WAYS.items() if name not in tried]
         return [
             f"{self._doubt(doubtful)}, and no verdict is given.",
-            f"What may help: --register {search}points:FILE (control points) or matrix:FILE (a pose that is known).",
+            f"What may help: --register {', '.join(ways[:-1])} or {ways[-1]}.",
         ]
 
     def cautions(self, doubtful: Sequence[Candidate], left_open: Sequence[Candidate]) -> list[str]:

@@ -108,11 +108,14 @@ def test_no_verdict_on_a_doubtful_registration(measured):
     assert "no verdict is given" in first
     assert "--register global" in then
     assert "points:FILE" in then
+    given = answer(with_registration(some(measured, "a"), "a", result.DOUBTFUL_POSE, method="matrix:T.txt"))[1]
+    assert "global" in given and "matrix" not in given  # it was tried
     assert "deformed" not in first + then
     assert "a: doubtful-pose said" in warnings(one)
-    assert not any(
-        "a is lower" in said or "lower than a" in said for said in details(with_registration(measured, "a", "far-off"))
-    )
+    pairs = " ".join(details(with_registration(measured, "a", result.FAR_OFF)))
+    assert "b is lower than c" in pairs
+    assert "a is lower" not in pairs
+    assert "lower than a" not in pairs
     three = with_registration(some(measured, "a", "b", "c"), "a", result.DOUBTFUL_POSE)
     first, accuracy, complete, bend = answer(three)
     assert first.startswith("The registration of a is doubtful")
