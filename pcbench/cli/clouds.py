@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +18,10 @@ from pcbench.cli.options import (
     register_option,
     required_crop_option,
 )
+
+if TYPE_CHECKING:
+    from pcbench.geometry.arrays import FloatArray
+    from pcbench.registration import Registration
 
 
 @click.command(short_help="Cut a cloud to a region.")
@@ -52,7 +57,11 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
 def register(
     reference: Path, candidate: Path, out: Path | None, matrix: Path | None, register: str, quiet: bool
 ) -> None:
-    """Align CANDIDATE to REFERENCE and say how well that is determined. Prints the 4x4 matrix."""
+    """Align CANDIDATE to REFERENCE and say by how much it moved and how well that is determined.
+
+    Prints the shift of the candidate's centroid, the angle, the axis and the scale as comments, and then the 4x4
+    matrix: what is printed can be read as a matrix again.
+    """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
     from pcbench.io.files import atomic_write, check_output, named_file
@@ -76,15 +85,31 @@ def register(
     for warning in result.warnings:
         warn(str(warning))
     if not quiet:
+        for line in _motion_lines(result, cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit):
+            click.echo(f"# {line}")
         click.echo(text, nl=False)
-        sigma = "not fixed" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}"
-        state = {True: "converged", False: "NOT converged", None: "not iterated"}[result.converged]
-        click.echo(
-            f"# {result.method}: rmse {result.rmse:.4g}, overlap {result.overlap:.1%}, {result.iterations} iterations,"
-            f" {state}, scale {result.T_reference_candidate.scale:.8g}, weakest direction's sigma {sigma}"
-        )
-        for point in result.check_points:
-            click.echo(f"# check point {point.name}: {point.error:.4g}")
+
+
+def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) -> Iterator[str]:
+    """What the registration did, and how far it can be trusted, for people."""
+    motion = result.T_reference_candidate.motion_at(centroid)
+    of_unit = f" {unit}" if unit else ""
+    shift = motion.shift * (abs(motion.shift) > 1e-14 * abs(centroid).max())  # what is less is rounding
+    across = ", ".join(f"{x:+.4g}" for x in shift)
+    yield f"shift at the centroid: {float(sum(shift**2)) ** 0.5:.4g}{of_unit} ({across})"
+    axis = "" if motion.axis is None else f" about ({', '.join(f'{x:+.4f}' for x in motion.axis)})"
+    yield f"turn: {motion.angle_deg:.4g} degrees{axis}"
+    solved = " (not solved for)" if motion.scale == 1 and not result.solved_scale else ""
+    yield f"scale: {motion.scale:.8g}{solved}"
+    sigma = "not fixed" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}"
+    state = {True: "converged", False: "NOT converged", None: "not iterated"}[result.converged]
+    yield (
+        f"{result.method}: {'the pose is DOUBTFUL, ' if result.doubtful else ''}rmse {result.rmse:.4g}, overlap"
+        f" {result.overlap:.1%}, {result.iterations} iterations, {state}, weakest direction's sigma {sigma}"
+    )
+    for point in result.check_points:
+        yield f"check point {point.name}: {point.error:.4g}"
+    yield "matrix candidate -> reference:"
 
 
 @click.command(short_help="Write a cloud in another format.")
@@ -110,6 +135,7 @@ def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, qu
 @click.argument("clouds", type=FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
     """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes."""
+    from pcbench.geometry.crs import crs_line
     from pcbench.geometry.neighbors import Index, median_spacing
     from pcbench.io import read_cloud
 
@@ -125,7 +151,8 @@ def info(clouds: tuple[Path, ...]) -> None:
             spacing = median_spacing(index, index.nearest_other())  # of all points, as a comparison says it
             click.echo(f"  median distance to the nearest other point {spacing:.4g}")
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
-        click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}, crs {cloud.crs or 'unknown'}")
+        click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
+        click.echo(f", crs {crs_line(cloud.crs) if cloud.crs else 'unknown'}")
         if cloud.attributes:
             click.echo(f"  attributes {', '.join(cloud.attributes)}")
 

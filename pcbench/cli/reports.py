@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
 @no_figures_option()
+@click.option("--full", is_flag=True, help="Print every metric, and every sentence.")
 @quiet_option
 @click.pass_context
 def compare(
@@ -63,9 +64,11 @@ def compare(
     settings_file: Path | None,
     json_file: str | None,
     no_figures: bool,
+    full: bool,
     quiet: bool,
 ) -> None:
-    """Measure how far CANDIDATES are from REFERENCE, both ways.
+    """Measure how far CANDIDATES are from REFERENCE, both ways. Prints the answer in words, what has to be known before
+    it is trusted, and the main numbers; the folder of --out holds all of them.
 
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
@@ -93,14 +96,14 @@ def compare(
             returns=las_returns(returns),
         )
         job = ComparisonJob.of(reference, candidates, settings)
-    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet)
+    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full)
 
 
 def compare_and_print(
-    job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool
+    job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool, full: bool = False
 ) -> Comparison:
-    """Compare files, write what is asked for, and print the table or the JSON document."""
-    from pcbench.report import document, print_table, to_json
+    """Compare files, write what is asked for, and print the answer or the JSON document."""
+    from pcbench.report import document, print_comparison, to_json
     from pcbench.report.compare_files import Outputs, compare_files
 
     to_stdout = json_file == "-"
@@ -110,9 +113,7 @@ def compare_and_print(
     if to_stdout:
         click.echo(to_json(document(outcome.comparison)), nl=False)
     elif not quiet:
-        print_table(outcome.comparison)
-        if out is not None:
-            click.echo(f"report: {out}")
+        print_comparison(outcome.comparison, full=full, folder=out)
     if outcome.without_figures:
         warn(outcome.without_figures)
     return outcome.comparison

@@ -268,6 +268,11 @@ class Deformation:
         whole = " as a whole" if parts else ""
         return f"{name} is not deformed against the reference{whole}{unseen}{parts}"
 
+    @property
+    def part_moved(self) -> bool:
+        """Whether a part of the scene surely moved by itself."""
+        return bool(self._parts_that_moved(""))
+
     def _parts_that_moved(self, unit: str) -> str:
         local, noise = self.local, self.noise
         if local is None or local.largest is None or local.at is None or noise is None:

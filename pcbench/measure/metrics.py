@@ -15,6 +15,8 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import Cells
 from pcbench.native import _core
 
+NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
+
 
 class Distances(NamedTuple):
     """Of each query of one direction (M,): to the nearest point, and signed to tangent planes of the reference."""
@@ -105,6 +107,17 @@ def percentiles(distances: FloatArray, ranks: tuple[float, ...] = (5, 25, 50, 75
     """Percentiles of one-way distances, as {"p5": ...}; linear interpolation between order statistics."""
     _check_distances(distances)
     return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(distances, ranks), strict=True)}
+
+
+def nmad(values: FloatArray) -> float:
+    """Normalised median absolute deviation of values (N,), in their unit: 1.4826 median |v - median v|.
+
+    The standard deviation where errors are normal, and hardly moved by outliers where they are not: what Höhle & Höhle
+    2009 ("Accuracy assessment of digital elevation models by means of robust statistical methods", ISPRS Journal 64)
+    recommend to report beside it.
+    """
+    _check_distances(values)
+    return NORMAL_MAD * float(np.median(np.abs(values - np.median(values))))
 
 
 def area_weighted_mean(values: FloatArray, voxels: Cells) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from pcbench.errors import Notice
 from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure import intervals, metrics
+from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction, MeanMetric
 from pcbench.measure.intervals import Sampled, Spread
 from pcbench.measure.results import (
@@ -19,6 +19,7 @@ from pcbench.measure.results import (
     FORTH,
     Chamfer,
     DirectedMetric,
+    DirectedSpread,
     Estimate,
     Extremes,
     Hausdorff,
@@ -96,8 +97,11 @@ def measure(
         floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
         return estimate(f"chamfer/{name}")._replace(floor=floor)
 
-    a, b = forth.distances.to_points, back.distances.to_points
-    accuracy, completeness = metrics.percentiles(a), metrics.percentiles(b)
+    distributed = {"distance": _distributions(forth.distances.to_points, back.distances.to_points)}
+    if forth.distances.to_planes is not None and back.distances.to_planes is not None:
+        distributed["plane_distance"] = _distributions(forth.distances.to_planes, back.distances.to_planes)
+    accuracy = distributed["distance"].accuracy.percentiles or {}
+    completeness = distributed["distance"].completeness.percentiles or {}
     return Measurement(
         Metrics(
             directed={metric.name: directed(metric) for metric in MEAN_METRICS},
@@ -114,11 +118,16 @@ def measure(
             ),
             percentiles_accuracy=accuracy,
             percentiles_completeness=completeness,
+            spreads=distributed,
         ),
         whole,
         both,
         tuple(_doubts(spreads)),
     )
+
+
+def _distributions(forth: FloatArray, back: FloatArray) -> DirectedSpread:
+    return DirectedSpread(deviation.Spread.of(forth), deviation.Spread.of(back))
 
 
 def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float, ...]) -> dict[str, Sampled]:
