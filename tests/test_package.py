@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import repository
+
 HEAVY = (
     "scipy",
     "torch",
@@ -54,3 +56,19 @@ def test_public_names():
     import pcbench.measure.comparison
 
     assert callable(pcbench.compare)
+
+
+def test_dir_shows_the_public_names_and_no_others():
+    import pcbench
+
+    shown = [name for name in dir(pcbench) if not name.startswith("_")]
+    assert shown == sorted(name for name in pcbench.__all__ if not name.startswith("_"))
+    assert {"Index", "compare", "read_cloud"} <= set(shown)
+
+
+def test_public_names_stand_in_the_reference():
+    import pcbench
+
+    page = (repository.ROOT / "docs" / "reference" / "index.md").read_text()
+    documented = [line.strip()[2:] for line in page.splitlines() if line.strip().startswith("- ")]
+    assert set(documented) == set(pcbench.__all__) - {"__version__"}

@@ -27,8 +27,8 @@ from pcbench.cli.options import (
 def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.errors import InputError
-    from pcbench.geometry.crop import crop as crop_cloud
     from pcbench.io import read_cloud, write_cloud
+    from pcbench.io.crop import crop as crop_cloud
     from pcbench.io.files import check_output, named_file
 
     check_output(out, [cloud, *filter(None, [named_file(crop)])])

@@ -8,15 +8,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import TypeGuard
+
+from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
-from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.io.colmap import model_file
 from pcbench.io.files import Warn, check_output, finite_cloud, read_named
 from pcbench.io.formats import CLOUDS, CloudFormat
 
-__all__ = ["FILTERED", "check_cloud_output", "read_cloud", "write_cloud"]
+__all__ = ["FILTERED", "CloudLike", "check_cloud_output", "is_path", "read_cloud", "to_cloud", "write_cloud"]
 
+CloudLike = Cloud | ArrayLike | os.PathLike[str]  # what `to_cloud` takes; `ArrayLike` holds str, a path too
 FILTERED = tuple(extension for extension, form in CLOUDS.items() if form.filtered)  # have classes and returns
 
 
@@ -52,15 +56,34 @@ def read_cloud(
     return read_named(model_file(Path(path)), read, on_warning)
 
 
-def write_cloud(path: str | os.PathLike[str], cloud: Cloud) -> None:
-    """Writes a cloud, all or nothing: on an error an existing file stays as it was.
+def is_path(given: object) -> TypeGuard[str | os.PathLike[str]]:
+    """Whether something that stands where a cloud may stand is the path of one."""
+    return isinstance(given, str | os.PathLike)
+
+
+def to_cloud(given: CloudLike) -> Cloud:
+    """A cloud as it is, one around an (N, 3) array, or the one in the file that a path names.
 
     Raises:
-        InputError: the extension is unknown, or the format cannot hold the cloud.
+        InputError, MissingExtra: as `read_cloud` and `Cloud`.
+    """
+    return read_cloud(given) if isinstance(given, str | os.PathLike) else as_cloud(given)
+
+
+def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:
+    """Writes a cloud, all or nothing: on an error an existing file stays as it was.
+
+    Args:
+        path: its extension picks the format.
+        cloud: a cloud, its points (N, 3), or the path of a file with one.
+
+    Raises:
+        InputError: the extension is unknown, or the format cannot hold the cloud; or it is none.
         OSError: the file cannot be written.
     """
     path = Path(path)
-    _writer(path)(path, cloud)
+    write = _writer(path)
+    write(path, to_cloud(cloud))
 
 
 def check_cloud_output(path: Path) -> None:

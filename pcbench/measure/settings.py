@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,21 @@ class Settings:
         for name in ("register", "crop"):
             values[name] = getattr(values[name], "text", values[name])
         return values if self.initial is None else {**values, "initial": as_similarity(self.initial).matrix}
+
+
+def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Settings:
+    """Settings, or the defaults, with some of them changed by name.
+
+    Raises:
+        InputError: there is no such setting, or it is not usable; or `settings` are none.
+    """
+    settings = Settings() if settings is None else settings
+    if not isinstance(settings, Settings):
+        raise InputError(f"expected settings as pcbench.Settings, got {type(settings).__name__}")
+    known = [item.name for item in fields(Settings)]
+    if unknown := [name for name in changed if name not in known]:
+        raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(known)}")
+    return replace(settings, **changed)
 
 
 def _names(what: str, given: Any) -> tuple[Any, ...]:

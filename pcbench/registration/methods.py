@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError, RegistrationError
-from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
+from pcbench.io import CloudLike, to_cloud
 from pcbench.registration.control_points import ControlPoints, fit_pairs
 from pcbench.registration.from_features import FeatureSettings, align_by_features
 from pcbench.registration.given import GivenPose, as_similarity
@@ -36,8 +36,8 @@ METHODS = (*_NAMED, "points:FILE", "matrix:FILE")
 
 
 def register(
-    reference: Cloud | ArrayLike,
-    candidate: Cloud | ArrayLike,
+    reference: CloudLike,
+    candidate: CloudLike,
     method: Method | Similarity | ArrayLike | str = "icp",
     *,
     initial: Similarity | ArrayLike | None = None,
@@ -46,7 +46,7 @@ def register(
     """The pose of a candidate on a reference, and how far it can be trusted.
 
     Args:
-        reference, candidate: clouds, or (N, 3) arrays.
+        reference, candidate: clouds, (N, 3) arrays, or paths of files with clouds.
         method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (from any pose, then ICP) or
             `ControlPoints` (pairs of points); a `Similarity`, a 4x4 array or a `GivenPose` is taken as it is. Or a
             text, see `parse_method`.
@@ -60,7 +60,8 @@ def register(
             both clouds state, or their sizes let suspect, are said first.
         MissingExtra: KISS-Matcher is not installed (`FeatureSettings`).
     """
-    reference, candidate, method = as_cloud(reference), as_cloud(candidate), as_method(method)
+    method = as_method(method)
+    reference, candidate = to_cloud(reference), to_cloud(candidate)
     start = None if initial is None else as_similarity(initial)
     if start is not None and not isinstance(method, IcpSettings):
         raise InputError(f"an initial pose is where ICP starts: `{method.text}` takes none")
