@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.splats import filter_splats
 from pcbench.io.colmap import model_file
 from pcbench.io.files import Warn, check_output, finite_cloud, read_named
 from pcbench.io.formats import CLOUDS, CloudFormat
@@ -30,6 +31,8 @@ def read_cloud(
     on_warning: Callable[[str], None] | None = None,
     classes: Collection[int] | None = None,
     returns: str | Collection[int] | None = None,
+    min_opacity: float | None = None,
+    max_axis: float | None = None,
 ) -> Cloud:
     """The point cloud in a file, without the points whose coordinates are NaN or Inf.
 
@@ -39,10 +42,13 @@ def read_cloud(
             coordinates"); `warnings.warn` if not given.
         classes: only points of these classes, such as (2, 6); LAS, LAZ and COPC.
         returns: only the "first" or "last" return of each pulse, or those of these numbers; the same formats.
+        min_opacity: only Gaussian splats of at least this opacity, 0 to 1; PLY files of splats, whose logits of
+            opacities and logarithms of axes are understood.
+        max_axis: only splats whose largest axis (standard deviation) is at most so long, in the file's unit.
 
     Raises:
-        InputError: the file cannot be read or is not what its extension says, or no point is of these classes and
-            returns; the message starts with the path.
+        InputError: the file cannot be read or is not what its extension says, or no point is left by what was asked
+            for; the message starts with the path.
         MissingExtra: an optional library is needed for this file.
     """
 
@@ -51,7 +57,7 @@ def read_cloud(
         filters = {"classes": classes, "returns": returns} if classes is not None or returns is not None else {}
         if filters and not form.filtered:
             raise InputError(f"classes and returns are known in {', '.join(FILTERED)} only")
-        return finite_cloud(form.read(path, warn, **filters), warn)
+        return filter_splats(finite_cloud(form.read(path, warn, **filters), warn), min_opacity, max_axis)
 
     return read_named(model_file(Path(path)), read, on_warning)
 

@@ -14,6 +14,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.splats import filter_splats, splat_model
 from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
@@ -114,9 +115,31 @@ def compare_inputs(
         if is_path(given):
             step(f"reading {given}")
             named[name], files[name] = read_candidate(Path(given), settings)
-    measured = comparison.compare(reference, named, settings, on_step=step)
+    kept, named = _without_faint_splats(reference, named, settings)
+    measured = comparison.compare(kept, named, settings, on_step=step)
     whole = of_reference is not None and files.keys() == named.keys()
     return Comparison.of(measured, Inputs(of_reference, files, of_settings) if of_reference and whole else None)
+
+
+def _without_faint_splats(reference: Any, candidates: dict[str, Any], settings: Settings) -> tuple[Any, dict[str, Any]]:
+    """The clouds, those that are models of Gaussian splats as the settings filter them.
+
+    Raises:
+        InputError: none is one, or nothing is left of one.
+    """
+    limits = settings.min_opacity, settings.max_axis
+    if limits == (None, None):
+        return reference, candidates
+    named = {"the reference": reference, **candidates}
+    splats = {name for name, cloud in named.items() if isinstance(cloud, Cloud) and splat_model(cloud) is not None}
+    if not splats:
+        raise InputError("a least opacity and a largest axis filter Gaussian splats: none of the clouds is a model")
+    for name in splats:
+        try:
+            named[name] = filter_splats(named[name], *limits)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+    return named.pop("the reference"), named
 
 
 def _named(candidates: Any) -> dict[str, Any]:
