@@ -1,6 +1,7 @@
 """The package as installed: what its import costs, and what it must not pull in."""
 
 import ast
+import functools
 import re
 import subprocess
 import sys
@@ -81,6 +82,7 @@ def test_public_names_stand_in_the_reference():
 IMPORTED_AS = {"pillow": "PIL", "kiss-matcher": "kiss_matcher"}
 
 
+@functools.cache
 def imports(folder):
     """Every module that the code in a folder imports."""
     found = set()

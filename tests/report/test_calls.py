@@ -17,7 +17,7 @@ def files(tmp_path, monkeypatch):
     rng = np.random.default_rng(1)
     arrays = {}
     for name in ("ref.ply", "a.xyz", "b.npy"):
-        plane = rng.uniform(-1, 1, (800, 2))
+        plane = rng.uniform(-1, 1, (400, 2))
         arrays[name] = np.column_stack([plane, 0.3 * np.square(plane).sum(axis=1)])
         pcbench.write_cloud(name, arrays[name])
     return arrays
@@ -51,7 +51,8 @@ def test_candidates_of_all_kinds_have_names(files):
         pcbench.compare("ref.ply", ["candidate_2.ply", files["b.npy"]])
 
 
-def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path):
+def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path, monkeypatch):
+    monkeypatch.setattr("pcbench.measure.reference._MESH_SAMPLES", 1000)
     (tmp_path / "box.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n")
     assert pcbench.compare("box.obj", "a.xyz", register="none").reference.faces == 2
 
@@ -59,9 +60,9 @@ def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path):
 def test_what_readers_left_out_is_a_warning(files):
     with Path("a.xyz").open("a") as file:
         file.write("nan nan nan\n")
-    with pytest.warns(UserWarning, match="dropped 1 of 801 points"):
+    with pytest.warns(UserWarning, match="dropped 1 of 401 points"):
         found = pcbench.compare("ref.ply", "a.xyz", register="none")
-    assert "dropped 1 of 801 points" in found.inputs.candidates["a"].warnings[0]
+    assert "dropped 1 of 401 points" in found.inputs.candidates["a"].warnings[0]
 
 
 def test_a_report_of_paths_can_be_repeated(files, tmp_path):
@@ -94,7 +95,7 @@ def test_arrays_and_paths_are_written_as_clouds_are(files, tmp_path):
 def test_a_comparison_shows_itself_in_a_few_lines(files):
     found = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
     first, *rest = repr(found).splitlines()
-    assert first.startswith("Comparison with 800 points, spacing 0.0")
+    assert first.startswith("Comparison with 400 points, spacing 0.")
     assert first.endswith(" m")
     assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]
     assert max(map(len, repr(found).splitlines())) < 120
