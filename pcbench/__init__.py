@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from pcbench.deformation import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
     from pcbench.geometry.cloud import Cloud as Cloud
-    from pcbench.geometry.crop import crop as crop
     from pcbench.geometry.mesh import Mesh as Mesh
     from pcbench.geometry.neighbors import Index as Index
     from pcbench.geometry.region_text import parse_region as parse_region
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from pcbench.geometry.transform import Similarity as Similarity
     from pcbench.io import read_cloud as read_cloud
     from pcbench.io import write_cloud as write_cloud
+    from pcbench.io.crop import crop as crop
     from pcbench.io.meshes import read_mesh as read_mesh
     from pcbench.measure import metrics as metrics
     from pcbench.measure.settings import Settings as Settings
@@ -51,7 +51,7 @@ _ROOMS = {
     "Sphere": "geometry.regions",
     "Union": "geometry.regions",
     "compare": "report.comparison",
-    "crop": "geometry.crop",
+    "crop": "io.crop",
     "deform": "deformation",
     "metrics": "measure.metrics",
     "parse_region": "geometry.region_text",
@@ -79,7 +79,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__") and name not in __all__)])
 
 
 def _version() -> str:

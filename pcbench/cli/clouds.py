@@ -17,6 +17,7 @@ from pcbench.cli.options import (
     quiet_option,
     register_option,
     required_crop_option,
+    splat_options,
 )
 
 if TYPE_CHECKING:
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.errors import InputError
-    from pcbench.geometry.crop import crop as crop_cloud
     from pcbench.io import read_cloud, write_cloud
+    from pcbench.io.crop import crop as crop_cloud
     from pcbench.io.files import check_output, named_file
 
     check_output(out, [cloud, *filter(None, [named_file(crop)])])
@@ -116,16 +117,46 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @las_options("a LAS file")
+@splat_options
+@click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Draw N points of a mesh, by area.")
 @quiet_option
-def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, quiet: bool) -> None:
-    """Write CLOUD to OUT in the format that OUT's ending names, with normals, colours and attributes."""
-    from pcbench.io import read_cloud, write_cloud
+def convert(
+    cloud: Path,
+    out: Path,
+    classes: str | None,
+    returns: str | None,
+    min_opacity: float | None,
+    max_axis: float | None,
+    sample: int | None,
+    quiet: bool,
+) -> None:
+    """Write CLOUD to OUT in the format that OUT's ending names, with normals, colours and attributes.
+
+    Of a mesh its vertices are written, or points drawn on it (--sample).
+    """
+    from pcbench.errors import InputError
+    from pcbench.geometry.cloud import Cloud
+    from pcbench.io import check_cloud_output, read_cloud, write_cloud
     from pcbench.io.files import check_output
+    from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
 
     check_output(out, (cloud,))
-    data = read_cloud(
-        cloud, on_warning=warn_unless(quiet), classes=numbers("--classes", classes, int), returns=las_returns(returns)
-    )
+    check_cloud_output(out)
+    filters: dict[str, Any] = {
+        "classes": numbers("--classes", classes, int),
+        "returns": las_returns(returns),
+        "min_opacity": min_opacity,
+        "max_axis": max_axis,
+    }
+    if sample is not None and not holds_mesh(cloud):
+        raise InputError(f"{cloud}: --sample draws points on a mesh, and this is none")
+    if sample is not None or is_mesh_alone(cloud):
+        if any(value is not None for value in filters.values()):
+            raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
+        mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
+        data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+    else:
+        data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
     write_cloud(out, data)
     if not quiet:
         click.echo(f"{out}: {len(data):,} points")
@@ -134,15 +165,33 @@ def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, qu
 @click.command(short_help="Say what is in a cloud.")
 @click.argument("clouds", type=FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
-    """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes."""
+    """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes; faces, Gaussian splats."""
+    from pcbench.errors import InputError
+    from pcbench.geometry.cloud import Cloud
     from pcbench.geometry.crs import crs_line
     from pcbench.geometry.neighbors import Index, median_spacing
+    from pcbench.geometry.splats import is_of_splats, splat_model, spread
     from pcbench.io import read_cloud
+    from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
 
     for path in clouds:
-        cloud = read_cloud(path, on_warning=warn)
+        mesh = None
+        if is_mesh_alone(path):
+            mesh = read_mesh(path, on_warning=warn)
+            cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+        else:
+            cloud = read_cloud(path, on_warning=warn)
+            if holds_mesh(path):
+                try:
+                    mesh = read_mesh(path, on_warning=warn)
+                except InputError as error:  # its points are there all the same
+                    warn(error)
         lower, upper = cloud.bounds
-        click.echo(f"{path}: {len(cloud):,} points")
+        click.echo(f"{path}: {len(cloud):,} {'vertices' if mesh is not None else 'points'}")
+        if mesh is not None:
+            click.echo(
+                f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}"
+            )
         click.echo(f"  from   {_triple(lower)}")
         click.echo(f"  to     {_triple(upper)}")
         click.echo(f"  size   {_triple(upper - lower)} {cloud.unit or ''}".rstrip())
@@ -153,8 +202,14 @@ def info(clouds: tuple[Path, ...]) -> None:
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
         click.echo(f", crs {crs_line(cloud.crs) if cloud.crs else 'unknown'}")
-        if cloud.attributes:
-            click.echo(f"  attributes {', '.join(cloud.attributes)}")
+        attributes = list(cloud.attributes)
+        if (splats := splat_model(cloud)) is not None:
+            degree = "unknown" if splats.sh_degree is None else splats.sh_degree
+            click.echo(f"  {splats.dimensions}D Gaussian splat model, {len(cloud):,} splats, SH degree {degree}")
+            click.echo(f"    opacity {spread(splats.opacities)}; largest axis {spread(splats.largest_axes)}")
+            attributes = [name for name in attributes if not is_of_splats(name)]
+        if attributes:
+            click.echo(f"  attributes {', '.join(attributes)}")
 
 
 def _triple(values: Any) -> str:

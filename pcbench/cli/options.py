@@ -62,6 +62,14 @@ def las_options(files: str) -> Callable[[_Command], _Command]:
     return add
 
 
+def splat_options(command: _Command) -> _Command:
+    """Filters of models of Gaussian splats."""
+    axis = "Only Gaussian splats whose largest axis (sigma) is at most this."
+    command = click.option("--max-axis", type=POSITIVE, metavar="LENGTH", help=axis)(command)
+    opacity = FiniteRange(min=0, max=1)
+    return click.option("--min-opacity", type=opacity, metavar="0..1", help="Only Gaussian splats so opaque.")(command)
+
+
 def cameras_option(help: str = "auto, none, or a file or folder with cameras.") -> Callable[[_Command], _Command]:
     return click.option("--cameras", default="auto", show_default=True, metavar="WHICH", help=help)
 

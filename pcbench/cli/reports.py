@@ -20,6 +20,7 @@ from pcbench.cli.options import (
     quiet_option,
     register_option,
     seed_option,
+    splat_options,
     words,
 )
 from pcbench.errors import InputError
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 )
 @click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
 @las_options("LAS files")
+@splat_options
 @seed_option("Of the bootstrap.")
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
@@ -60,6 +62,8 @@ def compare(
     maps: tuple[str, ...],
     classes: str | None,
     returns: str | None,
+    min_opacity: float | None,
+    max_axis: float | None,
     seed: int,
     settings_file: Path | None,
     json_file: str | None,
@@ -78,7 +82,10 @@ def compare(
     from pcbench.report.compare_files import ComparisonJob
 
     if settings_file is not None:
-        options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
+        options = [
+            *("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "min_opacity", "max_axis"),
+            "seed",
+        ]
         if reference is not None or any(given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
         job = ComparisonJob.recorded(settings_file)
@@ -94,6 +101,8 @@ def compare(
             seed=seed,
             classes=numbers("--classes", classes, int),
             returns=las_returns(returns),
+            min_opacity=min_opacity,
+            max_axis=max_axis,
         )
         job = ComparisonJob.of(reference, candidates, settings)
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full)

@@ -1,0 +1,65 @@
+"""The clouds of a comparison from their files, with what the report says of each file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
+from pcbench.io import FILTERED, read_cloud
+from pcbench.io.files import digest, named_file
+from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.measure.settings import Settings
+from pcbench.report.folder import check_name
+from pcbench.report.inputs import InputFile
+
+
+def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputFile]:
+    """The reference of a comparison, which a mesh may be, and the file that it came from.
+
+    Raises:
+        InputError: the file cannot be read; the message starts with the path.
+        MissingExtra: an optional library is needed for it.
+    """
+    if not holds_mesh(path):
+        return read_candidate(path, settings)
+    warnings: list[str] = []
+    mesh = read_mesh(path, on_warning=warnings.append)
+    return mesh, InputFile(str(path), digest(path), tuple(warnings))
+
+
+def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
+    """A cloud, and the file that it came from; errors as of `read_reference`."""
+    warnings: list[str] = []
+    filters: dict[str, Any] = {}
+    if path.suffix.lower() in FILTERED:  # a LAS reference may be filtered though the candidates are of another kind
+        filters = {"classes": settings.classes, "returns": settings.returns}
+    cloud = read_cloud(path, on_warning=warnings.append, **filters)
+    return cloud, InputFile(str(path), digest(path), tuple(warnings))
+
+
+def named_files(settings: Settings) -> tuple[InputFile, ...]:
+    """The files that settings name, such as a matrix."""
+    paths: Iterable[Path] = filter(None, map(named_file, (settings.register, settings.crop)))
+    return tuple(InputFile(str(path), digest(path)) for path in paths)
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """A name for each candidate: its file's stem, with a number where stems are equal.
+
+    Raises:
+        InputError: a stem cannot be part of file names.
+    """
+    result: list[str] = []
+    taken = {path.stem for path in paths} | {"reference"}
+    for path in paths:
+        name, number = path.stem or "candidate", 2
+        if name in result or name == "reference":
+            while f"{path.stem}_{number}" in taken:
+                number += 1
+            name = f"{path.stem}_{number}"
+            taken.add(name)
+        result.append(check_name(name))
+    return result
