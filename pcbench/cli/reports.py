@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     "--preset", "presets", multiple=True, metavar="NAME", help="open3d, pdal or tnt; gao2025 and mpeg always."
 )
 @click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
+@click.option(
+    "--m3c2", metavar="NAME=VALUE,...", help="M3C2 with radius, depth, normal_radius, cores=FILE of your own."
+)
 @las_options("LAS files")
 @seed_option("Of the bootstrap.")
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
@@ -57,6 +60,7 @@ def compare(
     thresholds: str | None,
     presets: tuple[str, ...],
     maps: tuple[str, ...],
+    m3c2: str | None,
     classes: str | None,
     returns: str | None,
     seed: int,
@@ -75,7 +79,7 @@ def compare(
     from pcbench.report.compare_files import ComparisonJob
 
     if settings_file is not None:
-        options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
+        options = ("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "seed")
         if reference is not None or any(given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
         job = ComparisonJob.recorded(settings_file)
@@ -91,6 +95,7 @@ def compare(
             seed=seed,
             classes=numbers("--classes", classes, int),
             returns=las_returns(returns),
+            m3c2=m3c2,
         )
         job = ComparisonJob.of(reference, candidates, settings)
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet)

@@ -13,6 +13,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
 from pcbench.io.files import atomic_write, check_output, digest, named_file
 from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.measure.m3c2 import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document, to_json
@@ -69,7 +70,10 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         PcbenchError, OSError: an input, a setting or an output is not usable; nothing was written then.
     """
     settings = replace(job.settings, register=_absolute(job.settings.register), crop=_absolute(job.settings.crop))
-    named_files = [*filter(None, map(named_file, (settings.register, settings.crop)))]
+    if isinstance(settings.m3c2, M3C2Settings):
+        settings = replace(settings, m3c2=settings.m3c2.absolute())
+    cores = settings.m3c2.file if isinstance(settings.m3c2, M3C2Settings) else None
+    named_files = [*filter(None, (*map(named_file, (settings.register, settings.crop)), cores))]
     inputs = [job.reference, *job.candidates.values(), *named_files]
     if (settings.classes or settings.returns) and not any(p.suffix.lower() in FILTERED for p in inputs):
         raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
