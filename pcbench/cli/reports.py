@@ -157,9 +157,8 @@ def deform(
         for warning in outcome.warnings:
             warn(warning)
         click.echo(found.sentence(candidate.name, outcome.unit or ""))
-        if found.verdict != "undecided":  # then the sentence holds them
-            for notice in found.warnings:
-                warn(str(notice))
+        for notice in found.further_warnings:
+            warn(str(notice))
         for rung in found.rungs:
             mark = "*" if rung.model == found.model else " "
             score, error = rung.cv_score**0.5, rung.cv_se / (2 * rung.cv_score**0.5 or 1.0)

@@ -314,7 +314,10 @@ def _sentences(comparison: Comparison) -> Iterator[str]:
     """Is a candidate deformed, and is a better than b? In words."""
     for candidate in comparison:
         yield candidate.deformation.sentence(candidate.name, comparison.reference.unit or "")
+    doubtful = {candidate.name for candidate in comparison if candidate.registration.doubtful}
     for difference in comparison.differences:
+        if doubtful & {difference.a, difference.b}:  # its scores say nothing of it
+            continue
         if difference.metric in (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared"):
             yield _difference_words(difference)
 
@@ -343,9 +346,8 @@ def _warnings(comparison: Comparison) -> Iterator[str]:
             yield f"{candidate.name}: {warning}"
         for warning in candidate.registration.warnings:
             yield f"{candidate.name}: {warning}"
-        if candidate.deformation.verdict != "undecided":  # then its sentence holds them
-            for notice in candidate.deformation.warnings:
-                yield f"{candidate.name}: {notice}"
+        for notice in candidate.deformation.further_warnings:
+            yield f"{candidate.name}: {notice}"
 
 
 def _title(comparison: Comparison) -> str:
