@@ -24,7 +24,7 @@ def corridor(bend, seed):
 def field(bend, seed):
     """Flat ground of 40 m."""
     rng = np.random.default_rng(seed)
-    xy = rng.uniform(-20, 20, (6_000, 2))
+    xy = rng.uniform(-20, 20, (12_000, 2))
     return np.column_stack([xy, rng.normal(0, 0.01, len(xy)) + bend * np.square(xy / 20).sum(axis=1)])
 
 
