@@ -41,6 +41,9 @@ if TYPE_CHECKING:
     "--preset", "presets", multiple=True, metavar="NAME", help="open3d, pdal or tnt; gao2025 and mpeg always."
 )
 @click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
+@click.option(
+    "--m3c2", metavar="NAME=VALUE,...", help="M3C2 with radius, depth, normal_radius, cores=FILE of your own."
+)
 @las_options("LAS files")
 @splat_options
 @seed_option("Of the bootstrap.")
@@ -60,6 +63,7 @@ def compare(
     thresholds: str | None,
     presets: tuple[str, ...],
     maps: tuple[str, ...],
+    m3c2: str | None,
     classes: str | None,
     returns: str | None,
     min_opacity: float | None,
@@ -83,8 +87,8 @@ def compare(
 
     if settings_file is not None:
         options = [
-            *("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "min_opacity", "max_axis"),
-            "seed",
+            *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
+            *("max_axis", "seed"),
         ]
         if reference is not None or any(given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
@@ -103,6 +107,7 @@ def compare(
             returns=las_returns(returns),
             min_opacity=min_opacity,
             max_axis=max_axis,
+            m3c2=m3c2,
         )
         job = ComparisonJob.of(reference, candidates, settings)
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full)
@@ -162,9 +167,8 @@ def deform(
         for warning in outcome.warnings:
             warn(warning)
         click.echo(found.sentence(candidate.name, outcome.unit or ""))
-        if found.verdict != "undecided":  # then the sentence holds them
-            for notice in found.warnings:
-                warn(str(notice))
+        for notice in found.further_warnings:
+            warn(str(notice))
         for rung in found.rungs:
             mark = "*" if rung.model == found.model else " "
             score, error = rung.cv_score**0.5, rung.cv_se / (2 * rung.cv_score**0.5 or 1.0)

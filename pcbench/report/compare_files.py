@@ -10,13 +10,14 @@ from typing import TypeVar
 from pcbench.errors import InputError
 from pcbench.io import FILTERED
 from pcbench.io.files import atomic_write, check_output, named_file
+from pcbench.measure.m3c2 import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.comparison import Comparison, compare_inputs
 from pcbench.report.document import document, to_json
 from pcbench.report.folder import read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.plot import draw_if_possible
-from pcbench.report.reading import names_of
+from pcbench.report.reading import names_of, paths_in
 
 _Setting = TypeVar("_Setting")
 
@@ -67,8 +68,9 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         PcbenchError, OSError: an input, a setting or an output is not usable; nothing was written then.
     """
     settings = replace(job.settings, register=_absolute(job.settings.register), crop=_absolute(job.settings.crop))
-    named = filter(None, map(named_file, (settings.register, settings.crop)))
-    inputs = [job.reference, *job.candidates.values(), *named]
+    if isinstance(settings.m3c2, M3C2Settings):
+        settings = replace(settings, m3c2=settings.m3c2.absolute())
+    inputs = [job.reference, *job.candidates.values(), *paths_in(settings)]
     if (settings.classes or settings.returns) and not any(p.suffix.lower() in FILTERED for p in inputs):
         raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
     if outputs.json_file is not None:

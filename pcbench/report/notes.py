@@ -68,8 +68,7 @@ def _of_candidate(comparison: Comparison, candidate: Candidate) -> Iterator[str]
             f" {length(5 * comparison.reference.spacing_median, unit)}), and the distances are those of all of it:"
             " --crop reference measures what is inside the reference's bounding box, --crop polygon:FILE any part"
         )
-    if candidate.deformation.verdict != "undecided":  # then its sentence holds them
-        yield from map(str, candidate.deformation.warnings)
+    yield from map(str, candidate.deformation.further_warnings)
 
 
 def _difference_words(found: Difference) -> str:

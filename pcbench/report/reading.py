@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
 from pcbench.io.files import digest, named_file
 from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.measure.m3c2 import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.folder import check_name
 from pcbench.report.inputs import InputFile
@@ -40,10 +41,15 @@ def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
     return cloud, InputFile(str(path), digest(path), tuple(warnings))
 
 
-def named_files(settings: Settings) -> tuple[InputFile, ...]:
+def paths_in(settings: Settings) -> list[Path]:
     """The files that settings name, such as a matrix."""
-    paths: Iterable[Path] = filter(None, map(named_file, (settings.register, settings.crop)))
-    return tuple(InputFile(str(path), digest(path)) for path in paths)
+    cores = settings.m3c2.file if isinstance(settings.m3c2, M3C2Settings) else None
+    return [*filter(None, (named_file(settings.register), named_file(settings.crop), cores))]
+
+
+def named_files(settings: Settings) -> tuple[InputFile, ...]:
+    """What the report says of the files that settings name."""
+    return tuple(InputFile(str(path), digest(path)) for path in paths_in(settings))
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
