@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import secrets
 import stat
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
+from pcbench.scratch import scratch_file
 
 Warn = Callable[[str], None]
 T = TypeVar("T")
@@ -158,13 +158,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     target = path.resolve()  # through a symbolic link, as a plain open() would write
     if target.exists() and not target.is_file():
         raise OSError(f"cannot write to {path}: it is a folder or a device")
-    temporary = target.with_name(f".pcbench-{secrets.token_hex(8)}.tmp")
-    try:
-        with temporary.open("xb") as file:
-            yield file
+    with scratch_file(path) as (temporary, file):
+        yield file
+        file.flush()
         temporary.replace(target)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename == str(temporary):  # the name that the user gave
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.io.files import atomic_write
 from pcbench.plugins import Reconstruction
+from pcbench.scratch import scratch_folder
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
@@ -217,8 +217,8 @@ class Description:
 
 def describe(plugin: str, time_limit_s: float = 120.0) -> Description:
     """Look at a reconstructor in a process of its own: importing one can do anything."""
-    with tempfile.TemporaryDirectory(prefix="pcbench-describe-") as folder:
-        file = Path(folder) / "description.json"
+    with scratch_folder() as folder:
+        file = folder / "description.json"
         limits = Limits(seconds=time_limit_s)
         ended = run_module("pcbench.plugins.describe_child", _absolute(plugin), str(file), limits=limits)
         if ended.timed_out:
