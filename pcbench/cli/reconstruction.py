@@ -83,19 +83,27 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
+    from pcbench.io.files import check_output
     from pcbench.plugins.run import ReconstructionJob, check_workspace, run
     from pcbench.plugins.wgs84 import in_wgs84
     from pcbench.scenes import read_scene
     from pcbench.scenes.folders import find_images
-    from pcbench.scenes.write import check_cameras_output
+    from pcbench.scenes.write import cameras_files, check_cameras_output
     from pcbench.scenes.write import write_cameras as write
+    from pcbench.scratch import claim
 
-    check_cloud_output(out)
+    values = dict(key_value(text) for text in settings)
+    named = [Path(text) for text in (cameras, name.rpartition(":")[0], *values.values()) if Path(text).exists()]
+    inputs = [scene, *named, *filter(None, [masks])]
+    others = [] if write_cameras is None else cameras_files(write_cameras)
+    check_cloud_output(out, inputs, others)
     if write_cameras is not None:
         check_cameras_output(write_cameras, scene)
+    for file in filter(Path.exists, others):
+        check_output(file, inputs)
     sphere = read_scene(scene, cameras=cameras, on_warning=lambda _: None).sphere_origin() if wgs84 else None
-    values = dict(key_value(text) for text in settings)
     job = ReconstructionJob(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
+    click.get_current_context().with_resource(claim(out))
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
         work = workspace or out.with_suffix(".work")

@@ -15,9 +15,9 @@ from pcbench.children import Limits, last_line, run_module
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
-from pcbench.io.files import atomic_write
+from pcbench.io.files import atomic_write, read_json
 from pcbench.plugins import Reconstruction
-from pcbench.scratch import scratch_folder
+from pcbench.scratch import claim, scratch_folder
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
@@ -106,14 +106,20 @@ def run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None = No
         time_limit_s: after it the process and its children are killed.
 
     Raises:
+        InputError: another run is at work in the workspace.
         OSError: the workspace cannot be written.
     """
     (workspace / PLUGIN).mkdir(parents=True, exist_ok=True)
+    with claim(workspace):
+        return _run(job, workspace, time_limit_s)
+
+
+def _run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None) -> Run:
     (workspace / OUTCOME).unlink(missing_ok=True)
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
     start = time.perf_counter()
-    with (workspace / LOG).open("wb") as log:
+    with (workspace / LOG).open("wb", buffering=0) as log:
         ended = run_module(
             "pcbench.plugins.reconstruct_child",
             str(workspace.absolute()),
@@ -161,7 +167,7 @@ def check_workspace(folder: Path) -> None:
 
 
 def _read_outcome(workspace: Path) -> dict[str, Any]:
-    outcome = json.loads((workspace / OUTCOME).read_text(encoding="utf-8"))
+    outcome = read_json(workspace / OUTCOME)
     expected = {"status", "cameras", "gauge", "notes"}
     if not isinstance(outcome, dict) or outcome.get("status") not in get_args(Status):
         raise ValueError(f"{workspace / OUTCOME}: expected the outcome of a run")

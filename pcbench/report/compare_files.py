@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from pcbench.report.folder import check_name, read_settings, report_folder, writ
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.plot import draw_if_possible
 
+_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # would break the lines of tables
 _Setting = TypeVar("_Setting")
 
 
@@ -75,6 +77,8 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
     if outputs.json_file is not None:
         check_output(outputs.json_file, inputs)
+        if outputs.folder is not None and outputs.json_file.resolve().is_relative_to(outputs.folder.resolve()):
+            raise InputError(f"{outputs.json_file}: the report would be there too: write it beside {outputs.folder}")
     if outputs.folder is None:
         outcome = ComparisonOutcome(_run(job, settings, named_files, step))
     else:
@@ -102,7 +106,7 @@ def named(paths: Sequence[Path]) -> dict[str, Path]:
                 number += 1
             name = f"{path.stem}_{number}"
             taken.add(name)
-        result[check_name(name)] = path
+        result[check_name(_UNPRINTABLE.sub("_", name))] = path
     return result
 
 

@@ -351,7 +351,7 @@ def _warnings(comparison: Comparison) -> Iterator[str]:
 def _title(comparison: Comparison) -> str:
     reference = comparison.reference
     unit = f" {reference.unit}" if reference.unit else ""
-    name = "reference" if comparison.inputs is None else comparison.inputs.reference.path
+    name = "reference" if comparison.inputs is None else " ".join(comparison.inputs.reference.path.splitlines())
     return f"{name}: {reference.points:,} points, spacing {reference.spacing_median:.3g}{unit}"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import io
 import json
@@ -22,11 +21,12 @@ import numpy as np
 
 from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.cameras import Camera
-from pcbench.io.files import atomic_write, digest
+from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins.run import PLUGIN, ReconstructionJob, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
+from pcbench.scratch import claim
 from pcbench.studies.bench.pareto import choice_words, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import Rules, Yardstick, score
@@ -68,7 +68,8 @@ COLUMNS = (
     "message",
 )
 _MEASURES = 2  # raised when clouds are measured in another way: scores from before are measured again
-_RUNS, _RUN, _SCORE, _LOCK = "runs", "run.json", "score.json", ".lock"
+_RUNS, _RUN, _SCORE = "runs", "run.json", "score.json"
+_MARK = ".lock"  # a folder that holds it is a bench's
 
 
 @dataclass(frozen=True)
@@ -335,16 +336,11 @@ def _bench_folder(out: Path) -> Iterator[None]:
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the bench to, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _LOCK).is_file():
+    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
         raise InputError(f"{out}: the folder is not empty and holds no bench: choose another one, or empty it")
     (out / _RUNS).mkdir(parents=True, exist_ok=True)
-    with (out / _LOCK).open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise InputError(
-                f"{out}: another bench is at work in this folder: wait for it, or choose another"
-            ) from None
+    (out / _MARK).touch()
+    with claim(out):
         yield
 
 
@@ -408,7 +404,7 @@ def _keep(path: Path, values: dict[str, Any]) -> None:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+        values = read_json(path)
+    except (FileNotFoundError, InputError):
         return None
     return values if isinstance(values, dict) else None

@@ -230,7 +230,7 @@ def test_one_bench_a_folder(here, one_process):
     inside = []
 
     def again(_):
-        with pytest.raises(InputError, match="another bench is at work"):
+        with pytest.raises(InputError, match="another run is writing there"):
             bench(job("Good"), Path("out"))
         inside.append(True)
 
