@@ -24,29 +24,30 @@ from pcbench.errors import InputError
 
 @click.command(short_help="List the reconstructors, or describe some.")
 @click.argument("specs", nargs=-1, metavar="[NAME | MODULE:CLASS | FILE.py:CLASS]...")
-def plugins(specs: tuple[str, ...]) -> None:
+@click.option(
+    "--time-limit", type=POSITIVE, default=60.0, show_default=True, metavar="SECONDS", help="Of the look at each."
+)
+def plugins(specs: tuple[str, ...], time_limit: float) -> None:
     """List the installed reconstructors, or describe those given: where they come from, what they are for, whether
     they can run here, and their settings with types and defaults.
     """
-    from pcbench.plugins import find_plugin, installed
+    from pcbench.plugins import installed
+    from pcbench.plugins.run import describe
 
     for spec in specs or installed():
-        try:
-            plugin = find_plugin(spec)
-        except InputError as error:
+        found = describe(spec, time_limit)
+        if found.problem is not None:
+            problem = found.problem if found.problem.startswith(spec.rpartition(":")[0]) else f"{spec}: {found.problem}"
             if specs:
-                raise
-            click.echo(f"{spec}: {error}")  # one that is broken hides no other
+                raise InputError(problem)
+            click.echo(problem)  # one that is broken hides no other
             continue
-        click.echo(f"{spec} ({plugin.origin}): {plugin.help or 'no description'}")
-        _, _, more = plugin.docstring.partition("\n\n")
-        if specs and more:
-            click.echo(textwrap.indent(f"\n{more}\n", "  "))
-        missing = plugin.missing
-        click.echo(f"  {'can run here' if missing is None else f'cannot run here: {missing}'}")
-        for setting in plugin.settings:
-            default = "must be given" if setting.default is None else f"default {setting.default}"
-            click.echo(f"  --set {setting.name}={setting.type}  ({default})")
+        click.echo(f"{spec} ({found.origin}): {found.help or 'no description'}")
+        if specs and found.more:
+            click.echo(textwrap.indent(f"\n{found.more}\n", "  "))
+        click.echo(f"  {'can run here' if found.missing is None else f'cannot run here: {found.missing}'}")
+        for setting, kind, default in zip(found.settings, found.types, found.defaults, strict=True):
+            click.echo(f"  --set {setting}={kind}  ({'must be given' if default is None else f'default {default}'})")
 
 
 @click.command(short_help="Make a cloud of a scene with a reconstructor.")
@@ -93,8 +94,8 @@ def reconstruct(
     from pcbench.scratch import claim
 
     values = dict(key_value(text) for text in settings)
-    named = [Path(text) for text in (cameras, name.rpartition(":")[0], *values.values()) if Path(text).exists()]
-    inputs = [scene, *named, *filter(None, [masks])]
+    named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if Path(text).is_file()]
+    inputs = [scene, *named, *filter(None, [masks]), *([] if cameras in ("auto", "none") else [Path(cameras)])]
     others = [] if write_cameras is None else cameras_files(write_cameras)
     check_cloud_output(out, inputs, others)
     if write_cameras is not None:

@@ -45,7 +45,7 @@ class ReconstructionJob:
         # The process runs elsewhere: every path is made absolute.
         cameras = self.cameras if self.cameras in ("auto", "none") else str(Path(self.cameras).absolute())
         values = {
-            "plugin": _absolute(self.plugin),
+            "plugin": absolute(self.plugin),
             "settings": dict(self.settings),
             "scene": str(self.scene.absolute()),
             "cameras": cameras,
@@ -213,29 +213,43 @@ class Description:
         origin: its package with version, or its file.
         sha256: of the file that its class is in; None where there is none.
         problem: why nothing is known of it; None where all is well.
+        help, more: the first paragraph of its docstring, and the rest.
+        missing: what keeps it from running here, by its own account.
+        types, defaults: of its settings, as text; a default of None must be given.
     """
 
     settings: tuple[str, ...] = ()
     origin: str = ""
     sha256: str | None = None
     problem: str | None = None
+    help: str = ""
+    more: str = ""
+    missing: str | None = None
+    types: tuple[str, ...] = ()
+    defaults: tuple[str | None, ...] = ()
 
 
-def describe(plugin: str, time_limit_s: float = 120.0) -> Description:
-    """Look at a reconstructor in a process of its own: importing one can do anything."""
+def describe(plugin: str, time_limit_s: float = 60.0) -> Description:
+    """Look at a reconstructor in a process of its own, which is ended after the limit: importing one can do anything.
+
+    Args:
+        plugin: a spec as `pcbench.plugins.find_plugin` takes it.
+    """
     with scratch_folder() as folder:
         file = folder / "description.json"
         limits = Limits(seconds=time_limit_s)
-        ended = run_module("pcbench.plugins.describe_child", _absolute(plugin), str(file), limits=limits)
+        ended = run_module("pcbench.plugins.describe_child", plugin, str(file), limits=limits)
         if ended.timed_out:
             return Description(problem=f"importing it takes longer than {time_limit_s:g} s")
         try:
-            outcome = json.loads(file.read_text(encoding="utf-8"))
-        except (FileNotFoundError, ValueError):
+            outcome: dict[str, Any] = read_json(file)
+            values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in outcome.items()}
+            return Description(**values)
+        except (OSError, InputError, AttributeError, TypeError):  # none, or what its import left in its place
             return Description(problem="the process ends when it is imported")
-    return Description(**{**outcome, "settings": tuple(outcome.get("settings", ()))})
 
 
-def _absolute(plugin: str) -> str:
+def absolute(plugin: str) -> str:
+    """A spec that means the same from any folder."""
     left, colon, name = plugin.rpartition(":")
     return f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else plugin

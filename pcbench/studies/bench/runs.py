@@ -22,7 +22,7 @@ import numpy as np
 from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write, digest, read_json
-from pcbench.plugins.run import PLUGIN, ReconstructionJob, describe, read_reconstruction, run
+from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
@@ -146,7 +146,7 @@ def bench(
     on_step("looking at the methods")
     limit = min(120.0, job.time_limit_s or 120.0)
     specs = zip(labels(job.methods), job.methods, strict=True)
-    methods = [Method(label, spec, describe(spec, limit)) for label, spec in specs]
+    methods = [Method(label, spec, describe(absolute(spec), limit)) for label, spec in specs]
     todo, notes = trials(methods, job.axes, job.seeds)
     on_step("reading the reference")
     if job.mesh is None:
@@ -368,7 +368,7 @@ def _document(
             "seen_points": None if yardstick.seen is None else len(yardstick.seen),
             "seen_spacing": yardstick.seen_spacing,
         },
-        "methods": [{"method": m.label, "spec": m.spec, **asdict(m.described)} for m in methods],
+        "methods": [{"method": m.label, "spec": m.spec, **_known(m.described)} for m in methods],
         "settings": {
             "axes": [asdict(axis) for axis in job.axes],
             "seeds": job.seeds,
@@ -381,6 +381,10 @@ def _document(
         "notes": list(notes),
         "rows": list(rows),
     }
+
+
+def _known(described: Description) -> dict[str, Any]:
+    return {name: getattr(described, name) for name in ("settings", "origin", "sha256", "problem")}
 
 
 def _write(out: Path, doc: dict[str, Any]) -> None:
