@@ -43,6 +43,7 @@ def claim(output: Path) -> Iterator[None]:
         InputError: another run has it.
     """
     target = output.resolve()
+    sweep(target.parent)
     path = target.with_name(f"{_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}{_LOCK}")
     lock = _claimed(path)
     if lock is None:

@@ -192,7 +192,8 @@ class _Drain(Thread):
         if self._log is None or self.error is not None:
             return
         try:
-            self._log.write(data)
+            while data:  # a file without a buffer may take a part
+                data = data[self._log.write(data) :]
             self._log.flush()
         except OSError as error:
             self.error = error

@@ -85,7 +85,7 @@ def reconstruct(
     """
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.io.files import check_output
-    from pcbench.plugins.run import ReconstructionJob, check_workspace, run
+    from pcbench.plugins.run import ReconstructionJob, check_workspace, note_made, run, was_made
     from pcbench.plugins.wgs84 import in_wgs84
     from pcbench.scenes import read_scene
     from pcbench.scenes.folders import find_images
@@ -95,9 +95,10 @@ def reconstruct(
 
     values = dict(key_value(text) for text in settings)
     named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if Path(text).is_file()]
+    work = workspace or out.with_suffix(".work")
     inputs = [scene, *named, *filter(None, [masks]), *([] if cameras in ("auto", "none") else [Path(cameras)])]
     others = [] if write_cameras is None else cameras_files(write_cameras)
-    check_cloud_output(out, inputs, others)
+    check_cloud_output(out, inputs if not was_made(work, out) else named, others)
     if write_cameras is not None:
         check_cameras_output(write_cameras, scene)
     for file in filter(Path.exists, others):
@@ -107,7 +108,6 @@ def reconstruct(
     click.get_current_context().with_resource(claim(out))
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
-        work = workspace or out.with_suffix(".work")
         check_workspace(work)
         result = run(job, work, time_limit)
     if not quiet:
@@ -120,6 +120,7 @@ def reconstruct(
     elif sphere is not None:
         warn(f"not brought to WGS84: the cloud is in an {made.gauge} gauge, not in the world of the cameras")
     write_cloud(out, made.cloud)
+    note_made(work, out)
     if write_cameras is not None and not made.cameras:
         warn(f"{write_cameras}: not written, {name} gave no cameras")
     elif write_cameras is not None:

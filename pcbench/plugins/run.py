@@ -15,7 +15,7 @@ from pcbench.children import Limits, last_line, run_module
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
-from pcbench.io.files import atomic_write, read_json
+from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins import Reconstruction
 from pcbench.scratch import claim, scratch_folder
 
@@ -23,6 +23,7 @@ Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
 # In the workspace. The plugin has a folder of its own in it, which is kept between runs.
 JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
+_MADE = "made.txt"  # the digest of the file that the cloud was written to
 
 _MAX_TAIL = 4000  # bytes of a log that its last line is looked for in
 
@@ -164,6 +165,20 @@ def check_workspace(folder: Path) -> None:
     ours = (folder / JOB).is_file() and (folder / PLUGIN).is_dir()
     if folder.is_dir() and any(folder.iterdir()) and not ours:
         raise InputError(f"{folder}: the workspace is not empty and no reconstruction's: choose another, or empty it")
+
+
+def note_made(workspace: Path, out: Path) -> None:
+    """Keep in a workspace what its cloud was written to, so that `was_made` knows it again."""
+    with atomic_write(workspace / _MADE) as file:
+        file.write(digest(out).encode())
+
+
+def was_made(workspace: Path, out: Path) -> bool:
+    """Whether a file is what an earlier run in the workspace wrote, unchanged: it may be replaced."""
+    try:
+        return (workspace / _MADE).read_text(encoding="utf-8") == digest(out)
+    except (OSError, ValueError):
+        return False
 
 
 def _read_outcome(workspace: Path) -> dict[str, Any]:

@@ -84,6 +84,16 @@ def test_never_over_an_input(scene, run, command, expected):
     assert everything() == before
 
 
+def test_a_cloud_in_the_scene_may_be_made_again_while_it_is_the_one_that_was_made(scene, run):
+    command = ("reconstruct", "mine.py:Mine", "photos", "-q", "-o", "photos/new.ply")
+    for _ in range(2):
+        assert run(*command)[0] == 0
+    write_cloud("photos/new.ply", Cloud(np.eye(3)))  # somebody's own now
+    code, _, err = run(*command)
+    assert (code, one_line(err)) == (2, True)
+    assert "would replace an input" in err
+
+
 def test_json_goes_beside_a_report_not_into_it(files, run):
     assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
     before = everything()
