@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,11 +16,10 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.settings import Settings
 from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document, to_json
-from pcbench.report.folder import check_name, read_settings, report_folder, write_report
+from pcbench.report.folder import UNPRINTABLE, check_name, read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.plot import draw_if_possible
 
-_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # would break the lines of tables
 _Setting = TypeVar("_Setting")
 
 
@@ -98,15 +96,16 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
 def named(paths: Sequence[Path]) -> dict[str, Path]:
     """Each candidate's name: its file's stem, with a number where stems are equal."""
     result: dict[str, Path] = {}
-    taken = {path.stem for path in paths} | {"reference"}
-    for path in paths:
-        name, number = path.stem or "candidate", 2
+    stems = [UNPRINTABLE.sub("_", path.stem) for path in paths]
+    taken = {*stems, "reference"}
+    for stem, path in zip(stems, paths, strict=True):
+        name, number = stem or "candidate", 2
         if name in result or name == "reference":
-            while f"{path.stem}_{number}" in taken:
+            while f"{stem}_{number}" in taken:
                 number += 1
-            name = f"{path.stem}_{number}"
+            name = f"{stem}_{number}"
             taken.add(name)
-        result[check_name(_UNPRINTABLE.sub("_", name))] = path
+        result[check_name(name)] = path
     return result
 
 

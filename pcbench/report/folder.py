@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -33,6 +34,7 @@ SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report
 _DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
 _DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
+UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what breaks the lines of tables
 _SUFFIXES = ("_deformation.csv", "_deformation.ply", "_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
 
 
@@ -120,7 +122,7 @@ def check_name(name: Any) -> str:
         InputError: it is empty, reserved, or would lead out of the report's folder.
     """
     reserved = ("", ".", "..", "reference")
-    if not isinstance(name, str) or name in reserved or any(c in name for c in "/\\\0"):
+    if not isinstance(name, str) or name in reserved or UNPRINTABLE.search(name) or any(c in name for c in "/\\"):
         raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
     return name
 

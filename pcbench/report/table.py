@@ -282,7 +282,7 @@ def markdown(comparison: Comparison) -> str:
         "",
         _legend(comparison),
         "",
-        *(f"- warning: {warning}" for warning in _warnings(comparison)),
+        *(f"- warning: {' '.join(str(warning).splitlines())}" for warning in _warnings(comparison)),
         *(f"- {sentence}" for sentence in _sentences(comparison)),
     ]
     return "\n".join(lines).rstrip() + "\n"

@@ -16,6 +16,7 @@ from command_line import one_line
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.report.compare_files import named
 from pcbench.report.plot import REPORT, worker
 from pcbench.studies.bench.charts import CHARTS
 
@@ -244,6 +245,7 @@ def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
 def test_a_line_break_in_a_name(files, run):
     for name in ("ref", "a"):
         Path(f"{name}.ply").rename(f"{name}\nb|c.ply")
+    assert list(named([Path("a\nb.ply"), Path("a_b.ply")])) == ["a_b", "a_b_2"]
     code, out, err = run("compare", "ref\nb|c.ply", "a\nb|c.ply", "--out", "report")
     assert (code, err) == (0, "")
     assert "a_b|c" in out
