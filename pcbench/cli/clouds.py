@@ -68,8 +68,9 @@ def register(
     from pcbench.io.files import atomic_write, check_output, named_file
     from pcbench.registration import register as register_clouds
 
-    for path in filter(None, (out, matrix)):
-        check_output(path, [reference, candidate, *filter(None, [named_file(register)])])
+    for path, other in ((out, matrix), (matrix, out)):
+        if path is not None:
+            check_output(path, [reference, candidate, *filter(None, [named_file(register)])], [*filter(None, [other])])
     reference_cloud, cloud = (read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate))
     with steps(quiet) as step:
         step("registering")

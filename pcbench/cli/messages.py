@@ -12,7 +12,7 @@ import click
 
 def warn(text: object) -> None:
     """One line on stderr."""
-    click.echo(f"warning: {text}", err=True)
+    click.echo(f"warning: {' '.join(str(text).splitlines())}", err=True)
 
 
 def warn_unless(quiet: bool) -> Callable[[str], None]:

@@ -195,11 +195,13 @@ def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
     a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
     """
     from pcbench.report.plot import REPORT, draw
+    from pcbench.scratch import claim
     from pcbench.studies.bench.charts import CHARTS
 
     drawer = next((drawer for drawer in (REPORT, CHARTS) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(f"{report}: expected a report folder (with comparison.json) or a bench's (with bench.json)")
+    click.get_current_context().with_resource(claim(report))
     with steps(quiet) as step:
         step("drawing")
         written = draw(report, names, drawer)

@@ -50,6 +50,10 @@ def scene(
     from pcbench.io.files import check_output
     from pcbench.scenes import read_scene
 
+    if write_cameras is not None:
+        from pcbench.scenes.write import check_cameras_kept
+
+        check_cameras_kept(write_cameras, scene, None if cameras in ("auto", "none") else Path(cameras))
     say = warn_unless(quiet)
     told = (lambda text: None if "--wgs84" in text else say(text)) if wgs84 else say
     data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=told)

@@ -6,7 +6,7 @@ To add a format, write a module with its reader beside the others and give it a 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import TypeGuard
 
@@ -92,14 +92,15 @@ def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:
     write(path, to_cloud(cloud))
 
 
-def check_cloud_output(path: Path) -> None:
-    """Say before a long computation that its cloud cannot be written there.
+def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence[Path] = ()) -> None:
+    """Say before a long computation that its cloud cannot be written there; inputs and others as for `check_output`.
 
     Raises:
-        InputError: the extension is unknown or only read, or the folder does not exist.
+        InputError: the extension is unknown or only read, the folder does not exist, or an input or another result
+            would be replaced.
     """
     _writer(path)
-    check_output(path, ())
+    check_output(path, inputs, others)
 
 
 def _writer(path: Path) -> Callable[[Path, Cloud], None]:

@@ -75,6 +75,8 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
     if outputs.json_file is not None:
         check_output(outputs.json_file, inputs)
+        if outputs.folder is not None and outputs.json_file.resolve().is_relative_to(outputs.folder.resolve()):
+            raise InputError(f"{outputs.json_file}: the report would be there too: write it beside {outputs.folder}")
     if outputs.folder is None:
         outcome = ComparisonOutcome(_run(job, settings, step))
     else:

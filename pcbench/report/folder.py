@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import shutil
-import tempfile
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -30,11 +28,13 @@ from pcbench.report.comparison import Comparison
 from pcbench.report.document import document, to_json
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.table import Row, markdown, rows
+from pcbench.scratch import claim, scratch_folder
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report
 _DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
 _DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
+UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what breaks the lines of tables
 _SUFFIXES = ("_deformation.csv", "_deformation.ply", "_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
 
 
@@ -45,7 +45,8 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
     In an existing report the old report's files are replaced; files of others are left alone.
 
     Raises:
-        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs).
+        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs);
+            or another run is writing there.
     """
     for path in keep:
         if path.resolve().is_relative_to(out.resolve()):
@@ -56,16 +57,9 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise InputError(f"{out}: the folder is not empty and holds no report: choose another one, or empty it")
     created = _make_parents(out.absolute().parent)
     try:
-        scratch = _scratch_beside(out)
-        try:
+        with claim(out), scratch_folder(out) as scratch:
             yield scratch
-            # What the system gives new folders, not mkdtemp's private mode.
-            mask = os.umask(0)
-            os.umask(mask)
-            scratch.chmod(0o777 & ~mask)
             _move_into_place(scratch, out)
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
     except BaseException:
         for folder in reversed(created):
             if not any(folder.iterdir()):
@@ -128,7 +122,7 @@ def check_name(name: Any) -> str:
         InputError: it is empty, reserved, or would lead out of the report's folder.
     """
     reserved = ("", ".", "..", "reference")
-    if not isinstance(name, str) or name in reserved or any(c in name for c in "/\\\0"):
+    if not isinstance(name, str) or name in reserved or UNPRINTABLE.search(name) or any(c in name for c in "/\\"):
         raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
     return name
 
@@ -221,13 +215,6 @@ def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
     }
     crs, unit = comparison.reference.crs, comparison.reference.unit
     return Cloud(found.cores, normals=found.normals, attributes=attributes, crs=crs, unit=unit)
-
-
-def _scratch_beside(out: Path) -> Path:
-    try:
-        return Path(tempfile.mkdtemp(prefix=".pcbench-", dir=out.absolute().parent))
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(out)) from error
 
 
 def _make_parents(folder: Path) -> list[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from pcbench.deformation import Deformation
 from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
+from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.results import BACK
 
@@ -72,8 +72,8 @@ def read_report(folder: Path) -> Report:
         InputError: a file of it is damaged.
         OSError: comparison.json is missing.
     """
-    with _damage_in_one_line(folder):
-        document = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
+    with damage_in_one_line(folder):
+        document = read_json(folder / "comparison.json")
         reference = document["reference"]
         return Report(
             unit=reference.get("unit") or "units of the file",
@@ -90,24 +90,27 @@ def read_deformation(folder: Path) -> Deformation:
         InputError: deformation.json is damaged.
         OSError: it is missing.
     """
-    with _damage_in_one_line(folder):
-        return Deformation.from_json(json.loads((folder / "deformation.json").read_text(encoding="utf-8")))
+    with damage_in_one_line(folder):
+        return Deformation.from_json(read_json(folder / "deformation.json"))
 
 
 @contextmanager
-def _damage_in_one_line(folder: Path) -> Iterator[None]:
+def damage_in_one_line(folder: Path) -> Iterator[None]:
+    """What damaged files of a folder make readers and drawers raise, as InputError."""
     try:
         yield
-    except InputError:
-        raise
-    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+    except InputError as error:
+        if str(error).startswith(str(folder)):
+            raise
+        raise InputError(f"{folder}: the report is damaged: {error}") from error
+    except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"{folder}: the report is damaged: {type(error).__name__}: {error}") from error
 
 
 def _reference_path(folder: Path) -> Path | None:
     """Absolute, as settings.json has it: comparison.json has what was typed. Pictures of the rest do not need it."""
     try:
-        return Path(json.loads((folder / "settings.json").read_text(encoding="utf-8"))["reference"]["path"])
+        return Path(read_json(folder / "settings.json")["reference"]["path"])
     except (OSError, KeyError, TypeError, ValueError, RecursionError):
         return None
 

@@ -13,7 +13,7 @@ from pcbench.io.files import digest, named_file
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.m3c2 import M3C2Settings
 from pcbench.measure.settings import Settings
-from pcbench.report.folder import check_name
+from pcbench.report.folder import UNPRINTABLE, check_name
 from pcbench.report.inputs import InputFile
 
 
@@ -59,13 +59,14 @@ def names_of(paths: Sequence[Path]) -> list[str]:
         InputError: a stem cannot be part of file names.
     """
     result: list[str] = []
-    taken = {path.stem for path in paths} | {"reference"}
-    for path in paths:
-        name, number = path.stem or "candidate", 2
+    stems = [UNPRINTABLE.sub("_", path.stem) for path in paths]
+    taken = {*stems, "reference"}
+    for stem in stems:
+        name, number = stem or "candidate", 2
         if name in result or name == "reference":
-            while f"{path.stem}_{number}" in taken:
+            while f"{stem}_{number}" in taken:
                 number += 1
-            name = f"{path.stem}_{number}"
+            name = f"{stem}_{number}"
             taken.add(name)
         result.append(check_name(name))
     return result

@@ -243,11 +243,11 @@ def markdown(comparison: Comparison) -> str:
     names = [candidate.name.replace("|", "\\|") for candidate in comparison]
     header = ["", *(f"{name} {arrow}" for name in names for arrow in ARROWS.values())]
     text = [
-        f"# {title(comparison)}",
+        f"# {' '.join(title(comparison).splitlines())}",
         "",
         " ".join(answer(comparison)),
         "",
-        *(f"- warning: {warning}" for warning in warnings(comparison)),
+        *(f"- warning: {' '.join(warning.splitlines())}" for warning in warnings(comparison)),
         "",
         _md_row(header),
         _md_row(["---"] + ["---:"] * (len(header) - 1)),

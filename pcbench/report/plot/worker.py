@@ -13,6 +13,7 @@ from pathlib import Path
 
 from pcbench.errors import PcbenchError
 from pcbench.report.plot import Picture
+from pcbench.report.read import damage_in_one_line
 
 
 def draw(folder: Path, pictures: Mapping[str, Picture], wanted: Sequence[str]) -> list[Path]:
@@ -34,8 +35,9 @@ def main() -> int:
     folder, function, *wanted = sys.argv[1:]
     module, _, name = function.partition(":")
     try:
-        pictures = getattr(import_module(module), name)(Path(folder))
-        written = draw(Path(folder), pictures, wanted)
+        find = getattr(import_module(module), name)
+        with damage_in_one_line(Path(folder)):
+            written = draw(Path(folder), find(Path(folder)), wanted)
     except PcbenchError as error:
         print(" ".join(str(error).split()))
         return 2

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -27,6 +24,7 @@ from pcbench.scenes.synthetic.render import Optics, check_intrinsics, check_rend
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import depth_map, surface_cloud
+from pcbench.scratch import claim, scratch_folder
 
 _DEMO_MARK = ".demo"  # the file by which a demo's folder is known
 
@@ -174,12 +172,6 @@ def _new_folder(out: Path) -> Iterator[Path]:
     parent = out.absolute().parent
     if not parent.is_dir():
         raise InputError(f"{out}: the folder {parent} does not exist: make it first")
-    scratch = Path(tempfile.mkdtemp(prefix=".pcbench-", dir=parent))
-    try:
+    with claim(out), scratch_folder(out) as scratch:
         yield scratch
-        mask = os.umask(0)
-        os.umask(mask)
-        scratch.chmod(0o777 & ~mask)  # what the system gives new folders, not mkdtemp's private mode
         scratch.replace(out.absolute())
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)

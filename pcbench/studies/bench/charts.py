@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.io.files import read_json
 from pcbench.report.plot import Drawer, Picture
 from pcbench.studies.bench.pareto import Configuration, configurations, front_of
 from pcbench.studies.bench.plan import IMAGE_SCALE
@@ -47,7 +47,7 @@ CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",), is_spatial=False)
 
 def pictures(folder: Path) -> dict[str, Picture]:
     """The charts of a folder that `pcbench bench` wrote."""
-    document = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
+    document = read_json(folder / "bench.json")
     why_not = "no run was measured"
     return {
         "speed": Picture(lambda path: speed(document, path), why_not),

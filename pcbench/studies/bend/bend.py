@@ -31,6 +31,7 @@ from pcbench.plugins.stages import library_versions, stage
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
+from pcbench.scratch import claim
 from pcbench.studies.bend.findings import Solution, Variant, csv_text, findings, intrinsics_values
 
 SCHEMA = "pcbench.experiment.bend/1"
@@ -76,7 +77,8 @@ def run_bend(
         What experiment.json holds, and why there is no picture where there should be one.
 
     Raises:
-        InputError: the scene has no truth, or too few images or cameras; `out` is no folder.
+        InputError: the scene has no truth, or too few images or cameras; `out` is no folder, or
+            another run is writing there.
         PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
     """
     if out.exists() and not out.is_dir():
@@ -85,6 +87,14 @@ def run_bend(
         raise InputError(f"{out}: the folder is not empty and holds no experiment: choose another one, or empty it")
     if missing := find_plugin(PLUGIN).missing:
         raise InputError(missing)
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with claim(out):
+        return _run(out, scene, settings, figures, step)
+
+
+def _run(
+    out: Path, scene: Path | None, settings: Experiment, figures: bool, step: Callable[[str], None]
+) -> tuple[dict[str, Any], str | None]:
     if scene is None:
         _begin(out)
         folder = _synthetic(out, settings, step)
