@@ -134,6 +134,7 @@ def _compare_one(
         )
     with _timed(timings, "maps"):
         deviation = _deviation_map(reference, index, np.flatnonzero(inside), accuracy, registration, settings)
+        missing = DeviationMap(*reference.measured, {"distance": completeness.distances.to_points})
     step(f"{name}: looking for a bend")
     with _timed(timings, "deformation"):
         sides = Side(reference.surface, reference.inside, reference.cloud), Side(Surface(index), inside, cloud)
@@ -149,6 +150,7 @@ def _compare_one(
         registration=registration,
         metrics=replace(measurement.metrics, presets=presented),
         deviation=deviation,
+        completeness=missing,
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),

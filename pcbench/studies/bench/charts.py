@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.studies.bench.pareto import Configuration, configurations, front_of
 from pcbench.studies.bench.plan import IMAGE_SCALE
@@ -42,10 +43,10 @@ _SPLIT = (
 
 
 # Draws the charts of a bench's folder.
-CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",), is_spatial=False)
+CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",))
 
 
-def pictures(folder: Path) -> dict[str, Picture]:
+def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """The charts of a folder that `pcbench bench` wrote."""
     document = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
     why_not = "no run was measured"
