@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import (
     FILE,
     crop_option,
+    figure_options,
     given,
     las_options,
     las_returns,
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
 @no_figures_option()
+@figure_options
 @quiet_option
 @click.pass_context
 def compare(
@@ -63,6 +66,9 @@ def compare(
     settings_file: Path | None,
     json_file: str | None,
     no_figures: bool,
+    background: str | None,
+    color_range: float | None,
+    figure_format: str | None,
     quiet: bool,
 ) -> None:
     """Measure how far CANDIDATES are from REFERENCE, both ways.
@@ -73,12 +79,14 @@ def compare(
     _multiply_on_one_thread()
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
+    from pcbench.report.figures import Figures
 
     if settings_file is not None:
         options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
         if reference is not None or any(given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
         job = ComparisonJob.recorded(settings_file)
+        job = replace(job, figures=job.figures.changed(background, color_range, figure_format))
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -92,7 +100,8 @@ def compare(
             classes=numbers("--classes", classes, int),
             returns=las_returns(returns),
         )
-        job = ComparisonJob.of(reference, candidates, settings)
+        figures = Figures().changed(background, color_range, figure_format)
+        job = ComparisonJob.of(reference, candidates, settings, figures)
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet)
 
 
@@ -175,20 +184,31 @@ def deform(
 @click.command(short_help="Draw a report's pictures again.")
 @click.argument("report", type=FILE)
 @click.argument("names", nargs=-1)
+@figure_options
 @quiet_option
-def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
+def plot(
+    report: Path,
+    names: tuple[str, ...],
+    background: str | None,
+    color_range: float | None,
+    figure_format: str | None,
+    quiet: bool,
+) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
-    a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
+    a_distance, a_completeness; of a bench speed, accuracy_completeness), as PNG or as their endings say:
+    distribution.svg. They look as the report was made with, but for what is given here. Needs no display.
     """
+    from pcbench.report.figures import recorded_figures
     from pcbench.report.plot import REPORT, draw
     from pcbench.studies.bench.charts import CHARTS
 
     drawer = next((drawer for drawer in (REPORT, CHARTS) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(f"{report}: expected a report folder (with comparison.json) or a bench's (with bench.json)")
+    look = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
     with steps(quiet) as step:
         step("drawing")
-        written = draw(report, names, drawer)
+        written = draw(report, names, drawer, look)
     if not quiet:
         for path in written:
             click.echo(path)

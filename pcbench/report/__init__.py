@@ -2,12 +2,14 @@
 
 from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document, to_json
+from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_deformation, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.table import html, markdown, print_columns, print_table, rows
 
 __all__ = [
     "Comparison",
+    "Figures",
     "InputFile",
     "Inputs",
     "compare",

@@ -97,7 +97,7 @@ def ranges(
     if given is not None:
         return {name: _range(given, signed, "range as given") for name in highest}
     least = 1e-6 * spacing
-    found = {}
+    found: dict[str, Range] = {}
     left = sorted(highest, key=lambda name: highest[name])
     while left:
         reach = COMPARABLE * max(highest[left[0]], least)

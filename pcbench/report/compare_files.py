@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.settings import Settings
 from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document, to_json
+from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import check_name, read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.plot import draw_if_possible
@@ -25,16 +26,21 @@ _Setting = TypeVar("_Setting")
 
 @dataclass(frozen=True)
 class ComparisonJob:
-    """What to compare. `expected` holds the sha256 of files (by absolute path) that were recorded before."""
+    """What to compare, and how its pictures look. `expected` holds the sha256 of files (by absolute path) that were
+    recorded before.
+    """
 
     reference: Path
     candidates: dict[str, Path]
     settings: Settings
     expected: dict[str, str]
+    figures: Figures = field(default_factory=Figures)
 
     @classmethod
-    def of(cls, reference: Path, candidates: Sequence[Path], settings: Settings) -> ComparisonJob:
-        return cls(reference, named(candidates), settings, {})
+    def of(
+        cls, reference: Path, candidates: Sequence[Path], settings: Settings, figures: Figures | None = None
+    ) -> ComparisonJob:
+        return cls(reference, named(candidates), settings, {}, figures or Figures())
 
     @classmethod
     def recorded(cls, settings_file: Path) -> ComparisonJob:
@@ -42,7 +48,7 @@ class ComparisonJob:
         settings, inputs = read_settings(settings_file)
         candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
         expected = {file.path: file.sha256 for file in inputs.all()}
-        return cls(Path(inputs.reference.path), candidates, settings, expected)
+        return cls(Path(inputs.reference.path), candidates, settings, expected, recorded_figures(settings_file))
 
 
 @dataclass(frozen=True)
@@ -81,10 +87,10 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         with report_folder(outputs.folder, keep=inputs) as folder:
             outcome = ComparisonOutcome(_run(job, settings, named_files, step))
             step("writing the report")
-            write_report(folder, outcome.comparison)
+            write_report(folder, outcome.comparison, job.figures)
             if outputs.figures:
                 step("drawing the pictures")
-                outcome = replace(outcome, without_figures=draw_if_possible(folder))
+                outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures))
     if outputs.json_file is not None:
         with atomic_write(outputs.json_file) as file:
             file.write(to_json(document(outcome.comparison)).encode())

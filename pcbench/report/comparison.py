@@ -14,6 +14,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings
+from pcbench.report.figures import Figures
 from pcbench.report.inputs import Inputs
 
 
@@ -31,12 +32,12 @@ class Comparison(results.Comparison):
     def of(cls, measured: results.Comparison, inputs: Inputs | None = None) -> Comparison:
         return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs)
 
-    def save(self, folder: str | Path, *, figures: bool = True) -> None:
+    def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:
         """Write a report: comparison.json, metrics.csv, table.md, deviation clouds, matrices and pictures.
 
         Args:
             folder: is made; an older report in it is replaced, anything else in it is refused.
-            figures: whether pictures are drawn.
+            figures: whether pictures are drawn, or how they look.
 
         Pictures that cannot be drawn are warned about: the numbers are delivered all the same.
 
@@ -49,8 +50,9 @@ class Comparison(results.Comparison):
         from pcbench.report.plot import draw_if_possible
 
         with report_folder(Path(folder), keep=[] if self.inputs is None else self.inputs.paths()) as scratch:
-            write_report(scratch, self)
-            problem = draw_if_possible(scratch) if figures else None
+            look = figures if isinstance(figures, Figures) else Figures()
+            write_report(scratch, self, look)
+            problem = draw_if_possible(scratch, figures=look) if figures else None
         if problem is not None:
             warnings.warn(problem, stacklevel=2)
 

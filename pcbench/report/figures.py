@@ -50,15 +50,19 @@ class Figures:
         name = self.background or otherwise
         return _NAMED.get(name, name)
 
+    def changed(self, background: str | None, range: float | None, format: str | None) -> Figures:
+        """With what a user chose instead; None: as it is."""
+        return Figures(background or self.background, range or self.range, format or self.format)
+
     def plain(self) -> dict[str, Any]:
         """As JSON holds it: `Figures(**plain)` is the same again."""
         return asdict(self)
 
 
-def recorded_figures(folder: Path) -> Figures:
+def recorded_figures(settings_file: Path) -> Figures:
     """Those that a report's settings.json has; the usual ones where there are none."""
     try:
-        return Figures(**json.loads((folder / "settings.json").read_text(encoding="utf-8")).get("figures", {}))
+        return Figures(**json.loads(settings_file.read_text(encoding="utf-8-sig")).get("figures", {}))
     except (OSError, AttributeError, TypeError, ValueError, RecursionError):
         return Figures()
 

@@ -45,7 +45,7 @@ class ReportedCandidate:
         return self.completeness_path.is_file()
 
     def completeness(self) -> Cloud | None:
-        """The reference's measured points with their `distance`; read when it is wanted: each has the whole reference."""
+        """The reference's measured points with their `distance`; not read before it is wanted: it may be large."""
         return read_cloud(self.completeness_path) if self.has_completeness else None
 
 

@@ -1,8 +1,8 @@
 """Pictures of a report: maps of distances and deformation, and distributions.
 
-They are drawn with matplotlib from a report folder, in a process of their own with a time limit: whatever happens there,
-the numbers are delivered. Clouds become images in `splats`, without any graphics library. A study draws its charts in
-the same way, with a `Drawer` of its own.
+They are drawn with matplotlib from a report folder, in a process of their own with a time limit: whatever happens
+there, the numbers are delivered. Clouds become images in `splats`, without any graphics library. A study draws its
+charts in the same way, with a `Drawer` of its own.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def draw(
     if not drawer.fits(report):
         raise InputError(f"{report}: expected a report folder (with {' or '.join(drawer.documents)})")
     check_library()
-    look = figures or recorded_figures(report)
+    look = figures or recorded_figures(report / "settings.json")
     done = run_module(
         "pcbench.report.plot.worker",
         str(report.absolute()),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
         (growth.with_height, "height above the lowest place"),
     ):
         if trend is not None and len(trend.profile) > 1:
-            panels.append(lambda axis, trend=trend, along=along: _growth(axis, trend, along, unit, factor, short))
+            panels.append(partial(_growth, trend=trend, along=along, unit=unit, factor=factor, short=short))
     grown = len(panels)
     if bend.rungs:
         panels.append(lambda axis: _rungs(axis, bend, factor, short))

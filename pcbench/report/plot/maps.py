@@ -38,22 +38,23 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
         measured: the reference's measured points; None in reports that do not hold them.
         clouds: the candidates' measured points.
     """
-    boxes = [Box.around(cloud.points) for cloud in clouds.values()]
     if measured is None:
+        boxes = [Box.around(cloud.points) for cloud in clouds.values()]
         box = Box(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
-    else:
-        box = Box.around(measured.points).widened(boxes)
-    return Frame.of(box, [cloud.points for cloud in (*([] if measured is None else [measured]), *clouds.values())])
+        return Frame.of(box, [cloud.points for cloud in clouds.values()])
+    box = Box.around(measured.points)
+    near = [cloud.points for cloud in clouds.values() if box.grown().share(cloud.points) > 1 - _MOST_OUTSIDE]
+    return Frame.of(box.widened(map(Box.around, near)), [measured.points, *near])
 
 
 def coloured(
     cloud: Cloud, values: FloatArray, title: str, scale: Range, label: str, unit: str, shared: Frame, path: Path,
     look: Figures,
 ) -> bool:  # fmt: skip
-    """A cloud by one scalar, NaN where it has none; in a frame of its own where most of it is outside the shared one."""
+    """A cloud by one scalar, NaN where it has none; framed for itself where most of it is outside the shared frame."""
     known = np.isfinite(values)
     points, values = cloud.points[known], values[known]
-    outside = 1 - float(shared.box.holds(points).mean())
+    outside = 1 - shared.box.share(points)
     note = ""
     if outside > _MOST_OUTSIDE:
         shared = Frame.of(Box.around(points), [points])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +22,8 @@ DPI = 120
 _WIDTH, _MAX_HEIGHT = 13.6, 6.6  # that the views take together at most
 _MIN_PANEL = 1.3  # of a view: room for its title
 _GAP, _BELOW, _ABOVE = 0.14, 0.42, 0.78  # between views, for scale bars, for titles
-_BAR_SPACE, _BAR_WIDTH = 1.25, 0.16  # of the colour bar with its words, and alone
-_MIN_BAR, _MAX_BAR = 1.9, 4.2
+_BAR_WIDTH = 0.16
+_MIN_BAR, _MAX_BAR = 1.9, 4.2  # heights
 _LETTER = 0.092  # of the title, on average
 _SCALE_SHARE = 0.22  # of the widest view at most: the length of the scale bar
 
@@ -47,8 +49,8 @@ def compose(
         image: of a view, its window and a size in pixels.
         unit: of lengths, for the scale bar.
         scale, label: of the colour bar; None: there is none.
-        over: draws into axes something of a view: given is what brings places (N, 2) of its window there, and the factor
-            by which lengths change.
+        over: draws something of a view into axes: given is what brings places (N, 2) of its window there, and the
+            factor by which lengths change.
     """
     ground = look.ground("dark")
     color = ink(ground)
@@ -56,24 +58,24 @@ def compose(
     drawn = frame.sizes * inches
     panels = np.maximum(drawn[:, 0], _MIN_PANEL)
     height = max(float(drawn[:, 1].max()), _MIN_BAR if scale is not None else 0.5)
-    views, bar = float(panels.sum()) + _GAP * (len(VIEWS) + 1), _BAR_SPACE if scale is not None else 0.0
-    width, whole = max(views + bar, _LETTER * len(title)), height + _BELOW + _ABOVE
+    bar = None if scale is None else _Bar.of(scale, label, float(np.clip(height - 0.5, _MIN_BAR - 0.5, _MAX_BAR)))
+    views, space = float(panels.sum()) + _GAP * (len(VIEWS) + 1), bar.space if bar is not None else 0.0
+    width, whole = max(views + space, _LETTER * len(title)), height + _BELOW + _ABOVE
     figure, axis = _canvas(width, whole, ground)
     axis.text(0.5 * width, whole - 0.24, title, color=color, fontsize=14, ha="center", va="center")
     length = round_length(_SCALE_SHARE * float(panels.max()) / inches)
-    left = 0.5 * (width - views - bar) + _GAP
+    left = 0.5 * (width - views - space) + _GAP
     for view, window, size, panel in zip(VIEWS, frame.windows, drawn, panels, strict=True):
         corner = np.array([left + 0.5 * (panel - size[0]), _BELOW + 0.5 * (height - size[1])])
         pixels = max(1, round(size[0] * DPI)), max(1, round(size[1] * DPI))
         _place(axis, image(view, window, pixels), corner, size)
         if over is not None:
-            over(axis, view, lambda at, corner=corner, window=window: corner + (at - window[0]) * inches, inches)
+            over(axis, view, partial(_inches, corner, window, inches), inches)
         axis.text(left + 0.5 * panel, whole - 0.58, view.title, color=color, fontsize=11, ha="center", va="center")
         _scale_bar(axis, left, length, inches, unit, color)
         left += panel + _GAP
-    if scale is not None:
-        _colour_bar(axis, left + 0.06, _BELOW + 0.5 * height, float(np.clip(height - 0.5, _MIN_BAR - 0.5, _MAX_BAR)),
-                    scale, label, color)  # fmt: skip
+    if bar is not None:
+        bar.draw(axis, left, _BELOW + 0.5 * height, color)
     axis.set(xlim=(0, width), ylim=(0, whole))
     save(figure, path)
 
@@ -105,6 +107,12 @@ def _place(axis: Any, image: NDArray[np.uint8], corner: FloatArray, size: FloatA
     axis.imshow(image, extent=(x, x + wide, y, y + high), aspect="auto", interpolation="nearest")
 
 
+def _inches(corner: FloatArray, window: FloatArray, inches: float, at: FloatArray) -> FloatArray:
+    """Where places (N, 2) of a window are in the picture."""
+    places: FloatArray = corner + (at - window[0]) * inches
+    return places
+
+
 def _scale_bar(axis: Any, left: float, length: float, inches: float, unit: str, color: str) -> None:
     """Below a view: lengths along its width are true in every one of them."""
     right = left + length * inches
@@ -114,38 +122,71 @@ def _scale_bar(axis: Any, left: float, length: float, inches: float, unit: str, 
     axis.text(right + 0.06, 0.26, word, color=color, fontsize=9, ha="left", va="center")
 
 
-def _colour_bar(axis: Any, left: float, middle: float, tall: float, scale: Range, label: str, color: str) -> None:
-    """With an arrow at each end that values reach beyond."""
-    from matplotlib.patches import Polygon
-    from matplotlib.ticker import MaxNLocator
+class _Bar(NamedTuple):
+    """A colour bar and its words, in inches."""
 
-    low, high, right, tip = middle - 0.5 * tall, middle + 0.5 * tall, left + _BAR_WIDTH, 0.14
-    steps = scale.colors(np.linspace(scale.high, scale.low, 256))[:, None]
-    axis.imshow(steps, extent=(left, right, low, high), aspect="auto", interpolation="nearest")
-    outline = [(right, low), (right, high), (left + 0.5 * _BAR_WIDTH, high + tip), (left, high), (left, low)]
-    ends = [(outline[1:4], steps[0, 0])]
-    if scale.signed:
-        outline.append((left + 0.5 * _BAR_WIDTH, low - tip))
-        ends.append(([outline[4], outline[0], outline[5]], steps[-1, 0]))
-    for corners, of in ends:
-        axis.add_patch(Polygon(corners, facecolor=of / 255, edgecolor="none"))
-    axis.add_patch(Polygon(outline, fill=False, edgecolor=color, linewidth=0.8))
-    ticks = [t for t in MaxNLocator(max(3, int(2 * tall))).tick_values(scale.low, scale.high)]
-    ticks = [0.0 if abs(t) < 1e-9 * scale.high else float(t) for t in ticks]
-    for tick in ticks:
-        if scale.low - 1e-9 * scale.high <= tick <= scale.high * (1 + 1e-9):
-            y = low + tall * (tick - scale.low) / (scale.high - scale.low)
+    scale: Range
+    height: float
+    ticks: list[float]
+    label: list[str]
+    note: list[str]
+
+    @classmethod
+    def of(cls, scale: Range, label: str, height: float) -> _Bar:
+        from matplotlib.ticker import MaxNLocator
+
+        rounding = 1e-9 * scale.high
+        wanted = MaxNLocator(max(3, int(2 * height)), steps=(1, 2, 5, 10)).tick_values(scale.low, scale.high)
+        ticks = [float(t) for t in wanted if scale.low - rounding <= t <= scale.high + rounding]
+        ticks = [0.0 if abs(t) < rounding else t for t in ticks]
+        return cls(scale, height, ticks, _lines(label, 14 * (height + 0.5)), _lines(scale.note, 17 * (height + 0.5)))
+
+    @property
+    def label_at(self) -> float:
+        """From its left side."""
+        return _BAR_WIDTH + 0.2 + 0.078 * max(len(_number(tick)) for tick in self.ticks)
+
+    @property
+    def note_at(self) -> float:
+        return self.label_at + 0.18 * len(self.label) + 0.04
+
+    @property
+    def space(self) -> float:
+        return self.note_at + 0.135 * len(self.note) + 0.15
+
+    def draw(self, axis: Any, left: float, middle: float, color: str) -> None:
+        """With an arrow at each end that values reach beyond."""
+        from matplotlib.patches import Polygon
+
+        scale, tip, center = self.scale, 0.14, left + 0.5 * _BAR_WIDTH
+        low, high, right = middle - 0.5 * self.height, middle + 0.5 * self.height, left + _BAR_WIDTH
+        steps = scale.colors(np.linspace(scale.high, scale.low, 256))[:, None]
+        axis.imshow(steps, extent=(left, right, low, high), aspect="auto", interpolation="nearest")
+        outline = [(right, low), (right, high), (center, high + tip), (left, high), (left, low)]
+        ends = [(outline[1:4], steps[0, 0])]
+        if scale.signed:
+            outline.append((center, low - tip))
+            ends.append(([outline[4], outline[0], outline[5]], steps[-1, 0]))
+        for corners, of in ends:
+            axis.add_patch(Polygon(corners, facecolor=of / 255, edgecolor="none"))
+        axis.add_patch(Polygon(outline, fill=False, edgecolor=color, linewidth=0.8))
+        for tick in self.ticks:
+            y = low + self.height * (tick - scale.low) / (scale.high - scale.low)
             axis.plot([right, right + 0.05], [y, y], color=color, linewidth=0.8)
-            axis.text(right + 0.09, y, f"{tick:.4g}".replace("-", "−"), color=color, fontsize=9.5, va="center")
-    letters = int(14 * (tall + 0.5))
-    longest = max(len(f"{tick:.4g}") for tick in ticks)
-    at = right + 0.2 + 0.078 * longest
-    upright = {"rotation": 90, "color": color, "ha": "left", "va": "center"}
-    lines = wrap(label, letters)
-    axis.text(at, middle, "\n".join(lines), fontsize=10.5, **upright)
-    if scale.note:
-        axis.text(at + 0.185 * len(lines) + 0.03, middle, "\n".join(wrap(scale.note, int(1.25 * letters))), fontsize=8,
-                  alpha=0.8, **upright)  # fmt: skip
+            axis.text(right + 0.09, y, _number(tick), color=color, fontsize=9.5, va="center")
+        upright = {"rotation": 90, "color": color, "ha": "left", "va": "center"}
+        axis.text(left + self.label_at, middle, "\n".join(self.label), fontsize=10.5, **upright)
+        axis.text(left + self.note_at, middle, "\n".join(self.note), fontsize=8, alpha=0.8, **upright)
+
+
+def _lines(text: str, letters: float) -> list[str]:
+    """As many as it takes, of about one length."""
+    number = max(1, math.ceil(len(text) / letters))
+    return wrap(text, len(text) // number + (6 if number > 1 else 1))
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}".replace("-", "−")
 
 
 def titled(*parts: str) -> str:

@@ -11,6 +11,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.report.plot.views import View
 
 _FINER = 2  # drawn so many times larger and averaged: round dots, smooth edges
+_FUZZ = 0.01  # of a view's height: depths that are told apart no more
 _MIN_DOT, _MAX_DOT = 2.2, 9.0  # pixels
 
 
@@ -42,8 +43,10 @@ def splat(
     dot = float(np.clip(1.3 * np.sqrt(pixels[0] * pixels[1] / max(len(seen), 1)), _MIN_DOT, _MAX_DOT))
     radius = 0.5 * dot * _FINER
     edge = int(radius)
-    # From back to front: of several points in one place the last one stays.
-    order = seen[np.argsort(toward[seen])]
+    # From back to front: of several points in one place the last one stays. Which one of a rough surface that is, is
+    # left to chance where colours are values: the nearest ones alone would tell of what lies above it, not of the rest.
+    fuzz = 0.0 if shaded else _FUZZ * float(top - bottom)
+    order = seen[np.argsort(toward[seen] + np.random.default_rng(0).uniform(0, fuzz, len(seen)))]
     across = width + 2 * edge
     place = (row[order] + edge) * across + column[order] + edge
     top_most = np.zeros(across * (height + 2 * edge), dtype=np.int32)  # 1 + the place in the order; 0 for none

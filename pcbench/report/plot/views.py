@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 
@@ -56,19 +57,26 @@ class Box:
         margin = _MARGIN * (high - low) + 1e-3 * float(np.linalg.norm(high - low))
         return cls(low - margin, high + margin)
 
-    def widened(self, others: Iterable[Box]) -> Box:
-        """With what of others lies beyond it, up to a quarter of its own size to each side."""
+    def grown(self) -> Box:
+        """A quarter of its own size larger to each side."""
         reach = _BEYOND * (self.high - self.low)
-        low, high = self.low, self.high
+        return Box(self.low - reach, self.high + reach)
+
+    def widened(self, others: Iterable[Box]) -> Box:
+        """With what of others lies beyond it, as far as it may grow."""
+        low, high, most = self.low, self.high, self.grown()
         for other in others:
-            low = np.minimum(low, np.maximum(other.low, self.low - reach))
-            high = np.maximum(high, np.minimum(other.high, self.high + reach))
+            low = np.minimum(low, np.maximum(other.low, most.low))
+            high = np.maximum(high, np.minimum(other.high, most.high))
         return Box(low, high)
 
-    def holds(self, points: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def holds(self, points: FloatArray) -> NDArray[np.bool_]:
         """Which of points (N, 3) lie inside."""
-        inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = ((points >= self.low) & (points <= self.high)).all(axis=1)
-        return inside
+        return np.logical_and.reduce((points >= self.low) & (points <= self.high), axis=1)
+
+    def share(self, points: FloatArray) -> float:
+        """Of points (N, 3), how many lie inside."""
+        return float(self.holds(points).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +100,9 @@ class Frame:
             flat = (inside - box.center) @ view.axes[:2].T
             low, high = flat.min(axis=0), flat.max(axis=0)
             # What has no extent, such as a wall from above, still gets a strip of the picture.
-            pad = 0.02 * float((high - low).max()) + np.maximum(0.0, 0.03 * float((high - low).max()) - (high - low))
-            windows.append([low - (pad or 1.0), high + (pad or 1.0)] if np.ndim(pad) == 0 else [low - pad, high + pad])
+            most = float((high - low).max()) or 1.0
+            pad = 0.02 * most + np.maximum(0.0, 0.03 * most - (high - low))
+            windows.append([low - pad, high + pad])
         return cls(box, np.array(windows))
 
     @property
