@@ -198,8 +198,9 @@ def plot(
     a_distance, a_completeness; of a bench speed, accuracy_completeness), as PNG or as their endings say:
     distribution.svg. They look as the report was made with, but for what is given here. Needs no display.
     """
+    from pcbench.progress import Step
     from pcbench.report.figures import recorded_figures
-    from pcbench.report.plot import REPORT, draw
+    from pcbench.report.plot import REPORT, draw, drawing_seconds
     from pcbench.studies.bench.charts import CHARTS
 
     drawer = next((drawer for drawer in (REPORT, CHARTS) if drawer.fits(report)), None)
@@ -207,7 +208,8 @@ def plot(
         raise InputError(f"{report}: expected a report folder (with comparison.json) or a bench's (with bench.json)")
     look = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
     with steps(quiet) as step:
-        step("drawing")
+        candidates = len(list(report.glob("*_deviation.ply"))) or 1
+        step(Step("drawing", 1.0 + 0.5 * len(names) if names else drawing_seconds(candidates)))
         written = draw(report, names, drawer, look)
     if not quiet:
         for path in written:

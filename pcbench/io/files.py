@@ -168,3 +168,12 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         if isinstance(error, OSError) and error.filename == str(temporary):  # the name that the user gave
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+
+
+def reading_seconds(path: Path) -> float:
+    """Roughly what reading a file of points takes, for progress bars; 0 where there is none."""
+    try:
+        size = path.stat().st_size
+    except OSError:
+        return 0.0
+    return 0.02 + size / (20e6 if path.suffix.lower() in (".laz", ".txt", ".xyz", ".csv", ".pts", ".asc") else 200e6)

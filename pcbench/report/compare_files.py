@@ -11,15 +11,16 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
-from pcbench.io.files import atomic_write, check_output, digest, named_file
+from pcbench.io.files import atomic_write, check_output, digest, named_file, reading_seconds
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.settings import Settings
+from pcbench.progress import Plan
 from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import check_name, read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
-from pcbench.report.plot import draw_if_possible
+from pcbench.report.plot import draw_if_possible, drawing_seconds
 
 _Setting = TypeVar("_Setting")
 
@@ -81,15 +82,16 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
     if outputs.json_file is not None:
         check_output(outputs.json_file, inputs)
+    plan = Plan(step, _expected_seconds(job, outputs))
     if outputs.folder is None:
-        outcome = ComparisonOutcome(_run(job, settings, named_files, step))
+        outcome = ComparisonOutcome(_run(job, settings, named_files, plan))
     else:
         with report_folder(outputs.folder, keep=inputs) as folder:
-            outcome = ComparisonOutcome(_run(job, settings, named_files, step))
-            step("writing the report")
+            outcome = ComparisonOutcome(_run(job, settings, named_files, plan))
+            plan("writing the report")
             write_report(folder, outcome.comparison, job.figures)
             if outputs.figures:
-                step("drawing the pictures")
+                plan("drawing the pictures")
                 outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures))
     if outputs.json_file is not None:
         with atomic_write(outputs.json_file) as file:
@@ -112,7 +114,15 @@ def named(paths: Sequence[Path]) -> dict[str, Path]:
     return result
 
 
-def _run(job: ComparisonJob, settings: Settings, named_files: list[Path], step: Callable[[str], None]) -> Comparison:
+def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
+    """Of each step that is announced, roughly, for progress bars."""
+    reading = [reading_seconds(path) for path in (job.reference, *job.candidates.values())]
+    pairs = [reading[0] + seconds for seconds in reading[1:]]
+    written = sum(pairs) if outputs.folder is not None else 0.0
+    return [*reading, sum(2.0 + 20 * pair for pair in pairs), written, drawing_seconds(len(pairs))]
+
+
+def _run(job: ComparisonJob, settings: Settings, named_files: list[Path], step: Plan) -> Comparison:
     clouds: dict[str, Cloud | Mesh] = {}
     files: dict[str, InputFile] = {}
     for name, path in {"reference": job.reference, **job.candidates}.items():
@@ -125,7 +135,7 @@ def _run(job: ComparisonJob, settings: Settings, named_files: list[Path], step: 
     reference, of_reference = clouds.pop("reference"), files.pop("reference")
     of_reference = replace(of_reference, warnings=(*of_reference.warnings, *said))
     candidates = {name: cloud for name, cloud in clouds.items() if isinstance(cloud, Cloud)}
-    measured = compare(reference, candidates, settings, on_step=step)
+    measured = compare(reference, candidates, settings, on_step=step.within())
     return replace(measured, inputs=Inputs(of_reference, files, others))
 
 

@@ -93,6 +93,11 @@ def draw(
     return [report / line for line in lines]
 
 
+def drawing_seconds(candidates: int) -> float:
+    """Roughly what the pictures of a report take, for progress bars."""
+    return 2.0 + 2.0 * candidates
+
+
 def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | None = None) -> str | None:
     """Draw a report's pictures; what stands in the way is returned, because the numbers are delivered all the same."""
     try:

@@ -72,7 +72,8 @@ class Box:
 
     def holds(self, points: FloatArray) -> NDArray[np.bool_]:
         """Which of points (N, 3) lie inside."""
-        return np.logical_and.reduce((points >= self.low) & (points <= self.high), axis=1)
+        inside: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
+        return inside
 
     def share(self, points: FloatArray) -> float:
         """Of points (N, 3), how many lie inside."""
