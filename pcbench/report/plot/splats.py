@@ -43,10 +43,10 @@ def splat(
     dot = float(np.clip(1.3 * np.sqrt(pixels[0] * pixels[1] / max(len(seen), 1)), _MIN_DOT, _MAX_DOT))
     radius = 0.5 * dot * _FINER
     edge = int(radius)
-    # From back to front: of several points in one place the last one stays. Which one of a rough surface that is, is
-    # left to chance where colours are values: the nearest ones alone would tell of what lies above it, not of the rest.
-    fuzz = 0.0 if shaded else _FUZZ * float(top - bottom)
-    order = seen[np.argsort(toward[seen] + np.random.default_rng(0).uniform(0, fuzz, len(seen)))]
+    if shaded:
+        order = seen[np.argsort(toward[seen])]  # from back to front: of several in one place the last one stays
+    else:
+        order = _fair(seen, column, row, toward, max(1, round(2 * radius)), _FUZZ * float(top - bottom))
     across = width + 2 * edge
     place = (row[order] + edge) * across + column[order] + edge
     top_most = np.zeros(across * (height + 2 * edge), dtype=np.int32)  # 1 + the place in the order; 0 for none
@@ -69,6 +69,27 @@ def splat(
     parts = [fine[down::_FINER, along::_FINER] for down in range(_FINER) for along in range(_FINER)]
     small = sum(parts[1:], start=parts[0]) + len(parts) // 2
     return (small // len(parts)).astype(np.uint8)
+
+
+def _fair(
+    seen: NDArray[np.int64],
+    column: NDArray[np.int64],
+    row: NDArray[np.int64],
+    toward: FloatArray,
+    side: int,
+    fuzz: float,
+) -> NDArray[np.int64]:
+    """Of the rows `seen` those that nothing hides, in an order left to chance.
+
+    The nearest points of a rough surface alone would tell of what lies above it, and not of the rest: whatever is
+    less than `fuzz` behind the nearest one in a square of `side` has the same chance.
+    """
+    down = row[seen] // side
+    cell = down * (int(column[seen].max(initial=0)) // side + 1) + column[seen] // side
+    nearest = np.full(int(cell.max(initial=0)) + 1, -np.inf)
+    np.maximum.at(nearest, cell, toward[seen])
+    visible = seen[toward[seen] >= nearest[cell] - fuzz]
+    return np.random.default_rng(0).permutation(visible)
 
 
 def _shade(image: NDArray[np.int32], depths: FloatArray, extent: float) -> NDArray[np.float32]:

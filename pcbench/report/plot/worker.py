@@ -19,21 +19,27 @@ from pcbench.report.figures import FORMATS, Figures, ink
 from pcbench.report.plot import Picture
 
 
-def draw(folder: Path, pictures: Mapping[str, Picture], wanted: Sequence[str], look: Figures) -> list[Path]:
+def draw(folder: Path, function: str, look: Figures, wanted: Sequence[str] = ()) -> list[Path]:
     """Draw all pictures, or those that are wanted, each in the format that its name ends with, or in that of `look`;
     the files that were written, relative to the folder.
+
+    Raises:
+        PcbenchError: there is no such picture, or the folder is damaged.
     """
+    module, _, name = function.partition(":")
+    pictures: Mapping[str, Picture] = getattr(import_module(module), name)(folder, look)
     asked = [_split(name, pictures, look) for name in wanted]
     if unknown := [name for name, _ in asked if name not in pictures]:
         raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}")
     (folder / "figures").mkdir(exist_ok=True)
     written = []
-    for name, ending in asked or [(name, look.format) for name in pictures]:
-        path = folder / "figures" / f"{name}.{ending}"
-        if pictures[name].draw(path):
-            written.append(path.relative_to(folder))
-        elif asked:
-            raise PcbenchError(f"no picture {name!r}: {pictures[name].why_not}")
+    with _colors_of(look):
+        for name, ending in asked or [(name, look.format) for name in pictures]:
+            path = folder / "figures" / f"{name}.{ending}"
+            if pictures[name].draw(path):
+                written.append(path.relative_to(folder))
+            elif asked:
+                raise PcbenchError(f"no picture {name!r}: {pictures[name].why_not}")
     return written
 
 
@@ -45,12 +51,8 @@ def _split(name: str, pictures: Mapping[str, Picture], look: Figures) -> tuple[s
 
 def main() -> int:
     folder, function, chosen, *wanted = sys.argv[1:]
-    module, _, name = function.partition(":")
     try:
-        look = Figures(**json.loads(chosen))
-        pictures = getattr(import_module(module), name)(Path(folder), look)
-        with _colors_of(look):
-            written = draw(Path(folder), pictures, wanted, look)
+        written = draw(Path(folder), function, Figures(**json.loads(chosen)), wanted)
     except PcbenchError as error:
         print(" ".join(str(error).split()))
         return 2
@@ -66,7 +68,9 @@ def _colors_of(look: Figures) -> AbstractContextManager[None]:
     dark = ink(ground)
     grounds = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), ground)
     inks = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), dark)
-    return matplotlib.rc_context({**grounds, **inks, "svg.hashsalt": "pcbench"})  # of ids: the same file every time
+    # Words stay words, which can be edited and searched; the same ids in the same file every time.
+    files = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "pcbench"}
+    return matplotlib.rc_context({**grounds, **inks, **files})
 
 
 if __name__ == "__main__":
