@@ -107,7 +107,10 @@ def ranges(
         if high > least:
             note = f"up to the {'largest ' if len(group) > 1 else ''}95th percentile"
             if len(group) > 1:
-                note += f", shared by {'all' if len(group) == len(highest) else len(group)} of {len(highest)}"
+                all_of_them = "both" if len(group) == 2 else f"all {len(group)}"
+                note += (
+                    f", shared by {all_of_them if len(group) == len(highest) else f'{len(group)} of {len(highest)}'}"
+                )
             elif len(highest) > 1:
                 note += f", of this one of {len(highest)} alone"
         else:

@@ -55,7 +55,7 @@ def test_values_outside_a_range_have_the_colours_of_its_ends():
 def test_a_candidate_that_is_far_off_does_not_change_the_others():
     without = ranges({"a": 0.02, "b": 0.05, "c": 0.09})
     assert {scale.high for scale in without.values()} == {0.09}
-    assert "shared by all of 3" in without["a"].note
+    assert "shared by all 3" in without["a"].note
     found = ranges({"a": 0.02, "far": 40.0, "b": 0.05, "c": 0.09})
     assert list(found) == ["a", "far", "b", "c"]
     for name in "abc":

