@@ -18,6 +18,7 @@ from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.opengl import NoFiguresError
 from pcbench.report import Figures, plot
 from pcbench.report.plot import bends, draw, worker
+from pcbench.report.plot.maps import frame
 
 
 @pytest.fixture(scope="module")
@@ -215,3 +216,25 @@ def test_evidence_has_a_panel_for_what_there_is(report, tmp_path):
     assert two[1] == pytest.approx(four[1], rel=0.01)
     assert two[0] < 0.6 * four[0]
     assert one[1] == pytest.approx(0.5 * two[1], rel=0.01)
+
+
+def test_displacements_are_seen_from_everywhere(tmp_path):
+    """From above, too, where arrows that rise and sink have no length."""
+    pytest.importorskip("matplotlib")
+    from matplotlib.image import imread
+
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-10, 10, (200, 3)) * [1, 1, 0.1]
+    up = np.where(places[:, 0] > 0, 0.1, -0.1)
+    columns = {"displacement_x": 0 * up, "displacement_y": 0 * up, "displacement_z": up}
+    cloud, field = Cloud(rng.uniform(-10, 10, (5000, 3)) * [1, 1, 0.1]), Cloud(places, attributes=columns)
+    path = tmp_path / "displacement.png"
+    assert bends.arrows(cloud, field, "title", "m", frame(None, {"a": cloud}), path, Figures())
+    image = imread(path)[..., :3]
+    red, blue = image[..., 0] - image[..., 2] > 0.3, image[..., 2] - image[..., 0] > 0.3
+    above = slice(0, image.shape[1] // 4)
+    assert red[:, above].sum() > 500
+    assert blue[:, above].sum() > 500
+    assert np.nonzero(red[:, above])[1].mean() > np.nonzero(blue[:, above])[1].mean()  # where it rises
+    still = Cloud(places, attributes={name: 0 * up for name in columns})
+    assert not bends.arrows(cloud, still, "title", "m", frame(None, {"a": cloud}), path, Figures())

@@ -95,6 +95,7 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
         (x, y), (u, v) = placed(tails @ flat).T, exaggeration * factor * (vectors @ flat).T
         # Like a pencil's: a shaft that is seen, a head that is told from it.
         style = {"units": "inches", "width": 0.016, "headwidth": 4, "headlength": 5, "headaxislength": 4.5}
+        axis.scatter(x, y, s=14, c=colors, linewidths=0)  # what points at the viewer has no length
         axis.quiver(x, y, u, v, color=colors, angles="xy", scale_units="xy", scale=1, minlength=0, **style)
 
     title = f"{title}; displacements {exaggeration:g} times as long as they are"
