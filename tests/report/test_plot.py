@@ -236,5 +236,5 @@ def test_displacements_are_seen_from_everywhere(tmp_path):
     assert red[:, above].sum() > 500
     assert blue[:, above].sum() > 500
     assert np.nonzero(red[:, above])[1].mean() > np.nonzero(blue[:, above])[1].mean()  # where it rises
-    still = Cloud(places, attributes={name: 0 * up for name in columns})
+    still = Cloud(places, attributes=dict.fromkeys(columns, 0 * up))
     assert not bends.arrows(cloud, still, "title", "m", frame(None, {"a": cloud}), path, Figures())
