@@ -85,7 +85,7 @@ def save(figure: Any, path: Path) -> None:
     kind = path.suffix[1:]
     undated: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     # Dots are noise to a compressor: more of its work takes long and saves little.
-    quick: dict[str, Any] = {"pil_kwargs": {"compress_level": 3}} if kind == "png" else {}
+    quick: dict[str, Any] = {"pil_kwargs": {"compress_level": 2}} if kind == "png" else {}
     figure.savefig(path, facecolor=figure.get_facecolor(), metadata=undated.get(kind), **quick)
 
 

@@ -53,13 +53,10 @@ def splat(
     top_most[place] = np.arange(1, len(order) + 1)
     centers = np.flatnonzero(top_most)
     rank = top_most[centers]
-    by_rank = np.argsort(rank)
-    centers, rank = centers[by_rank], rank[by_rank]
     for down in range(-edge, edge + 1):
         for along in range(-edge, edge + 1):
             if (down or along) and down**2 + along**2 <= radius**2:
                 at = centers + (down * across + along)
-                # Ranks ascend, so that the highest of those that fall on one place is the one that is kept.
                 top_most[at] = np.maximum(top_most[at], rank)
     image = top_most.reshape(-1, across)[edge : edge + height, edge : edge + width]
     palette = np.concatenate([ground[None], colors[order]])
