@@ -65,14 +65,21 @@ def register(
     """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import atomic_write, check_output, named_file
+    from pcbench.io.files import atomic_write, check_output, named_file, reading_seconds
+    from pcbench.progress import Plan
     from pcbench.registration import register as register_clouds
 
     for path, other in ((out, matrix), (matrix, out)):
         if path is not None:
             check_output(path, [reference, candidate, *filter(None, [named_file(register)])], [*filter(None, [other])])
-    reference_cloud, cloud = (read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate))
-    with steps(quiet) as step:
+    with steps(quiet) as tell:
+        reading = [reading_seconds(path) for path in (reference, candidate)]
+        step = Plan(tell, [*reading, 0.5 + 15 * sum(reading)])
+        clouds = []
+        for path in (reference, candidate):
+            step(f"reading {path}")
+            clouds.append(read_cloud(path, on_warning=warn_unless(quiet)))
+        reference_cloud, cloud = clouds
         step("registering")
         result = register_clouds(reference_cloud, cloud, register)
     text = format_matrix(result.T_reference_candidate)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import (
     FILE,
     crop_option,
+    figure_options,
     given,
     las_options,
     las_returns,
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
 @no_figures_option()
 @click.option("--full", is_flag=True, help="Print every metric, and every sentence.")
+@figure_options
 @quiet_option
 @click.pass_context
 def compare(
@@ -73,6 +76,9 @@ def compare(
     json_file: str | None,
     no_figures: bool,
     full: bool,
+    background: str | None,
+    color_range: float | None,
+    figure_format: str | None,
     quiet: bool,
 ) -> None:
     """Measure how far CANDIDATES are from REFERENCE, both ways. Prints the answer in words, what has to be known before
@@ -84,6 +90,7 @@ def compare(
     _multiply_on_one_thread()
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
+    from pcbench.report.figures import Figures
 
     if settings_file is not None:
         options = [
@@ -93,6 +100,7 @@ def compare(
         if reference is not None or any(given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
         job = ComparisonJob.recorded(settings_file)
+        job = replace(job, figures=job.figures.changed(background, color_range, figure_format))
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -109,7 +117,8 @@ def compare(
             max_axis=max_axis,
             m3c2=m3c2,
         )
-        job = ComparisonJob.of(reference, candidates, settings)
+        figures = Figures().changed(background, color_range, figure_format)
+        job = ComparisonJob.of(reference, candidates, settings, figures)
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full)
 
 
@@ -189,12 +198,23 @@ def deform(
 @click.command(short_help="Draw a report's pictures again.")
 @click.argument("report", type=FILE)
 @click.argument("names", nargs=-1)
+@figure_options
 @quiet_option
-def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
+def plot(
+    report: Path,
+    names: tuple[str, ...],
+    background: str | None,
+    color_range: float | None,
+    figure_format: str | None,
+    quiet: bool,
+) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
-    a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
+    a_distance, a_completeness; of a bench speed, accuracy_completeness), as PNG or as their endings say:
+    distribution.svg. They look as the report was made with, but for what is given here. Needs no display.
     """
-    from pcbench.report.plot import REPORT, draw
+    from pcbench.progress import Step
+    from pcbench.report.figures import recorded_figures
+    from pcbench.report.plot import REPORT, draw, drawing_seconds
     from pcbench.scratch import claim
     from pcbench.studies.bench.charts import CHARTS
 
@@ -202,9 +222,11 @@ def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
     if drawer is None:
         raise InputError(f"{report}: expected a report folder (with comparison.json) or a bench's (with bench.json)")
     click.get_current_context().with_resource(claim(report))
+    look = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
     with steps(quiet) as step:
-        step("drawing")
-        written = draw(report, names, drawer)
+        candidates = len(list(report.glob("*_deviation.ply"))) or 1
+        step(Step("drawing", 1.0 + 0.5 * len(names) if names else drawing_seconds(candidates)))
+        written = draw(report, names, drawer, look)
     if not quiet:
         for path in written:
             click.echo(path)

@@ -186,3 +186,12 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         yield file
         file.flush()
         temporary.replace(target)
+
+
+def reading_seconds(path: Path) -> float:
+    """Roughly what reading a file of points takes, for progress bars; 0 where there is none."""
+    try:
+        size = path.stat().st_size
+    except OSError:
+        return 0.0
+    return 0.02 + size / (20e6 if path.suffix.lower() in (".laz", ".txt", ".xyz", ".csv", ".pts", ".asc") else 200e6)

@@ -48,11 +48,11 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class DeviationMap:
-    """Deviations at the candidate's points inside the region, in reference coordinates.
+    """Deviations at a cloud's points inside the region, in reference coordinates.
 
     Attributes:
-        points: (M, 3) aligned.
-        rows: (M,) which of the candidate's points they are.
+        points: (M, 3), those of a candidate aligned.
+        rows: (M,) which of the cloud's points they are.
         scalars: (M,) each, in the clouds' unit: `distance` to the nearest reference point; `plane_distance`, signed, to
             the tangent plane there (positive above it); `mesh_distance` to a surface (signed where that is closed,
             negative inside).

@@ -203,6 +203,9 @@ class Candidate:
     """Everything about one candidate: how it was registered, what was measured, where it deviates, whether it is bent.
 
     Attributes:
+        deviation: the candidate's measured points with their distances to the reference.
+        completeness: the reference's measured points with their `distance` to the nearest point of the candidate; its
+            `rows` are the reference's.
         timings_s: seconds a step took; peak_rss_bytes: the most memory of the process so far.
         warnings: on the clouds themselves; those on registration and deformation stand there.
     """
@@ -213,6 +216,7 @@ class Candidate:
     registration: Registration
     metrics: Metrics
     deviation: DeviationMap
+    completeness: DeviationMap
     deformation: Deformation
     timings_s: Mapping[str, float]
     peak_rss_bytes: int

@@ -3,6 +3,7 @@
 from pcbench.report.answer import answer
 from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document, to_json
+from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_deformation, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.table import html, markdown, rows
@@ -10,6 +11,7 @@ from pcbench.report.terminal import print_columns, print_comparison
 
 __all__ = [
     "Comparison",
+    "Figures",
     "InputFile",
     "Inputs",
     "answer",

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
 from pcbench.errors import InputError
 from pcbench.io import FILTERED
-from pcbench.io.files import atomic_write, check_output, named_file
+from pcbench.io.files import atomic_write, check_output, named_file, reading_seconds
 from pcbench.measure.m3c2 import M3C2Settings
 from pcbench.measure.settings import Settings
+from pcbench.progress import Plan
 from pcbench.report.comparison import Comparison, compare_inputs
 from pcbench.report.document import document, to_json
+from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
-from pcbench.report.plot import draw_if_possible
+from pcbench.report.plot import draw_if_possible, drawing_seconds
 from pcbench.report.reading import names_of, paths_in
 
 _Setting = TypeVar("_Setting")
@@ -24,16 +26,22 @@ _Setting = TypeVar("_Setting")
 
 @dataclass(frozen=True)
 class ComparisonJob:
-    """What to compare. `expected` holds the sha256 of files (by absolute path) that were recorded before."""
+    """What to compare, and how its pictures look. `expected` holds the sha256 of files (by absolute path) that were
+    recorded before.
+    """
 
     reference: Path
     candidates: dict[str, Path]
     settings: Settings
     expected: dict[str, str]
+    figures: Figures = field(default_factory=Figures)
 
     @classmethod
-    def of(cls, reference: Path, candidates: Sequence[Path], settings: Settings) -> ComparisonJob:
-        return cls(reference, dict(zip(names_of(candidates), candidates, strict=True)), settings, {})
+    def of(
+        cls, reference: Path, candidates: Sequence[Path], settings: Settings, figures: Figures | None = None
+    ) -> ComparisonJob:
+        named = dict(zip(names_of(candidates), candidates, strict=True))
+        return cls(reference, named, settings, {}, figures or Figures())
 
     @classmethod
     def recorded(cls, settings_file: Path) -> ComparisonJob:
@@ -41,7 +49,7 @@ class ComparisonJob:
         settings, inputs = read_settings(settings_file)
         candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
         expected = {file.path: file.sha256 for file in inputs.all()}
-        return cls(Path(inputs.reference.path), candidates, settings, expected)
+        return cls(Path(inputs.reference.path), candidates, settings, expected, recorded_figures(settings_file))
 
 
 @dataclass(frozen=True)
@@ -77,23 +85,24 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         check_output(outputs.json_file, inputs)
         if outputs.folder is not None and outputs.json_file.resolve().is_relative_to(outputs.folder.resolve()):
             raise InputError(f"{outputs.json_file}: the report would be there too: write it beside {outputs.folder}")
+    plan = Plan(step, _expected_seconds(job, outputs))
     if outputs.folder is None:
-        outcome = ComparisonOutcome(_run(job, settings, step))
+        outcome = ComparisonOutcome(_run(job, settings, plan))
     else:
         with report_folder(outputs.folder, keep=inputs) as folder:
-            outcome = ComparisonOutcome(_run(job, settings, step))
-            step("writing the report")
-            write_report(folder, outcome.comparison)
+            outcome = ComparisonOutcome(_run(job, settings, plan))
+            plan("writing the report")
+            write_report(folder, outcome.comparison, job.figures)
             if outputs.figures:
-                step("drawing the pictures")
-                outcome = replace(outcome, without_figures=draw_if_possible(folder))
+                plan("drawing the pictures")
+                outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures))
     if outputs.json_file is not None:
         with atomic_write(outputs.json_file) as file:
             file.write(to_json(document(outcome.comparison)).encode())
     return outcome
 
 
-def _run(job: ComparisonJob, settings: Settings, step: Callable[[str], None]) -> Comparison:
+def _run(job: ComparisonJob, settings: Settings, step: Plan) -> Comparison:
     measured = compare_inputs(job.reference, job.candidates, settings, step)
     assert measured.inputs is not None  # all come from files
     inputs = measured.inputs
@@ -111,6 +120,14 @@ def _with_change(job: ComparisonJob, file: InputFile) -> InputFile:
     return replace(
         file, warnings=(*file.warnings, f"{file.path}: the file has changed since the settings were written")
     )
+
+
+def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
+    """Of each step that is announced, roughly, for progress bars."""
+    reading = [reading_seconds(path) for path in (job.reference, *job.candidates.values())]
+    pairs = [reading[0] + seconds for seconds in reading[1:]]
+    written = sum(pairs) if outputs.folder is not None else 0.0
+    return [*reading, sum(2.0 + 20 * pair for pair in pairs), written, drawing_seconds(len(pairs))]
 
 
 def _absolute(setting: _Setting) -> _Setting | str:

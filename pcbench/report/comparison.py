@@ -18,6 +18,8 @@ from pcbench.geometry.splats import filter_splats, splat_model
 from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
+from pcbench.progress import Plan
+from pcbench.report.figures import Figures
 from pcbench.report.inputs import InputFile, Inputs
 
 
@@ -35,12 +37,12 @@ class Comparison(results.Comparison):
     def of(cls, measured: results.Comparison, inputs: Inputs | None = None) -> Comparison:
         return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs)
 
-    def save(self, folder: str | Path, *, figures: bool = True) -> None:
+    def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:
         """Write a report: comparison.json, metrics.csv, table.md, deviation clouds, matrices and pictures.
 
         Args:
             folder: is made; an older report in it is replaced, anything else in it is refused.
-            figures: whether pictures are drawn.
+            figures: whether pictures are drawn, or how they look.
 
         Pictures that cannot be drawn are warned about: the numbers are delivered all the same.
 
@@ -53,8 +55,9 @@ class Comparison(results.Comparison):
         from pcbench.report.plot import draw_if_possible
 
         with report_folder(Path(folder), keep=[] if self.inputs is None else self.inputs.paths()) as scratch:
-            write_report(scratch, self)
-            problem = draw_if_possible(scratch) if figures else None
+            look = figures if isinstance(figures, Figures) else Figures()
+            write_report(scratch, self, look)
+            problem = draw_if_possible(scratch, figures=look) if figures else None
         if problem is not None:
             warnings.warn(problem, stacklevel=2)
 
@@ -116,7 +119,8 @@ def compare_inputs(
             step(f"reading {given}")
             named[name], files[name] = read_candidate(Path(given), settings)
     kept, named = _without_faint_splats(reference, named, settings)
-    measured = comparison.compare(kept, named, settings, on_step=step)
+    within = step.within() if isinstance(step, Plan) else step
+    measured = comparison.compare(kept, named, settings, on_step=within)
     whole = of_reference is not None and files.keys() == named.keys()
     return Comparison.of(measured, Inputs(of_reference, files, of_settings) if of_reference and whole else None)
 

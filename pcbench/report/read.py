@@ -28,6 +28,7 @@ class ReportedCandidate:
         m3c2: core points with theirs; field: cells with their displacements. None where there is none.
         deformation: the verdict; None in reports of versions that had none.
         percentiles_completeness: of the distances from the reference to it, as {"p50": ...}.
+        completeness_path: of the reference's measured points with these distances.
     """
 
     name: str
@@ -36,6 +37,16 @@ class ReportedCandidate:
     field: Cloud | None
     deformation: Deformation | None
     percentiles_completeness: Mapping[str, float]
+    completeness_path: Path
+
+    @property
+    def has_completeness(self) -> bool:
+        """Reports of early versions do not have it."""
+        return self.completeness_path.is_file()
+
+    def completeness(self) -> Cloud | None:
+        """The reference's measured points with their `distance`; not read before it is wanted: it may be large."""
+        return read_cloud(self.completeness_path) if self.has_completeness else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,4 +138,5 @@ def _candidate(folder: Path, values: dict[str, Any]) -> ReportedCandidate:
         field=table("deformation"),
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
         percentiles_completeness=values["metrics"]["percentiles"][BACK],
+        completeness_path=folder / f"{values['name']}_completeness.ply",
     )

@@ -20,7 +20,9 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     assert "sampling floor" in out
     assert "report: report/ holds table.md" in out
     fields = {f"{name}_deformation.{kind}" for name in "ab" for kind in ("csv", "ply")}
-    expected = REPORT | fields | {"a_deviation.ply", "a_T.txt", "b_deviation.ply", "b_T.txt"}
+    expected = (
+        REPORT | fields | {f"{name}_{kind}" for name in "ab" for kind in ("deviation.ply", "completeness.ply", "T.txt")}
+    )
     assert {p.name for p in Path("report").iterdir()} - {"figures"} == expected
     values = doc("report")
     assert [c["name"] for c in values["candidates"]] == ["a", "b"]
@@ -103,7 +105,7 @@ def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(
     assert run("compare", "ref.ply", "a.ply", "--out", "report")[0] == 0
     left = {p.name for p in (files / "report").iterdir()} - {"figures"}
     fields = {"a_deformation.csv", "a_deformation.ply"}
-    assert left == REPORT | fields | {"a_deviation.ply", "a_T.txt", "notes.txt"}
+    assert left == REPORT | fields | {"a_deviation.ply", "a_completeness.ply", "a_T.txt", "notes.txt"}
     assert not [p for p in files.iterdir() if p.name.startswith(".")]
 
 

@@ -77,7 +77,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     above.grid(True, alpha=0.3)
     above.spines[["top", "right"]].set_visible(False)
     above.set_title("from above", fontsize=11)
-    above.legend(framealpha=0.9, edgecolor="none", loc="best")
+    figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     figure.suptitle(drawn.title, fontsize=12)
     with atomic_write(path) as file:
         figure.savefig(file, format="png", metadata={"Software": _SOFTWARE})

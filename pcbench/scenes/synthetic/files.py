@@ -17,6 +17,7 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.transforms_json import write_transforms
+from pcbench.progress import Plan
 from pcbench.scenes.synthetic.demos import Demo
 from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.plan import CitySettings
@@ -71,13 +72,14 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
     check_renderer()
     check_intrinsics(settings.intrinsics)
     with _new_folder(out) as folder:
-        step("building the city")
+        progress = Plan(step, [2.0, 0.5 * settings.images, *([0.3] * settings.images), 2.0 + 5e-6 * settings.points])
+        progress("building the city")
         plan = lay_out(settings.city)
         site = Site(settings.city.extent, float(np.median(plan.terrain.heights)), plan.top)
         cameras = rig(settings.rig, settings.images, site, settings.intrinsics)
         city = build_city(plan, cameras=cameras)
         (folder / "images").mkdir()
-        step(f"taking {len(cameras)} images")
+        progress(f"taking {len(cameras)} images")
         render(
             city,
             cameras,
@@ -96,9 +98,9 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         index = MeshIndex(city.mesh)
         write_mesh_ply(folder / "truth" / "mesh.ply", city.mesh)
         for camera in cameras:
-            step(f"casting the depths of {camera.name}")
+            progress(f"casting the depths of {camera.name}")
             np.save(folder / "truth" / "depth" / f"{Path(camera.name).stem}.npy", depth_map(index, camera))
-        step("sampling the surface")
+        progress("sampling the surface")
         cloud = surface_cloud(plan, index, cameras, settings.points, settings.city.seed)
         write_cloud(folder / "truth" / "cloud.ply", cloud)
 

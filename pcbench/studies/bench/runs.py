@@ -24,6 +24,7 @@ from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
+from pcbench.progress import Step
 from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
 from pcbench.scratch import claim
@@ -68,6 +69,7 @@ COLUMNS = (
     "message",
 )
 _MEASURES = 2  # raised when clouds are measured in another way: scores from before are measured again
+_RUN_S = 60.0  # that one run takes, roughly, for progress bars
 _RUNS, _RUN, _SCORE = "runs", "run.json", "score.json"
 _MARK = ".lock"  # a folder that holds it is a bench's
 
@@ -160,7 +162,8 @@ def bench(
     with _bench_folder(out):
         rows: list[dict[str, Any]] = []
         for number, trial in enumerate(todo, 1):
-            on_step(f"{number} of {len(todo)}: {trial.words}")
+            # All alike, until those that are done say how long one takes.
+            on_step(Step(f"{number} of {len(todo)}: {trial.words}", _RUN_S, _RUN_S * (len(todo) - number)))
             row, kept = _row(job, trial, inputs, yardstick, out)
             rows.append(row)
             mark_front(rows)

@@ -28,11 +28,12 @@ from pcbench.io.meshes import read_mesh
 from pcbench.plugins import find_plugin
 from pcbench.plugins.run import ReconstructionJob, describe, run
 from pcbench.plugins.stages import library_versions, stage
+from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
 from pcbench.scratch import claim
-from pcbench.studies.bend.findings import Solution, Variant, csv_text, findings, intrinsics_values
+from pcbench.studies.bend.findings import MEASURING_S, Solution, Variant, csv_text, findings, intrinsics_values
 
 SCHEMA = "pcbench.experiment.bend/1"
 PLUGIN = "sfm"
@@ -43,6 +44,7 @@ _POINTS = 400_000  # of the synthetic truth
 _NADIR = 10.0  # degrees from the vertical: an image that looks straight down
 _MIN_IMAGES = 6
 _MARK = 0.5  # pixels, standard deviation of a control point's mark
+_SOLVING_S = 60.0  # that one solution takes, roughly, for progress bars
 _SURVEY = 0.01  # in the truth's unit, of its position
 _LIFT = 1e-4  # in the truth's unit, off the surface to where lines of sight start
 # SIFT at the images' own size: a third of the time, and points enough.
@@ -109,7 +111,8 @@ def _run(
     inputs.write(surface, truth)
     solutions = []
     for number, variant in enumerate(plan, 1):
-        step(f"solving {number} of {len(plan)}: {variant.name}")
+        left = _SOLVING_S * (len(plan) - number) + MEASURING_S * len(plan)
+        step(Step(f"solving {number} of {len(plan)}: {variant.name}", _SOLVING_S, left))
         solutions.append(_solve(inputs, variant, surface))
     intrinsics = data.cameras[data.images[0]].intrinsics
     document = {
