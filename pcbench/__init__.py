@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from pcbench.deformation import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
     from pcbench.geometry.cloud import Cloud as Cloud
-    from pcbench.geometry.crop import crop as crop
     from pcbench.geometry.mesh import Mesh as Mesh
     from pcbench.geometry.neighbors import Index as Index
     from pcbench.geometry.region_text import parse_region as parse_region
@@ -21,8 +20,10 @@ if TYPE_CHECKING:
     from pcbench.geometry.transform import Similarity as Similarity
     from pcbench.io import read_cloud as read_cloud
     from pcbench.io import write_cloud as write_cloud
+    from pcbench.io.crop import crop as crop
     from pcbench.io.meshes import read_mesh as read_mesh
     from pcbench.measure import metrics as metrics
+    from pcbench.measure.m3c2 import M3C2Settings as M3C2Settings
     from pcbench.measure.settings import Settings as Settings
     from pcbench.registration import IcpSettings as IcpSettings
     from pcbench.registration import Registration as Registration
@@ -40,6 +41,7 @@ _ROOMS = {
     "Comparison": "report.comparison",
     "IcpSettings": "registration",
     "Index": "geometry.neighbors",
+    "M3C2Settings": "measure.m3c2",
     "Mesh": "geometry.mesh",
     "PcbenchError": "errors",
     "Polygon": "geometry.regions",
@@ -51,7 +53,7 @@ _ROOMS = {
     "Sphere": "geometry.regions",
     "Union": "geometry.regions",
     "compare": "report.comparison",
-    "crop": "geometry.crop",
+    "crop": "io.crop",
     "deform": "deformation",
     "metrics": "measure.metrics",
     "parse_region": "geometry.region_text",
@@ -79,7 +81,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__") and name not in __all__)])
 
 
 def _version() -> str:

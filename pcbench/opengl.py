@@ -1,4 +1,4 @@
-"""Whether pictures can be drawn on this machine: VTK needs OpenGL, from a display or a library that does without."""
+"""Whether photographs of a scene can be taken here: VTK needs OpenGL, from a display or a library that does without."""
 
 from __future__ import annotations
 

@@ -110,6 +110,39 @@ def voxel_mean(values, points, side, lower):
     return float(np.mean([np.mean(inside) for inside in voxels.values()]))
 
 
+# M3C2 (Lague et al. 2013, section 3)
+
+
+def m3c2_normals(reference, cores, radius):
+    """(K, 3) of planes through the reference's points within the radius of each core, upwards; NaN without three."""
+    result = np.full(cores.shape, np.nan)
+    for row, core in enumerate(cores):
+        near = reference[np.sqrt(((reference - core) ** 2).sum(axis=1)) <= radius]
+        if len(near) >= 3:
+            normal = np.linalg.svd(near - near.mean(axis=0))[2][2]
+            result[row] = normal * (1 if normal[2] >= 0 else -1)
+    return result
+
+
+def m3c2(reference, candidate, cores, normals, radius, half_length, registration_error):
+    """Distances, levels of detection (eq. 1, ddof 0, none below five points) and counts (K, 2) in the cylinders."""
+    distances, lod, counts = np.full(len(cores), np.nan), np.full(len(cores), np.nan), np.zeros((len(cores), 2), int)
+    for row, (core, normal) in enumerate(zip(cores, normals, strict=True)):
+        along = []
+        for cloud in (reference, candidate):
+            arms = cloud - core
+            heights = arms @ normal
+            aside = np.sqrt(((arms - heights[:, None] * normal) ** 2).sum(axis=1))
+            along.append(heights[(np.abs(heights) <= half_length) & (aside <= radius)])
+        counts[row] = [len(heights) for heights in along]
+        if counts[row].min() > 0:
+            distances[row] = along[1].mean() - along[0].mean()
+        if counts[row].min() >= 5:
+            variance = sum(heights.var() / len(heights) for heights in along)
+            lod[row] = 1.96 * (np.sqrt(variance) + registration_error)
+    return {"distances": distances, "lod": lod, "counts": counts}
+
+
 # Sampling floors: what two samples of one surface would score
 
 

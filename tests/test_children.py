@@ -1,6 +1,7 @@
 """Child processes: what they find, what they may take, and that nothing of them is left."""
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -67,20 +68,91 @@ def test_what_it_started_ends_with_it(script):
     assert ends(int(ended.output))
 
 
+DAEMON = (
+    "import os, sys, time",
+    "def daemon(file):",
+    "    if not os.fork():",
+    "        os.setsid()",
+    "        if not os.fork():",
+    "            file.write(f'{os.getpid()} ')",
+    "            file.flush()",
+    "            time.sleep(600)",
+    "        os._exit(0)",
+    "    os.wait()",
+)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux knows subreapers")
+@pytest.mark.parametrize("end", ["", "time.sleep(600)", "os.abort()", "os.killpg(0, 9)"])
+def test_a_daemon_of_its_ends_with_it(script, tmp_path, end):
+    """Left its session and its parent, and ignoring what it can ignore."""
+    pids = tmp_path / "pids"
+    lines = (*DAEMON, "import signal", "signal.signal(signal.SIGTERM, signal.SIG_IGN)")
+    lines += (f"file = open({str(pids)!r}, 'w')", "daemon(file)", "daemon(file)", end)
+    for seconds in (2, 20, 100):  # however busy the machine is
+        ended = run_script(script(*lines), limits=Limits(seconds=seconds if "sleep" in end else None))
+        started = [int(word) for word in pids.read_text().split()]
+        if len(started) == 2:
+            break
+    assert len(started) == 2
+    assert all(ends(pid) for pid in started)
+    assert (ended.code, ended.timed_out) == {
+        "": (0, False),
+        "time.sleep(600)": (-signal.SIGKILL, True),
+        "os.abort()": (-signal.SIGABRT, False),
+        "os.killpg(0, 9)": (-signal.SIGKILL, False),
+    }[end]
+
+
+def test_what_others_started_is_left_alone(script):
+    mine = subprocess.Popen(["sleep", "600"])
+    try:
+        run_script(script("import os", "os.fork()"))
+        assert mine.poll() is None
+    finally:
+        mine.kill()
+        mine.wait()
+
+
+def test_a_log_has_a_limit_which_is_said_in_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("pcbench.children.MAX_LOG", 1000)
+    monkeypatch.setattr("pcbench.children._MAX_TAIL", 100)
+    (tmp_path / "loud.py").write_text("for n in range(10**5): print(n)\nprint('the end')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with (tmp_path / "log").open("wb") as log:
+        ended = run_module("loud", log=log)
+    text = (tmp_path / "log").read_text()
+    assert (ended.code, ended.output) == (0, "")
+    assert text.startswith("0\n1\n2\n")
+    assert text.endswith("99999\nthe end\n")
+    assert len(text) < 1400
+    left_out = int(re.search(r"\n\[(\d+) bytes are left out here: a log has 1000 bytes and its end\]\n", text)[1])
+    assert left_out + len(text) - len(text[text.index("\n[") : text.index("]\n") + 2]) == 588_890 + len("the end\n")
+
+
+def test_a_log_that_cannot_be_written_is_named():
+    with Path("/dev/full").open("wb", buffering=0) as log, pytest.raises(OSError, match="No space") as caught:
+        run_module("pcbench.cli", "no-such-command", log=log)
+    assert caught.value.filename == "/dev/full"
+
+
 def test_it_ends_with_its_parent(script, tmp_path):
     pid = tmp_path / "pid"
-    child = script("import os, time", f"open({str(pid)!r}, 'w').write(str(os.getpid()) + ' ')", "time.sleep(600)")
+    lines = (*DAEMON, f"file = open({str(pid)!r}, 'w')", "daemon(file)", "file.write(f'{os.getpid()} ')")
+    child = script(*lines, "file.flush()", "time.sleep(600)")
     code = f"from pcbench.children import run_script; run_script({str(child)!r})"
     parent = subprocess.Popen([sys.executable, "-c", code])
     try:
         for _ in range(600):
-            if pid.exists() and pid.read_text().endswith(" "):
+            if pid.exists() and pid.read_text().count(" ") == 2:
                 break
             time.sleep(0.1)
     finally:
         parent.kill()
         parent.wait()
-    assert ends(int(pid.read_text()))
+    pids = [int(word) for word in pid.read_text().split()]
+    assert len(pids) == 2
+    assert all(ends(pid) for pid in pids)
 
 
 def test_a_module_is_of_this_very_package_and_not_of_the_current_folder(tmp_path, monkeypatch):

@@ -1,7 +1,14 @@
 """The package as installed: what its import costs, and what it must not pull in."""
 
+import ast
+import functools
+import re
 import subprocess
 import sys
+import tomllib
+
+import pytest
+import repository
 
 HEAVY = (
     "scipy",
@@ -11,8 +18,7 @@ HEAVY = (
     "vtk",
     "open3d",
     "trimesh",
-    "laspy",
-    "dask",
+    "lazrs",
     "matplotlib",
     "rich",
     "kiss_matcher",
@@ -54,3 +60,52 @@ def test_public_names():
     import pcbench.measure.comparison
 
     assert callable(pcbench.compare)
+
+
+def test_dir_shows_the_public_names_and_no_others():
+    import pcbench
+
+    shown = [name for name in dir(pcbench) if not name.startswith("_")]
+    assert shown == sorted(name for name in pcbench.__all__ if not name.startswith("_"))
+    assert {"Index", "compare", "read_cloud"} <= set(shown)
+
+
+def test_public_names_stand_in_the_reference():
+    import pcbench
+
+    page = (repository.ROOT / "docs" / "reference" / "index.md").read_text()
+    documented = [line.strip()[2:] for line in page.splitlines() if line.strip().startswith("- ")]
+    assert set(documented) == set(pcbench.__all__) - {"__version__"}
+
+
+# What a distribution is imported as, where that is another name.
+IMPORTED_AS = {"pillow": "PIL", "kiss-matcher": "kiss_matcher"}
+
+
+@functools.cache
+def imports(folder):
+    """Every module that the code in a folder imports."""
+    found = set()
+    for file in (repository.ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                found.add(node.module.partition(".")[0])
+    return found
+
+
+EXTRAS = tomllib.loads((repository.ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+OFFERED = [name for name in EXTRAS if name not in ("all", "docs", "dev")]
+
+
+@pytest.mark.parametrize("extra", OFFERED)
+def test_extras_bring_what_the_code_imports(extra):
+    used = imports("pcbench") | imports("reconstructors")
+    for requirement in EXTRAS[extra]:
+        name = re.match(r"[\w-]+", requirement)[0]
+        assert IMPORTED_AS.get(name, name) in used, f"no code imports {name}"
+
+
+def test_all_extras_are_in_all():
+    assert EXTRAS["all"] == [f"pcbench[{','.join(OFFERED)}]"]

@@ -1,7 +1,8 @@
 """Child processes: what they find, what they may take, and that nothing of them is left.
 
 Libraries that crash, hang or print, and reconstructors that anybody wrote, run in Python processes of their own. A
-child never reads the terminal, ends with its parent, and when it ends everything that it started is ended too.
+child never reads the terminal, ends with its parent, and when it ends everything that it started is ended too (on
+Linux daemons as well). What it prints is kept as far as there is a limit.
 """
 
 from __future__ import annotations
@@ -11,18 +12,21 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
+import time
 from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Timer
-from typing import BinaryIO
+from threading import Thread, Timer
+from typing import IO, BinaryIO
 
 _START = str(Path(__file__).with_name("start.py"))
 # The folder that this very package is imported from. Looked up, not imported: pcbench gives names of rooms above.
 _PACKAGES = str(Path(sys.modules["pcbench"].__path__[0]).parent)
-_MAX_TAIL = 1 << 20  # bytes of a child's output that are kept
+MAX_LOG = 16 << 20  # bytes of a log, before its end
+_MAX_TAIL = 1 << 20  # bytes of the end of a child's output that are kept
+_STEP_S = 0.01
+_GRACE_S = 10.0  # for what a child started to be ended with it
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,11 @@ def run_module(
 
     Args:
         environment: variables beside those of this process.
-        log: an open file that gets standard output and error.
+        log: an open file that gets standard output and error. Of more than `MAX_LOG` bytes the middle is left out,
+            which is said there.
+
+    Raises:
+        OSError: the log cannot be written.
     """
     # What lies in the current folder is not imported, what the user's own PYTHONPATH names is.
     path = [_PACKAGES, os.environ.get("PYTHONPATH", "")]
@@ -122,19 +130,73 @@ def _run(
     limits = limits or Limits()
     own = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "PYTHONUNBUFFERED": "1"}
     obeyed = [str(limits.cpu_seconds or 0), str(limits.memory or 0), str(int(limits.one_cpu))]
-    with ExitStack() as stack:
-        output, errors = (stack.enter_context(tempfile.TemporaryFile()) for _ in range(2))
-        process = subprocess.Popen(
-            [sys.executable, "-P", _START, *obeyed, *program],
-            stdin=subprocess.DEVNULL if stdin is None else stdin,
-            stdout=subprocess.PIPE if into is not None else log or output,
-            stderr=subprocess.STDOUT if log is not None else errors,
-            bufsize=0,
-            env={**os.environ, **own, **(environment or {})},
-            start_new_session=True,  # all that it starts can be ended with it
-        )
-        code, timed_out, cpu_s, received = _wait(process, limits.seconds, into)
-        return Ended(code, timed_out, cpu_s, _tail(output), _tail(errors), received)
+    process = subprocess.Popen(
+        [sys.executable, "-P", _START, *obeyed, *program],
+        stdin=subprocess.DEVNULL if stdin is None else stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE if log is None else subprocess.STDOUT,
+        bufsize=0,
+        env={**os.environ, **own, **(environment or {})},
+        start_new_session=True,  # all that it starts can be ended with it
+    )
+    output = _Drain(process.stdout if into is None else None, log)
+    errors = _Drain(process.stderr)
+    code, timed_out, cpu_s, received = _wait(process, limits.seconds, into)
+    if (failed := output.finish()) is not None:
+        raise OSError(failed.errno, failed.strerror, getattr(log, "name", None)) from failed
+    errors.finish()
+    return Ended(code, timed_out, cpu_s, output.text(), errors.text(), received)
+
+
+class _Drain(Thread):
+    """Takes what comes out of a pipe, so that the child never waits: into a log up to its limit, and its end."""
+
+    def __init__(self, pipe: IO[bytes] | None, log: BinaryIO | None = None) -> None:
+        super().__init__(daemon=True)
+        self.error: OSError | None = None
+        self._pipe, self._log = pipe, log
+        self._room = MAX_LOG if log is not None else 0
+        self._end, self._left_out = bytearray(), 0
+        self.start()
+
+    def run(self) -> None:
+        if self._pipe is None:
+            return
+        with self._pipe as pipe:
+            while chunk := os.read(pipe.fileno(), 1 << 16):
+                written, rest = chunk[: self._room], chunk[self._room :]
+                self._room -= len(written)
+                self._write(written)
+                self._end += rest
+                if len(self._end) > 2 * _MAX_TAIL:
+                    self._left_out += len(self._end) - _MAX_TAIL
+                    del self._end[:-_MAX_TAIL]
+
+    def finish(self) -> OSError | None:
+        """Once the child has ended: the rest of the log, and why it could not be written."""
+        self.join(_GRACE_S)
+        if self._log is not None and self._end:
+            if self._left_out:
+                note = f"\n[{self._left_out} bytes are left out here: a log has {MAX_LOG} bytes and its end]\n"
+                self._write(note.encode())
+            self._write(bytes(self._end))
+        return self.error
+
+    def text(self) -> str:
+        """The last part of what went into no log."""
+        if self._log is not None:
+            return ""
+        return self._end[-_MAX_TAIL:].decode(locale.getpreferredencoding(False), errors="replace")
+
+    def _write(self, data: bytes) -> None:
+        if self._log is None or self.error is not None:
+            return
+        try:
+            while data:  # a file without a buffer may take a part
+                data = data[self._log.write(data) :]
+            self._log.flush()
+        except OSError as error:
+            self.error = error
 
 
 def _wait(
@@ -145,7 +207,7 @@ def _wait(
 
     def expire() -> None:
         expired.append(True)
-        _end_session(process.pid)
+        _end(process.pid)
 
     watch = Timer(seconds, expire) if seconds is not None else None
     received = 0
@@ -161,7 +223,7 @@ def _wait(
             watch.cancel()
             watch.join()
         # Before it is waited for: until then its number, which is that of its session, is given to no other process.
-        _end_session(process.pid)
+        _end(process.pid)
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     return process.returncode, bool(expired), usage.ru_utime + usage.ru_stime, received
@@ -177,12 +239,14 @@ def _receive(process: subprocess.Popen[bytes], into: memoryview) -> int:
     return got
 
 
-def _end_session(pid: int) -> None:
+def _end(pid: int) -> None:
+    """End a child with all that it started."""
+    if sys.platform.startswith("linux"):
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGTERM)  # which `start.py` does that for
+        for _ in range(round(_GRACE_S / _STEP_S)):
+            if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None:
+                break
+            time.sleep(_STEP_S)
     with suppress(ProcessLookupError, PermissionError):  # all gone
         os.killpg(pid, signal.SIGKILL)
-
-
-def _tail(file: BinaryIO) -> str:
-    size = file.seek(0, os.SEEK_END)
-    file.seek(max(0, size - _MAX_TAIL))
-    return file.read().decode(locale.getpreferredencoding(False), errors="replace")

@@ -1,22 +1,41 @@
-"""Where each child process starts: `start.py CPU_SECONDS BYTES ONE_CPU PROGRAM [ARGUMENT...]` limits itself, then runs
-the program. A limit of 0 is none; the program is a .py file or the name of a module.
+"""Where each child process starts: `start.py CPU_SECONDS BYTES ONE_CPU PROGRAM [ARGUMENT...]` starts the program in a
+process of its own that limits itself, waits for it, and ends whatever it left running. A limit of 0 is none; the
+program is a .py file or the name of a module.
 
-Only the process itself can do this before anything else happens in it. Run as a script, never imported: nothing of
-pcbench is imported here, nor anything that takes long, because the reader of LAZ files starts in 25 ms.
+A daemon leaves its session and its parent, so that neither says whose it is. But where a process declares itself the
+subreaper (prctl(2)), every orphan among its descendants becomes its child: on Linux nothing of a program outlives it.
+A process that only waits can do this; the program's own, which may be killed, cannot.
+
+Run as a script, never imported: nothing of pcbench is imported here, nor anything that takes long, because the reader
+of LAZ files starts in 25 ms.
 """
 
 import os
 import resource
 import runpy
+import signal
 import sys
+from contextlib import suppress
 
-_PR_SET_PDEATHSIG, _SIGKILL = 1, 9  # <sys/prctl.h>, <signal.h>
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36  # <sys/prctl.h>
+
+
+class _Stop(BaseException):
+    """The process that waits for the program has no more use for it."""
 
 
 def main() -> None:
     cpu_seconds, memory, one_cpu = map(int, sys.argv[1:4])
     program, sys.argv = sys.argv[4], sys.argv[4:]
-    _end_with_parent()
+    if sys.platform.startswith("linux"):
+        _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+        signal.signal(signal.SIGTERM, _stop)
+        if child := os.fork():
+            _watch(child)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        os.setsid()  # a program that kills its own group leaves the watch alive
+        _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if one_cpu:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     if cpu_seconds:
@@ -30,12 +49,67 @@ def main() -> None:
         runpy.run_module(program, run_name="__main__", alter_sys=True)
 
 
-def _end_with_parent() -> None:
-    """Where the process that waits for this one is killed, nobody would stop it: it would be in the way of the next."""
-    if sys.platform.startswith("linux"):
-        import ctypes
+def _watch(child: int) -> None:
+    """Wait for the program, end what is left of it, and end as it did."""
+    status = signal.SIGKILL.value
+    with suppress(_Stop):
+        while True:
+            pid, ended = os.wait()  # an orphan now and then
+            if pid == child:
+                status = ended
+                break
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    _end_descendants()
+    code = os.waitstatus_to_exitcode(status)
+    if code < 0:
+        _limit(resource.RLIMIT_CORE, 0)  # the program has left its own
+        with suppress(OSError, ValueError):  # SIGKILL and SIGSTOP have no other handler
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code)
 
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, _SIGKILL)
+
+def _end_descendants() -> None:
+    """Kill children until there are none: those of a killed one become this process's own."""
+    with suppress(ChildProcessError):
+        while True:
+            os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # is there any?
+            children = _children()
+            for pid in children:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            if not children:  # no /proc to find them in
+                return
+            os.wait()
+
+
+def _children() -> list[int]:
+    found: list[int] = []
+    with suppress(OSError), os.scandir("/proc") as entries:
+        found += [int(entry.name) for entry in entries if entry.name.isdecimal() and _is_child(int(entry.name))]
+    return found
+
+
+def _is_child(pid: int) -> bool:
+    try:
+        file = os.open(f"/proc/{pid}/stat", os.O_RDONLY)
+        try:
+            return int(os.read(file, 1000).rpartition(b")")[2].split()[1]) == os.getpid()
+        finally:
+            os.close(file)
+    except OSError:  # it has gone
+        return False
+
+
+def _stop(*_: object) -> None:
+    raise _Stop
+
+
+def _prctl(option: int, value: int) -> None:
+    import ctypes
+
+    ctypes.CDLL(None).prctl(option, value)
 
 
 def _limit(kind: int, most: int) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,7 +17,12 @@ from pcbench.cli.options import (
     quiet_option,
     register_option,
     required_crop_option,
+    splat_options,
 )
+
+if TYPE_CHECKING:
+    from pcbench.geometry.arrays import FloatArray
+    from pcbench.registration import Registration
 
 
 @click.command(short_help="Cut a cloud to a region.")
@@ -27,8 +33,8 @@ from pcbench.cli.options import (
 def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.errors import InputError
-    from pcbench.geometry.crop import crop as crop_cloud
     from pcbench.io import read_cloud, write_cloud
+    from pcbench.io.crop import crop as crop_cloud
     from pcbench.io.files import check_output, named_file
 
     check_output(out, [cloud, *filter(None, [named_file(crop)])])
@@ -52,16 +58,28 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
 def register(
     reference: Path, candidate: Path, out: Path | None, matrix: Path | None, register: str, quiet: bool
 ) -> None:
-    """Align CANDIDATE to REFERENCE and say how well that is determined. Prints the 4x4 matrix."""
+    """Align CANDIDATE to REFERENCE and say by how much it moved and how well that is determined.
+
+    Prints the shift of the candidate's centroid, the angle, the axis and the scale as comments, and then the 4x4
+    matrix: what is printed can be read as a matrix again.
+    """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import atomic_write, check_output, named_file
+    from pcbench.io.files import atomic_write, check_output, named_file, reading_seconds
+    from pcbench.progress import Plan
     from pcbench.registration import register as register_clouds
 
-    for path in filter(None, (out, matrix)):
-        check_output(path, [reference, candidate, *filter(None, [named_file(register)])])
-    reference_cloud, cloud = (read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate))
-    with steps(quiet) as step:
+    for path, other in ((out, matrix), (matrix, out)):
+        if path is not None:
+            check_output(path, [reference, candidate, *filter(None, [named_file(register)])], [*filter(None, [other])])
+    with steps(quiet) as tell:
+        reading = [reading_seconds(path) for path in (reference, candidate)]
+        step = Plan(tell, [*reading, 0.5 + 15 * sum(reading)])
+        clouds = []
+        for path in (reference, candidate):
+            step(f"reading {path}")
+            clouds.append(read_cloud(path, on_warning=warn_unless(quiet)))
+        reference_cloud, cloud = clouds
         step("registering")
         result = register_clouds(reference_cloud, cloud, register)
     text = format_matrix(result.T_reference_candidate)
@@ -76,31 +94,77 @@ def register(
     for warning in result.warnings:
         warn(str(warning))
     if not quiet:
+        for line in _motion_lines(result, cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit):
+            click.echo(f"# {line}")
         click.echo(text, nl=False)
-        sigma = "not fixed" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}"
-        state = {True: "converged", False: "NOT converged", None: "not iterated"}[result.converged]
-        click.echo(
-            f"# {result.method}: rmse {result.rmse:.4g}, overlap {result.overlap:.1%}, {result.iterations} iterations,"
-            f" {state}, scale {result.T_reference_candidate.scale:.8g}, weakest direction's sigma {sigma}"
-        )
-        for point in result.check_points:
-            click.echo(f"# check point {point.name}: {point.error:.4g}")
+
+
+def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) -> Iterator[str]:
+    """What the registration did, and how far it can be trusted, for people."""
+    motion = result.T_reference_candidate.motion_at(centroid)
+    of_unit = f" {unit}" if unit else ""
+    shift = motion.shift * (abs(motion.shift) > 1e-14 * abs(centroid).max())  # what is less is rounding
+    across = ", ".join(f"{x:+.4g}" for x in shift)
+    yield f"shift at the centroid: {float(sum(shift**2)) ** 0.5:.4g}{of_unit} ({across})"
+    axis = "" if motion.axis is None else f" about ({', '.join(f'{x:+.4f}' for x in motion.axis)})"
+    yield f"turn: {motion.angle_deg:.4g} degrees{axis}"
+    solved = " (not solved for)" if motion.scale == 1 and not result.solved_scale else ""
+    yield f"scale: {motion.scale:.8g}{solved}"
+    sigma = "not fixed" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}"
+    state = {True: "converged", False: "NOT converged", None: "not iterated"}[result.converged]
+    yield (
+        f"{result.method}: {'the pose is DOUBTFUL, ' if result.doubtful else ''}rmse {result.rmse:.4g}, overlap"
+        f" {result.overlap:.1%}, {result.iterations} iterations, {state}, weakest direction's sigma {sigma}"
+    )
+    for point in result.check_points:
+        yield f"check point {point.name}: {point.error:.4g}"
+    yield "matrix candidate -> reference:"
 
 
 @click.command(short_help="Write a cloud in another format.")
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @las_options("a LAS file")
+@splat_options
+@click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Draw N points of a mesh, by area.")
 @quiet_option
-def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, quiet: bool) -> None:
-    """Write CLOUD to OUT in the format that OUT's ending names, with normals, colours and attributes."""
-    from pcbench.io import read_cloud, write_cloud
+def convert(
+    cloud: Path,
+    out: Path,
+    classes: str | None,
+    returns: str | None,
+    min_opacity: float | None,
+    max_axis: float | None,
+    sample: int | None,
+    quiet: bool,
+) -> None:
+    """Write CLOUD to OUT in the format that OUT's ending names, with normals, colours and attributes.
+
+    Of a mesh its vertices are written, or points drawn on it (--sample).
+    """
+    from pcbench.errors import InputError
+    from pcbench.geometry.cloud import Cloud
+    from pcbench.io import check_cloud_output, read_cloud, write_cloud
     from pcbench.io.files import check_output
+    from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
 
     check_output(out, (cloud,))
-    data = read_cloud(
-        cloud, on_warning=warn_unless(quiet), classes=numbers("--classes", classes, int), returns=las_returns(returns)
-    )
+    check_cloud_output(out)
+    filters: dict[str, Any] = {
+        "classes": numbers("--classes", classes, int),
+        "returns": las_returns(returns),
+        "min_opacity": min_opacity,
+        "max_axis": max_axis,
+    }
+    if sample is not None and not holds_mesh(cloud):
+        raise InputError(f"{cloud}: --sample draws points on a mesh, and this is none")
+    if sample is not None or is_mesh_alone(cloud):
+        if any(value is not None for value in filters.values()):
+            raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
+        mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
+        data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+    else:
+        data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
     write_cloud(out, data)
     if not quiet:
         click.echo(f"{out}: {len(data):,} points")
@@ -109,14 +173,33 @@ def convert(cloud: Path, out: Path, classes: str | None, returns: str | None, qu
 @click.command(short_help="Say what is in a cloud.")
 @click.argument("clouds", type=FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
-    """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes."""
+    """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes; faces, Gaussian splats."""
+    from pcbench.errors import InputError
+    from pcbench.geometry.cloud import Cloud
+    from pcbench.geometry.crs import crs_line
     from pcbench.geometry.neighbors import Index, median_spacing
+    from pcbench.geometry.splats import is_of_splats, splat_model, spread
     from pcbench.io import read_cloud
+    from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
 
     for path in clouds:
-        cloud = read_cloud(path, on_warning=warn)
+        mesh = None
+        if is_mesh_alone(path):
+            mesh = read_mesh(path, on_warning=warn)
+            cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+        else:
+            cloud = read_cloud(path, on_warning=warn)
+            if holds_mesh(path):
+                try:
+                    mesh = read_mesh(path, on_warning=warn)
+                except InputError as error:  # its points are there all the same
+                    warn(error)
         lower, upper = cloud.bounds
-        click.echo(f"{path}: {len(cloud):,} points")
+        click.echo(f"{path}: {len(cloud):,} {'vertices' if mesh is not None else 'points'}")
+        if mesh is not None:
+            click.echo(
+                f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}"
+            )
         click.echo(f"  from   {_triple(lower)}")
         click.echo(f"  to     {_triple(upper)}")
         click.echo(f"  size   {_triple(upper - lower)} {cloud.unit or ''}".rstrip())
@@ -125,9 +208,16 @@ def info(clouds: tuple[Path, ...]) -> None:
             spacing = median_spacing(index, index.nearest_other())  # of all points, as a comparison says it
             click.echo(f"  median distance to the nearest other point {spacing:.4g}")
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
-        click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}, crs {cloud.crs or 'unknown'}")
-        if cloud.attributes:
-            click.echo(f"  attributes {', '.join(cloud.attributes)}")
+        click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
+        click.echo(f", crs {crs_line(cloud.crs) if cloud.crs else 'unknown'}")
+        attributes = list(cloud.attributes)
+        if (splats := splat_model(cloud)) is not None:
+            degree = "unknown" if splats.sh_degree is None else splats.sh_degree
+            click.echo(f"  {splats.dimensions}D Gaussian splat model, {len(cloud):,} splats, SH degree {degree}")
+            click.echo(f"    opacity {spread(splats.opacities)}; largest axis {spread(splats.largest_axes)}")
+            attributes = [name for name in attributes if not is_of_splats(name)]
+        if attributes:
+            click.echo(f"  attributes {', '.join(attributes)}")
 
 
 def _triple(values: Any) -> str:

@@ -62,6 +62,14 @@ def las_options(files: str) -> Callable[[_Command], _Command]:
     return add
 
 
+def splat_options(command: _Command) -> _Command:
+    """Filters of models of Gaussian splats."""
+    axis = "Only Gaussian splats whose largest axis (sigma) is at most this."
+    command = click.option("--max-axis", type=POSITIVE, metavar="LENGTH", help=axis)(command)
+    opacity = FiniteRange(min=0, max=1)
+    return click.option("--min-opacity", type=opacity, metavar="0..1", help="Only Gaussian splats so opaque.")(command)
+
+
 def cameras_option(help: str = "auto, none, or a file or folder with cameras.") -> Callable[[_Command], _Command]:
     return click.option("--cameras", default="auto", show_default=True, metavar="WHICH", help=help)
 
@@ -87,6 +95,15 @@ def size_option(default: str) -> Callable[[_Command], _Command]:
 
 def no_figures_option(what: str = "pictures") -> Callable[[_Command], _Command]:
     return click.option("--no-figures", is_flag=True, help=f"Leave the {what} out.")
+
+
+def figure_options(command: _Command) -> _Command:
+    """How pictures look: the fields of `pcbench.report.Figures`."""
+    command = click.option("--format", "figure_format", metavar="KIND", help="Of pictures: png, svg or pdf.")(command)
+    command = click.option(
+        "--range", "color_range", type=POSITIVE, metavar="LENGTH", help="Of distances: where colours end."
+    )(command)
+    return click.option("--background", metavar="COLOUR", help="Of pictures: dark, white, black or #rrggbb.")(command)
 
 
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")

@@ -24,29 +24,30 @@ from pcbench.errors import InputError
 
 @click.command(short_help="List the reconstructors, or describe some.")
 @click.argument("specs", nargs=-1, metavar="[NAME | MODULE:CLASS | FILE.py:CLASS]...")
-def plugins(specs: tuple[str, ...]) -> None:
+@click.option(
+    "--time-limit", type=POSITIVE, default=60.0, show_default=True, metavar="SECONDS", help="Of the look at each."
+)
+def plugins(specs: tuple[str, ...], time_limit: float) -> None:
     """List the installed reconstructors, or describe those given: where they come from, what they are for, whether
     they can run here, and their settings with types and defaults.
     """
-    from pcbench.plugins import find_plugin, installed
+    from pcbench.plugins import installed
+    from pcbench.plugins.run import describe
 
     for spec in specs or installed():
-        try:
-            plugin = find_plugin(spec)
-        except InputError as error:
+        found = describe(spec, time_limit)
+        if found.problem is not None:
+            problem = found.problem if found.problem.startswith(spec.rpartition(":")[0]) else f"{spec}: {found.problem}"
             if specs:
-                raise
-            click.echo(f"{spec}: {error}")  # one that is broken hides no other
+                raise InputError(problem)
+            click.echo(problem)  # one that is broken hides no other
             continue
-        click.echo(f"{spec} ({plugin.origin}): {plugin.help or 'no description'}")
-        _, _, more = plugin.docstring.partition("\n\n")
-        if specs and more:
-            click.echo(textwrap.indent(f"\n{more}\n", "  "))
-        missing = plugin.missing
-        click.echo(f"  {'can run here' if missing is None else f'cannot run here: {missing}'}")
-        for setting in plugin.settings:
-            default = "must be given" if setting.default is None else f"default {setting.default}"
-            click.echo(f"  --set {setting.name}={setting.type}  ({default})")
+        click.echo(f"{spec} ({found.origin}): {found.help or 'no description'}")
+        if specs and found.more:
+            click.echo(textwrap.indent(f"\n{found.more}\n", "  "))
+        click.echo(f"  {'can run here' if found.missing is None else f'cannot run here: {found.missing}'}")
+        for setting, kind, default in zip(found.settings, found.types, found.defaults, strict=True):
+            click.echo(f"  --set {setting}={kind}  ({'must be given' if default is None else f'default {default}'})")
 
 
 @click.command(short_help="Make a cloud of a scene with a reconstructor.")
@@ -83,22 +84,30 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
-    from pcbench.plugins.run import ReconstructionJob, check_workspace, run
+    from pcbench.io.files import check_output
+    from pcbench.plugins.run import ReconstructionJob, check_workspace, note_made, run, was_made
     from pcbench.plugins.wgs84 import in_wgs84
     from pcbench.scenes import read_scene
     from pcbench.scenes.folders import find_images
-    from pcbench.scenes.write import check_cameras_output
+    from pcbench.scenes.write import cameras_files, check_cameras_output
     from pcbench.scenes.write import write_cameras as write
+    from pcbench.scratch import claim
 
-    check_cloud_output(out)
+    values = dict(key_value(text) for text in settings)
+    named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if Path(text).is_file()]
+    work = workspace or out.with_suffix(".work")
+    inputs = [scene, *named, *filter(None, [masks]), *([] if cameras in ("auto", "none") else [Path(cameras)])]
+    others = [] if write_cameras is None else cameras_files(write_cameras)
+    check_cloud_output(out, inputs if not was_made(work, out) else named, others)
     if write_cameras is not None:
         check_cameras_output(write_cameras, scene)
+    for file in filter(Path.exists, others):
+        check_output(file, inputs)
     sphere = read_scene(scene, cameras=cameras, on_warning=lambda _: None).sphere_origin() if wgs84 else None
-    values = dict(key_value(text) for text in settings)
     job = ReconstructionJob(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
+    click.get_current_context().with_resource(claim(out))
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
-        work = workspace or out.with_suffix(".work")
         check_workspace(work)
         result = run(job, work, time_limit, lambda text: step(f"reconstructing with {name}: {text}"))
     if not quiet:
@@ -111,6 +120,7 @@ def reconstruct(
     elif sphere is not None:
         warn(f"not brought to WGS84: the cloud is in an {made.gauge} gauge, not in the world of the cameras")
     write_cloud(out, made.cloud)
+    note_made(work, out)
     if write_cameras is not None and not made.cameras:
         warn(f"{write_cameras}: not written, {name} gave no cameras")
     elif write_cameras is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import (
     FILE,
     crop_option,
+    figure_options,
     given,
     las_options,
     las_returns,
@@ -20,6 +22,7 @@ from pcbench.cli.options import (
     quiet_option,
     register_option,
     seed_option,
+    splat_options,
     words,
 )
 from pcbench.errors import InputError
@@ -40,11 +43,17 @@ if TYPE_CHECKING:
     "--preset", "presets", multiple=True, metavar="NAME", help="open3d, pdal or tnt; gao2025 and mpeg always."
 )
 @click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
+@click.option(
+    "--m3c2", metavar="NAME=VALUE,...", help="M3C2 with radius, depth, normal_radius, cores=FILE of your own."
+)
 @las_options("LAS files")
+@splat_options
 @seed_option("Of the bootstrap.")
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
 @no_figures_option()
+@click.option("--full", is_flag=True, help="Print every metric, and every sentence.")
+@figure_options
 @quiet_option
 @click.pass_context
 def compare(
@@ -57,15 +66,23 @@ def compare(
     thresholds: str | None,
     presets: tuple[str, ...],
     maps: tuple[str, ...],
+    m3c2: str | None,
     classes: str | None,
     returns: str | None,
+    min_opacity: float | None,
+    max_axis: float | None,
     seed: int,
     settings_file: Path | None,
     json_file: str | None,
     no_figures: bool,
+    full: bool,
+    background: str | None,
+    color_range: float | None,
+    figure_format: str | None,
     quiet: bool,
 ) -> None:
-    """Measure how far CANDIDATES are from REFERENCE, both ways.
+    """Measure how far CANDIDATES are from REFERENCE, both ways. Prints the answer in words, what has to be known before
+    it is trusted, and the main numbers; the folder of --out holds all of them.
 
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
@@ -73,12 +90,17 @@ def compare(
     _multiply_on_one_thread()
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
+    from pcbench.report.figures import Figures
 
     if settings_file is not None:
-        options = ("register", "crop", "thresholds", "presets", "maps", "classes", "returns", "seed")
+        options = [
+            *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
+            *("max_axis", "seed"),
+        ]
         if reference is not None or any(given(context, name) for name in options):
             raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
         job = ComparisonJob.recorded(settings_file)
+        job = replace(job, figures=job.figures.changed(background, color_range, figure_format))
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -91,16 +113,20 @@ def compare(
             seed=seed,
             classes=numbers("--classes", classes, int),
             returns=las_returns(returns),
+            min_opacity=min_opacity,
+            max_axis=max_axis,
+            m3c2=m3c2,
         )
-        job = ComparisonJob.of(reference, candidates, settings)
-    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet)
+        figures = Figures().changed(background, color_range, figure_format)
+        job = ComparisonJob.of(reference, candidates, settings, figures)
+    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full)
 
 
 def compare_and_print(
-    job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool
+    job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool, full: bool = False
 ) -> Comparison:
-    """Compare files, write what is asked for, and print the table or the JSON document."""
-    from pcbench.report import document, print_table, to_json
+    """Compare files, write what is asked for, and print the answer or the JSON document."""
+    from pcbench.report import document, print_comparison, to_json
     from pcbench.report.compare_files import Outputs, compare_files
 
     to_stdout = json_file == "-"
@@ -110,9 +136,7 @@ def compare_and_print(
     if to_stdout:
         click.echo(to_json(document(outcome.comparison)), nl=False)
     elif not quiet:
-        print_table(outcome.comparison)
-        if out is not None:
-            click.echo(f"report: {out}")
+        print_comparison(outcome.comparison, full=full, folder=out)
     if outcome.without_figures:
         warn(outcome.without_figures)
     return outcome.comparison
@@ -152,9 +176,8 @@ def deform(
         for warning in outcome.warnings:
             warn(warning)
         click.echo(found.sentence(candidate.name, outcome.unit or ""))
-        if found.verdict != "undecided":  # then the sentence holds them
-            for notice in found.warnings:
-                warn(str(notice))
+        for notice in found.further_warnings:
+            warn(str(notice))
         for rung in found.rungs:
             mark = "*" if rung.model == found.model else " "
             score, error = rung.cv_score**0.5, rung.cv_se / (2 * rung.cv_score**0.5 or 1.0)
@@ -175,20 +198,35 @@ def deform(
 @click.command(short_help="Draw a report's pictures again.")
 @click.argument("report", type=FILE)
 @click.argument("names", nargs=-1)
+@figure_options
 @quiet_option
-def plot(report: Path, names: tuple[str, ...], quiet: bool) -> None:
+def plot(
+    report: Path,
+    names: tuple[str, ...],
+    background: str | None,
+    color_range: float | None,
+    figure_format: str | None,
+    quiet: bool,
+) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
-    a_distance, a_plane_distance; of a bench speed, accuracy_completeness). Needs no display.
+    a_distance, a_completeness; of a bench speed, accuracy_completeness), as PNG or as their endings say:
+    distribution.svg. They look as the report was made with, but for what is given here. Needs no display.
     """
-    from pcbench.report.plot import REPORT, draw
+    from pcbench.progress import Step
+    from pcbench.report.figures import recorded_figures
+    from pcbench.report.plot import REPORT, draw, drawing_seconds
+    from pcbench.scratch import claim
     from pcbench.studies.bench.charts import CHARTS
 
     drawer = next((drawer for drawer in (REPORT, CHARTS) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(f"{report}: expected a report folder (with comparison.json) or a bench's (with bench.json)")
+    click.get_current_context().with_resource(claim(report))
+    look = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
     with steps(quiet) as step:
-        step("drawing")
-        written = draw(report, names, drawer)
+        candidates = len(list(report.glob("*_deviation.ply"))) or 1
+        step(Step("drawing", 1.0 + 0.5 * len(names) if names else drawing_seconds(candidates)))
+        written = draw(report, names, drawer, look)
     if not quiet:
         for path in written:
             click.echo(path)

@@ -50,6 +50,10 @@ def scene(
     from pcbench.io.files import check_output
     from pcbench.scenes import read_scene
 
+    if write_cameras is not None:
+        from pcbench.scenes.write import check_cameras_kept
+
+        check_cameras_kept(write_cameras, scene, None if cameras in ("auto", "none") else Path(cameras))
     say = warn_unless(quiet)
     told = (lambda text: None if "--wgs84" in text else say(text)) if wgs84 else say
     data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=told)
@@ -150,13 +154,23 @@ def city(
 @click.option("--rms", required=True, type=float, help="What no affine map explains, in the cloud's unit.")
 @click.option("--rotate", default="0,0,0", show_default=True, metavar="X,Y,Z", help="Degrees about each axis, after.")
 @click.option("--shift", default="0,0,0", show_default=True, metavar="X,Y,Z", help="In the cloud's unit, after.")
-@click.option("--scale", default=1.0, show_default=True, help="About the origin, after.")
+@click.option("--scale", default=1.0, show_default=True, help="After.")
+@click.option(
+    "--about",
+    default="centre",
+    show_default=True,
+    metavar="PLACE",
+    help="What is turned and scaled about: centre (of the cloud's bounding box), origin, or X,Y,Z.",
+)
 @quiet_option
-def warp(cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str, scale: float, quiet: bool) -> None:
+def warp(
+    cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str, scale: float, about: str, quiet: bool
+) -> None:
     """Write CLOUD to OUT deformed in a known way, and what was done to it beside, as JSON (OUT with .json added).
 
     dome and bowl bend it over its horizontal extent; shear leans over with the square of the height; twist turns with
-    height; subsidence is a local basin; drift bends the longest axis. A rotation, a scale and a shift follow.
+    height; subsidence is a local basin; drift bends the longest axis. A rotation and a scale about the cloud's centre,
+    and a shift, follow.
     """
     from pcbench.io import read_cloud
     from pcbench.io.files import check_output
@@ -164,8 +178,14 @@ def warp(cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str,
 
     for path in (out, record_path(out)):
         check_output(path, (cloud,))
-    after = turn(triple("--rotate", rotate), triple("--shift", shift), scale)
+    angles, offset = triple("--rotate", rotate), triple("--shift", shift)
+    if about not in ("centre", "origin") and about.count(",") != 2:
+        raise InputError(f"expected --about as centre, origin or three numbers x,y,z, got {about!r}")
+    given = None if about in ("centre", "origin") else triple("--about", about)
     data = read_cloud(cloud, on_warning=warn_unless(quiet))
+    lower, upper = data.bounds
+    place = given or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
+    after = turn(angles, offset, scale, place)
     record = write_warped(out, data, warp_of(kind, data.points, rms, after))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")

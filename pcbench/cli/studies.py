@@ -23,6 +23,7 @@ from pcbench.cli.options import (
     size_option,
 )
 from pcbench.cli.reports import compare_and_print
+from pcbench.errors import ReconstructionError
 
 if TYPE_CHECKING:
     from pcbench.studies.bench.runs import BenchJob
@@ -50,8 +51,11 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     from pcbench.report.compare_files import ComparisonJob
     from pcbench.scenes.synthetic import demo as make_demo
     from pcbench.scenes.synthetic.files import check_demo_folder, write_demo
+    from pcbench.scratch import claim
 
     check_demo_folder(out)
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    click.get_current_context().with_resource(claim(out))
     with steps(quiet) as step:
         step("making the city")
         made = make_demo(points, seed)
@@ -177,6 +181,8 @@ def _bench_and_print(job: BenchJob, out: Path, *, figures: bool, quiet: bool) ->
         click.echo(f"bench: {out}")
     if figures and without:
         warn(without)
+    if not any(row["status"] == "ok" for row in doc["rows"]):
+        raise ReconstructionError(f"{out}: none of {len(doc['rows'])} runs could be measured: see the messages there")
 
 
 @click.group(short_help="Questions answered on scenes whose truth is known.")

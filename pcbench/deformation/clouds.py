@@ -9,19 +9,19 @@ from pcbench.deformation.pairs import Side
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
 from pcbench.errors import InputError
-from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
+from pcbench.io import CloudLike, to_cloud
 from pcbench.registration import Method, Registration, Target, local_origin, register
 
 
 def deform(
-    reference: Cloud | ArrayLike,
-    candidate: Cloud | ArrayLike,
+    reference: CloudLike,
+    candidate: CloudLike,
     method: Method | Similarity | ArrayLike | str = "icp",
     crop: Region | str = "none",
     seed: int = 0,
@@ -29,8 +29,8 @@ def deform(
     """Register a candidate and say whether it is deformed beyond that, how much (in the reference's unit), and where.
 
     Args:
-        reference, candidate: clouds, or (N, 3) arrays. Without a unit or a coordinate system the scale is not known,
-            and another one is no deformation.
+        reference, candidate: clouds, (N, 3) arrays, or paths of files with clouds. Without a unit or a coordinate
+            system the scale is not known, and another one is no deformation.
         method: how the candidate is registered, or its given pose, as `pcbench.register` takes it.
         crop: which part counts: a region in the reference's coordinates, or its text, see
             `pcbench.geometry.region_text.parse_region`. Points outside are still searched.
@@ -42,7 +42,7 @@ def deform(
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
         raise InputError(f"expected the seed as a whole number >= 0, got {type(seed).__name__}")
-    reference, candidate = as_cloud(reference), as_cloud(candidate)
+    reference, candidate = to_cloud(reference), to_cloud(candidate)
     origin = local_origin(reference)
     target = Target.of(reference, origin)
     found = register(reference, candidate, method, target=target)

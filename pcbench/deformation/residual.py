@@ -12,12 +12,13 @@ from pcbench.deformation.breaks import find_break
 from pcbench.deformation.displacement import share_of
 from pcbench.deformation.field import local_changes
 from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
-from pcbench.deformation.result import Deformation
+from pcbench.deformation.result import POSE_NOT_FIXED, Deformation
 from pcbench.deformation.verdict import Finding, View, decide
 from pcbench.errors import Notice
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, rounding_of
 from pcbench.geometry.crs import euclidean_offsets
 from pcbench.registration import Registration
+from pcbench.registration.result import UNOBSERVABLE
 
 _RESOLUTION = 5e-3  # spacings of the points that planes go through
 _MIN_GAIN = 0.1  # of the median distance: so much nearer the clouds are under the bend, or it is not what they show
@@ -27,6 +28,7 @@ _MANY_ROUGH = 0.9  # of the pairs: most of a city that is seen at metres is corn
 _MIN_INLIERS, _MAX_DISTANCE = 0.85, 1.25  # of pairs that belong together, and spacings that they lie apart
 _MIN_MAP_COORDINATE = 1e5  # beyond it, coordinates are a map's
 _EARTH_RADIUS = 6.37e6  # metres
+_DOUBTFUL = "doubtful-registration"
 
 
 def residual_deformation(
@@ -75,6 +77,9 @@ def residual_deformation(
     answer = describe(described, finding, resolution=resolution, seed=seed)
     if described is not whole:
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
+    if finding.verdict == "undecided" and finding.warnings[0].code in (_DOUBTFUL, POSE_NOT_FIXED):
+        answer = answer.withheld()
+    answer = answer.without_rounding(rounding_of(reference.surface.points, origin))
     return answer.shifted(origin).with_warnings(notes)
 
 
@@ -96,13 +101,22 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
     """A finding, withheld where the pose that it rests on is wrong or may be."""
     if registration.doubtful:
         text = "the registration is doubtful, and every verdict rests on it: see its warnings"
-        return finding.undecided(Notice("doubtful-registration", text))
+        return finding.undecided(Notice(_DOUBTFUL, text))
     if pairs.inliers < _MIN_INLIERS and pairs.distance > _MAX_DISTANCE * pairs.spacing:
         text = (
             f"{1 - pairs.inliers:.0%} of the closest points do not belong together, and clouds of this spacing should"
             " lie nearer: they are not registered (--register icp does that), or much has changed"
         )
         return finding.undecided(Notice("not-registered", text))
+    if UNOBSERVABLE in {notice.code for notice in registration.warnings}:
+        if finding.verdict in ("similarity", "affine", "non-affine") and registration.converged is not None:
+            text = (
+                "the geometry does not fix the pose that was found, and what looks deformed may be what slid: see the"
+                " registration's warnings; a pose that is known otherwise settles it (--register matrix:FILE)"
+            )
+            return finding.undecided(Notice(POSE_NOT_FIXED, text))
+        notice = Notice(POSE_NOT_FIXED, "as far as the geometry fixes the pose")
+        return finding._replace(warnings=(notice, *finding.warnings))
     return finding
 
 
@@ -117,7 +131,7 @@ def _without_map_projection(
     noise = 1.4826 * float(np.median(np.abs(pairs.left)))
     if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
         sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
-        if sagitta > 0.2 * noise:
+        if sagitta > 0.2 * noise and noise > rounding_of(reference.surface.points, origin):
             text = (
                 "coordinates look like a map's, but no file says which: against a Euclidean cloud the Earth's"
                 f" curvature alone bends it by {sagitta:.2g} (if the unit is the metre)"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
+POSE_NOT_FIXED = "pose-not-fixed"  # the geometry does not fix some motion: the verdict speaks of what it does fix
 _MOVED = 5.0  # standard deviations of a pair's noise, from which on a changed tile is worth a word
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
@@ -246,11 +247,27 @@ class Deformation:
         return found
 
     def sentence(self, name: str = "the candidate", unit: str = "") -> str:
-        """The verdict on a candidate of that name in words; `unit` is the clouds'."""
-        unit = f" {unit}" if unit else ""
+        """The verdict on a candidate of that name in words; `unit` is the clouds'.
+
+        It begins with what limits it: the reasons of an undecided one, and a pose that the geometry does not fix.
+        """
+        notice = next((notice for notice in self.warnings if notice.code == POSE_NOT_FIXED), None)
+        lead = "" if notice is None or self.verdict == "undecided" else f"{notice}, "
+        return lead + self._verdict_in_words(name, f" {unit}" if unit else "")
+
+    @property
+    def further_warnings(self) -> tuple[Notice, ...]:
+        """Those that the sentence does not hold."""
+        if self.verdict == "undecided":
+            return ()
+        return tuple(notice for notice in self.warnings if notice.code != POSE_NOT_FIXED)
+
+    def _verdict_in_words(self, name: str, unit: str) -> str:
         parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
             return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}{parts}"
+        if self.remaining_rms == 0 and self.verdict == "none":
+            return f"{name} lies on the reference but for the rounding of coordinates: it is not deformed{parts}"
         limit = self.minimum_detectable_rms
         unseen = "" if limit is None else f" (a dome of {limit:.3g}{unit} RMS would show)"
         if self.verdict == "non-affine" and self.amplitude is not None:
@@ -267,6 +284,11 @@ class Deformation:
             return f"{name} has another scale than the reference, but is not bent{unseen}{parts}"
         whole = " as a whole" if parts else ""
         return f"{name} is not deformed against the reference{whole}{unseen}{parts}"
+
+    @property
+    def part_moved(self) -> bool:
+        """Whether a part of the scene surely moved by itself."""
+        return bool(self._parts_that_moved(""))
 
     def _parts_that_moved(self, unit: str) -> str:
         local, noise = self.local, self.noise
@@ -302,8 +324,41 @@ class Deformation:
         }
         return replace(self, local=whole.local, field=Field(**parts))
 
+    def withheld(self) -> Deformation:
+        """Without the sizes, the places and the evidence, which mean nothing where the pose may be wrong."""
+        return replace(
+            self,
+            p_value=None,
+            amplitude=None,
+            growth=None,
+            local=None,
+            minimum_detectable_rms=None,
+        )
+
+    def without_rounding(self, rounding: float) -> Deformation:
+        """Where all that remains is the rounding of coordinates, sizes that come of it are zero."""
+        if self.remaining_rms is None or self.remaining_rms > rounding:
+            return self
+        return replace(
+            self,
+            remaining_rms=0.0,
+            rungs=tuple(replace(rung, cv_score=0.0, cv_se=0.0, rms_explained=0.0) for rung in self.rungs),
+            amplitude=self.amplitude and _scaled(self.amplitude, 0.0),
+            noise=self.noise and replace(self.noise, sigma_white=0.0, sigma_correlated=0.0),
+            minimum_detectable_rms=None if self.minimum_detectable_rms is None else 0.0,
+        )
+
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         return replace(self, warnings=(*self.warnings, *notes))
+
+
+def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
+    """The same times a factor."""
+
+    def times(value: Any) -> Any:
+        return tuple(map(times, value)) if isinstance(value, tuple) else None if value is None else factor * value
+
+    return Amplitude(*(times(getattr(amplitude, item.name)) for item in dataclasses.fields(amplitude)))
 
 
 def _p(value: float | None) -> str:

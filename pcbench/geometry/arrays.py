@@ -13,6 +13,13 @@ IntArray = NDArray[np.int64]
 _Array = TypeVar("_Array", bound=NDArray[Any])
 
 MAX_COORDINATE = 1e100  # squared distances between coordinates beyond it overflow
+_ROUNDINGS = 16  # in the last digit of a coordinate
+
+
+def rounding_of(points: FloatArray, origin: FloatArray) -> float:
+    """A length that coordinates of points (N, 3) plus an origin (3,) are surely rounded by, after a few operations."""
+    largest = max(float(np.abs(corner + origin).max()) for corner in bounds(points))
+    return _ROUNDINGS * float(np.finfo(np.float64).eps) * largest
 
 
 def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,31 +1,12 @@
-"""Clouds cut to a region."""
+"""Points cut to a region."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cloud import Cloud, as_cloud
-from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Mask, Region
-
-
-def crop(cloud: Cloud | ArrayLike, region: Region | str) -> Cloud:
-    """The points of a cloud inside a region, with their normals, colours and attributes.
-
-    Args:
-        cloud: the cloud, or its points (N, 3).
-        region: in the cloud's coordinates; or its text, see `pcbench.geometry.region_text.parse_region`, where
-            `reference` and `quantile:q` speak of this cloud.
-
-    Raises:
-        InputError: the text names no region, or no point of the cloud lies inside.
-    """
-    cloud = as_cloud(cloud)
-    found = as_region(region, cloud)
-    return cloud if found is None else cloud.select(points_inside(cloud.points, found, region, "the cloud's"))
 
 
 def points_inside(points: FloatArray, region: Region | None, given: Region | str, whose: str) -> Mask:

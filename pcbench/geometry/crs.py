@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import fit_similarity
+
+_MAX_LINE = 100
 
 
 def same_crs(first: str, second: str) -> bool:
@@ -25,6 +28,22 @@ def crs_name(text: str) -> str:
         return text if len(text) <= 40 else f"{text[:37]}..."
     authority = crs.to_authority(min_confidence=100)
     return ":".join(authority) if authority else str(crs.name)
+
+
+def crs_line(text: str) -> str:
+    """A system for people: its name and, where there is one, its authority code, in one line of at most 100 letters.
+
+    Without pyproj the name that WKT begins with, else the text itself, is all that is known.
+    """
+    crs = _parsed(text)
+    if crs is not None:
+        code = crs.to_authority(min_confidence=100)
+        line = f"{crs.name} ({':'.join(code)})" if code else str(crs.name)
+    else:
+        quoted = re.match(r'\s*\w+\s*\[\s*"([^"]+)"', text)
+        line = quoted[1] if quoted else text
+    line = " ".join(line.split())
+    return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE - 3]}..."
 
 
 def is_known(text: str | None) -> bool:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +14,22 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 
 _MAX_REWEIGHTINGS = 30
+
+
+class Motion(NamedTuple):
+    """A similarity as people imagine one: what it does to a place, and how it turns and scales about that place.
+
+    Attributes:
+        shift: (3,) from the place to where it goes.
+        angle_deg: of the rotation, from 0 to 180.
+        axis: (3,) of unit length, about which it turns counter-clockwise; None where it does not turn.
+        scale: above zero.
+    """
+
+    shift: FloatArray
+    angle_deg: float
+    axis: FloatArray | None
+    scale: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +167,36 @@ class Similarity:
     def about(self, origin: FloatArray) -> Similarity:
         """The same motion for coordinates that still carry `origin`: this one was found after subtracting it."""
         return Similarity(self.rotation, self.translation + origin - self.linear @ origin, self.scale)
+
+    def motion_at(self, place: ArrayLike) -> Motion:
+        """What the transform does, seen from a place (3,): a matrix's translation is what it does to the origin, which
+        is far from most clouds.
+        """
+        place = np.asarray(place, np.float64)
+        angle, axis = _angle_and_axis(self.rotation)
+        return Motion(self.apply(place[None])[0] - place, float(np.degrees(angle)), axis, self.scale)
+
+
+def _angle_and_axis(rotation: FloatArray) -> tuple[float, FloatArray | None]:
+    """In radians from 0 to pi, and of unit length, (3,); by the unit quaternion, exact for small angles and half turns
+    alike (Shepperd 1978: *Quaternion from rotation matrix*).
+    """
+    r, trace = rotation, np.trace(rotation)
+    squares = np.array([1 + trace, *(1 - trace + 2 * np.diag(r))])  # of 2 w, 2 x, 2 y, 2 z: the largest divides
+    largest = int(np.argmax(squares))
+    if largest == 0:
+        quaternion = np.array([squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    else:
+        i, j, k = largest - 1, largest % 3, (largest + 1) % 3
+        quaternion = np.empty(4)
+        quaternion[0], quaternion[1 + i] = r[k, j] - r[j, k], squares[largest]
+        quaternion[1 + j], quaternion[1 + k] = r[j, i] + r[i, j], r[k, i] + r[i, k]
+    quaternion /= np.linalg.norm(quaternion)
+    sine = float(np.linalg.norm(quaternion[1:]))
+    if sine < 1e-12:  # rounding has no axis
+        return 0.0, None
+    axis: FloatArray = quaternion[1:] * (1 if quaternion[0] >= 0 else -1) / sine
+    return 2 * math.atan2(sine, abs(float(quaternion[0]))), axis
 
 
 def _homogeneous(linear: FloatArray, translation: FloatArray) -> FloatArray:

@@ -29,6 +29,9 @@ _MODELS = {
 _PARAMETERS = dict(_MODELS.values())
 
 
+MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # that are written
+
+
 def is_colmap_model(folder: Path) -> bool:
     """Whether a folder holds the cameras and images of a model, in text or binary."""
     return any((folder / f"cameras{e}").is_file() and (folder / f"images{e}").is_file() for e in (".bin", ".txt"))
@@ -208,7 +211,7 @@ def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | 
         for number, (xyz, rgb) in enumerate(zip(points.points, colors, strict=True), 1):
             rows.append(f"{number} {_numbers(xyz)} {rgb[0]} {rgb[1]} {rgb[2]} 0")
     folder.mkdir(parents=True, exist_ok=True)
-    for name, lines in (("cameras.txt", table), ("images.txt", images), ("points3D.txt", rows)):
+    for name, lines in zip(MODEL_FILES, (table, images, rows), strict=True):
         with atomic_write(folder / name) as file:
             file.write("\n".join([*lines, ""]).encode())
 

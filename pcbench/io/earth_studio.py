@@ -8,7 +8,6 @@ y down, z forward) in that frame are the columns of Rx(x) Ry(y) Rz(z).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84, radii_of_curvature
 from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.io.files import read_json
 
 # What is said of Earth Studio's own project file.
 PROJECT = (
@@ -49,7 +49,7 @@ def read_earth_studio(path: Path) -> EarthStudio:
             starts with the path.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
+        document = read_json(path)
         if not isinstance(document, dict) or not document.get("cameraFrames"):
             raise InputError("expected an Earth Studio camera export with cameraFrames")
         return _earth_studio(document)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import secrets
+import json
 import stat
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
+from pcbench.scratch import scratch_file
 
 Warn = Callable[[str], None]
 T = TypeVar("T")
@@ -33,6 +34,21 @@ class Fields(TypedDict, total=False):
     attributes: Mapping[str, NDArray[Any]]
     crs: str | None
     unit: str | None
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        InputError: it is no JSON, or nested too deeply; the message does not name the path.
+        OSError: it cannot be read.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except RecursionError:
+        raise InputError("expected JSON, got some that is nested too deeply to be read") from None
+    except ValueError as error:
+        raise InputError(f"expected JSON: {error}") from None
 
 
 def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | None) -> T:
@@ -136,14 +152,22 @@ def named_file(setting: object) -> Path | None:
     return Path(path.strip()) if path and kind.strip().lower() in _NAMING_A_FILE else None
 
 
-def check_output(path: Path, inputs: Sequence[Path]) -> None:
+def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()) -> None:
     """Say before anything is computed that a result cannot be written there.
 
+    Args:
+        inputs: files, and folders of whose files none may be replaced.
+        others: further results.
+
     Raises:
-        InputError: the folder does not exist, or an input would be replaced.
+        InputError: the folder does not exist, or an input or another result would be replaced.
     """
-    if any(path.resolve() == given.resolve() for given in inputs):
-        raise InputError(f"{path}: the result would replace an input: choose another name")
+    target = path.resolve()
+    for given in inputs:
+        if target == given.resolve() or (path.exists() and target.is_relative_to(given.resolve())):
+            raise InputError(f"{path}: the result would replace an input: choose another name")
+    if any(target == other.resolve() for other in others):
+        raise InputError(f"{path}: two results would be written there: give each a name of its own")
     if path.is_dir() or not path.absolute().parent.is_dir():
         raise InputError(f"{path}: expected the name of a file in an existing folder")
 
@@ -158,13 +182,16 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     target = path.resolve()  # through a symbolic link, as a plain open() would write
     if target.exists() and not target.is_file():
         raise OSError(f"cannot write to {path}: it is a folder or a device")
-    temporary = target.with_name(f".pcbench-{secrets.token_hex(8)}.tmp")
-    try:
-        with temporary.open("xb") as file:
-            yield file
+    with scratch_file(path) as (temporary, file):
+        yield file
+        file.flush()
         temporary.replace(target)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename == str(temporary):  # the name that the user gave
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise
+
+
+def reading_seconds(path: Path) -> float:
+    """Roughly what reading a file of points takes, for progress bars; 0 where there is none."""
+    try:
+        size = path.stat().st_size
+    except OSError:
+        return 0.0
+    return 0.02 + size / (20e6 if path.suffix.lower() in (".laz", ".txt", ".xyz", ".csv", ".pts", ".asc") else 200e6)

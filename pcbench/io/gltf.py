@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import struct
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
 from pcbench.io.files import Warn
 from pcbench.io.polygons import merged
+from pcbench.scratch import scratch_folder
 
 
 def read_glb(path: Path, warn: Warn) -> Mesh:
@@ -64,8 +64,8 @@ def _read_with_trimesh(path: Path) -> Mesh:
     memory, seconds = (2 << 30) + 60 * size, 30 + size // 1_000_000
     # One thread: a thread pool takes address space, which is what is limited.
     one_thread = {"OPENBLAS_NUM_THREADS": "1"}
-    with tempfile.TemporaryDirectory(prefix="pcbench-") as folder:
-        outputs = [Path(folder) / "vertices.npy", Path(folder) / "faces.npy"]
+    with scratch_folder() as folder:
+        outputs = [folder / "vertices.npy", folder / "faces.npy"]
         limits = Limits(seconds=2 * seconds, cpu_seconds=seconds, memory=memory)
         done = run_script(
             trimesh_child.__file__, str(path.resolve()), *map(str, outputs), limits=limits, environment=one_thread

@@ -17,6 +17,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import laz
 from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.las_checks import check_points
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
 from pcbench.io.las_header import (
     EXTRA,
@@ -60,7 +61,8 @@ def read_las(
 
     Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id as far as
     the point format has them, and the extra bytes, scaled where they say so and NaN where they hold no data. 16-bit
-    colours lose their lower byte. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz are the normals.
+    colours lose their lower byte. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz are the normals. Warnings say
+    where the points are not within the bounds, or not of the returns, that the header says.
 
     Args:
         classes: numbers of the classes to keep, such as (2, 6) for ground and buildings.
@@ -75,7 +77,7 @@ def read_las(
         header = read_header(file, warn)
         extras = read_extras(header, warn)
         if header.compressed:
-            data = laz.decompress(file, header)
+            data = laz.decompress(file, header, warn)
         else:
             complete = (header.end - header.start) // header.record_bytes
             if complete < header.count:
@@ -86,6 +88,7 @@ def read_las(
             file.seek(header.start)
             file.readinto(data.data)
     records = data.view(_record_type(header, extras))
+    check_points(records, *_returns(records, header), header, warn)
     withheld = records["flags"] & 4 if header.extended else records["class_flags"] & 128
     if count := int(np.count_nonzero(withheld)):
         warn(f"{count} of {header.count} points are marked as withheld; they were kept")

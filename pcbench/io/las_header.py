@@ -77,6 +77,8 @@ class Header:
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
     records: dict[tuple[str, int], bytes]  # by user and number
+    bounds: tuple[tuple[float, ...], tuple[float, ...]] | None  # least and greatest x, y, z; None where all are zero
+    by_return: tuple[int, ...]  # how many points are the first, second, ... return; empty where all are zero
 
     @property
     def extended(self) -> bool:
@@ -124,9 +126,12 @@ def read_header(file: BinaryIO, warn: Warn) -> Header:
     if not all(math.isfinite(number) for number in (*scales, *offsets)) or 0 in scales:
         raise InputError(f"expected finite scales other than 0 and finite offsets, got {scales} and {offsets}")
 
+    highest, lowest = fields[27:33:2], fields[28:33:2]
+    by_return = fields[16:21]
     end, first_evlr, evlr_count = size, 0, 0
     if minor == 4:
-        _, first_evlr, evlr_count, long_count = HEADER_1_4.unpack_from(block, HEADER.size)[:4]
+        _, first_evlr, evlr_count, long_count, *long_by_return = HEADER_1_4.unpack_from(block, HEADER.size)
+        by_return = tuple(long_by_return) if any(long_by_return) else by_return
         if long_count and count not in (0, long_count):
             raise InputError(f"the header says both {count} and {long_count} points: export the file again")
         count = long_count or count
@@ -141,7 +146,8 @@ def read_header(file: BinaryIO, warn: Warn) -> Header:
         except InputError as error:
             warn(f"extended records left out: {error}")
     return Header(
-        point_format, bool(format_byte & 0xC0), record_bytes, count, start, end, scales, offsets, records
+        point_format, bool(format_byte & 0xC0), record_bytes, count, start, end, scales, offsets, records,
+        (lowest, highest) if any((*lowest, *highest)) else None, by_return if any(by_return) else (),
     )  # fmt: skip
 
 

@@ -1,5 +1,8 @@
 """The compressed points of LAZ and COPC files, through lazrs.
 
+LAZ has no checksums, and lazrs decodes damaged bytes to whatever they mean. What was decoded is therefore encoded
+again: LASzip and lazrs write the same bytes for the same points, so that other bytes are damage, or another program's.
+
 Martin Isenburg, "LASzip: lossless compression of LiDAR data", Photogrammetric Engineering & Remote Sensing, 2013.
 """
 
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
+from pcbench.io.files import Warn
 from pcbench.io.las_header import Header
 
 LASZIP = ("laszip encoded", 22204)
@@ -26,10 +30,11 @@ _VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table tells how many points a c
 
 # A file may grow so many times when unpacked: real clouds shrink 3 to 20 times, a bare grid a few hundred times.
 _MAX_GROWTH, _MAX_FREE_GROWTH = 1000, 256 << 20
+_SOME_DIFFER, _ALL_DIFFER = 4, 5  # exit statuses of the worker: points that encode to other bytes
 _WORKER = str(Path(__file__).with_name("laz_worker.py"))
 _MAX_WORKER_MEMORY = 1 << 30  # bytes of address space, beside twice the points: code, stacks, one heap a thread
 _MAX_WORKER_SECONDS = 30.0  # and what it takes for the points at this speed at least:
-_MIN_WORKER_SPEED = 1e6  # bytes a second, where lazrs does 50 million on one core
+_MIN_WORKER_SPEED = 1e6  # bytes a second, where lazrs does 30 million on one core, both ways
 
 
 def require_lazrs() -> None:
@@ -38,8 +43,11 @@ def require_lazrs() -> None:
         raise MissingExtra("lazrs", "las")
 
 
-def decompress(file: BinaryIO, header: Header) -> NDArray[np.uint8]:
+def decompress(file: BinaryIO, header: Header, warn: Warn) -> NDArray[np.uint8]:
     """The point records as they would stand in a LAS file, (count * record_bytes,).
+
+    A warning says where nothing vouches for them: no chunk of them, encoded again, gives the bytes in the file. Where
+    some chunks do, one program wrote all, and the others are damaged.
 
     Raises:
         InputError: the compressed data are damaged.
@@ -66,7 +74,17 @@ def decompress(file: BinaryIO, header: Header) -> NDArray[np.uint8]:
     )
     if done.code == 3:
         raise MissingExtra("lazrs", "las", "it is installed but does not load")
-    if done.code or done.received < total:
+    if done.code == _SOME_DIFFER and done.received == total and len(words := done.last_words.split()) == 2:
+        raise _damaged(
+            f"{words[0]} of {header.count} points, from point {int(words[1]) + 1} on, do not encode to the bytes that"
+            " they were decoded from"
+        )
+    if done.code == _ALL_DIFFER and done.received == total:
+        warn(
+            "the compressed points are damaged, or were written by another program than LASzip and lazrs: encoded again"
+            " they give other bytes, so nothing vouches for them"
+        )
+    elif done.code or done.received < total:
         raise _damaged(f"{done.received // header.record_bytes} of {header.count} points could be decompressed")
     return points
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn, check_readable, read_named
-from pcbench.io.formats import MESHES
+from pcbench.io.formats import CLOUDS, MESHES
 from pcbench.io.ply import holds_faces
 
 
@@ -40,6 +40,12 @@ def holds_mesh(path: str | os.PathLike[str]) -> bool:
         return holds_faces(path)
     except (InputError, OSError):
         return False  # whoever reads it says what is wrong
+
+
+def is_mesh_alone(path: str | os.PathLike[str]) -> bool:
+    """Whether the file's format holds meshes and no clouds."""
+    suffix = Path(path).suffix.lower()
+    return suffix in MESHES and suffix not in CLOUDS
 
 
 def _read(path: Path, warn: Warn) -> Mesh:

@@ -64,7 +64,7 @@ def _ascii_stl(data: bytes) -> FloatArray:
     if max(map(len, words)) > _MAX_WORD:
         raise InputError(f"expected words of at most {_MAX_WORD} characters: the file is damaged")
     whole = len(words) - len(words) % len(_STL_FACET)
-    table = np.array(words[:whole]).reshape(-1, len(_STL_FACET))
+    table = np.array(words[:whole], dtype=f"S{_MAX_WORD}").reshape(-1, len(_STL_FACET))
     wrong = np.flatnonzero((np.char.lower(table[:, _STL_WORDS]) != np.array(_STL_FACET)[_STL_WORDS]).any(axis=1))
     if len(wrong) or whole < len(words):
         facet = wrong[0] if len(wrong) else len(table)

@@ -17,7 +17,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, rotation_from
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write
+from pcbench.io.files import atomic_write, read_json
 
 Size = tuple[int, int]
 
@@ -54,7 +54,7 @@ def read_transforms(
     """
     warn = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
     try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
+        document = read_json(path)
         if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
             raise InputError("expected a JSON object with a list of frames")
     except InputError as error:

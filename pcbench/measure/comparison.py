@@ -23,19 +23,16 @@ from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.voxels import voxel_downsample_to
 from pcbench.measure import intervals, presets
-from pcbench.measure.deviation import DeviationMap, m3c2
+from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction, from_candidate, from_reference
+from pcbench.measure.m3c2 import M3C2Settings, compare_along_normals
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, Comparison, Difference
 from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
+from pcbench.progress import Plan
 from pcbench.registration import Registration, register
-
-_MAX_CORES = 50_000  # M3C2 core points: the reference, voxel-downsampled
-_CYLINDER_RADIUS = 6  # median spacings of the sparser cloud: about 30 of its points a cylinder
-_CYLINDER_REACH = 1  # radii to either side: farther ones meet the other side of a house
 
 
 def compare(
@@ -71,21 +68,35 @@ def compare(
     )
     if not named:
         raise InputError("expected at least one candidate, got none")
-    step = on_step or (lambda _: None)
+    read = replace(settings, m3c2=settings.m3c2.read()) if isinstance(settings.m3c2, M3C2Settings) else settings
+    clouds = {name: as_cloud(cloud) for name, cloud in named.items()}
+    given = reference if isinstance(reference, Mesh) else as_cloud(reference)
+    step = Plan(on_step or (lambda _: None), expected_seconds(given, clouds, settings))
 
     step("indexing the reference")
     shared: dict[str, float] = {}
     with _timed(shared, "reference"):
-        prepared = Reference.prepare(reference if isinstance(reference, Mesh) else as_cloud(reference), settings)
+        prepared = Reference.prepare(given, settings)
     if "poisson" in settings.maps:
         step("reconstructing the reference's surface")
         prepared = prepared.with_poisson_mesh()
     results, measured = [], []
-    for name, cloud in named.items():
-        result, measurement = _compare_one(prepared, name, as_cloud(cloud), settings, step)
+    for name, cloud in clouds.items():
+        result, measurement = _compare_one(prepared, name, cloud, read, step)
         results.append(replace(result, timings_s={**result.timings_s, **shared}))
         measured.append(measurement)
     return Comparison(settings, prepared.summary(), tuple(results), tuple(_differences(prepared, results, measured)))
+
+
+def expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], settings: Settings) -> list[float]:
+    """Of each step that is announced, roughly, for progress bars."""
+    first = len(reference) / 1e6 if isinstance(reference, Cloud) else 1.0
+    expected = [0.2 + 2 * first, *([20.0 + 30 * first] if "poisson" in settings.maps else [])]
+    for cloud in candidates.values():
+        both = first + len(cloud) / 1e6
+        m3c2_too = 5.0 + 5 * both if "m3c2" in settings.maps else 0.0
+        expected += [0.3 + 3 * both, 0.1 + 0.5 * both, 0.2 + 1 * both + m3c2_too, 1.0 + 4 * both]
+    return expected
 
 
 def _compare_one(
@@ -134,6 +145,7 @@ def _compare_one(
         )
     with _timed(timings, "maps"):
         deviation = _deviation_map(reference, index, np.flatnonzero(inside), accuracy, registration, settings)
+        missing = DeviationMap(*reference.measured, {"distance": completeness.distances.to_points})
     step(f"{name}: looking for a bend")
     with _timed(timings, "deformation"):
         sides = Side(reference.surface, reference.inside, reference.cloud), Side(Surface(index), inside, cloud)
@@ -149,6 +161,7 @@ def _compare_one(
         registration=registration,
         metrics=replace(measurement.metrics, presets=presented),
         deviation=deviation,
+        completeness=missing,
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),
@@ -174,20 +187,9 @@ def _deviation_map(
     for name, mesh in reference.meshes.items():
         scalars[name] = mesh.query(forth.points, signed=mesh.has_inside).distances
     along_normals = None
-    if "m3c2" in settings.maps and reference.has_normals:
-        radius = _CYLINDER_RADIUS * max(reference.spacing, Surface(candidate).spacing)
-        rows = np.flatnonzero(reference.inside)
-        rows = rows[voxel_downsample_to(reference.points[rows], _MAX_CORES, start=radius / 2)]
-        error = registration.weakest_sigma
-        along_normals = m3c2(
-            reference.index,
-            candidate,
-            reference.points[rows],
-            reference.surface.normals(rows),
-            radius=radius,
-            half_length=_CYLINDER_REACH * radius,
-            registration_error=registration.rmse if error is None else error,
-        ).shifted(-reference.origin)
+    if "m3c2" in settings.maps:
+        how = settings.m3c2 if isinstance(settings.m3c2, M3C2Settings) else M3C2Settings()
+        along_normals = compare_along_normals(reference, candidate, registration, how)
     return DeviationMap(forth.points + reference.origin, measured, scalars, along_normals)
 
 

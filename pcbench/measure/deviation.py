@@ -11,7 +11,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.metrics import percentiles
+from pcbench.measure.metrics import nmad, percentiles
 
 CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
 _MAX_CORES_AT_ONCE = 512
@@ -20,29 +20,39 @@ _MIN_POINTS = 5  # points that a standard deviation is estimated from, as in Clo
 
 @dataclass(frozen=True)
 class Spread:
-    """How the scalars of a map are distributed, in the clouds' unit: percentiles as {"p50": ...}, root mean square, and
-    mean. All None where there are no scalars.
+    """How distances, signed or not, are distributed, in the clouds' unit. All None where there are none.
+
+    Attributes:
+        percentiles: as {"p50": ...}.
+        rms: root mean square; bias: mean.
+        median: of the values themselves; std: about their mean, with ddof 0 (rms^2 = bias^2 + std^2).
+        nmad: normalised median absolute deviation (Höhle & Höhle 2009), see `pcbench.metrics.nmad`.
     """
 
     percentiles: Mapping[str, float] | None = None
     rms: float | None = None
     bias: float | None = None
+    median: float | None = None
+    std: float | None = None
+    nmad: float | None = None
 
     @classmethod
     def of(cls, values: FloatArray) -> Spread:
         """Of scalars (N,)."""
         if not len(values):
             return cls()
-        return cls(percentiles(values), float(np.sqrt(np.mean(np.square(values)))), float(np.mean(values)))
+        ranks = percentiles(values)
+        rms, mean = float(np.sqrt(np.mean(np.square(values)))), float(np.mean(values))
+        return cls(ranks, rms, mean, ranks["p50"], float(np.std(values)), nmad(values))
 
 
 @dataclass(frozen=True, eq=False)
 class DeviationMap:
-    """Deviations at the candidate's points inside the region, in reference coordinates.
+    """Deviations at a cloud's points inside the region, in reference coordinates.
 
     Attributes:
-        points: (M, 3) aligned.
-        rows: (M,) which of the candidate's points they are.
+        points: (M, 3), those of a candidate aligned.
+        rows: (M,) which of the cloud's points they are.
         scalars: (M,) each, in the clouds' unit: `distance` to the nearest reference point; `plane_distance`, signed, to
             the tangent plane there (positive above it); `mesh_distance` to a surface (signed where that is closed,
             negative inside).

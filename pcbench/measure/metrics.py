@@ -1,19 +1,32 @@
-"""Distances between clouds as numbers: pure functions of one-way distances.
+"""Distances between clouds as numbers: pure functions of one-way distances, and of two clouds.
 
 Let a be the distances candidate -> reference and b those reference -> candidate (each to the nearest point of the
 whole other cloud). A bare "Chamfer distance" means nothing: every function names its variant.
+
+`chamfer_unsquared(a, b)` takes such distances, (N,) and (M,); `chamfer_unsquared_between(candidate, reference)` takes
+the clouds themselves, as they lie, and so does every function whose name ends so. Nothing is registered, cropped or
+weighted: that is what `pcbench.compare` is for.
 """
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.voxels import Cells
 from pcbench.native import _core
+
+NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
+
+Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the file that holds it
+_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
 
 class Distances(NamedTuple):
@@ -51,48 +64,45 @@ def plane_distances(
     return distances
 
 
-def mean_square(distances: FloatArray) -> float:
+def mean_square(distances: ArrayLike) -> float:
     """Mean of the squares, in squared units: D1 of point-to-point, D2 of point-to-plane distances, one way.
 
     D1 and D2 as in Tian et al. 2017, eqs. 1-4 (MPEG's p2point and p2plane) before the maximum over directions.
     """
-    _check_distances(distances)
-    return float(np.mean(np.square(distances)))
+    return float(np.mean(np.square(_distances(distances, "mean_square"))))
 
 
-def hausdorff(a: FloatArray, b: FloatArray) -> float:
+def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
     """Symmetric Hausdorff distance max(max a, max b), unsquared."""
-    return max(one_way_hausdorff(a), one_way_hausdorff(b))
+    return max(float(_distances(each, "hausdorff").max()) for each in (a, b))
 
 
-def one_way_hausdorff(distances: FloatArray) -> float:
+def one_way_hausdorff(distances: ArrayLike) -> float:
     """Largest one-way distance."""
-    _check_distances(distances)
-    return float(distances.max())
+    return float(_distances(distances, "one_way_hausdorff").max())
 
 
-def chamfer_unsquared(a: FloatArray, b: FloatArray) -> float:
+def chamfer_unsquared(a: ArrayLike, b: ArrayLike) -> float:
     """mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
-    _check_distances(a)
-    _check_distances(b)
-    return float(np.mean(a)) + float(np.mean(b))
+    forth, back = (float(np.mean(_distances(each, "chamfer_unsquared"))) for each in (a, b))
+    return forth + back
 
 
-def chamfer_squared(a: FloatArray, b: FloatArray) -> float:
+def chamfer_squared(a: ArrayLike, b: ArrayLike) -> float:
     """mean a^2 + mean b^2, in squared units (Fan et al. 2017 with means; most learning papers; `gao2025`)."""
-    return mean_square(a) + mean_square(b)
+    forth, back = (float(np.mean(np.square(_distances(each, "chamfer_squared")))) for each in (a, b))
+    return forth + back
 
 
-def fscore(a: FloatArray, b: FloatArray, threshold: float) -> FScore:
+def fscore(a: ArrayLike, b: ArrayLike, threshold: float) -> FScore:
     """Precision = share of a <= threshold, recall = share of b <= threshold, and their harmonic mean.
 
     Knapitsch et al. 2017 (Tanks and Temples), eqs. 1-5.
     """
-    _check_distances(a)
-    _check_distances(b)
+    forth, back = (_distances(each, "fscore", ", threshold") for each in (a, b))
     if not threshold > 0:
         raise InputError(f"expected a positive threshold, got {threshold}")
-    precision, recall = float(np.mean(a <= threshold)), float(np.mean(b <= threshold))
+    precision, recall = float(np.mean(forth <= threshold)), float(np.mean(back <= threshold))
     return FScore(threshold, precision, recall, harmonic_mean(precision, recall))
 
 
@@ -101,16 +111,79 @@ def harmonic_mean(precision: float, recall: float) -> float:
     return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
 
 
-def percentiles(distances: FloatArray, ranks: tuple[float, ...] = (5, 25, 50, 75, 90, 95, 99)) -> dict[str, float]:
+def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _RANKS) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}; linear interpolation between order statistics."""
-    _check_distances(distances)
-    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(distances, ranks), strict=True)}
+    values = _distances(distances, "percentiles")
+    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(values, ranks), strict=True)}
 
 
-def area_weighted_mean(values: FloatArray, voxels: Cells) -> float:
+def nmad(values: ArrayLike) -> float:
+    """Normalised median absolute deviation of values (N,), in their unit: 1.4826 median |v - median v|.
+
+    The standard deviation where errors are normal, and hardly moved by outliers where they are not: what Höhle & Höhle
+    2009 ("Accuracy assessment of digital elevation models by means of robust statistical methods", ISPRS Journal 64)
+    recommend to report beside it.
+    """
+    numbers = _distances(values, None)
+    return NORMAL_MAD * float(np.median(np.abs(numbers - np.median(numbers))))
+
+
+def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:
     """Mean over occupied voxels of the voxel's mean of `values` (N,), so that a dense centre does not decide alone."""
-    _check_distances(values)
-    return float(np.mean(voxels.means(values)))
+    numbers = _distances(values, None)
+    if len(numbers) != len(voxels.of_point):
+        raise InputError(f"expected a value for each of {len(voxels.of_point)} points, got {len(numbers)}")
+    return float(np.mean(voxels.means(numbers)))
+
+
+def distances_between(candidate: Points, reference: Points) -> tuple[FloatArray, FloatArray]:
+    """a (N,) and b (M,): from each point of a candidate (N points) to the nearest of the reference (M), and back.
+
+    Args:
+        candidate, reference: clouds, (N, 3) arrays, or files that `pcbench.read_cloud` reads; exact at any coordinates.
+
+    Raises:
+        InputError: one of them is no cloud.
+    """
+    points = _points(reference)
+    origin = np.floor(points.mean(axis=0))  # far from zero, squares would lose what differences hold
+    first, second = Index(_points(candidate) - origin), Index(points - origin)
+    return second.query(first.points).distances, first.query(second.points).distances
+
+
+def mean_square_between(candidate: Points, reference: Points) -> float:
+    """D1 candidate -> reference, one way: `mean_square` of the distances; clouds as for `distances_between`."""
+    return mean_square(_one_way(candidate, reference))
+
+
+def one_way_hausdorff_between(candidate: Points, reference: Points) -> float:
+    """Largest distance candidate -> reference, one way; clouds as for `distances_between`."""
+    return one_way_hausdorff(_one_way(candidate, reference))
+
+
+def percentiles_between(candidate: Points, reference: Points, ranks: tuple[float, ...] = _RANKS) -> dict[str, float]:
+    """`percentiles` of the distances candidate -> reference, one way; clouds as for `distances_between`."""
+    return percentiles(_one_way(candidate, reference), ranks)
+
+
+def hausdorff_between(candidate: Points, reference: Points) -> float:
+    """`hausdorff` of two clouds, both ways; clouds as for `distances_between`."""
+    return hausdorff(*distances_between(candidate, reference))
+
+
+def chamfer_unsquared_between(candidate: Points, reference: Points) -> float:
+    """`chamfer_unsquared` of two clouds, both ways; clouds as for `distances_between`."""
+    return chamfer_unsquared(*distances_between(candidate, reference))
+
+
+def chamfer_squared_between(candidate: Points, reference: Points) -> float:
+    """`chamfer_squared` of two clouds, both ways; clouds as for `distances_between`."""
+    return chamfer_squared(*distances_between(candidate, reference))
+
+
+def fscore_between(candidate: Points, reference: Points, threshold: float) -> FScore:
+    """`fscore` of two clouds at one threshold, both ways; clouds as for `distances_between`."""
+    return fscore(*distances_between(candidate, reference), threshold)
 
 
 def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
@@ -118,9 +191,30 @@ def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
     return float(10 * np.log10(factor * peak**2 / mse)) if 0 < mse < np.inf and peak > 0 else None
 
 
-def _check_distances(distances: FloatArray) -> None:
-    if np.ndim(distances) != 1:
-        hint = ": pcbench.compare takes points" if np.ndim(distances) == 2 and np.shape(distances)[1] == 3 else ""
-        raise InputError(f"expected one-way distances of shape (N,), got {np.shape(distances)}{hint}")
-    if not len(distances):
+def _one_way(candidate: Points, reference: Points) -> FloatArray:
+    points = _points(reference)
+    origin = np.floor(points.mean(axis=0))
+    return Index(points - origin).query(_points(candidate) - origin).distances
+
+
+def _points(given: Points) -> FloatArray:
+    if isinstance(given, str | PathLike):
+        from pcbench.io import read_cloud  # its readers are not needed for arrays
+
+        return read_cloud(given).points
+    return as_cloud(given).points
+
+
+def _distances(given: ArrayLike, name: str | None, further: str = "") -> FloatArray:
+    """Numbers (N,) as float64; points are refused, with the call of that name that takes them."""
+    values = np.asarray(given, dtype=np.float64)
+    if values.ndim != 1:
+        hint = ""
+        if name is not None and values.ndim == 2 and values.shape[1] == 3:
+            hint = f": for points, metrics.{name}_between(candidate, reference{further})"
+        raise InputError(f"expected one-way distances of shape (N,), got {values.shape}{hint}")
+    if not len(values):
         raise InputError("expected at least one distance, got none")
+    if bad := int(np.count_nonzero(np.isnan(values))):
+        raise InputError(f"expected distances, got NaN in {bad} of {len(values)}")
+    return values

@@ -109,6 +109,12 @@ class Reference:
         return self.points if self.rows is None else self.points[self.rows]
 
     @property
+    def measured(self) -> tuple[FloatArray, IntArray]:
+        """Those inside the region as they came (M, 3), and their rows (M,)."""
+        points = self.cloud.points
+        return (points, np.arange(len(points))) if self.rows is None else (points[self.rows], self.rows)
+
+    @property
     def has_normals(self) -> bool:
         return len(self.points) >= 3 or self.surface.is_complete
 

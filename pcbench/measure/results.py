@@ -16,7 +16,7 @@ from typing import NamedTuple
 from pcbench.deformation import Deformation
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.deviation import DeviationMap
+from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import Preset
 from pcbench.measure.settings import Settings
@@ -111,6 +111,18 @@ class ThresholdScores:
     fscore: Estimate
 
 
+@dataclass(frozen=True)
+class DirectedSpread:
+    """How the distances of both directions are distributed."""
+
+    accuracy: Spread
+    completeness: Spread
+
+    def __getitem__(self, direction: str) -> Spread:
+        """Of `FORTH` (accuracy) or `BACK` (completeness)."""
+        return {FORTH: self.accuracy, BACK: self.completeness}[direction]
+
+
 @dataclass(frozen=True, eq=False)
 class Metrics:
     """Everything measured of one candidate.
@@ -123,6 +135,8 @@ class Metrics:
         fscores: one a threshold.
         percentiles_accuracy, percentiles_completeness: of the distances to the nearest point, as {"p50": ...}.
         presets: locked definitions of other tools and papers by name, see `pcbench.measure.presets`.
+        spreads: median, standard deviation, NMAD and more of `distance` (to the nearest point) and, where there are
+            normals, of `plane_distance` (signed, to the reference's tangent planes).
     """
 
     directed: Mapping[str, DirectedMetric]
@@ -132,6 +146,7 @@ class Metrics:
     percentiles_accuracy: Mapping[str, float]
     percentiles_completeness: Mapping[str, float]
     presets: Mapping[str, Preset] = field(default_factory=dict)
+    spreads: Mapping[str, DirectedSpread] = field(default_factory=dict)
 
     @property
     def d1_mse(self) -> DirectedMetric:
@@ -188,6 +203,9 @@ class Candidate:
     """Everything about one candidate: how it was registered, what was measured, where it deviates, whether it is bent.
 
     Attributes:
+        deviation: the candidate's measured points with their distances to the reference.
+        completeness: the reference's measured points with their `distance` to the nearest point of the candidate; its
+            `rows` are the reference's.
         timings_s: seconds a step took; peak_rss_bytes: the most memory of the process so far.
         warnings: on the clouds themselves; those on registration and deformation stand there.
     """
@@ -198,6 +216,7 @@ class Candidate:
     registration: Registration
     metrics: Metrics
     deviation: DeviationMap
+    completeness: DeviationMap
     deformation: Deformation
     timings_s: Mapping[str, float]
     peak_rss_bytes: int

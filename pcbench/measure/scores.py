@@ -10,8 +10,8 @@ import numpy as np
 
 from pcbench.errors import Notice
 from pcbench.geometry import voxels
-from pcbench.geometry.arrays import FloatArray
-from pcbench.measure import intervals, metrics
+from pcbench.geometry.arrays import FloatArray, rounding_of
+from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction, MeanMetric
 from pcbench.measure.intervals import Sampled, Spread
 from pcbench.measure.results import (
@@ -19,6 +19,7 @@ from pcbench.measure.results import (
     FORTH,
     Chamfer,
     DirectedMetric,
+    DirectedSpread,
     Estimate,
     Extremes,
     Hausdorff,
@@ -96,8 +97,12 @@ def measure(
         floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
         return estimate(f"chamfer/{name}")._replace(floor=floor)
 
-    a, b = forth.distances.to_points, back.distances.to_points
-    accuracy, completeness = metrics.percentiles(a), metrics.percentiles(b)
+    rounding = rounding_of(forth.points, origin)
+    distributed = {"distance": _distributions(forth.distances.to_points, back.distances.to_points)}
+    if forth.distances.to_planes is not None and back.distances.to_planes is not None:
+        distributed["plane_distance"] = _distributions(forth.distances.to_planes, back.distances.to_planes)
+    accuracy = distributed["distance"].accuracy.percentiles or {}
+    completeness = distributed["distance"].completeness.percentiles or {}
     return Measurement(
         Metrics(
             directed={metric.name: directed(metric) for metric in MEAN_METRICS},
@@ -114,11 +119,16 @@ def measure(
             ),
             percentiles_accuracy=accuracy,
             percentiles_completeness=completeness,
+            spreads=distributed,
         ),
         whole,
         both,
-        tuple(_doubts(spreads)),
+        tuple(_doubts({name: spread for name, spread in spreads.items() if name in whole}, whole, rounding)),
     )
+
+
+def _distributions(forth: FloatArray, back: FloatArray) -> DirectedSpread:
+    return DirectedSpread(deviation.Spread.of(forth), deviation.Spread.of(back))
 
 
 def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float, ...]) -> dict[str, Sampled]:
@@ -143,9 +153,16 @@ def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float
     return found
 
 
-def _doubts(spreads: Mapping[str, Spread]) -> Iterator[Notice]:
-    """Whether the scene is too small to know how well the mean distances are known."""
-    found = {name: spread for name, spread in spreads.items() if name.split("/")[0] in ("mean_distance", "d2_mse")}
+def _doubts(spreads: Mapping[str, Spread], scores: Mapping[str, Sampled], rounding: float) -> Iterator[Notice]:
+    """Whether the scene is too small to know how well the mean distances are known; of rounding there is no doubt."""
+    least = {"mean_distance": rounding, "d2_mse": rounding**2}
+    found = {
+        name: spread
+        for name, spread in spreads.items()
+        if (metric := name.split("/")[0]) in least and scores[name].value > least[metric]
+    }
+    if not found:
+        return
     name, worst = min(found.items(), key=lambda item: item[1].pieces)
     if worst.pieces < MIN_PIECES:
         over = f"distances are alike over about {worst.reach:.3g}: " if worst.reach > 0 else ""

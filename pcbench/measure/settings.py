@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,10 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.regions import Region
+from pcbench.geometry.splats import check_limits
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
+from pcbench.measure.m3c2 import M3C2Settings
 from pcbench.registration import Method, as_method, as_similarity
 
 MAPS = ("poisson", "m3c2")
@@ -31,9 +33,11 @@ class Settings:
         presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
         maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
             the reference) and `m3c2`.
+        m3c2: how M3C2 is computed: an `M3C2Settings`, or its text such as `radius=0.5,depth=2`; the map is made then.
         seed: of the bootstrap.
         normal_neighbors: points a normal of the reference is estimated from where the file has none.
         classes, returns: which points of LAS files count, see `pcbench.read_cloud`.
+        min_opacity, max_axis: which Gaussian splats count, of those clouds that are models of some, see there.
         initial: the pose candidate -> reference, a `Similarity` or 4x4 array, that ICP starts from; None: the identity.
     """
 
@@ -46,7 +50,10 @@ class Settings:
     normal_neighbors: int = 20
     classes: tuple[int, ...] | None = None
     returns: str | tuple[int, ...] | None = None
+    min_opacity: float | None = None
+    max_axis: float | None = None
     initial: Similarity | ArrayLike | None = None
+    m3c2: M3C2Settings | str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.register, str):  # what a text means is found out when it is used
@@ -61,6 +68,7 @@ class Settings:
             raise InputError(f"expected the seed as a whole number >= 0, got {self.seed!r}")
         if not _is_whole(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
             raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
+        check_limits(self.min_opacity, self.max_axis)
         wanted, maps = _names("presets", self.presets), _names("maps", self.maps)
         if unknown := [name for name in wanted if name not in presets.NAMES]:
             raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
@@ -68,14 +76,39 @@ class Settings:
             raise InputError(f"unknown map {unknown[0]!r}: expected {' or '.join(MAPS)}")
         always = [name for name in ("gao2025", "mpeg") if name not in wanted]
         object.__setattr__(self, "presets", (*always, *dict.fromkeys(wanted)))
+        if isinstance(self.m3c2, str):
+            object.__setattr__(self, "m3c2", M3C2Settings.parse(self.m3c2))
+        if not isinstance(self.m3c2, M3C2Settings | None):
+            raise InputError(f"expected m3c2 as M3C2Settings or as text, got {type(self.m3c2).__name__}")
+        if self.m3c2 is not None and "m3c2" not in maps:
+            maps = (*maps, "m3c2")
         object.__setattr__(self, "maps", maps)
 
     def plain(self) -> dict[str, Any]:
-        """The settings as JSON holds them: methods and regions by their texts, an initial pose where one was given."""
-        values = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "initial"}
+        """The settings as JSON holds them: methods and regions by their texts; an initial pose and M3C2's settings
+        where they were given.
+        """
+        values = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("initial", "m3c2")}
+        if isinstance(self.m3c2, M3C2Settings):
+            values["m3c2"] = self.m3c2.text
         for name in ("register", "crop"):
             values[name] = getattr(values[name], "text", values[name])
         return values if self.initial is None else {**values, "initial": as_similarity(self.initial).matrix}
+
+
+def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Settings:
+    """Settings, or the defaults, with some of them changed by name.
+
+    Raises:
+        InputError: there is no such setting, or it is not usable; or `settings` are none.
+    """
+    settings = Settings() if settings is None else settings
+    if not isinstance(settings, Settings):
+        raise InputError(f"expected settings as pcbench.Settings, got {type(settings).__name__}")
+    known = [item.name for item in fields(Settings)]
+    if unknown := [name for name in changed if name not in known]:
+        raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(known)}")
+    return replace(settings, **changed)
 
 
 def _names(what: str, given: Any) -> tuple[Any, ...]:

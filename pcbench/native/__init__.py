@@ -1,5 +1,8 @@
 """Compiled kernels. A missing or broken build is said at the first import, never silently replaced."""
 
+from pcbench.threads import fit_threads
+
+fit_threads()
 try:
     from pcbench.native import _core
 except ImportError as error:  # pragma: no cover - only on a broken installation

@@ -30,6 +30,11 @@ def main(spec: str, file: Path) -> None:
             "settings": [setting.name for setting in plugin.settings],
             "origin": plugin.origin,
             "sha256": _digest(Path(source)) if source else None,
+            "help": plugin.help,
+            "more": plugin.docstring.partition("\n\n")[2],
+            "missing": plugin.missing,
+            "types": [setting.type for setting in plugin.settings],
+            "defaults": [setting.default for setting in plugin.settings],
         }
     except PcbenchError as error:
         outcome = {"problem": str(error)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,14 +15,16 @@ from pcbench.children import Limits, last_line, run_module
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
-from pcbench.io.files import atomic_write
+from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import followed
+from pcbench.scratch import claim, scratch_folder
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
 # In the workspace. The plugin has a folder of its own in it, which is kept between runs.
 JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
+_MADE = "made.txt"  # the digest of the file that the cloud was written to
 
 _MAX_TAIL = 4000  # bytes of a log that its last line is looked for in
 
@@ -46,7 +47,7 @@ class ReconstructionJob:
         # The process runs elsewhere: every path is made absolute.
         cameras = self.cameras if self.cameras in ("auto", "none") else str(Path(self.cameras).absolute())
         values = {
-            "plugin": _absolute(self.plugin),
+            "plugin": absolute(self.plugin),
             "settings": dict(self.settings),
             "scene": str(self.scene.absolute()),
             "cameras": cameras,
@@ -114,14 +115,20 @@ def run(
             thread.
 
     Raises:
+        InputError: another run is at work in the workspace.
         OSError: the workspace cannot be written.
     """
     (workspace / PLUGIN).mkdir(parents=True, exist_ok=True)
+    with claim(workspace):
+        return _run(job, workspace, time_limit_s)
+
+
+def _run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None) -> Run:
     (workspace / OUTCOME).unlink(missing_ok=True)
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
     start = time.perf_counter()
-    with (workspace / LOG).open("wb") as log, followed(workspace / LOG, on_progress):
+    with (workspace / LOG).open("wb", buffering=0) as log, followed(workspace / LOG, on_progress):
         ended = run_module(
             "pcbench.plugins.reconstruct_child",
             str(workspace.absolute()),
@@ -168,8 +175,22 @@ def check_workspace(folder: Path) -> None:
         raise InputError(f"{folder}: the workspace is not empty and no reconstruction's: choose another, or empty it")
 
 
+def note_made(workspace: Path, out: Path) -> None:
+    """Keep in a workspace what its cloud was written to, so that `was_made` knows it again."""
+    with atomic_write(workspace / _MADE) as file:
+        file.write(digest(out).encode())
+
+
+def was_made(workspace: Path, out: Path) -> bool:
+    """Whether a file is what an earlier run in the workspace wrote, unchanged: it may be replaced."""
+    try:
+        return (workspace / _MADE).read_text(encoding="utf-8") == digest(out)
+    except (OSError, ValueError):
+        return False
+
+
 def _read_outcome(workspace: Path) -> dict[str, Any]:
-    outcome = json.loads((workspace / OUTCOME).read_text(encoding="utf-8"))
+    outcome = read_json(workspace / OUTCOME)
     expected = {"status", "cameras", "gauge", "notes"}
     if not isinstance(outcome, dict) or outcome.get("status") not in get_args(Status):
         raise ValueError(f"{workspace / OUTCOME}: expected the outcome of a run")
@@ -215,29 +236,43 @@ class Description:
         origin: its package with version, or its file.
         sha256: of the file that its class is in; None where there is none.
         problem: why nothing is known of it; None where all is well.
+        help, more: the first paragraph of its docstring, and the rest.
+        missing: what keeps it from running here, by its own account.
+        types, defaults: of its settings, as text; a default of None must be given.
     """
 
     settings: tuple[str, ...] = ()
     origin: str = ""
     sha256: str | None = None
     problem: str | None = None
+    help: str = ""
+    more: str = ""
+    missing: str | None = None
+    types: tuple[str, ...] = ()
+    defaults: tuple[str | None, ...] = ()
 
 
-def describe(plugin: str, time_limit_s: float = 120.0) -> Description:
-    """Look at a reconstructor in a process of its own: importing one can do anything."""
-    with tempfile.TemporaryDirectory(prefix="pcbench-describe-") as folder:
-        file = Path(folder) / "description.json"
+def describe(plugin: str, time_limit_s: float = 60.0) -> Description:
+    """Look at a reconstructor in a process of its own, which is ended after the limit: importing one can do anything.
+
+    Args:
+        plugin: a spec as `pcbench.plugins.find_plugin` takes it.
+    """
+    with scratch_folder() as folder:
+        file = folder / "description.json"
         limits = Limits(seconds=time_limit_s)
-        ended = run_module("pcbench.plugins.describe_child", _absolute(plugin), str(file), limits=limits)
+        ended = run_module("pcbench.plugins.describe_child", plugin, str(file), limits=limits)
         if ended.timed_out:
             return Description(problem=f"importing it takes longer than {time_limit_s:g} s")
         try:
-            outcome = json.loads(file.read_text(encoding="utf-8"))
-        except (FileNotFoundError, ValueError):
+            outcome: dict[str, Any] = read_json(file)
+            values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in outcome.items()}
+            return Description(**values)
+        except (OSError, InputError, AttributeError, TypeError):  # none, or what its import left in its place
             return Description(problem="the process ends when it is imported")
-    return Description(**{**outcome, "settings": tuple(outcome.get("settings", ()))})
 
 
-def _absolute(plugin: str) -> str:
+def absolute(plugin: str) -> str:
+    """A spec that means the same from any folder."""
     left, colon, name = plugin.rpartition(":")
     return f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else plugin

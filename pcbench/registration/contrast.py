@@ -6,6 +6,10 @@ growth of its distances to the reference is compared with the growth for the ref
 each searched among the others. For two samples of one surface or of one wood the two are alike, whatever the scene and
 the density. At a wrong pose the first falls far behind, if not along all motions then along those that the pose is
 wrong by: hence the least share of them is what counts.
+
+A scanner samples lines. What is displaced by less than the lines lie apart meets its own line again or none, whether
+the pose is right or not: so the displacement spans several gaps between lines, and the reference's own points stand for
+those of another scan, which lie anywhere between its lines.
 """
 
 from __future__ import annotations
@@ -24,9 +28,12 @@ SURE = 0.85  # above it a pose is right, however little of the candidate meets t
 _MAX_PLACES = 600  # of the reference that are looked at: the share is then good to some per cent
 _MIN_PLACES = 50  # for less the share is chance
 _MIN_SPACINGS, _MAX_SPACINGS, _MAX_OF_EXTENT = 3.0, 12.0, 0.1  # that the candidate is displaced by
+_GAPS = 5.0  # and at least so many times what lies between a scanner's lines, for most of the places
 _SIGMAS = 8.0  # and at least so many times what the residuals are, where those are larger than the spacing
 # Motions that the reference's own points feel by less tell nothing: of the displacement, and in standard errors.
 _MIN_GROWTH, _MIN_SIGNIFICANCE = 0.03, 8.0
+_FEW, _MANY, _MORE = 12, 512, 1.5  # points of a scanner's line that are looked through for the next line
+_MIN_BREADTH = 0.1  # variance across over variance along, from which on points are no line
 
 
 class Contrast(NamedTuple):
@@ -70,7 +77,9 @@ def contrast(
     rows = near[first]
     some = slice(None, None, max(1, len(places) // _MAX_PLACES))
     own, ours, theirs = places[some], moved[rows[some]], surface.points[places[some]]
-    distance = max(_MAX_SPACINGS * spacing, _SIGMAS * sigma)
+    across = _to_next_line(surface.index, theirs)
+    gap = float(np.percentile(np.linalg.norm(across, axis=1), 75))
+    distance = max(_MAX_SPACINGS * spacing, _GAPS * gap, _SIGMAS * sigma)
     distance = min(distance, max(_MAX_OF_EXTENT * extent, _MIN_SPACINGS * spacing))
     center = ours.mean(axis=0)
     radius = float(np.sqrt(np.square(ours - center).sum(axis=1).mean())) or 1.0
@@ -97,7 +106,8 @@ def contrast(
     share = float((felt[telling] / mean[telling]).min())
     if share < SURE:
         noise = _added_noise(moved[rows], surface.points[places])
-        theirs = theirs + np.random.default_rng(0).normal(0, noise, theirs.shape)
+        rng = np.random.default_rng(0)
+        theirs = theirs + rng.normal(0, noise, theirs.shape) + rng.uniform(-0.5, 0.5, (len(theirs), 1)) * across
         blurred = np.minimum(mean, felt_by_reference(theirs).mean(axis=1))[telling]
         # Where the noise would leave nothing to feel, the plain share stands.
         share = float((felt[telling] / np.where(blurred > _MIN_GROWTH, blurred, mean[telling])).min())
@@ -117,6 +127,24 @@ def _roughness(points: FloatArray) -> float:
     nearest = surface.index.query(some, 2).indices[:, 1]
     steps = np.einsum("ni,ni->n", some - points[nearest], surface.normals(nearest))
     return 1.4826 * float(np.median(np.abs(steps)))
+
+
+def _to_next_line(index: Index, places: FloatArray) -> FloatArray:
+    """What lies between the line that each of P places of an index is on and the next line, (P, 3) along the surface.
+
+    More and more neighbours are looked at until they are no line; the widest step across is the gap. Where points are
+    even, it is about their spacing; zero where no other line is found.
+    """
+    gaps, alone, count = np.zeros(places.shape), np.arange(len(places)), _FEW
+    while len(alone) and count <= min(_MANY, len(index)):
+        arms = index.points[index.query(places[alone], count).indices] - places[alone, None]
+        variances, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", arms, arms, optimize=False) / count)
+        broad = variances[:, 1] > _MIN_BREADTH * variances[:, 2]
+        axis = axes[broad, :, 1]
+        apart = np.sort(np.abs(np.einsum("pki,pi->pk", arms[broad], axis, optimize=False)), axis=1)
+        gaps[alone[broad]] = np.diff(apart, axis=1).max(axis=1, initial=0.0)[:, None] * axis
+        alone, count = alone[~broad], int(_MORE * count)
+    return gaps
 
 
 def _displaced(points: FloatArray, center: FloatArray, distance: float, radius: float, size: int) -> FloatArray:

@@ -7,8 +7,6 @@ Several are kept: which of them is right, and whether one is, the pairs alone do
 from __future__ import annotations
 
 import importlib.util
-import tempfile
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +17,7 @@ from pcbench.errors import InputError, MissingExtra, RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration import kiss_child
+from pcbench.scratch import scratch_folder
 
 RUNG = 1.2  # features stand a tenth more or less of scale, so poses are looked for within this factor
 
@@ -47,8 +46,8 @@ def matched(clouds: list[Pairs]) -> list[Pairs]:
     """
     if importlib.util.find_spec("kiss_matcher") is None:
         raise MissingExtra("kiss-matcher", "global", "to register from nothing")
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder, "clouds.npz"), Path(folder, "pairs.npz")
+    with scratch_folder() as folder:
+        source, target = folder / "clouds.npz", folder / "pairs.npz"
         arrays = {f"{name}{k}": part for k, two in enumerate(clouds) for name, part in two._asdict().items()}
         np.savez(source, **arrays)
         # One thread gives the same matches every time: TBB and OpenMP both count the CPUs they may use.

@@ -12,13 +12,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError, Notice, RegistrationError
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray, rounding_of
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.geometry.voxels import voxel_downsample, voxel_downsample_to
 from pcbench.native import _core
-from pcbench.registration.quality import MAX_OFF_SURFACE, MIN_EXTENT, MIN_POINTS, Fit, Quality, assess
+from pcbench.registration.quality import COARSELY, MAX_OFF_SURFACE, MIN_EXTENT, MIN_POINTS, Fit, Quality, assess
 from pcbench.registration.result import NO_CONVERGENCE
 from pcbench.registration.target import Target
 from pcbench.registration.weighted_pairs import WeightedPairs, weigh
@@ -253,6 +253,9 @@ def _both_stages(problem: _Problem, start: _Start, constrained: FloatArray) -> _
     rigid = settings.with_scale and start.kept < 1 and not constrained.shape[1]
     coarse = (replace(settings, with_scale=False), np.zeros((6, 0))) if rigid else (settings, constrained)
     T = Similarity.identity()
+    there = target.surface.index.query(problem.sample.points)
+    if there.distances.max() <= rounding_of(problem.sample.points, np.zeros(3)):
+        return _End(T, 0, True, there.indices)  # what lies on the reference stays where it is, to the last digit
     stages = (target.coarse, problem.coarse_sample), (target.surface, problem.sample)
     first = _iterate(*stages[0], T, *coarse, problem.coarse_schedule(start), target.extent)
     second = _iterate(*stages[1], first.T, settings, constrained, problem.fine_schedule(), target.extent)
@@ -291,8 +294,8 @@ def _iterate(
         if pairs.near < max(MIN_POINTS, _MIN_NEAR * len(sample)) or total < 6:
             raise RegistrationError(
                 f"the candidate does not overlap the reference: {pairs.near} of {len(sample)} sampled points"
-                f" lie within {max_distance:.3g} of it. Align it coarsely first (--register points:FILE or"
-                " matrix:FILE), and check that both clouds use the same unit and coordinate system"
+                f" lie within {max_distance:.3g} of it. Check that both clouds use the same unit and coordinate system;"
+                f" {COARSELY}"
             )
         if settings.residuals == "point":
             delta, size = _point_step(target, pairs)

@@ -9,17 +9,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError, Notice
-from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.errors import InputError, RegistrationError
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
+from pcbench.io import CloudLike, to_cloud
 from pcbench.registration.control_points import ControlPoints, fit_pairs
 from pcbench.registration.from_features import FeatureSettings, align_by_features
 from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import IcpSettings, align
+from pcbench.registration.mismatch import before_failure, unit_warnings
 from pcbench.registration.quality import assess_given
-from pcbench.registration.result import UNIT_MISMATCH, CheckPoint, Registration
+from pcbench.registration.result import CheckPoint, Registration
 from pcbench.registration.target import Target, local_origin
 
 Method = IcpSettings | FeatureSettings | ControlPoints | GivenPose
@@ -34,12 +34,10 @@ _NAMED: dict[str, Method] = {
 }
 METHODS = (*_NAMED, "points:FILE", "matrix:FILE")
 
-_MAX_LOG_RATIO = 0.05  # between the ratio of two extents and a unit's: they agree to some per cent
-
 
 def register(
-    reference: Cloud | ArrayLike,
-    candidate: Cloud | ArrayLike,
+    reference: CloudLike,
+    candidate: CloudLike,
     method: Method | Similarity | ArrayLike | str = "icp",
     *,
     initial: Similarity | ArrayLike | None = None,
@@ -48,7 +46,7 @@ def register(
     """The pose of a candidate on a reference, and how far it can be trusted.
 
     Args:
-        reference, candidate: clouds, or (N, 3) arrays.
+        reference, candidate: clouds, (N, 3) arrays, or paths of files with clouds.
         method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (from any pose, then ICP) or
             `ControlPoints` (pairs of points); a `Similarity`, a 4x4 array or a `GivenPose` is taken as it is. Or a
             text, see `parse_method`.
@@ -58,10 +56,12 @@ def register(
 
     Raises:
         InputError: an argument is not usable, a file cannot be read, or the target is another reference's.
-        RegistrationError: the clouds do not overlap, or the scale collapsed.
+        RegistrationError: the clouds do not overlap, or the scale collapsed; other units or coordinate systems that
+            both clouds state, or their sizes let suspect, are said first.
         MissingExtra: KISS-Matcher is not installed (`FeatureSettings`).
     """
-    reference, candidate, method = as_cloud(reference), as_cloud(candidate), as_method(method)
+    method = as_method(method)
+    reference, candidate = to_cloud(reference), to_cloud(candidate)
     start = None if initial is None else as_similarity(initial)
     if start is not None and not isinstance(method, IcpSettings):
         raise InputError(f"an initial pose is where ICP starts: `{method.text}` takes none")
@@ -74,21 +74,27 @@ def register(
         raise InputError(f"expected the target as a Target, got {type(target).__name__}")
     points = candidate.points - origin
     check_points: tuple[CheckPoint, ...] = ()
+    ratio = robust_extent(points) / (target.extent or np.inf)  # of sizes
 
-    if isinstance(method, IcpSettings):
-        fit = align(target, points, method, None if start is None else start.about(-origin))
-        T = fit.T_local.about(origin)
-    elif isinstance(method, FeatureSettings):
-        fit = align_by_features(target, points, method, origin)
-        T = fit.T_local.about(origin)
-    elif isinstance(method, ControlPoints):
-        T, check_points = fit_pairs(method)
-        fit = assess_given(target, points, T.about(-origin), origin, method.text)
-    else:
-        T = method.T_reference_candidate
-        fit = assess_given(target, points, T.about(-origin), origin, method.text)
+    try:
+        if isinstance(method, IcpSettings):
+            fit = align(target, points, method, None if start is None else start.about(-origin))
+            T = fit.T_local.about(origin)
+        elif isinstance(method, FeatureSettings):
+            fit = align_by_features(target, points, method, origin)
+            T = fit.T_local.about(origin)
+        elif isinstance(method, ControlPoints):
+            T, check_points = fit_pairs(method)
+            fit = assess_given(target, points, T.about(-origin), origin, method.text)
+        else:
+            T = method.T_reference_candidate
+            fit = assess_given(target, points, T.about(-origin), origin, method.text)
+    except RegistrationError as error:
+        any_scale = isinstance(method, FeatureSettings) and method.with_scale
+        said = before_failure(reference, candidate, ratio, any_scale=any_scale)
+        raise RegistrationError(f"{said}{error}") from error
 
-    quality = fit.quality
+    quality, scale = fit.quality, fit.T_local.scale
     return Registration(
         method=method.text,
         T_reference_candidate=T,
@@ -100,7 +106,7 @@ def register(
         information_eigenvalues=quality.eigenvalues,
         weakest_sigma=quality.weakest_sigma,
         check_points=check_points,
-        warnings=(*quality.warnings, *_unit_warnings(target.extent, points, fit.T_local.scale)),
+        warnings=(*quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale)),
         solved_scale=method.with_scale,
         contrast=quality.contrast,
     )
@@ -145,20 +151,3 @@ def as_method(method: Method | Similarity | ArrayLike | str) -> Method:
         "expected the registration as a text, IcpSettings, FeatureSettings, ControlPoints, GivenPose, a Similarity or a"
         f" 4x4 array, got {type(method).__name__}"
     )
-
-
-def _unit_warnings(extent: float, candidate: FloatArray, scale: float) -> tuple[Notice, ...]:
-    """A warning where the extents differ by a factor that looks like a unit."""
-    ratio = scale * robust_extent(candidate) / (extent or np.inf)
-    for factor, what in (
-        (1000, "millimetres against metres"),
-        (100, "centimetres against metres"),
-        (1 / 0.3048, "feet against metres"),
-        (1 / 0.0254, "inches against metres"),
-    ):
-        for expected, text in ((factor, what), (1 / factor, " against ".join(what.split(" against ")[::-1]))):
-            # Extents of clouds of one scene agree to some per cent only where both cover all of it.
-            if abs(np.log(ratio / expected) if ratio > 0 else np.inf) < _MAX_LOG_RATIO:
-                told = f"the candidate's extent is {ratio:.4g} times the reference's: {text}?"
-                return (Notice(UNIT_MISMATCH, told),)
-    return ()

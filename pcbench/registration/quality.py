@@ -19,6 +19,10 @@ from pcbench.registration.weighted_pairs import weigh
 
 MIN_EXTENT = 1e-150  # of a reference: squares of less are lost
 MIN_POINTS = 10  # that a fit is judged by
+COARSELY = (  # what helps where a pose is far from the right one
+    "align them from any pose (--register global, or global-similarity where the scale may differ) or coarsely first"
+    " (--register points:FILE or matrix:FILE)"
+)
 MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before others are tried
 
 _MAX_SAMPLE = 30_000  # candidate points that a given pose is judged by
@@ -169,7 +173,8 @@ def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin
     if len(surface) >= 3 and ((moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any()):
         raise RegistrationError(
             f"the candidate does not overlap the reference after --register {text}: their bounding boxes lie apart"
-            f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)})"
+            f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)}):"
+            f" {COARSELY}"
         )
     return Fit(T_local, assess(target, sample, T_local, plane=True, with_scale=T_local.scale != 1))
 

@@ -1,21 +1,26 @@
 """A comparison as files, tables and pictures."""
 
+from pcbench.report.answer import answer
 from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document, to_json
+from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_deformation, write_report
 from pcbench.report.inputs import InputFile, Inputs
-from pcbench.report.table import html, markdown, print_columns, print_table, rows
+from pcbench.report.table import html, markdown, rows
+from pcbench.report.terminal import print_columns, print_comparison
 
 __all__ = [
     "Comparison",
+    "Figures",
     "InputFile",
     "Inputs",
+    "answer",
     "compare",
     "document",
     "html",
     "markdown",
     "print_columns",
-    "print_table",
+    "print_comparison",
     "report_folder",
     "rows",
     "to_json",

@@ -10,10 +10,11 @@ from pcbench.deformation import Deformation, deform
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
-from pcbench.io.files import named_file
+from pcbench.io.files import named_file, reading_seconds
+from pcbench.progress import Plan
 from pcbench.registration import Registration
 from pcbench.report.folder import report_folder, write_deformation
-from pcbench.report.plot import draw_if_possible
+from pcbench.report.plot import draw_if_possible, drawing_seconds
 
 _MAX_SHOWN_POINTS = 300_000  # points of the aligned candidate that pictures are drawn over
 
@@ -45,14 +46,16 @@ def deform_files(
     """
     warnings: list[str] = []
     clouds = []
+    read = [reading_seconds(path) for path in (reference, candidate)]
+    plan = Plan(step, [*read, 1.0 + 20 * sum(read), *([sum(read), drawing_seconds(1)] if out is not None else [])])
     for path in (reference, candidate):
-        step(f"reading {path}")
+        plan(f"reading {path}")
         clouds.append(read_cloud(path, on_warning=warnings.append))
     reference_cloud, cloud = clouds
     without_figures = None
 
     def run() -> tuple[Registration, Deformation]:
-        step("registering, and looking for a bend")
+        plan("registering, and looking for a bend")
         return deform(reference_cloud, cloud, method, crop, seed)
 
     if out is None:
@@ -60,13 +63,13 @@ def deform_files(
     else:
         with report_folder(out, keep=[reference, candidate, *filter(None, map(named_file, (method, crop)))]) as folder:
             found, deformation = run()
-            step("writing the report")
+            plan("writing the report")
             rows = voxel_downsample_to(cloud.points, _MAX_SHOWN_POINTS, start=1e-4 * robust_extent(cloud.points))
             transform = found.T_reference_candidate
             aligned = Cloud(transform.apply(cloud.points[rows]), crs=reference_cloud.crs, unit=reference_cloud.unit)
             write_deformation(folder, deformation, aligned, transform, reference_cloud.crs, reference_cloud.unit)
             if figures:
-                step("drawing the pictures")
+                plan("drawing the pictures")
                 without_figures = draw_if_possible(folder)
     return DeformationOutcome(
         found,

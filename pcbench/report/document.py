@@ -99,6 +99,7 @@ def _metrics(m: Metrics) -> dict[str, Any]:
     }
     values["fscore"] = [_fscore(score) for score in m.fscores]
     values["percentiles"] = {FORTH: m.percentiles_accuracy, BACK: m.percentiles_completeness}
+    values["spreads"] = {name: {way: spread[way] for way in (FORTH, BACK)} for name, spread in m.spreads.items()}
     values["presets"] = {name: _preset(preset) for name, preset in m.presets.items()}
     return values
 

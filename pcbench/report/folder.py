@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import shutil
-import tempfile
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -23,19 +21,30 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
-from pcbench.measure.deviation import M3C2
+from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
-from pcbench.report.colors import color_limit, ramp
+from pcbench.report.colors import Range, largest_but_strays, ranges
 from pcbench.report.comparison import Comparison
 from pcbench.report.document import document, to_json
+from pcbench.report.figures import FORMATS, Figures
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.table import Row, markdown, rows
+from pcbench.scratch import claim, scratch_folder
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report
 _DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
 _DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
-_SUFFIXES = ("_deformation.csv", "_deformation.ply", "_deviation.ply", "_deviation.laz", "_m3c2.ply", "_T.txt")
+UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what breaks the lines of tables
+_SUFFIXES = (
+    "_deformation.csv",
+    "_deformation.ply",
+    "_deviation.ply",
+    "_deviation.laz",
+    "_completeness.ply",
+    "_m3c2.ply",
+    "_T.txt",
+)
 
 
 @contextmanager
@@ -45,7 +54,8 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
     In an existing report the old report's files are replaced; files of others are left alone.
 
     Raises:
-        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs).
+        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs);
+            or another run is writing there.
     """
     for path in keep:
         if path.resolve().is_relative_to(out.resolve()):
@@ -56,16 +66,9 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise InputError(f"{out}: the folder is not empty and holds no report: choose another one, or empty it")
     created = _make_parents(out.absolute().parent)
     try:
-        scratch = _scratch_beside(out)
-        try:
+        with claim(out), scratch_folder(out) as scratch:
             yield scratch
-            # What the system gives new folders, not mkdtemp's private mode.
-            mask = os.umask(0)
-            os.umask(mask)
-            scratch.chmod(0o777 & ~mask)
             _move_into_place(scratch, out)
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
     except BaseException:
         for folder in reversed(created):
             if not any(folder.iterdir()):
@@ -73,8 +76,10 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise
 
 
-def write_report(folder: Path, comparison: Comparison) -> None:
+def write_report(folder: Path, comparison: Comparison, figures: Figures | None = None) -> None:
     """Write everything but the pictures of a comparison into an empty folder.
+
+    `figures` says how pictures shall look: its range also colours the clouds, and settings.json holds it.
 
     settings.json, by which the comparison can be made again, is left out where its clouds came from no files.
 
@@ -88,9 +93,9 @@ def write_report(folder: Path, comparison: Comparison) -> None:
     (folder / "metrics.csv").write_text(_csv(comparison), encoding="utf-8", errors="backslashreplace")
     (folder / "table.md").write_text(markdown(comparison), encoding="utf-8", errors="backslashreplace")
     if comparison.inputs is not None:
-        settings = to_json(_settings(comparison.settings, comparison.inputs))
+        settings = to_json(_settings(comparison.settings, comparison.inputs, figures or Figures()))
         (folder / "settings.json").write_text(settings, encoding="utf-8")
-    _write_maps(folder, comparison)
+    _write_maps(folder, comparison, figures or Figures())
     for candidate in comparison.candidates:
         transform = candidate.registration.T_reference_candidate
         (folder / f"{candidate.name}_T.txt").write_text(format_matrix(transform), encoding="utf-8")
@@ -128,7 +133,7 @@ def check_name(name: Any) -> str:
         InputError: it is empty, reserved, or would lead out of the report's folder.
     """
     reserved = ("", ".", "..", "reference")
-    if not isinstance(name, str) or name in reserved or any(c in name for c in "/\\\0"):
+    if not isinstance(name, str) or name in reserved or UNPRINTABLE.search(name) or any(c in name for c in "/\\"):
         raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
     return name
 
@@ -139,7 +144,7 @@ def _recorded(row: dict[str, Any]) -> InputFile:
     return InputFile(row["path"], row["sha256"])
 
 
-def _settings(settings: Settings, inputs: Inputs) -> dict[str, Any]:
+def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str, Any]:
     def file(read: InputFile) -> dict[str, Any]:
         return {"path": str(Path(read.path).absolute()), "sha256": read.sha256}
 
@@ -149,6 +154,7 @@ def _settings(settings: Settings, inputs: Inputs) -> dict[str, Any]:
         "candidates": [{"name": name, **file(read)} for name, read in inputs.candidates.items()],
         "files": [file(read) for read in inputs.files],
         "settings": settings.plain(),
+        "figures": figures.plain(),
     }
 
 
@@ -160,21 +166,21 @@ def _csv(comparison: Comparison) -> str:
     return text.getvalue()
 
 
-def _write_maps(folder: Path, comparison: Comparison) -> None:
-    """NAME_deviation.ply (and .laz where a LAS file came in), NAME_m3c2.ply: named scalars, and RGB for all viewers."""
-    limit = color_limit([candidate.deviation.scalars["distance"] for candidate in comparison.candidates])
+def _write_maps(folder: Path, comparison: Comparison, figures: Figures) -> None:
+    """NAME_deviation.ply (and .laz where a LAS file came in), NAME_completeness.ply, NAME_m3c2.ply: named scalars, and
+    RGB for all viewers.
+    """
     reference = comparison.reference
+    maps = [{c.name: c.deviation for c in comparison}, {c.name: c.completeness for c in comparison}]
+    highest = [{name: largest_but_strays(of.scalars["distance"]) for name, of in by.items()} for by in maps]
+    forth, back = (ranges(of, spacing=reference.spacing_median, given=figures.range) for of in highest)
     for candidate in comparison.candidates:
         deviation = candidate.deviation
-        cloud = Cloud(
-            deviation.points,
-            colors=ramp(deviation.scalars["distance"], 0.0, limit),
-            attributes={name: values.astype(np.float32) for name, values in deviation.scalars.items()},
-            crs=reference.crs,
-            unit=reference.unit,
-        )
+        cloud = _coloured(deviation, forth[candidate.name], comparison)
+        missing = _coloured(candidate.completeness, back[candidate.name], comparison)
         stem = folder / candidate.name
         write_cloud(f"{stem}_deviation.ply", cloud)
+        write_cloud(f"{stem}_completeness.ply", missing)
         inputs = comparison.inputs
         if inputs is not None and Path(inputs.candidates[candidate.name].path).suffix.lower() in (".las", ".laz"):
             # A system that only this reference's file knows by name cannot be written to LAS.
@@ -182,6 +188,16 @@ def _write_maps(folder: Path, comparison: Comparison) -> None:
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)
+
+
+def _coloured(deviation: DeviationMap, scale: Range, comparison: Comparison) -> Cloud:
+    return Cloud(
+        deviation.points,
+        colors=scale.colors(deviation.scalars["distance"]),
+        attributes={name: values.astype(np.float32) for name, values in deviation.scalars.items()},
+        crs=comparison.reference.crs,
+        unit=comparison.reference.unit,
+    )
 
 
 def write_deformation(
@@ -223,13 +239,6 @@ def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
     return Cloud(found.cores, normals=found.normals, attributes=attributes, crs=crs, unit=unit)
 
 
-def _scratch_beside(out: Path) -> Path:
-    try:
-        return Path(tempfile.mkdtemp(prefix=".pcbench-", dir=out.absolute().parent))
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(out)) from error
-
-
 def _make_parents(folder: Path) -> list[Path]:
     """Create a folder and its parents; those that did not exist, outermost first."""
     missing = [p for p in (folder, *folder.parents) if not p.exists()]
@@ -261,4 +270,6 @@ def _report_files(out: Path) -> list[Path]:
     if (out / _DEFORM_MARK).is_file():
         names |= set(_DEFORM_FILES)
     names |= {f"{name}{suffix}" for name in candidates for suffix in _SUFFIXES}
-    return [out / name for name in sorted(names) if (out / name).is_file()] + sorted(out.glob("figures/*.png"))
+    return [out / name for name in sorted(names) if (out / name).is_file()] + sorted(
+        path for ending in FORMATS for path in out.glob(f"figures/*.{ending}")
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from pcbench.deformation import Deformation
 from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
+from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.results import BACK
 
@@ -28,6 +28,7 @@ class ReportedCandidate:
         m3c2: core points with theirs; field: cells with their displacements. None where there is none.
         deformation: the verdict; None in reports of versions that had none.
         percentiles_completeness: of the distances from the reference to it, as {"p50": ...}.
+        completeness_path: of the reference's measured points with these distances.
     """
 
     name: str
@@ -36,6 +37,16 @@ class ReportedCandidate:
     field: Cloud | None
     deformation: Deformation | None
     percentiles_completeness: Mapping[str, float]
+    completeness_path: Path
+
+    @property
+    def has_completeness(self) -> bool:
+        """Reports of early versions do not have it."""
+        return self.completeness_path.is_file()
+
+    def completeness(self) -> Cloud | None:
+        """The reference's measured points with their `distance`; not read before it is wanted: it may be large."""
+        return read_cloud(self.completeness_path) if self.has_completeness else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +83,8 @@ def read_report(folder: Path) -> Report:
         InputError: a file of it is damaged.
         OSError: comparison.json is missing.
     """
-    with _damage_in_one_line(folder):
-        document = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
+    with damage_in_one_line(folder):
+        document = read_json(folder / "comparison.json")
         reference = document["reference"]
         return Report(
             unit=reference.get("unit") or "units of the file",
@@ -90,24 +101,27 @@ def read_deformation(folder: Path) -> Deformation:
         InputError: deformation.json is damaged.
         OSError: it is missing.
     """
-    with _damage_in_one_line(folder):
-        return Deformation.from_json(json.loads((folder / "deformation.json").read_text(encoding="utf-8")))
+    with damage_in_one_line(folder):
+        return Deformation.from_json(read_json(folder / "deformation.json"))
 
 
 @contextmanager
-def _damage_in_one_line(folder: Path) -> Iterator[None]:
+def damage_in_one_line(folder: Path) -> Iterator[None]:
+    """What damaged files of a folder make readers and drawers raise, as InputError."""
     try:
         yield
-    except InputError:
-        raise
-    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+    except InputError as error:
+        if str(error).startswith(str(folder)):
+            raise
+        raise InputError(f"{folder}: the report is damaged: {error}") from error
+    except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"{folder}: the report is damaged: {type(error).__name__}: {error}") from error
 
 
 def _reference_path(folder: Path) -> Path | None:
     """Absolute, as settings.json has it: comparison.json has what was typed. Pictures of the rest do not need it."""
     try:
-        return Path(json.loads((folder / "settings.json").read_text(encoding="utf-8"))["reference"]["path"])
+        return Path(read_json(folder / "settings.json")["reference"]["path"])
     except (OSError, KeyError, TypeError, ValueError, RecursionError):
         return None
 
@@ -124,4 +138,5 @@ def _candidate(folder: Path, values: dict[str, Any]) -> ReportedCandidate:
         field=table("deformation"),
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
         percentiles_completeness=values["metrics"]["percentiles"][BACK],
+        completeness_path=folder / f"{values['name']}_completeness.ply",
     )

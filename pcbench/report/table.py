@@ -1,6 +1,4 @@
-"""The one table: metrics down, candidates across, both directions; for the terminal, for Markdown, for notebooks and as
-tidy rows.
-"""
+"""The one table: metrics down, candidates across, both directions; as lines, Markdown, HTML and tidy rows."""
 
 from __future__ import annotations
 
@@ -12,18 +10,18 @@ from typing import NamedTuple
 from pcbench.deformation import Deformation
 from pcbench.measure.deviation import Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
-from pcbench.measure.intervals import Interval
 from pcbench.measure.metrics import FScore
 from pcbench.measure.presets import BothWays, Preset
-from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference, Estimate
+from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Estimate
+from pcbench.report.answer import answer
 from pcbench.report.comparison import Comparison
+from pcbench.report.notes import details, warnings
+from pcbench.report.words import LABELS, number, title
 
-_LABELS = {
-    "sum_unsquared": "Chamfer, sum of means",
-    "sum_squared": "Chamfer, sum of mean squares",
-    **{metric.name: metric.label for metric in MEAN_METRICS},
-}
 _WAYS = {FORTH: "accuracy", BACK: "completeness"}
+_SPREADS = {"median": "median", "std": "standard deviation", "nmad": "NMAD (1.4826 median |v - median v|)"}
+_KINDS = {"distance": "distance to the nearest point", "plane_distance": "signed distance to the tangent plane"}
+_SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # whose distances a mean is of
 _LEGEND = (
     "c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit}, squares in"
     " its square, [95 % interval]. The sampling floor is what independent, error-free points of the same surface"
@@ -74,14 +72,19 @@ def _candidate_rows(candidate: Candidate, unit: str) -> Iterator[Row]:
         yield _row(name, "precision", FORTH, at, score.precision, "1")
         yield _row(name, "recall", BACK, at, score.recall, "1")
         yield _row(name, "fscore", "both", at, score.fscore, "1")
+    for kind, both in m.spreads.items():
+        for way in (FORTH, BACK):
+            for key, of in _SPREADS.items():
+                yield Row(name, f"{kind}_{key}", way, f"{of} of: {_KINDS[kind]}", getattr(both[way], key), unit)
     for map_name, values in candidate.deviation.maps.items():
         spread = Spread.of(values)
-        for key, number in (("bias", spread.bias), ("rms", spread.rms)):
-            yield Row(name, map_name, FORTH, f"{key} of the deviation map", number, unit)
+        for key in ("bias", "rms", *(() if map_name in m.spreads else _SPREADS)):
+            yield Row(name, map_name, FORTH, f"{key} of the deviation map", getattr(spread, key), unit)
     if (m3c2 := candidate.deviation.m3c2) is not None:
         for key, number, power in (
             ("bias", m3c2.spread.bias, 1),
             ("rms", m3c2.spread.rms, 1),
+            *((key, getattr(m3c2.spread, key), 1) for key in _SPREADS),
             ("lod95_median", m3c2.median_lod, 1),
             ("significant_share", m3c2.significant_share, 0),
         ):
@@ -137,40 +140,40 @@ def _parts(preset: Preset) -> Iterator[tuple[str, float | BothWays | tuple[FScor
     yield from vars(preset).items()
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
     """One row of the table: a label, and a text (or one a direction) for each candidate."""
 
     label: str
     cells: list[tuple[str, str]]  # (c→r, r→c); the second is empty where one number stands for both
 
 
-def _lines(comparison: Comparison, *, full: bool) -> Iterator[_Line | None]:
-    """The table's rows; None stands for a rule. `full` adds intervals and what the terminal has no room for."""
+def lines(comparison: Comparison, *, intervals: bool = False) -> Iterator[Line | None]:
+    """All rows of the table, with 95 % intervals if asked for; None stands for a rule."""
     candidates = comparison.candidates
     registered = [c.registration for c in candidates]
-    yield _Line("points", [(f"{c.points:,}", "") for c in candidates])
-    yield _Line("points in region", [(f"{c.points_in_region:,}", "") for c in candidates])
-    yield _Line("registration", [(r.method.partition(":")[0], "") for r in registered])
-    yield _Line("  rmse, overlap", [(_number(r.rmse), f"{r.overlap:.1%}") for r in registered])
+    yield Line("points", [(f"{c.points:,}", "") for c in candidates])
+    yield Line("points in region", [(f"{c.points_in_region:,}", "") for c in candidates])
+    yield Line("registration", [(r.method.partition(":")[0], "") for r in registered])
+    yield Line("  rmse, overlap", [(number(r.rmse), f"{r.overlap:.1%}") for r in registered])
     yield None
     for metric in MEAN_METRICS:
-        yield from _mean_lines(candidates, metric, full=full)
+        yield from _mean_lines(candidates, metric, intervals=intervals)
     for label, key in (
         ("Hausdorff (maximum)", "largest"),
         ("  99th percentile", "p99"),
         ("  95th percentile", "p95"),
     ):
         found = [c.metrics.hausdorff for c in candidates]
-        yield _Line(label, [(_number(getattr(h[FORTH], key)), _number(getattr(h[BACK], key))) for h in found])
+        yield Line(label, [(number(getattr(h[FORTH], key)), number(getattr(h[BACK], key))) for h in found])
     yield None
     for key in ("sum_unsquared", "sum_squared"):
         chamfer: list[Estimate] = [getattr(c.metrics.chamfer, key) for c in candidates]
-        yield _Line(_LABELS[key], [(_number(e.value, e.interval if full else None), "") for e in chamfer])
+        yield Line(LABELS[key], [(number(e.value, e.interval if intervals else None), "") for e in chamfer])
     for scores in zip(*(c.metrics.fscores for c in candidates), strict=True):
-        cells = [(_number(s.fscore.value, s.fscore.interval if full else None), "") for s in scores]
-        yield _Line(f"F-score at {_number(scores[0].threshold)}", cells)
-        cells = [(_number(s.precision.value), _number(s.recall.value)) for s in scores]
-        yield _Line("  precision, recall", cells)
+        cells = [(number(s.fscore.value, s.fscore.interval if intervals else None), "") for s in scores]
+        yield Line(f"F-score at {number(scores[0].threshold)}", cells)
+        cells = [(number(s.precision.value), number(s.recall.value)) for s in scores]
+        yield Line("  precision, recall", cells)
     for preset in candidates[0].metrics.presets:
         yield None
         yield from _preset_lines(preset, [c.metrics.presets[preset] for c in candidates])
@@ -178,192 +181,113 @@ def _lines(comparison: Comparison, *, full: bool) -> Iterator[_Line | None]:
     for name in candidates[0].deviation.maps:
         spreads = [Spread.of(c.deviation.maps[name]) for c in candidates]
         label = f"map {name.replace('_distance', '')}: bias, rms"
-        yield _Line(label, [(_number(s.bias), _number(s.rms)) for s in spreads])
+        yield Line(label, [(number(s.bias), number(s.rms)) for s in spreads])
+        if name not in candidates[0].metrics.spreads:  # of those it stands above, in both directions
+            yield from _spread_lines(spreads)
     yield from _bend_lines(candidates)
     along_normals = [c.deviation.m3c2 for c in candidates if c.deviation.m3c2 is not None]
     if len(along_normals) == len(candidates):
         spreads = [found.spread for found in along_normals]
-        yield _Line("map m3c2: bias, rms", [(_number(s.bias), _number(s.rms)) for s in spreads])
-        cells = [(_number(found.median_lod), _number(found.significant_share)) for found in along_normals]
-        yield _Line("  median LoD95, significant", cells)
+        yield Line("map m3c2: bias, rms", [(number(s.bias), number(s.rms)) for s in spreads])
+        yield from _spread_lines(spreads)
+        cells = [(number(found.median_lod), number(found.significant_share)) for found in along_normals]
+        yield Line("  median LoD95, significant", cells)
 
 
-def _mean_lines(candidates: Sequence[Candidate], metric: MeanMetric, *, full: bool) -> Iterator[_Line]:
+def _mean_lines(candidates: Sequence[Candidate], metric: MeanMetric, *, intervals: bool) -> Iterator[Line]:
     found = [c.metrics.directed[metric.name] for c in candidates]
     both = [(d.accuracy, d.completeness) for d in found]
-    texts = [[_number(e.value, e.interval if full else None) for e in pair] for pair in both]
-    yield _Line(metric.label, [(forth, back) for forth, back in texts])
-    yield _Line("  sampling floor", [(_number(a.floor), _number(b.floor)) for a, b in both])
+    texts = [[number(e.value, e.interval if intervals else None) for e in pair] for pair in both]
+    yield Line(metric.label, [(forth, back) for forth, back in texts])
+    yield Line("  sampling floor", [(number(a.floor), number(b.floor)) for a, b in both])
     if metric.root_label is not None:  # a mean square: its root is what people imagine
-        yield _Line("  area-weighted", [(_number(a.area_weighted), _number(b.area_weighted)) for a, b in both])
+        yield Line("  area-weighted", [(number(a.area_weighted), number(b.area_weighted)) for a, b in both])
         roots = [d.root() for d in found]
-        yield _Line(metric.root_label, [(_number(d.accuracy.value), _number(d.completeness.value)) for d in roots])
+        yield Line(metric.root_label, [(number(d.accuracy.value), number(d.completeness.value)) for d in roots])
+    if (kind := _SPREAD_OF.get(metric.name)) is not None:
+        spreads = [c.metrics.spreads.get(kind) for c in candidates]
+        for key, label in (("median", "median"), ("std", "standard deviation"), ("nmad", "NMAD")):
+            pairs = [("–", "–") if s is None else tuple(number(getattr(s[w], key)) for w in ARROWS) for s in spreads]
+            signed = ", signed" if kind == "plane_distance" and key == "median" else ""
+            yield Line(f"  {label}{signed}", [(forth, back) for forth, back in pairs])
 
 
-def _preset_lines(name: str, presets: Sequence[Preset]) -> Iterator[_Line]:
+def _spread_lines(spreads: Sequence[Spread]) -> Iterator[Line]:
+    yield Line("  median, NMAD", [(number(s.median), number(s.nmad)) for s in spreads])
+    yield Line("  standard deviation", [(number(s.std), "") for s in spreads])
+
+
+def _preset_lines(name: str, presets: Sequence[Preset]) -> Iterator[Line]:
     for key, first in _parts(presets[0]):
         values = [getattr(preset, key) for preset in presets]
         if isinstance(first, BothWays):  # its a is the reference: b to a is our candidate to reference
-            yield _Line(f"{name}: {key}", [(_number(v.b_to_a), _number(v.a_to_b)) for v in values])
+            yield Line(f"{name}: {key}", [(number(v.b_to_a), number(v.a_to_b)) for v in values])
         elif isinstance(first, tuple):
-            for number, score in enumerate(first):
-                label = f"{name}: F-score at {_number(score.threshold)}"
-                yield _Line(label, [(_number(v[number].fscore), "") for v in values])
+            for row, score in enumerate(first):
+                label = f"{name}: F-score at {number(score.threshold)}"
+                yield Line(label, [(number(v[row].fscore), "") for v in values])
         else:
-            yield _Line(f"{name}: {key}", [(_number(v), "") for v in values])
+            yield Line(f"{name}: {key}", [(number(v), "") for v in values])
 
 
-def _bend_lines(candidates: Sequence[Candidate]) -> Iterator[_Line]:
+def _bend_lines(candidates: Sequence[Candidate]) -> Iterator[Line]:
     bends = [c.deformation for c in candidates]
-    yield _Line("deformation", [(b.verdict, "") for b in bends])
+    yield Line("deformation", [(b.verdict, "") for b in bends])
     sizes = [None if b.amplitude is None else b.amplitude.rms for b in bends]
-    cells = [(_number(size), _number(b.minimum_detectable_rms)) for size, b in zip(sizes, bends, strict=True)]
-    yield _Line("  bend RMS, detectable", cells)
-
-
-def print_table(comparison: Comparison) -> None:
-    """The table on the terminal, followed by warnings and by which candidate is better."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    # Wider than a narrow terminal rather than cut; names are data, not markup.
-    console = Console(markup=False, emoji=False, highlight=False)
-    console.width = max(console.width, 34 + 24 * len(comparison))
-    console.print(_title(comparison), style="bold", soft_wrap=True)
-    table = Table(box=None, padding=(0, 1), pad_edge=False)
-    table.add_column("", no_wrap=True)
-    for candidate in comparison:
-        table.add_column(Text(f"{candidate.name}\nc→r"), justify="right", overflow="fold")
-        table.add_column("\nr→c", justify="right", overflow="fold")
-    for line in _lines(comparison, full=False):
-        if line is None:
-            table.add_section()
-            table.add_row("")
-            continue
-        style = "dim" if line.label.startswith("  ") else ""
-        table.add_row(line.label, *(text for cell in line.cells for text in cell), style=style)
-    console.print(table)
-    console.print()
-    for warning in _warnings(comparison):
-        console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
-    for sentence in _sentences(comparison):
-        console.print(sentence, soft_wrap=True)
-
-
-def print_columns(rows: Iterable[Sequence[str]]) -> None:
-    """A table on the terminal: the first row is its header, the first column its labels."""
-    from rich.console import Console
-    from rich.table import Table
-
-    header, *lines = ([*row] for row in rows)
-    table = Table(box=None, padding=(0, 1), pad_edge=False)
-    for number, title in enumerate(header):
-        table.add_column(title, no_wrap=True, justify="right" if number else "left")
-    for line in lines:
-        table.add_row(*line)
-    console = Console(markup=False, emoji=False, highlight=False)
-    # Wider than a narrow terminal rather than cut.
-    widths = [max(len(line[k]) for line in [header, *lines]) for k in range(len(header))]
-    console.width = max(console.width, sum(widths) + 2 * len(widths))
-    console.print(table)
+    cells = [(number(size), number(b.minimum_detectable_rms)) for size, b in zip(sizes, bends, strict=True)]
+    yield Line("  bend RMS, detectable", cells)
 
 
 def markdown(comparison: Comparison) -> str:
-    """`table.md`: the table with 95 % intervals, the definitions, warnings and differences."""
+    """`table.md`: the answer and the warnings, the table with 95 % intervals, the definitions, and every difference."""
     names = [candidate.name.replace("|", "\\|") for candidate in comparison]
     header = ["", *(f"{name} {arrow}" for name in names for arrow in ARROWS.values())]
-    lines = [f"# {_title(comparison)}", "", _md_row(header), _md_row(["---"] + ["---:"] * (len(header) - 1))]
-    for line in _lines(comparison, full=True):
+    text = [
+        f"# {' '.join(title(comparison).splitlines())}",
+        "",
+        " ".join(answer(comparison)),
+        "",
+        *(f"- warning: {' '.join(warning.splitlines())}" for warning in warnings(comparison)),
+        "",
+        _md_row(header),
+        _md_row(["---"] + ["---:"] * (len(header) - 1)),
+    ]
+    for line in lines(comparison, intervals=True):
         if line is not None:
             label = f"&nbsp;&nbsp;{line.label.strip()}" if line.label.startswith("  ") else line.label
-            lines.append(_md_row([label, *(text for cell in line.cells for text in cell)]))
-    lines += [
-        "",
-        _legend(comparison),
-        "",
-        *(f"- warning: {warning}" for warning in _warnings(comparison)),
-        *(f"- {sentence}" for sentence in _sentences(comparison)),
-    ]
-    return "\n".join(lines).rstrip() + "\n"
+            text.append(_md_row([label, *(text for cell in line.cells for text in cell)]))
+    text += ["", _legend(comparison), "", *(f"- {sentence}" for sentence in details(comparison))]
+    return "\n".join(text).rstrip() + "\n"
 
 
 def html(comparison: Comparison) -> str:
-    """The table for a notebook, followed by warnings and sentences; names are escaped."""
+    """For a notebook: the answer and the warnings, the table, and every difference; names are escaped."""
     right, left = "text-align:right;padding:1px 10px", "text-align:left;padding:1px 10px"
     names = "".join(f'<th colspan="2" style="text-align:center">{escape(c.name)}</th>' for c in comparison)
     ways = "".join(
         f'<th style="{right}">{_WAYS[way]} {arrow}</th>' for _ in comparison for way, arrow in ARROWS.items()
     )
     body = []
-    for line in _lines(comparison, full=False):
+    for line in lines(comparison):
         if line is not None:
             is_detail = line.label.startswith("  ")
             style = f"{left};font-weight:normal;padding-left:2em;opacity:0.75" if is_detail else left
             cells = "".join(f'<td style="{right}">{escape(text)}</td>' for pair in line.cells for text in pair)
             body.append(f'<tr><th scope="row" style="{style}">{escape(line.label.strip())}</th>{cells}</tr>')
-    notes = [f"warning: {warning}" for warning in _warnings(comparison)] + list(_sentences(comparison))
+    first = [*answer(comparison), *(f"warning: {warning}" for warning in warnings(comparison))]
     return (
-        f"<p><b>{escape(_title(comparison))}</b></p>"
+        f"<p><b>{escape(title(comparison))}</b></p>{_list(first)}"
         f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{ways}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-        f"<ul>{''.join(f'<li>{escape(note)}</li>' for note in notes)}</ul><p>{escape(_legend(comparison))}</p>"
+        f"{_list(details(comparison))}<p>{escape(_legend(comparison))}</p>"
     )
 
 
-def _sentences(comparison: Comparison) -> Iterator[str]:
-    """Is a candidate deformed, and is a better than b? In words."""
-    for candidate in comparison:
-        yield candidate.deformation.sentence(candidate.name, comparison.reference.unit or "")
-    for difference in comparison.differences:
-        if difference.metric in (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared"):
-            yield _difference_words(difference)
-
-
-def _difference_words(found: Difference) -> str:
-    """For the metrics that most readers look at."""
-    metric, _, detail = found.metric.partition("/")
-    label = _LABELS.get(detail) or f"{_LABELS[metric]} {ARROWS[detail]}"
-    low, high = found.interval
-    if low <= 0 <= high:
-        return f"{label}: {found.a} and {found.b} cannot be told apart (difference in [{low:.3g}, {high:.3g}])"
-    better, worse = (found.a, found.b) if high < 0 else (found.b, found.a)
-    bounds = sorted((abs(low), abs(high)))
-    by = f"{abs(found.difference):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]"
-    return f"{label}: {better} is lower than {worse} by {by}"
-
-
-def _warnings(comparison: Comparison) -> Iterator[str]:
-    inputs = comparison.inputs
-    if inputs is not None:
-        yield from inputs.reference.warnings
-    for candidate in comparison:
-        if inputs is not None:
-            yield from inputs.candidates[candidate.name].warnings
-        for warning in candidate.warnings:
-            yield f"{candidate.name}: {warning}"
-        for warning in candidate.registration.warnings:
-            yield f"{candidate.name}: {warning}"
-        if candidate.deformation.verdict != "undecided":  # then its sentence holds them
-            for notice in candidate.deformation.warnings:
-                yield f"{candidate.name}: {notice}"
-
-
-def _title(comparison: Comparison) -> str:
-    reference = comparison.reference
-    unit = f" {reference.unit}" if reference.unit else ""
-    name = "reference" if comparison.inputs is None else comparison.inputs.reference.path
-    return f"{name}: {reference.points:,} points, spacing {reference.spacing_median:.3g}{unit}"
+def _list(sentences: Iterable[str]) -> str:
+    return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
 
 
 def _legend(comparison: Comparison) -> str:
     return _LEGEND.format(unit=comparison.reference.unit or "the files' unit")
-
-
-def _number(value: float | None, ci: Interval | None = None) -> str:
-    if value is None:
-        return "–"
-    text = f"{value:.4g}"
-    return f"{text} [{ci.low:.4g}, {ci.high:.4g}]" if ci else text
 
 
 def _md_row(cells: list[str]) -> str:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import struct
 import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +18,7 @@ from pcbench.errors import InputError, MissingExtra
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+MAX_PIXELS = 600_000_000  # of an image; survey cameras take up to 450 million
 Size = tuple[int, int]  # width and height in pixels
 
 # Tags of EXIF (CIPA DC-008): its directory, in it the size, and pixels to a unit of the sensor.
@@ -40,6 +44,30 @@ def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
         MissingExtra: Pillow is not installed.
     """
     return np.array(_open(path, "L", size, smooth=False)) > 0
+
+
+def why_unreadable(path: Path) -> str | None:
+    """What is wrong with an image that cannot be decoded: too large, truncated or unreadable; None where it can be.
+
+    Check sums count too: Pillow passes over those of a PNG's pixels, other decoders refuse them.
+
+    Raises:
+        MissingExtra: Pillow is not installed.
+    """
+    pillow = _pillow()
+    try:
+        with _large_images(), pillow.open(path) as image:
+            if image.width * image.height > MAX_PIXELS:
+                return f"too large ({image.width} x {image.height} pixels, at most {MAX_PIXELS / 1e6:.0f} million)"
+            image.verify()
+        with _large_images(), pillow.open(path) as image:
+            image.load()
+    except MemoryError:
+        return f"too large ({path.stat().st_size} bytes do not fit into memory)"
+    except (OSError, ValueError, TypeError, KeyError, SyntaxError, ArithmeticError, struct.error, zlib.error) as error:
+        what = " ".join(str(error).replace(str(path), "").split())
+        return f"{'truncated' if 'truncated' in what.lower() else 'unreadable'} ({what})"
+    return None
 
 
 def resize_image(path: Path, out: Path, size: Size) -> None:
@@ -87,15 +115,38 @@ def _exif(path: Path, size: Size) -> bytes:
 
 
 def _open(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
+    pillow = _pillow()
     try:
-        from PIL import Image, UnidentifiedImageError
+        with _large_images(), pillow.open(path) as file:
+            if file.width * file.height > MAX_PIXELS:
+                raise InputError(
+                    f"{path}: expected an image of at most {MAX_PIXELS / 1e6:.0f} million pixels, got {file.width} x"
+                    f" {file.height}: make it smaller or remove it"
+                )
+            image: Image = file.convert(mode)
+    except (OSError, SyntaxError) as error:
+        raise InputError(f"{path}: cannot be decoded ({error}): copy the image again or remove it") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: does not fit into memory: make it smaller or remove it") from error
+    if image.size != size:
+        image = image.resize(size, pillow.Resampling.LANCZOS if smooth else pillow.Resampling.NEAREST)
+    return image
+
+
+def _pillow() -> Any:
+    try:
+        from PIL import Image
     except ImportError as error:
         raise MissingExtra("pillow", "sfm", str(error)) from error
+    return Image
+
+
+@contextmanager
+def _large_images() -> Iterator[None]:
+    """Without Pillow's own limit, which is less than what cameras of surveys take."""
+    pillow = _pillow()
+    kept, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
     try:
-        with Image.open(path) as file:
-            image = file.convert(mode)
-    except (OSError, UnidentifiedImageError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: cannot be decoded ({error}): copy the image again or remove it") from error
-    if image.size == size:
-        return image
-    return image.resize(size, Image.Resampling.LANCZOS if smooth else Image.Resampling.NEAREST)
+        yield
+    finally:
+        pillow.MAX_IMAGE_PIXELS = kept

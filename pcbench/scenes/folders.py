@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_model import is_colmap_model
+from pcbench.io.files import read_json
 from pcbench.io.image_header import EXTENSIONS
 
 # COLMAP and nerfstudio; NeRF's synthetic sets; RGB-D sets; Earth Studio's download.
@@ -70,7 +70,9 @@ def find_cameras(path: Path) -> Path | None:
 def is_earth_studio(path: Path) -> bool:
     """Whether a file is a camera export of Earth Studio."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
+        document = read_json(path)
+    except InputError:  # an export that is damaged is one all the same, and no reason to see no cameras
+        return b'"cameraFrames"' in path.read_bytes()
+    except OSError:
         return False
     return isinstance(document, dict) and "cameraFrames" in document

@@ -9,7 +9,7 @@ from pathlib import Path
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.colmap_model import check_model_output, write_colmap_model
+from pcbench.io.colmap_model import MODEL_FILES, check_model_output, write_colmap_model
 from pcbench.io.files import check_output
 from pcbench.io.transforms_json import write_transforms
 
@@ -34,6 +34,27 @@ def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, point
         write_colmap_model(path, ordered, points)
         return
     write_transforms(path, ordered, Path(os.path.relpath(images, path.absolute().parent)).as_posix())
+
+
+def cameras_files(path: Path) -> list[Path]:
+    """The files that `write_cameras` writes."""
+    return [path] if path.suffix.lower() == ".json" else [path / name for name in MODEL_FILES]
+
+
+def check_cameras_kept(path: Path, scene: Path, source: Path | None) -> None:
+    """Say that `write_cameras` would replace cameras that were read.
+
+    Args:
+        scene: its folder.
+        source: the file or folder that the cameras were read from, if it was named.
+
+    Raises:
+        InputError: a file that would be written exists and is of the scene's folder, or of the source.
+    """
+    for file in cameras_files(path):
+        for given in (scene, source):
+            if given is not None and file.exists() and file.resolve().is_relative_to(given.resolve()):
+                raise InputError(f"{file}: belongs to {given}, and would be replaced: choose another place")
 
 
 def check_cameras_output(path: Path, scene: Path | None = None) -> None:

@@ -28,6 +28,7 @@ from reconstructors.sfm.features import (
     some,
     working_images,
 )
+from reconstructors.sfm.images import readable
 from reconstructors.sfm.mapping import Mapper, triangulate
 from reconstructors.sfm.matches import check_verified, match_pairs, verify_matches
 from reconstructors.sfm.model import Refine, cameras_of, cloud_of, largest_angle_deg, quality
@@ -90,6 +91,8 @@ class ColmapSfm:
         control = read_control(self.control) if self.control is not None else ()
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         scene, notes = _usable(scene, given, control)
+        scene, unreadable = readable(scene, workspace)
+        notes += unreadable
 
         features = extract_features(scene, workspace, self.features, upsample=self.upsample)
         counts = count_features(features)

@@ -28,6 +28,59 @@ def test_crop_register_and_info(files, run):
     assert "1,500 points" in out
 
 
+def test_register_says_the_motion_before_the_matrix(files, run):
+    """At the centroid: seen from the origin, 450 km away, a turn of half a degree would look like a shift of 4 km."""
+    offset = np.array([450_000.0, 5_400_000.0, 300.0])
+    points = read_cloud("ref.ply").points + offset
+    centroid = points.mean(axis=0)
+    angle = np.radians(0.5)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    write_cloud("far.ply", Cloud(points, unit="m"))
+    write_cloud("moved.ply", Cloud((points - centroid) @ turn.T + centroid + [0.03, 0.04, 0], unit="m"))
+    code, out, _ = run("register", "far.ply", "moved.ply")
+    assert code == 0
+    shift, turned, scale, fit, title, *matrix = out.splitlines()
+    assert float(shift.split()[5]) == pytest.approx(0.05, abs=0.002)
+    assert shift.split()[6] == "m"
+    assert float(turned.split()[2]) == pytest.approx(0.5, abs=0.002)
+    assert float(turned.rstrip(")").split()[-1]) == pytest.approx(-1, abs=1e-4)  # back about z
+    assert scale == "# scale: 1 (not solved for)"
+    assert "overlap 100.0%" in fit
+    assert title == "# matrix candidate -> reference:"
+    assert len(matrix) == 4
+    (files / "T.txt").write_text(out)  # all that is printed is a file of a matrix
+    np.testing.assert_allclose(read_matrix("T.txt").apply(read_cloud("moved.ply").points), points, atol=0.005)
+
+
+def test_register_of_a_cloud_with_itself_moves_nothing(files, run):
+    code, out, _ = run("register", "ref.ply", "ref.ply", "--register", "none")
+    assert code == 0
+    assert out.startswith("# shift at the centroid: 0 m (+0, +0, +0)\n# turn: 0 degrees\n")
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["with pyproj", "without"])
+def test_a_coordinate_system_is_one_line(files, run, monkeypatch, known):
+    from pcbench.geometry import crs
+
+    if known:
+        pytest.importorskip("pyproj")
+    else:
+        monkeypatch.setattr(crs, "_parsed", lambda text: None)
+    wkt = (
+        'PROJCS["Somewhere / in the north",\n  GEOGCS["GRS 1980(IUGG, 1980)",DATUM["unknown",SPHEROID["GRS80",6378137,'
+        '298.257222101]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+        'PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",9],PARAMETER["scale_factor",0.9996],'
+        'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1]]'
+    )
+    assert crs.crs_line(wkt) == "Somewhere / in the north"
+    assert crs.crs_line("EPSG:32632") == ("WGS 84 / UTM zone 32N (EPSG:32632)" if known else "EPSG:32632")
+    assert len(crs.crs_line("x" * 5000)) == 100
+    write_cloud("named.ply", Cloud(read_cloud("a.ply").points, crs="EPSG:32632"))
+    code, out, _ = run("info", "named.ply")
+    assert code == 0
+    assert f"colours no, crs {crs.crs_line('EPSG:32632')}\n" in out
+
+
 def test_no_file_that_a_setting_names_is_replaced(files, run):
     matrix = files / "bend/T.txt"
     matrix.parent.mkdir()

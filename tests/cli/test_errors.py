@@ -26,6 +26,7 @@ BAD = {
     "no such method": ("compare ref.ply a.ply --register magic", "unknown registration"),
     "no such crop": ("compare ref.ply a.ply --crop circle:1", "circle"),
     "empty crop": ("compare ref.ply a.ply --crop sphere:999,0,0,1", "leaves none"),
+    "an ascii STL facet of two vertices": ("compare two.stl a.ply", "two.stl: facet 0"),
     "no overlap": ("compare ref.ply far.ply", "does not overlap"),
     "no overlap as it is": ("compare ref.ply far.ply --register none", "does not overlap"),
     "bad thresholds": ("compare ref.ply a.ply --thresholds a,b", "--thresholds"),
@@ -51,6 +52,8 @@ def test_bad_input_is_one_line(files, run, name):
     (files / "none.ply").write_bytes(header % b"0" + body)
     (files / "nan.ply").write_bytes(header % b"2" + body + np.full(6, np.nan, "<f4").tobytes())
     (files / "a.docx").write_bytes(b"x")
+    facet = "facet normal 0 0 0 outer loop vertex 0 0 0 vertex 1 0 0 endloop endfacet"
+    (files / "two.stl").write_text(f"solid a\n{facet}\nendsolid a\n")
     write_cloud("far.ply", Cloud(read_cloud("a.ply").points + 1e5))
     before = sorted(p.name for p in files.iterdir())
     arguments, expected = BAD[name]
@@ -151,7 +154,7 @@ def test_a_poor_terminal_and_a_terminated_run(files):
     command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply", "--no-figures"]
     poor = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "20", "TERM": "dumb"}
     done = subprocess.run(command, env=poor, capture_output=True, check=True)
-    assert b"D1 MSE" in done.stdout
+    assert b"RMS off the surface" in done.stdout
     stop = (
         "import os, signal, sys, pcbench.measure.comparison\n"
         "pcbench.measure.comparison.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"

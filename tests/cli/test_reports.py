@@ -12,14 +12,17 @@ from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import read_matrix
 
 
-def test_compare_prints_a_table_and_leaves_a_folder(files, run):
+def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     code, out, err = run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")
     assert code == 0
     assert not err
-    assert "D1 MSE" in out
+    assert "RMS off the surface" in out
     assert "sampling floor" in out
+    assert "report: report/ holds table.md" in out
     fields = {f"{name}_deformation.{kind}" for name in "ab" for kind in ("csv", "ply")}
-    expected = REPORT | fields | {"a_deviation.ply", "a_T.txt", "b_deviation.ply", "b_T.txt"}
+    expected = (
+        REPORT | fields | {f"{name}_{kind}" for name in "ab" for kind in ("deviation.ply", "completeness.ply", "T.txt")}
+    )
     assert {p.name for p in Path("report").iterdir()} - {"figures"} == expected
     values = doc("report")
     assert [c["name"] for c in values["candidates"]] == ["a", "b"]
@@ -37,6 +40,12 @@ def test_compare_prints_a_table_and_leaves_a_folder(files, run):
     row = next(r for r in rows if r["metric"] == "d1_mse" and r["direction"] == "candidate_to_reference")
     assert float(row["value"]) == m["d1_mse"]["candidate_to_reference"]
     assert row["unit"] == "m^2"
+    (row,) = [
+        r for r in rows if (r["candidate"], r["metric"]) == ("b", "plane_distance_nmad") and r["direction"][0] == "r"
+    ]
+    spreads = values["candidates"][1]["metrics"]["spreads"]["plane_distance"]
+    assert float(row["value"]) == spreads["reference_to_candidate"]["nmad"]
+    assert spreads["candidate_to_reference"] == values["candidates"][1]["deviation"]["maps"]["plane_distance"]
     assert "| D1 MSE |" in (files / "report/table.md").read_text()
 
 
@@ -96,7 +105,7 @@ def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(
     assert run("compare", "ref.ply", "a.ply", "--out", "report")[0] == 0
     left = {p.name for p in (files / "report").iterdir()} - {"figures"}
     fields = {"a_deformation.csv", "a_deformation.ply"}
-    assert left == REPORT | fields | {"a_deviation.ply", "a_T.txt", "notes.txt"}
+    assert left == REPORT | fields | {"a_deviation.ply", "a_completeness.ply", "a_T.txt", "notes.txt"}
     assert not [p for p in files.iterdir() if p.name.startswith(".")]
 
 

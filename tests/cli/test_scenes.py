@@ -27,6 +27,7 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
     assert "3 images of 40 x 30" in out
     assert "cameras 3, GPS 0, masks 0" in out
     assert Path("cameras.png").stat().st_size
+    assert run("scene", "photos", "--figure", "cameras.png")[0] == 0  # a picture of ours may be drawn again
     code, out, err = run("scene", "photos", "--cameras", "photos/transforms.json", "--image-scale", "0.5")
     assert (code, err) == (0, "")
     assert "3 images of 20 x 15" in out

@@ -42,6 +42,25 @@ def test_identity_changes_no_bit():
     assert (Similarity.identity().matrix == np.eye(4)).all()
 
 
+@unhurried
+@given(axes, st.floats(1e-9, 180), coordinates, st.floats(0.01, 100))
+@example(np.array([1.0, 2.0, -3.0]), 180.0, np.ones(3), 1.0)  # a half turn: the trace says nothing of the axis
+@example(np.array([0.0, 0.0, 1.0]), 1e-9, np.ones(3), 1.0)  # and so little that the cosine is 1
+def test_a_motion_is_what_it_was_made_of(axis, angle, place, scale):
+    transform = Similarity(shapes.rotation(axis, angle), [4, 5, 6], scale).about(place)
+    motion = transform.motion_at(place)
+    close(motion.shift, [4, 5, 6], size=1e4)
+    assert motion.angle_deg == pytest.approx(angle, rel=1e-6, abs=1e-12)
+    assert motion.scale == scale
+    sign = np.sign(motion.axis @ axis) if angle > 180 - 1e-6 else 1  # a half turn is the same about either end
+    close(motion.axis, sign * axis / np.linalg.norm(axis), size=1e7 if angle < 1e-3 else 1e3)
+
+
+def test_what_does_not_turn_has_no_axis():
+    motion = Similarity(np.eye(3), [1, 0, 0]).motion_at([5e6, 0, 0])
+    assert (motion.shift.tolist(), motion.angle_deg, motion.axis, motion.scale) == ([1, 0, 0], 0, None, 1)
+
+
 def test_affine():
     transform = Affine([[2, 0, 0], [0, 1, 0], [0, 0, -1]], [1, 0, 0])
     assert transform.apply(np.array([[1.0, 2, 3]])).tolist() == [[3, 2, -3]]

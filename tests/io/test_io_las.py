@@ -386,3 +386,70 @@ def test_without_lazrs(tmp_path, monkeypatch):
         write_cloud(tmp_path / "b.laz", Cloud(np.zeros((1, 3))))
     assert not (tmp_path / "b.laz").exists()
     assert len(read(tmp_path, las(0, 10))) == 10
+
+
+def test_laz_bytes_that_decode_to_something_else_are_damage(tmp_path):
+    """One bit turned in the colours, or among the undescribed bytes, of a chunk: lazrs decodes it without a word."""
+    needs_lazrs()
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
+    data = las(7, 3000, tail=lambda i: noise[i].tobytes(), compress="variable")
+    start = struct.unpack_from("<I", data, 96)[0]
+    (table,) = struct.unpack_from("<q", data, start)
+    whole = read(tmp_path, data)
+    said = set()
+    for place in range(table - 1900, table - 300, 200):  # in the last layers of the second chunk
+        damaged = bytearray(data)
+        damaged[place] ^= 4
+        said.add(refusal(tmp_path, bytes(damaged)))
+    encoded = "damaged LAZ data: 2000 of 3000 points, from point 1001 on, do not encode to the bytes"
+    assert any(text.startswith(encoded) for text in said), said
+    np.testing.assert_array_equal(read(tmp_path, data).points, whole.points)  # and undamaged ones are as they were
+
+
+def test_a_laz_file_that_nothing_vouches_for_is_a_warning(tmp_path, monkeypatch):
+    """Its only chunk encodes to other bytes: damage, or the encoding of a program that is not known."""
+    needs_lazrs()
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
+    data = las(7, 3000, tail=lambda i: noise[i].tobytes(), compress="chunks")
+    (table,) = struct.unpack_from("<q", data, struct.unpack_from("<I", data, 96)[0])
+    outcomes = []
+    for place in range(table - 1900, table - 300, 200):
+        damaged = bytearray(data)
+        damaged[place] ^= 4
+        try:
+            outcomes.append(noted(tmp_path, bytes(damaged))[1])
+        except InputError:
+            outcomes.append(["refused"])
+    assert all(outcomes)
+    assert any("nothing vouches for them" in notes[0] for notes in outcomes)
+    assert noted(tmp_path, data)[1] == []
+
+
+@COMPRESSED
+def test_points_that_are_not_those_of_the_header_are_warnings(tmp_path, compress):
+    if compress:
+        needs_lazrs()
+    data, expected = las(1, 9, compress=compress), read(tmp_path, las(1, 9))
+    (low_x, low_y, low_z), (high_x, high_y, high_z) = expected.bounds
+    right = patched(data, 179, "6d", high_x, low_x, high_y, low_y, high_z, low_z)
+    right = patched(right, 111, "5I", 3, 3, 3, 0, 0)
+    assert noted(tmp_path, right)[1] == []
+    unsure = "the header was not updated, or points are damaged"
+    assert noted(tmp_path, patched(right, 195, "d", high_y - 0.5))[1] == [
+        f"points lie up to 0.5 outside the header's bounds in y: {unsure}"
+    ]
+    assert noted(tmp_path, patched(right, 219, "d", low_z + 2))[1] == [
+        f"points lie up to 2 outside the header's bounds in z: {unsure}"
+    ]
+    assert noted(tmp_path, patched(right, 111, "5I", 3, 4, 2, 0, 0))[1] == [
+        f"3 points are return 2, the header counts 4: {unsure}"
+    ]
+
+
+def test_returns_that_cannot_be_are_a_warning(tmp_path):
+    data = patched(las(6, 10), 375 + 14, "B", 5 | 3 << 4)  # the first point: return 5 of 3
+    assert noted(tmp_path, data)[1] == [
+        "1 of 10 points are a later return than their pulse has: their returns are damaged"
+    ]

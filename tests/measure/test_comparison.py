@@ -367,7 +367,7 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     names = {path.name for path in (tmp_path / "report").iterdir()}
     assert {"metrics.csv", "table.md", "a_deviation.ply", "a_T.txt"} <= names
     assert "settings.json" not in names  # there are no files to read again
-    monkeypatch.setattr("pcbench.report.plot.draw_if_possible", lambda folder: "no pictures: no library")
+    monkeypatch.setattr("pcbench.report.plot.draw_if_possible", lambda folder, figures: "no pictures: no library")
     with pytest.warns(UserWarning, match="no pictures: no library"):
         comparison.save(tmp_path / "without")
     assert (tmp_path / "without/comparison.json").is_file()

@@ -9,7 +9,7 @@ from pcbench import Settings, compare, read_cloud
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.deviation import m3c2
+from pcbench.measure.deviation import Spread, m3c2
 
 UP = np.array([0, 0, 1.0])
 
@@ -108,3 +108,19 @@ def test_poisson_map_and_the_papers_d2():
 def test_unknown_map():
     with pytest.raises(InputError, match="unknown map 'x'"):
         Settings(maps=("x",))
+
+
+def test_a_spread_is_that_of_normal_errors_whatever_a_few_strays_do():
+    """NMAD (Höhle & Höhle 2009): the standard deviation of what is normal; strays move it by their share."""
+    errors = np.random.default_rng(3).normal(0.1, 0.02, 100_000)
+    clean = Spread.of(errors)
+    assert clean.median == pytest.approx(0.1, abs=3e-4)
+    assert clean.std == pytest.approx(0.02, rel=0.01)
+    assert clean.nmad == pytest.approx(0.02, rel=0.01)
+    errors[:2000] += 5.0
+    soiled = Spread.of(errors)
+    assert soiled.nmad == pytest.approx(0.02, rel=0.05)
+    assert soiled.std > 0.5
+    assert soiled.rms**2 == pytest.approx(soiled.bias**2 + soiled.std**2)
+    assert Spread.of(np.array([1.0, 2.0, 4.0])).nmad == pytest.approx(1.4826)
+    assert Spread.of(np.zeros(0)) == Spread()

@@ -1,5 +1,7 @@
 """Metrics as pure functions: closed forms, brute force, and what must not change them."""
 
+import re
+
 import numpy as np
 import oracles
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pcbench import metrics
+from pcbench import Cloud, metrics, write_cloud
 from pcbench.errors import InputError
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.voxels import cells
@@ -145,13 +147,63 @@ def test_thresholds_are_positive(threshold):
         metrics.fscore(np.ones(3), np.ones(3), threshold)
 
 
-@pytest.mark.parametrize("call", [metrics.chamfer_unsquared, metrics.chamfer_squared, metrics.hausdorff])
-def test_points_are_no_distances(call):
-    points = np.zeros((7, 3))
-    with pytest.raises(InputError, match=r"expected one-way distances of shape \(N,\), got \(7, 3\): pcbench\.compare"):
-        call(points, points)
+ONE_WAY = ("mean_square", "one_way_hausdorff", "percentiles")
+BOTH_WAYS = ("hausdorff", "chamfer_unsquared", "chamfer_squared", "fscore")
+
+
+@pytest.mark.parametrize("name", ONE_WAY + BOTH_WAYS)
+def test_points_are_refused_with_the_call_that_takes_them(name):
+    points, further = np.zeros((7, 3)), [1.0] if name == "fscore" else []
+    arguments = [points] if name in ONE_WAY else [points, points]
+    with pytest.raises(InputError, match=r"expected one-way distances of shape \(N,\), got \(7, 3\)") as refused:
+        getattr(metrics, name)(*arguments, *further)
+    named = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(refused.value))
+    assert getattr(metrics, named[1])(points, points, *further) is not None
+    if name in BOTH_WAYS:
+        with pytest.raises(InputError, match="got \\(7, 3\\)"):
+            getattr(metrics, name)(np.zeros(7), points, *further)
+
+
+def test_values_of_points_are_refused_where_they_are_not_one_a_point():
+    voxels = cells(np.random.default_rng(0).random((7, 3)), 0.5)
     with pytest.raises(InputError, match="got \\(7, 3\\)"):
-        metrics.fscore(np.zeros(7), points, 1.0)
-    for one in (metrics.mean_square, metrics.one_way_hausdorff, metrics.percentiles):
-        with pytest.raises(InputError, match="expected one-way distances"):
-            one(points)
+        metrics.area_weighted_mean(np.zeros((7, 3)), voxels)
+    with pytest.raises(InputError, match="each of 7 points, got 6"):
+        metrics.area_weighted_mean(np.zeros(6), voxels)
+    with pytest.raises(InputError, match="NaN in 1 of 3"):
+        metrics.fscore([0.0, np.nan, 1.0], [0.0], 1.0)
+
+
+def test_distances_may_be_a_list():
+    assert metrics.hausdorff([1, 3, 2], [2]) == 3.0
+
+
+@pytest.mark.parametrize("shift", [0.0, 5e6])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_clouds_against_brute_force(seed, shift):
+    rng = np.random.default_rng(seed)
+    first, second = rng.normal(size=(150, 3)) + shift, rng.normal(size=(230, 3)) * [1, 2, 0.5] + shift
+    a, b = metrics.distances_between(first, second)
+    np.testing.assert_allclose(a, oracles.nearest(first, second)[0], rtol=1e-12)
+    np.testing.assert_allclose(b, oracles.nearest(second, first)[0], rtol=1e-12)
+    same = {"rel": 1e-12}
+    assert metrics.mean_square_between(first, second) == pytest.approx(oracles.d1(first, second), **same)
+    assert metrics.one_way_hausdorff_between(second, first) == pytest.approx(b.max(), **same)
+    assert metrics.percentiles_between(first, second, (50,))["p50"] == pytest.approx(np.median(a), **same)
+    for name in ("hausdorff", "chamfer_unsquared", "chamfer_squared"):
+        expected = getattr(oracles, name)(first, second)
+        assert getattr(metrics, f"{name}_between")(first, second) == pytest.approx(expected, **same), name
+    assert metrics.fscore_between(first, second, 0.5)[1:] == pytest.approx(oracles.fscore(first, second, 0.5))
+
+
+def test_two_clouds_may_be_clouds_or_files(tmp_path):
+    rng = np.random.default_rng(4)
+    first, second = rng.random((40, 3)), rng.random((50, 3))
+    expected = metrics.hausdorff_between(first, second)
+    write_cloud(tmp_path / "a.ply", Cloud(first))
+    assert metrics.hausdorff_between(tmp_path / "a.ply", Cloud(second)) == expected
+    assert metrics.hausdorff_between(str(tmp_path / "a.ply"), second.tolist()) == expected
+    with pytest.raises(InputError, match=r"b\.ply"):
+        metrics.hausdorff_between(tmp_path / "b.ply", second)
+    with pytest.raises(InputError, match="expected"):
+        metrics.chamfer_unsquared_between(first[:, 0], second)

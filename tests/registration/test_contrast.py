@@ -135,6 +135,40 @@ def test_a_scan_with_most_points_in_few_places_is_observed():
     assert not codes(found) & {UNOBSERVABLE, WEAKLY_OBSERVABLE}
 
 
+def scan_of_a_street(eye, lines, steps, noise, seed):
+    """What a scanner that spins at `eye` (3,) sees of a street of houses, cars and poles."""
+    place, rng = np.random.default_rng(5), np.random.default_rng(seed)
+    boxes = []
+    for side in (-1, 1):
+        for x in np.arange(-60, 60, 12):
+            front = 8 + place.uniform(0, 2.5)
+            low, high = sorted((side * front, side * 20))
+            boxes.append([x, low, -0.5, x + place.uniform(8, 12), high, place.uniform(5, 15)])
+        for x in place.uniform(-40, 40, 7):
+            boxes.append([x, side * 5.5 - 0.9, 0, x + 4.2, side * 5.5 + 0.9, 1.5])
+        for x in place.uniform(-40, 40, 7):
+            boxes.append([x, side * 7 - 0.15, 0, x + 0.3, side * 7 + 0.15, 6])
+    rise, turn = np.meshgrid(np.radians(np.linspace(-25, 12, lines)), np.linspace(0, 2 * np.pi, steps) + rng.random())
+    rays = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1).reshape(-1, 3)
+    depth = np.where(rays[:, 2] < 0, -eye[2] / rays[:, 2], np.inf)
+    for box in np.array(boxes):
+        ends = np.sort([(box[:3] - eye) / rays, (box[3:] - eye) / rays], axis=0)
+        enters, leaves = ends[0].max(axis=1), ends[1].min(axis=1)
+        depth = np.where((enters < leaves) & (enters > 0), np.minimum(depth, enters), depth)
+    seen = depth < 60
+    return eye + (rays * (depth + rng.normal(0, noise, len(depth)))[:, None])[seen]
+
+
+@pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (32, 1800, 0.015), (64, 900, 0.03)])
+def test_two_scans_from_two_places_are_not_doubtful(lines, steps, noise):
+    """Lines of one scan lie between those of the other, up to a metre from them, and spacings along them are 3 cm."""
+    reference = scan_of_a_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)
+    candidate = scan_of_a_street(np.array([-2.5, 1.5, 2.0]), lines, steps, noise, 2)
+    assert not register(reference, candidate, "none").doubtful
+    for wrong in ([2.0, 0, 0], [0, 3.0, 0]):
+        assert DOUBTFUL_POSE in codes(register(reference, candidate + wrong, "none"))
+
+
 def test_no_trial_is_wrong_without_a_word(monkeypatch, capsys):
     """The bench's quick form: made scenes only, and mirror images among them."""
     trials, scenes = _bench(monkeypatch)

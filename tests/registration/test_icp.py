@@ -98,6 +98,11 @@ def test_real_lidar_pair():
     assert result.converged
     # Far from the scanner its lines lie 100 spacings apart: that is no wrong alignment. A wrong one is said.
     assert OFF_SURFACE not in codes(result)
+    # Nor is it doubtful that its lines are not where the reference has its own; a scan that looks the other way is.
+    assert not result.doubtful
+    assert register(candidate, reference).doubtful is False
+    back = candidate.transformed(Similarity(shapes.rotation([0, 0, 1], 180), np.zeros(3)))
+    assert register(reference, back).doubtful
     turned = candidate.transformed(Similarity(shapes.rotation([0, 0, 1], 90), np.array([3.0, 2.0, 0.0])))
     assert OFF_SURFACE in codes(register(reference, turned))
 

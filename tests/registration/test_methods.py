@@ -140,3 +140,65 @@ def test_a_registration_is_told_in_a_line(scene):
     assert "(solved)" in told
     assert "\n" not in told
     assert "warnings: " in repr(register(reference, candidate / 0.3048, "none"))
+
+
+def failure(reference, candidate, method="icp"):
+    with pytest.raises(RegistrationError) as refused:
+        register(reference, candidate, method)
+    return str(refused.value)
+
+
+def test_what_both_files_state_stands_before_the_failure(scene):
+    reference, candidate = (cloud[:6000] for cloud in scene)
+    cure = "Convert one of them, or use --register global-similarity, which finds any pose and scale: "
+    told = failure(Cloud(reference, unit="m"), Cloud(1000 * candidate + 1e6, unit="mm"))
+    assert told.startswith(f"the files state different units (reference m, candidate mm). {cure}the candidate does not")
+    told = failure(
+        Cloud(reference, unit="m", crs="LOCAL_A"), Cloud(candidate + 5000, unit="metre", crs="LOCAL_B"), "none"
+    )
+    systems = "the files state different coordinate systems (reference LOCAL_A, candidate LOCAL_B). "
+    assert told.startswith(f"{systems}{cure}the candidate does not overlap the reference after --register none: ")
+    both = failure(Cloud(reference, unit="m", crs="A"), Cloud(candidate + 5000, unit="ft", crs="B"), "none")
+    assert both.startswith(
+        "the files state different units (reference m, candidate ft) and the files state different co"
+    )
+    alike = failure(Cloud(reference, unit="m", crs="A"), Cloud(candidate + 5000, unit="Metre", crs="A"))
+    assert alike.startswith("the candidate does not overlap the reference")
+
+
+@pytest.mark.parametrize(
+    ("factor", "question"),
+    [
+        (1000, "1000: is one in millimetres?"),
+        (0.001, "1000: is one in millimetres?"),
+        (100, "100: is one in centimetres?"),
+        (0.3048, "3.281: is one in feet?"),
+        (1 / 0.0254, "39.37: is one in inches?"),
+        (304.8, "304.8: is one in millimetres, and one in feet?"),
+    ],
+)
+def test_sizes_let_suspect_a_unit_where_none_is_stated(scene, factor, question):
+    reference, candidate = (cloud[:6000] for cloud in scene)
+    told = failure(reference, factor * candidate + 1e6, "none")
+    assert told.startswith(
+        f"sizes differ by a factor of about {question} Convert one of them, or use --register global-"
+    )
+    assert failure(reference, 2 * candidate + 1e5, "none").startswith("the candidate does not overlap")
+
+
+def test_a_failed_overlap_names_the_methods_that_need_none(scene):
+    reference, candidate = (cloud[:6000] for cloud in scene)
+    for method in ("icp", "none"):
+        assert "align them from any pose (--register global, or global-similarity" in failure(
+            reference, candidate + 5000, method
+        )
+
+
+def test_units_that_both_state_and_nothing_converts_are_a_warning(scene):
+    reference, candidate = scene
+    stated = register(Cloud(reference, unit="m"), Cloud(candidate, unit="ft"), "none")
+    assert "the reference is in m, the candidate in ft: nothing was converted" in [str(w) for w in stated.warnings]
+    assert UNIT_MISMATCH in codes(stated)
+    converted = Similarity(np.eye(3), np.zeros(3), 0.3048)
+    in_feet = register(Cloud(reference, unit="m"), Cloud(candidate / 0.3048, unit="ft"), converted)
+    assert UNIT_MISMATCH not in codes(in_feet)

@@ -1,21 +1,24 @@
-"""Pictures: drawn from a report folder, with content, the same limits for all, and no crash where they cannot be."""
+"""Pictures: drawn from a report folder, with content, one frame and comparable colours, and no crash where they
+cannot be.
+"""
 
 import json
 import shutil
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import shapes
 
-from pcbench import Cloud, write_cloud
-from pcbench.errors import InputError, MissingExtra
+from pcbench import Cloud, Settings, read_cloud, write_cloud
+from pcbench.deformation import Deformation
+from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.opengl import NoFiguresError
-from pcbench.report import plot
-from pcbench.report.colors import ramp
-from pcbench.report.plot import draw
-from pcbench.report.plot.maps import limits
+from pcbench.report import Figures, plot
+from pcbench.report.plot import bends, draw, worker
+from pcbench.report.plot.maps import frame
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +42,8 @@ def report(tmp_path_factory):
 @pytest.fixture(scope="module")
 def figures(report):
     try:
-        plot.check_libraries()
-    except (NoFiguresError, MissingExtra) as error:
+        plot.check_library()
+    except MissingExtra as error:
         pytest.skip(str(error))
     return {path.stem: path for path in draw(report)}
 
@@ -49,18 +52,19 @@ def test_every_picture_is_there_and_shows_something(figures):
     from matplotlib.image import imread
 
     names = {"reference", "distribution"} | {
-        f"{c}_{s}" for c in "ab" for s in ("distance", "plane_distance", "m3c2_distance", "deformation")
+        f"{c}_{s}" for c in "ab" for s in ("distance", "completeness", "plane_distance", "m3c2_distance", "deformation")
     }
     assert figures.keys() - {"a_displacement", "b_displacement"} == names
     for name, path in figures.items():
         image = imread(path)[..., :3]
-        assert image.shape[0] >= 500
+        assert image.shape[0] >= 350
+        assert 1000 < image.shape[1] < 2200
         background = np.median(image.reshape(-1, 3), axis=0)
         drawn = (np.abs(image - background) > 0.05).any(axis=2)
-        # Not empty, and each third of a map holds its view.
+        # Not empty, and each view has its part.
         assert 0.02 < drawn.mean() < 0.9, name
         if name != "distribution" and not name.endswith("_deformation"):
-            for panel in np.array_split(drawn[:, : int(0.93 * drawn.shape[1])], 3, axis=1):
+            for panel in np.array_split(drawn[:, : int(0.9 * drawn.shape[1])], 3, axis=1):
                 assert panel.mean() > 0.02, name
 
 
@@ -84,30 +88,13 @@ def test_the_reference_may_have_gone(figures, report, tmp_path):
     assert draw(copy, ("distribution",)) == [copy / "figures/distribution.png"]
 
 
-def test_limits_are_shared_and_symmetric_where_signed():
-    few, many = np.linspace(0, 1, 101), np.linspace(0, 2, 101)
-    assert limits([few, many]).high == pytest.approx(1.9)
-    assert limits([few]).low == 0
-    signed = limits([few - 0.5, few])
-    assert signed.low == -signed.high
-
-
-def test_ramp_runs_from_blue_to_red():
-    colors = ramp(np.array([-1.0, 0.0, 0.2, 0.85, 1.0, 5.0]), 0.0, 1.0).astype(int)
-    assert colors[2, 2] > colors[2, 0]
-    assert colors[3, 0] > colors[3, 2]
-    assert (colors[0] == colors[1]).all()
-    assert (colors[4] == colors[5]).all()
-
-
-def test_without_opengl_it_says_so(monkeypatch, report):
+def test_a_display_is_not_needed(monkeypatch, report):
     monkeypatch.setattr("pcbench.opengl._LIBRARIES", ("libNoSuchThing.so",))
     monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(NoFiguresError, match="neither a display nor EGL nor OSMesa"):
-        draw(report)
+    assert draw(report, ("a_distance",)) == [report / "figures/a_distance.png"]
 
 
-def test_without_pyvista_it_names_the_extra(monkeypatch, report):
+def test_without_matplotlib_it_names_the_extra(monkeypatch, report):
     monkeypatch.setattr(plot, "find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r"pip install 'pcbench\[plot\]'"):
         draw(report)
@@ -122,3 +109,132 @@ def test_a_crash_while_drawing_is_one_line(monkeypatch, report):
 def test_not_a_report():
     with pytest.raises(InputError, match="expected a report folder"):
         draw(Path("/"))
+
+
+def drawn_here(folder, *names, **look):
+    """In this process: a child takes seconds to start."""
+    pytest.importorskip("matplotlib")
+    return [folder / path for path in worker.draw(folder, plot.REPORT.function, Figures(**look), names)]
+
+
+def test_formats_by_name_and_by_setting(report):
+    svg, pdf = drawn_here(report, "distribution.svg", "a_completeness.pdf")
+    assert (svg.name, pdf.name) == ("distribution.svg", "a_completeness.pdf")
+    root = ElementTree.parse(svg).getroot()
+    assert root.tag.endswith("svg")
+    words = "".join(root.itertext())
+    assert "distance to the nearest point [m]" in words
+    assert "spacing of the reference" in words
+    content = pdf.read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert content.rstrip().endswith(b"%%EOF")
+    assert b"/Image" in content  # the cloud stays one
+    before = svg.read_bytes()
+    (again,) = drawn_here(report, "distribution", format="svg")
+    assert again.read_bytes() == before  # nothing of the clock, nothing of chance
+    with pytest.raises(PcbenchError, match=r"no picture 'distribution\.gif'"):
+        drawn_here(report, "distribution.gif")
+
+
+def test_a_chosen_background_is_that_of_maps_and_charts(report):
+    from matplotlib.image import imread
+
+    for path in drawn_here(report, "a_distance", "distribution", "a_deformation", background="#203040"):
+        corner = np.rint(255 * imread(path)[2, 2, :3])
+        assert corner.tolist() == [0x20, 0x30, 0x40], path
+
+
+def test_a_map_says_its_unit_its_scale_and_whose_its_colours_are(report):
+    (path,) = drawn_here(report, "b_completeness", format="svg")
+    words = list(ElementTree.parse(path).getroot().itertext())
+    assert sum(word.strip() in ("10 m", "20 m", "50 m") for word in words) == 3  # a scale bar a view
+    assert "shared by both" in "".join(words)
+    assert "[m]" in "".join(words)
+    assert "completeness of b (the reference's 20,000 points)" in "".join(words)
+    (path,) = drawn_here(report, "b_completeness", format="svg", range=0.123)
+    assert "range as given" in "".join(ElementTree.parse(path).getroot().itertext())
+
+
+def test_the_completeness_map_holds_the_reference_and_its_distances(report):
+    """Beside brute force: the file's points are the reference's, its scalar what is missing."""
+    from scipy.spatial import KDTree
+
+    reference = read_cloud(report.parent / "ref.ply")
+    missing = read_cloud(report / "a_completeness.ply")
+    aligned = read_cloud(report / "a_deviation.ply")
+    np.testing.assert_array_equal(missing.points, reference.points)
+    expected = KDTree(aligned.points).query(reference.points)[0]
+    np.testing.assert_allclose(missing.attributes["distance"], expected, rtol=1e-5, atol=1e-6)
+    assert missing.unit == "m"
+    # Its colours are what they say: the farther, the lighter.
+    luma = np.asarray(missing.colors) @ [0.2126, 0.7152, 0.0722]
+    far = expected > np.percentile(expected, 90)
+    assert luma[far].min() > luma[expected < np.percentile(expected, 10)].max()
+
+
+def test_a_report_without_the_completeness_map_is_drawn_too(report, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(report, copy)
+    for path in copy.glob("*_completeness.ply"):
+        path.unlink()
+    assert drawn_here(copy, "a_distance") == [copy / "figures/a_distance.png"]
+    with pytest.raises(PcbenchError, match="no picture 'a_completeness'"):
+        drawn_here(copy, "a_completeness")
+
+
+def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
+    pytest.importorskip("matplotlib")
+    from matplotlib.image import imread
+
+    from pcbench import compare
+
+    points = shapes.city(2000, seed=3)[0]
+    compare(points, {"same": points}, Settings(register="none")).save(tmp_path / "report", figures=False)
+    drawn = {path.stem: path for path in drawn_here(tmp_path / "report")}
+    assert "distribution" not in drawn  # there is nothing to tell
+    with pytest.raises(PcbenchError, match="no point is off the reference"):
+        drawn_here(tmp_path / "report", "distribution")
+    image = imread(drawn["same_distance"])[..., :3]
+    assert (np.abs(image - image[2, 2]) > 0.05).any(axis=2).mean() > 0.05
+
+
+def test_evidence_has_a_panel_for_what_there_is(report, tmp_path):
+    """Growth that could not be told, and tiles without enough pairs, leave no empty axes."""
+    pytest.importorskip("matplotlib")
+    from matplotlib.image import imread
+
+    def shape(document):
+        field = Cloud(np.zeros((3, 3)), attributes={name: np.full(3, 100.0) for name in ("pairs", "local", "changed")})
+        path = tmp_path / "deformation.png"
+        drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures())
+        return imread(path).shape[:2] if drawn else None
+
+    document = json.loads((report / "comparison.json").read_text())["candidates"][0]["deformation"]
+    four = shape(document)
+    two = shape({**document, "growth": None})
+    one = shape({**document, "growth": None, "rungs": []})
+    assert two[1] == pytest.approx(four[1], rel=0.01)
+    assert two[0] < 0.6 * four[0]
+    assert one[1] == pytest.approx(0.5 * two[1], rel=0.01)
+
+
+def test_displacements_are_seen_from_everywhere(tmp_path):
+    """From above, too, where arrows that rise and sink have no length."""
+    pytest.importorskip("matplotlib")
+    from matplotlib.image import imread
+
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-10, 10, (200, 3)) * [1, 1, 0.1]
+    up = np.where(places[:, 0] > 0, 0.1, -0.1)
+    columns = {"displacement_x": 0 * up, "displacement_y": 0 * up, "displacement_z": up}
+    cloud, field = Cloud(rng.uniform(-10, 10, (5000, 3)) * [1, 1, 0.1]), Cloud(places, attributes=columns)
+    path = tmp_path / "displacement.png"
+    assert bends.arrows(cloud, field, "title", "m", frame(None, {"a": cloud}), path, Figures())
+    image = imread(path)[..., :3]
+    red, blue = image[..., 0] - image[..., 2] > 0.3, image[..., 2] - image[..., 0] > 0.3
+    above = slice(0, image.shape[1] // 4)
+    assert red[:, above].sum() > 500
+    assert blue[:, above].sum() > 500
+    assert np.nonzero(red[:, above])[1].mean() > np.nonzero(blue[:, above])[1].mean()  # where it rises
+    still = Cloud(places, attributes=dict.fromkeys(columns, 0 * up))
+    assert not bends.arrows(cloud, still, "title", "m", frame(None, {"a": cloud}), path, Figures())

@@ -129,10 +129,21 @@ def test_the_command_and_its_record(run):
     np.testing.assert_array_equal(after.points, again(record).apply(before.points))
     T = Similarity.from_matrix(record["after"])
     assert T.scale == pytest.approx(1.1)
-    np.testing.assert_allclose(T.translation, [10, 20, 3])
+    low, high = before.points.min(axis=0), before.points.max(axis=0)
+    np.testing.assert_allclose(T.motion_at((low + high) / 2).shift, [10, 20, 3])  # it turns about its own centre
     rest = beyond_affine(before.points, T.inverse().apply(after.points))
     assert np.sqrt(np.square(rest).sum(axis=1).mean()) == pytest.approx(0.1, rel=1e-9)
     np.testing.assert_allclose(turn((0, 0, 90), (0, 0, 0), 1).apply(np.eye(3))[0], [0, 1, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize(("about", "place"), [("origin", [0, 0, 0]), ("5,-6,700", [5, -6, 700])])
+def test_it_turns_about_what_is_asked_for(run, about, place):
+    assert run("in.ply", "out.ply", "--kind", "dome", "--rms", "0.1", "--rotate", "0,0,30", "--about", about)[0] == 0
+    record = json.loads(Path("out.ply.json").read_text())
+    motion = Similarity.from_matrix(record["after"]).motion_at(place)
+    np.testing.assert_allclose(motion.shift, 0, atol=1e-12)
+    assert motion.angle_deg == pytest.approx(30)
+    np.testing.assert_array_equal(read_cloud("out.ply").points, again(record).apply(read_cloud("in.ply").points))
 
 
 @pytest.mark.parametrize(
@@ -142,6 +153,7 @@ def test_the_command_and_its_record(run):
         ("in.ply out.ply --kind dome --rms 0", "positive RMS"),
         ("in.ply out.ply --kind dome --rms nan", "positive RMS"),
         ("in.ply out.ply --kind dome --rms 1 --rotate 1,2", "three numbers"),
+        ("in.ply out.ply --kind dome --rms 1 --about middle", "three numbers"),
         ("in.ply out.ply --kind dome --rms 1 --scale 0", "positive scale"),
         ("in.ply in.ply --kind dome --rms 1", "would replace an input"),
         ("no.ply out.ply --kind dome --rms 1", "no.ply"),

@@ -2,74 +2,105 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation, Growth, Trend
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.report.plot.maps import framed_panels
+from pcbench.report.colors import Range
+from pcbench.report.figures import Figures
+from pcbench.report.plot.panels import compose, save
+from pcbench.report.plot.splats import splat
+from pcbench.report.plot.views import Frame, View, round_length
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _ARROW = 0.1  # of the scene: how long the 95th percentile of the arrows is drawn
+_MIN_PAIRS = 20  # of a tile that a change is looked for in
 
 
-def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path) -> bool:
-    """Growth with distance and height, the models' cross-validation, and the map of local changes."""
+def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path, look: Figures) -> bool:
+    """Growth with distance and height, the models' cross-validation, and the map of local changes: those of them that
+    there are, False where there is none.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 9), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13)
-    (near, high), (score, place) = figure.subplots(2, 2)
     factor, short = _readable(bend, unit)
     growth = bend.growth or Growth(None, None)
-    _growth(near, growth.with_distance, "horizontal distance from the centre", unit, factor, short)
-    _growth(high, growth.with_height, "height above the lowest place", unit, factor, short)
-    _rungs(score, bend, factor, short)
-    _changes(place, bend, field, unit, factor, short)
-    for axis in (near, high, score, place):
+    panels: list[Callable[[Any], None]] = []
+    for trend, along in (
+        (growth.with_distance, "horizontal distance from the centre"),
+        (growth.with_height, "height above the lowest place"),
+    ):
+        if trend is not None and len(trend.profile) > 1:
+            panels.append(partial(_growth, trend=trend, along=along, unit=unit, factor=factor, short=short))
+    grown = len(panels)
+    if bend.rungs:
+        panels.append(lambda axis: _rungs(axis, bend, factor, short))
+    tested = np.asarray(field.attributes["pairs"]) >= _MIN_PAIRS
+    if tested.any():
+        panels.append(lambda axis: _changes(axis, bend, field.select(tested), unit, factor, short))
+    if not panels:
+        return False
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    width, height = 6.8 * columns, 0.9 + 4.2 * rows
+    figure = Figure(figsize=(width, height), dpi=110)
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=13, y=1 - 0.22 / height, va="center")
+    figure.subplots_adjust(left=0.85 / width, right=1 - 0.3 / width, top=1 - 0.75 / height,
+                           bottom=(1.0 if grown else 0.65) / height, hspace=0.28, wspace=0.22)  # fmt: skip
+    axes = [figure.add_subplot(rows, columns, number + 1) for number in range(len(panels))]
+    for axis, panel in zip(axes, panels, strict=True):
+        panel(axis)
         axis.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path)
+    if grown:
+        handles = axes[0].get_legend_handles_labels()
+        figure.legend(*handles, loc="lower center", bbox_to_anchor=(0.5, 0.02 / height), ncols=3, frameon=False)
+    save(figure, path)
     return True
 
 
-def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, path: Path) -> bool:
+def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path: Path, look: Figures) -> bool:
     """Displacements, exaggerated, over the aligned candidate; False where the chosen model has none."""
-    import pyvista
-
     vectors = np.stack([np.asarray(field.attributes[f"displacement_{k}"], np.float64) for k in "xyz"], axis=1)
     lengths = np.linalg.norm(vectors, axis=1)
-    low, high = np.percentile(cloud.points, [0.5, 99.5], axis=0)
-    inside = ((field.points >= low - 1e-9) & (field.points <= high + 1e-9)).all(axis=1) & (lengths > 0)
+    inside = frame.box.holds(field.points) & (lengths > 0)
     if not inside.any():
         return False
     typical = float(np.percentile(lengths[inside], 95))
     # A round factor, so that a reader can divide by it.
-    wanted = _ARROW * float(np.linalg.norm(high - low)) / typical
-    step = 10.0 ** np.floor(np.log10(wanted))
-    exaggeration = float(step * max(m for m in (1, 2, 5) if m * step <= wanted))
-    center = (low + high) / 2
-    places, vectors = field.points[inside] - center, vectors[inside] * exaggeration
-    # What sinks is drawn above the surface too, with its head on it: the ground would hide it.
-    tails = np.where(vectors[:, 2:] < 0, places - vectors, places)
-    glyphs = pyvista.PolyData(tails.astype(np.float32))
-    glyphs["vectors"] = vectors.astype(np.float32)
-    glyphs["length"] = np.linalg.norm(vectors, axis=1).astype(np.float32)
-    glyphs["vertical"] = (vectors[:, 2] / exaggeration).astype(np.float32)
-    arrow = pyvista.Arrow(tip_length=0.35, tip_radius=0.14, shaft_radius=0.05)
-    drawn = glyphs.glyph(orient="vectors", scale="length", geom=arrow)
-    ground = pyvista.PolyData((cloud.points[:: max(1, len(cloud) // 150_000)] - center).astype(np.float32))
+    exaggeration = round_length(_ARROW * float(np.linalg.norm(frame.box.high - frame.box.low)) / typical)
+    vectors = vectors[inside]
+    tails = field.points[inside] - frame.box.center
+    scale = Range(-typical, typical, "blue: below the reference, red: above it", signed=True)
+    colors = scale.colors(vectors[:, 2]) / 255
+    ground = look.ground("dark")
+    behind = np.array([int(ground[k : k + 2], 16) for k in (1, 3, 5)])
+    # Between the ground and a middle grey: there to tell where the arrows stand, not to be looked at.
+    faint = np.broadcast_to(np.rint(0.7 * behind + 0.3 * 138).astype(np.uint8), cloud.points.shape)
+    about = cloud.points - frame.box.center
 
-    def populate(plotter: Any) -> None:
-        plotter.add_mesh(ground, color="#8a9099", style="points", point_size=2.0, opacity=0.25, lighting=False)
-        plotter.add_mesh(drawn, scalars="vertical", cmap="coolwarm", clim=(-typical, typical), show_scalar_bar=False)
+    def image(view: View, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
+        return splat(about, faint, view, window, pixels, behind.astype(np.uint8))
 
-    half = (high - low) / 2 + np.percentile(np.abs(vectors), 99, axis=0)
+    def over(axis: Any, view: View, placed: Callable[[FloatArray], FloatArray], factor: float) -> None:
+        flat = view.axes[:2].T
+        (x, y), (u, v) = placed(tails @ flat).T, exaggeration * factor * (vectors @ flat).T
+        # Like a pencil's: a shaft that is seen, a head that is told from it.
+        style = {"units": "inches", "width": 0.016, "headwidth": 4, "headlength": 5, "headaxislength": 4.5}
+        axis.scatter(x, y, s=14, c=colors, linewidths=0)  # what points at the viewer has no length
+        axis.quiver(x, y, u, v, color=colors, angles="xy", scale_units="xy", scale=1, minlength=0, **style)
+
     title = f"{title}; displacements {exaggeration:g} times as long as they are"
-    framed_panels(populate, half, title, path, (-typical, typical), f"vertical part of the displacement [{unit}]")
+    label = f"vertical part of the displacement [{unit}]"
+    compose(image, frame, title, unit, path, look, scale=scale, label=label, over=over)
     return True
 
 
@@ -78,13 +109,10 @@ def _readable(bend: Deformation, unit: str) -> tuple[float, str]:
     return (1000.0, "mm") if unit == "m" and (bend.remaining_rms or 1.0) < 0.5 else (1.0, unit)
 
 
-def _growth(axis: Any, trend: Trend | None, along: str, unit: str, factor: float, short: str) -> None:
+def _growth(axis: Any, trend: Trend, along: str, unit: str, factor: float, short: str) -> None:
     axis.set_xlabel(f"{along} [{unit}]")
     axis.set_ylabel(f"vertical displacement [{short}]")
     axis.axhline(0, color=_GREY, linewidth=0.8)
-    if trend is None:
-        axis.text(0.5, 0.5, "not enough surface to tell", transform=axis.transAxes, ha="center", color=_GREY)
-        return
     x = np.array([row.at for row in trend.profile])
     mean = factor * np.array([row.mean for row in trend.profile])
     low, high = factor * np.array([row.ci for row in trend.profile]).T
@@ -96,7 +124,6 @@ def _growth(axis: Any, trend: Trend | None, along: str, unit: str, factor: float
     scale = 1000.0  # per 1000 units: mm per m, or thousandths
     text = f"slope {scale * trend.slope:.3g} [{scale * bounds[0]:.3g}, {scale * bounds[1]:.3g}] ‰"
     axis.set_title(text, fontsize=10, loc="left")
-    axis.legend(framealpha=0.9, edgecolor="none", fontsize=9)
     axis.grid(alpha=0.25)
 
 
@@ -106,23 +133,15 @@ def _rungs(axis: Any, bend: Deformation, factor: float, short: str) -> None:
     place = np.arange(len(bend.rungs))
     axis.errorbar(place, factor * score, factor * error, color=_BLUE, marker="o", capsize=4, linewidth=1.4)
     chosen = [rung.model for rung in bend.rungs].index(bend.model)
-    axis.plot(
-        chosen, factor * score[chosen], "o", color=_RED, markersize=11, fillstyle="none", markeredgewidth=2,
-        label="chosen",
-    )  # fmt: skip
+    axis.plot(chosen, factor * score[chosen], "o", color=_RED, markersize=11, fillstyle="none", markeredgewidth=2)
     axis.set_xticks(place, [f"{rung.model}\n{rung.parameters}" for rung in bend.rungs])
     axis.set_xlabel("model, parameters")
     axis.set_ylabel(f"residual of tiles left out, RMS [{short}]")
-    axis.set_title("cross-validation, ± standard error", fontsize=10, loc="left")
-    axis.legend(framealpha=0.9, edgecolor="none", fontsize=9)
+    axis.set_title("cross-validation, ± standard error; the chosen model is circled", fontsize=10, loc="left")
     axis.grid(alpha=0.25)
 
 
 def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: float, short: str) -> None:
-    tested = np.asarray(field.attributes["pairs"]) >= 20
-    if not tested.any():
-        return
-    field = field.select(tested)
     local = factor * np.asarray(field.attributes["local"], np.float64)
     changed = np.asarray(field.attributes["changed"]) > 0
     x, y = (field.points[:, :2] - np.floor(field.points[:, :2].min(axis=0))).T

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pcbench.scenes import Scene
 
 _CAMERA, _PATH, _POINT = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
+_SOFTWARE = "pcbench"  # by which its pictures are known
 _MAX_POINTS = 20_000  # more are drawn as a blot
 _MAX_TILT_DEG = 25.0  # of images that look down, from their mean direction, and of that from the normal of their places
 _MIN_WIDTH = 0.3  # of a flight that covers an area, to its length: a walk along a wall is narrower
@@ -31,10 +32,11 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     look down if they are those of a flight over an area.
 
     Raises:
-        InputError: the scene has neither cameras nor positions.
+        InputError: the scene has neither cameras nor positions, or `path` is a file that this did not draw.
         MissingExtra: matplotlib is not installed.
         OSError: the file cannot be written.
     """
+    _check_picture(path)
     drawn = _cameras(scene) if scene.cameras else _measured(scene)
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -75,10 +77,20 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     above.grid(True, alpha=0.3)
     above.spines[["top", "right"]].set_visible(False)
     above.set_title("from above", fontsize=11)
-    above.legend(framealpha=0.9, edgecolor="none", loc="best")
+    figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     figure.suptitle(drawn.title, fontsize=12)
     with atomic_write(path) as file:
-        figure.savefig(file, format="png")
+        figure.savefig(file, format="png", metadata={"Software": _SOFTWARE})
+
+
+def _check_picture(path: Path) -> None:
+    """Raises InputError where there is a file already that this program did not draw: photographs are PNG too."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        start = file.read(1024)
+    if not start.startswith(b"\x89PNG") or f"Software\0{_SOFTWARE}".encode() not in start:
+        raise InputError(f"{path}: there is a file already that is no picture of pcbench's: choose another name")
 
 
 class _Drawn(NamedTuple):

@@ -1,46 +1,78 @@
-"""The drawing process: `python -m pcbench.report.plot.worker FOLDER MODULE:FUNCTION [NAME...]`.
+"""The drawing process: `python -m pcbench.report.plot.worker FOLDER MODULE:FUNCTION FIGURES [NAME...]`.
 
-The function says which pictures the folder has (`pcbench.report.plot.Drawer`); they are written into FOLDER/figures,
-and the names of the files are printed. A user's mistake is printed as one line, with exit code 2.
+FIGURES is how they shall look, as JSON. The function says which pictures the folder has
+(`pcbench.report.plot.Drawer`); they are written into FOLDER/figures, and the names of the files are printed. A user's
+mistake is printed as one line, with exit code 2.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
 
 from pcbench.errors import PcbenchError
+from pcbench.report.figures import FORMATS, Figures, ink
 from pcbench.report.plot import Picture
+from pcbench.report.read import damage_in_one_line
 
 
-def draw(folder: Path, pictures: Mapping[str, Picture], wanted: Sequence[str]) -> list[Path]:
-    """Draw all pictures, or those that are wanted; the files that were written, relative to the folder."""
-    if unknown := [name for name in wanted if name not in pictures]:
+def draw(folder: Path, function: str, look: Figures, wanted: Sequence[str] = ()) -> list[Path]:
+    """Draw all pictures, or those that are wanted, each in the format that its name ends with, or in that of `look`;
+    the files that were written, relative to the folder.
+
+    Raises:
+        PcbenchError: there is no such picture, or the folder is damaged.
+    """
+    module, _, name = function.partition(":")
+    pictures: Mapping[str, Picture] = getattr(import_module(module), name)(folder, look)
+    asked = [_split(name, pictures, look) for name in wanted]
+    if unknown := [name for name, _ in asked if name not in pictures]:
         raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}")
     (folder / "figures").mkdir(exist_ok=True)
     written = []
-    for name in wanted or pictures:
-        path = folder / "figures" / f"{name}.png"
-        if pictures[name].draw(path):
-            written.append(path.relative_to(folder))
-        elif name in wanted:
-            raise PcbenchError(f"no picture {name!r}: {pictures[name].why_not}")
+    with _colors_of(look):
+        for name, ending in asked or [(name, look.format) for name in pictures]:
+            path = folder / "figures" / f"{name}.{ending}"
+            if pictures[name].draw(path):
+                written.append(path.relative_to(folder))
+            elif asked:
+                raise PcbenchError(f"no picture {name!r}: {pictures[name].why_not}")
     return written
 
 
+def _split(name: str, pictures: Mapping[str, Picture], look: Figures) -> tuple[str, str]:
+    """Name and format of what a user asked for."""
+    stem, dot, ending = name.rpartition(".")
+    return (stem, ending) if name not in pictures and dot and ending in FORMATS else (name, look.format)
+
+
 def main() -> int:
-    folder, function, *wanted = sys.argv[1:]
-    module, _, name = function.partition(":")
+    folder, function, chosen, *wanted = sys.argv[1:]
     try:
-        pictures = getattr(import_module(module), name)(Path(folder))
-        written = draw(Path(folder), pictures, wanted)
+        with damage_in_one_line(Path(folder)):
+            written = draw(Path(folder), function, Figures(**json.loads(chosen)), wanted)
     except PcbenchError as error:
         print(" ".join(str(error).split()))
         return 2
     print("\n".join(str(path) for path in written))
     return 0
+
+
+def _colors_of(look: Figures) -> AbstractContextManager[None]:
+    """Of charts: everything that has no colour of its own is read on the chosen background."""
+    import matplotlib
+
+    ground = look.ground("white")
+    dark = ink(ground)
+    grounds = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), ground)
+    inks = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), dark)
+    # Words stay words, which can be edited and searched; the same ids in the same file every time.
+    files = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "pcbench"}
+    return matplotlib.rc_context({**grounds, **inks, **files})
 
 
 if __name__ == "__main__":

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,6 +17,7 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.transforms_json import write_transforms
+from pcbench.progress import Plan
 from pcbench.scenes.synthetic.demos import Demo
 from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.plan import CitySettings
@@ -27,6 +25,7 @@ from pcbench.scenes.synthetic.render import Optics, check_intrinsics, check_rend
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import depth_map, surface_cloud
+from pcbench.scratch import claim, scratch_folder
 
 _DEMO_MARK = ".demo"  # the file by which a demo's folder is known
 
@@ -73,13 +72,14 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
     check_renderer()
     check_intrinsics(settings.intrinsics)
     with _new_folder(out) as folder:
-        step("building the city")
+        progress = Plan(step, [2.0, 0.5 * settings.images, *([0.3] * settings.images), 2.0 + 5e-6 * settings.points])
+        progress("building the city")
         plan = lay_out(settings.city)
         site = Site(settings.city.extent, float(np.median(plan.terrain.heights)), plan.top)
         cameras = rig(settings.rig, settings.images, site, settings.intrinsics)
         city = build_city(plan, cameras=cameras)
         (folder / "images").mkdir()
-        step(f"taking {len(cameras)} images")
+        progress(f"taking {len(cameras)} images")
         render(
             city,
             cameras,
@@ -98,9 +98,9 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         index = MeshIndex(city.mesh)
         write_mesh_ply(folder / "truth" / "mesh.ply", city.mesh)
         for camera in cameras:
-            step(f"casting the depths of {camera.name}")
+            progress(f"casting the depths of {camera.name}")
             np.save(folder / "truth" / "depth" / f"{Path(camera.name).stem}.npy", depth_map(index, camera))
-        step("sampling the surface")
+        progress("sampling the surface")
         cloud = surface_cloud(plan, index, cameras, settings.points, settings.city.seed)
         write_cloud(folder / "truth" / "cloud.ply", cloud)
 
@@ -174,12 +174,6 @@ def _new_folder(out: Path) -> Iterator[Path]:
     parent = out.absolute().parent
     if not parent.is_dir():
         raise InputError(f"{out}: the folder {parent} does not exist: make it first")
-    scratch = Path(tempfile.mkdtemp(prefix=".pcbench-", dir=parent))
-    try:
+    with claim(out), scratch_folder(out) as scratch:
         yield scratch
-        mask = os.umask(0)
-        os.umask(mask)
-        scratch.chmod(0o777 & ~mask)  # what the system gives new folders, not mkdtemp's private mode
         scratch.replace(out.absolute())
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.opengl import OFF_SCREEN, check_opengl
 from pcbench.scenes.synthetic.surface import CitySurface
+from pcbench.scratch import scratch_folder
 
 _MAX_SECONDS = 120  # an image: software OpenGL needs a second for a megapixel
 _MAX_SIDE = 8192  # pixels along a side of an image, or of what the lens bends into it
@@ -89,8 +89,8 @@ def render(
     check_renderer()
     for camera in cameras:
         check_intrinsics(camera.intrinsics)
-    with tempfile.TemporaryDirectory(prefix="pcbench-render-") as scratch:
-        job = Path(scratch)
+    with scratch_folder() as scratch:
+        job = scratch
         corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # the city is small and about the origin
         np.savez(job / "faces.npz", corners=corners, uv=city.uv, page=city.page, shade=city.shade)
         for number, page in enumerate(city.pages):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
 from pcbench.scenes.synthetic.reflect import Mirrors, mirrors_of, reflectance
+from pcbench.scratch import naming
 
 FINER = 4  # samples along each side of an image's pixel
 _TILE = 8192  # samples along a side of what is drawn at once
@@ -220,7 +221,9 @@ def main() -> int:
             view = CityView(job, intrinsics, reflections=values["reflections"])
         rng = np.random.default_rng([values["seed"], 9, number])
         pixels = develop(view.photograph(camera), values["optics"], intrinsics, rng)
-        Image.fromarray(pixels).save(folder / camera.name, compress_level=4)
+        path = folder / camera.name
+        with naming(path, path):
+            Image.fromarray(pixels).save(path, compress_level=4)
     return 0
 
 

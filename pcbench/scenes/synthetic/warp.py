@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
@@ -204,8 +205,13 @@ def _rms(vectors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(vectors).sum(axis=1))))
 
 
-def turn(angles_deg: tuple[float, float, float], shift: tuple[float, float, float], scale: float) -> Similarity:
-    """Rotations about x, then y, then z, a scale and a shift."""
+def turn(
+    angles_deg: tuple[float, float, float],
+    shift: tuple[float, float, float],
+    scale: float,
+    about: ArrayLike = (0.0, 0.0, 0.0),
+) -> Similarity:
+    """Rotations about axes along x, then y, then z, and a scale, all about the place `about` (3,), and a shift."""
     rotation = np.eye(3)
     for axis, angle in enumerate(np.radians(angles_deg)):
         c, s = np.cos(angle), np.sin(angle)
@@ -214,4 +220,4 @@ def turn(angles_deg: tuple[float, float, float], shift: tuple[float, float, floa
         step[i, i] = step[j, j] = c
         step[i, j], step[j, i] = -s, s
         rotation = step @ rotation
-    return Similarity(rotation, np.array(shift), scale)
+    return Similarity(rotation, np.array(shift), scale).about(np.asarray(about, np.float64))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -10,14 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.io.files import read_json
+from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
+from pcbench.report.plot.panels import save
 from pcbench.studies.bench.pareto import Configuration, configurations, front_of
 from pcbench.studies.bench.plan import IMAGE_SCALE
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")  # Okabe and Ito
 _SHAPES = ("o", "s", "^", "D", "v", "P", "X")
 _BEATEN = "#d9dbde"
-_FRONT = "#3c4148"
+_FRONT = "#6b717b"  # read on light and dark
 _MIN_AREA, _MAX_AREA = 40.0, 380.0  # points squared: a marker's area grows with memory between them
 _WIDE = 10  # times the smallest length, from which on lengths are drawn on a logarithmic scale
 
@@ -42,12 +44,12 @@ _SPLIT = (
 
 
 # Draws the charts of a bench's folder.
-CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",), is_spatial=False)
+CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",))
 
 
-def pictures(folder: Path) -> dict[str, Picture]:
+def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """The charts of a folder that `pcbench bench` wrote."""
-    document = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
+    document = read_json(folder / "bench.json")
     why_not = "no run was measured"
     return {
         "speed": Picture(lambda path: speed(document, path), why_not),
@@ -103,7 +105,8 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
     from matplotlib.figure import Figure
 
     found = configurations(document["rows"])
-    if not any(c.done for c in found):
+    quantities = [of for of in quantities if any(c.median(of.column) is not None for c in found)]
+    if not quantities:
         return False
     look = _look(document, found)
     failed = [row for row in document["rows"] if row["status"] != "ok"]
@@ -126,7 +129,7 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
     figure.set_layout_engine("none")
     for axis, quantity in zip(panels, quantities, strict=True):
         _labels(axis, look, quantity)
-    figure.savefig(path)
+    save(figure, path)
     return True
 
 
@@ -339,7 +342,7 @@ def _strip(axis: Any, look: _Look, crosses: Sequence[_Cross]) -> None:
     axis.set_yticks([])
     axis.tick_params(axis="x", which="both", bottom=False, labelbottom=False)
     axis.set_ylabel("failed", rotation=0, ha="right", va="center")
-    axis.set_facecolor("#f4f1ee")
+    axis.set_facecolor("#8a8f9626")
     axis.spines[:].set_visible(False)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import io
 import json
@@ -22,11 +21,13 @@ import numpy as np
 
 from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.cameras import Camera
-from pcbench.io.files import atomic_write, digest
-from pcbench.plugins.run import PLUGIN, ReconstructionJob, describe, read_reconstruction, run
+from pcbench.io.files import atomic_write, digest, read_json
+from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
+from pcbench.progress import Step
 from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
+from pcbench.scratch import claim
 from pcbench.studies.bench.pareto import choice_words, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import Rules, Yardstick, score
@@ -68,7 +69,9 @@ COLUMNS = (
     "message",
 )
 _MEASURES = 2  # raised when clouds are measured in another way: scores from before are measured again
-_RUNS, _RUN, _SCORE, _LOCK = "runs", "run.json", "score.json", ".lock"
+_RUN_S = 60.0  # that one run takes, roughly, for progress bars
+_RUNS, _RUN, _SCORE = "runs", "run.json", "score.json"
+_MARK = ".lock"  # a folder that holds it is a bench's
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,7 @@ def bench(
     on_step("looking at the methods")
     limit = min(120.0, job.time_limit_s or 120.0)
     specs = zip(labels(job.methods), job.methods, strict=True)
-    methods = [Method(label, spec, describe(spec, limit)) for label, spec in specs]
+    methods = [Method(label, spec, describe(absolute(spec), limit)) for label, spec in specs]
     todo, notes = trials(methods, job.axes, job.seeds)
     on_step("reading the reference")
     if job.mesh is None:
@@ -159,7 +162,8 @@ def bench(
     with _bench_folder(out):
         rows: list[dict[str, Any]] = []
         for number, trial in enumerate(todo, 1):
-            on_step(f"{number} of {len(todo)}: {trial.words}")
+            # All alike, until those that are done say how long one takes.
+            on_step(Step(f"{number} of {len(todo)}: {trial.words}", _RUN_S, _RUN_S * (len(todo) - number)))
             row, kept = _row(job, trial, inputs, yardstick, out)
             rows.append(row)
             mark_front(rows)
@@ -335,16 +339,11 @@ def _bench_folder(out: Path) -> Iterator[None]:
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the bench to, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _LOCK).is_file():
+    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
         raise InputError(f"{out}: the folder is not empty and holds no bench: choose another one, or empty it")
     (out / _RUNS).mkdir(parents=True, exist_ok=True)
-    with (out / _LOCK).open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise InputError(
-                f"{out}: another bench is at work in this folder: wait for it, or choose another"
-            ) from None
+    (out / _MARK).touch()
+    with claim(out):
         yield
 
 
@@ -372,7 +371,7 @@ def _document(
             "seen_points": None if yardstick.seen is None else len(yardstick.seen),
             "seen_spacing": yardstick.seen_spacing,
         },
-        "methods": [{"method": m.label, "spec": m.spec, **asdict(m.described)} for m in methods],
+        "methods": [{"method": m.label, "spec": m.spec, **_known(m.described)} for m in methods],
         "settings": {
             "axes": [asdict(axis) for axis in job.axes],
             "seeds": job.seeds,
@@ -385,6 +384,10 @@ def _document(
         "notes": list(notes),
         "rows": list(rows),
     }
+
+
+def _known(described: Description) -> dict[str, Any]:
+    return {name: getattr(described, name) for name in ("settings", "origin", "sha256", "problem")}
 
 
 def _write(out: Path, doc: dict[str, Any]) -> None:
@@ -408,7 +411,7 @@ def _keep(path: Path, values: dict[str, Any]) -> None:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+        values = read_json(path)
+    except (FileNotFoundError, InputError):
         return None
     return values if isinstance(values, dict) else None

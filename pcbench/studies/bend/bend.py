@@ -28,10 +28,12 @@ from pcbench.io.meshes import read_mesh
 from pcbench.plugins import find_plugin
 from pcbench.plugins.run import ReconstructionJob, describe, run
 from pcbench.plugins.stages import library_versions, stage
+from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
-from pcbench.studies.bend.findings import Solution, Variant, csv_text, findings, intrinsics_values
+from pcbench.scratch import claim
+from pcbench.studies.bend.findings import MEASURING_S, Solution, Variant, csv_text, findings, intrinsics_values
 
 SCHEMA = "pcbench.experiment.bend/1"
 PLUGIN = "sfm"
@@ -42,6 +44,7 @@ _POINTS = 400_000  # of the synthetic truth
 _NADIR = 10.0  # degrees from the vertical: an image that looks straight down
 _MIN_IMAGES = 6
 _MARK = 0.5  # pixels, standard deviation of a control point's mark
+_SOLVING_S = 60.0  # that one solution takes, roughly, for progress bars
 _SURVEY = 0.01  # in the truth's unit, of its position
 _LIFT = 1e-4  # in the truth's unit, off the surface to where lines of sight start
 # SIFT at the images' own size: a third of the time, and points enough.
@@ -76,7 +79,8 @@ def run_bend(
         What experiment.json holds, and why there is no picture where there should be one.
 
     Raises:
-        InputError: the scene has no truth, or too few images or cameras; `out` is no folder.
+        InputError: the scene has no truth, or too few images or cameras; `out` is no folder, or
+            another run is writing there.
         PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
     """
     if out.exists() and not out.is_dir():
@@ -85,6 +89,14 @@ def run_bend(
         raise InputError(f"{out}: the folder is not empty and holds no experiment: choose another one, or empty it")
     if missing := find_plugin(PLUGIN).missing:
         raise InputError(missing)
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with claim(out):
+        return _run(out, scene, settings, figures, step)
+
+
+def _run(
+    out: Path, scene: Path | None, settings: Experiment, figures: bool, step: Callable[[str], None]
+) -> tuple[dict[str, Any], str | None]:
     if scene is None:
         _begin(out)
         folder = _synthetic(out, settings, step)
@@ -99,7 +111,8 @@ def run_bend(
     inputs.write(surface, truth)
     solutions = []
     for number, variant in enumerate(plan, 1):
-        step(f"solving {number} of {len(plan)}: {variant.name}")
+        left = _SOLVING_S * (len(plan) - number) + MEASURING_S * len(plan)
+        step(Step(f"solving {number} of {len(plan)}: {variant.name}", _SOLVING_S, left))
         solutions.append(_solve(inputs, variant, surface))
     intrinsics = data.cameras[data.images[0]].intrinsics
     document = {

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from statistics import mode
 from typing import Any
 
 import numpy as np
 
 from pcbench.errors import MissingExtra
 from pcbench.io.files import atomic_write
+from pcbench.report.colors import largest_but_strays, ranges
 
 _COLORS = (
     "#000000",
@@ -53,15 +55,19 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
     FigureCanvasAgg(figure)
     parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * below, 0.1)])
     upper, lower = parts
-    grown, nearer, sized = upper.subplots(1, 3)
     largest = max((row["truth"]["rms"] or 0.0 for row in rows), default=0.0)
-    _growth(grown, rows, colors, unit, "Growth: means over rings; shaded, what noise would do")
     small = [row for row in rows if (row["truth"]["rms"] or 0.0) <= _SMALL * largest]
-    _growth(nearer, small, colors, unit, f"Nearer: bends below {100 * _SMALL:.0f} % of the largest")
+    grown, *nearer, sized = upper.subplots(1, 3 if small else 2)
+    _growth(grown, rows, colors, unit, "Growth: means over rings; shaded, what noise would do")
+    for axis in nearer:
+        _growth(axis, small, colors, unit, f"Nearer: bends below {100 * _SMALL:.0f} % of the largest")
     _sizes(sized, rows, colors, unit)
     if rows:
+        upper.legend(*grown.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
         heights = [np.array(row["cells"], dtype=np.float64)[:, 3] for row in rows]
-        limit = max(float(np.nanpercentile(np.abs(z), 95)) for z in heights)
+        highest = {row["name"]: largest_but_strays(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
+        # One bar for all: the range of most of them. One that is bent far more is all red and blue.
+        limit = mode(scale.high for scale in ranges(highest).values())
         axes = np.atleast_1d(lower.subplots(below, _COLUMNS, sharex=True, sharey=True)).ravel()
         for axis, row, z in zip(axes, rows, heights, strict=False):
             cells = np.array(row["cells"], dtype=np.float64)
@@ -97,8 +103,6 @@ def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str],
     axis.set_title(title, fontsize=10, loc="left")
     axis.grid(alpha=0.25)
     axis.spines[["top", "right"]].set_visible(False)
-    if rows:
-        axis.legend(framealpha=0.9, edgecolor="none", fontsize=8)
 
 
 def _sizes(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str) -> None:

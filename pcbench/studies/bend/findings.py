@@ -16,6 +16,7 @@ from pcbench.deformation import Deformation, deform
 from pcbench.errors import Notice, PcbenchError
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
+from pcbench.progress import Step
 
 FACTORS = {
     "images": (
@@ -26,6 +27,7 @@ FACTORS = {
     "distortion": ("the lens distortion", {"true": "at its true value", "zero": "left at zero", "free": "solved for"}),
     "control": ("control points", {"True": "with them", "False": "without them"}),
 }
+MEASURING_S = 5.0  # that one solution takes, roughly, for progress bars
 _TOGETHER = 0.5  # rank correlation
 _GRID = 24  # pixels that intrinsics are compared at, along each side
 
@@ -89,8 +91,8 @@ def findings(
     """
     first: tuple[str, Cloud] | None = None
     rows = []
-    for solution in solutions:
-        step(f"measuring {solution.variant.name}")
+    for number, solution in enumerate(solutions, 1):
+        step(Step(f"measuring {solution.variant.name}", MEASURING_S, MEASURING_S * (len(solutions) - number)))
         row: dict[str, Any] = {
             "name": solution.variant.name,
             "factors": solution.variant.factors,

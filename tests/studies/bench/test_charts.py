@@ -23,7 +23,7 @@ def drawn(monkeypatch, tmp_path):
 
     kept = []
     save = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path: (kept.append(figure), save(figure, path)))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **how: (kept.append(figure), save(figure, path, **how)))
 
     def draw(rows, chart=charts.speed):
         assert chart(document(rows), tmp_path / "chart.png")

@@ -226,11 +226,21 @@ def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
     assert ends(child)
 
 
+def test_a_bench_that_measured_nothing_is_an_error(here, run, one_process):
+    command = ("bench", "photos", "--reference", "truth.ply", "--no-figures", "--out", "out", "--method")
+    for method in ("Cannot", "Elsewhere"):  # one fails, the other's cloud cannot be measured
+        code, out, err = run(*command, f"methods.py:{method}")
+        assert code == 2
+        assert err == "error: out: none of 1 runs could be measured: see the messages there\n"
+        assert "bench: out" in out
+    assert run(*command, "methods.py:Cannot", "--method", "methods.py:Good")[0] == 0
+
+
 def test_one_bench_a_folder(here, one_process):
     inside = []
 
     def again(_):
-        with pytest.raises(InputError, match="another bench is at work"):
+        with pytest.raises(InputError, match="another run is writing there"):
             bench(job("Good"), Path("out"))
         inside.append(True)
 

@@ -1,0 +1,83 @@
+"""What stands beside the answer: warnings before the numbers, and after all of them a sentence for each finding."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference
+from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
+from pcbench.report.comparison import Comparison
+from pcbench.report.words import LABELS, joined, length
+
+CLAIMS = ("similarity", "affine", "non-affine")  # of a deformation
+_SMALL_OVERLAP = 0.8  # from which down distances tell more of what is not there than of what is
+_TOLD = (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared")  # whose differences are told
+
+
+def warnings(comparison: Comparison) -> list[str]:
+    """What a reader has to know before any number, each text once, with the names that it concerns."""
+    found: dict[str, list[str]] = {}
+    inputs = comparison.inputs
+    if inputs is not None:
+        found.update({text: [] for text in inputs.reference.warnings})
+    for candidate in comparison:
+        if inputs is not None:
+            found.update({text: [] for text in inputs.candidates[candidate.name].warnings})
+        for text in _of_candidate(comparison, candidate):
+            found.setdefault(text, []).append(candidate.name)
+    return [f"{joined(names)}: {text}" if names else text for text, names in found.items()]
+
+
+def details(comparison: Comparison) -> Iterator[str]:
+    """Is a candidate deformed, and is a better than b? Of every candidate, and of every pair whose poses are right."""
+    for candidate in comparison:
+        yield bend_sentence(comparison, candidate, candidate.name)
+    doubtful = {c.name for c in comparison if c.registration.doubtful}
+    for difference in comparison.differences:
+        if difference.metric in _TOLD and not {difference.a, difference.b} & doubtful:
+            yield _difference_words(difference)
+
+
+def bend_sentence(comparison: Comparison, candidate: Candidate, name: str) -> str:
+    """The verdict on deformation; none is claimed under a pose that the geometry leaves open."""
+    if is_open(candidate) and candidate.deformation.verdict in CLAIMS:
+        return f"whether {name} is deformed is not said: the geometry does not fix its pose"
+    return candidate.deformation.sentence(name, comparison.reference.unit or "")
+
+
+def is_open(candidate: Candidate) -> bool:
+    """Whether the geometry leaves some motion of a candidate open."""
+    return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
+
+
+def overlaps_little(comparison: Comparison, candidate: Candidate) -> bool:
+    """Whether much of a candidate lies off the reference, and is measured all the same."""
+    return comparison.settings.crop == "none" and candidate.registration.overlap < _SMALL_OVERLAP
+
+
+def _of_candidate(comparison: Comparison, candidate: Candidate) -> Iterator[str]:
+    yield from map(str, candidate.warnings)
+    registration, everywhere = candidate.registration, comparison.settings.crop == "none"
+    for notice in registration.warnings:
+        if not (everywhere and notice.code == LOW_OVERLAP):  # said below
+            yield str(notice)
+    if overlaps_little(comparison, candidate):
+        unit = comparison.reference.unit
+        yield (
+            f"only {registration.overlap:.0%} of it lies on the reference (within 5 of its spacings,"
+            f" {length(5 * comparison.reference.spacing_median, unit)}), and the distances are those of all of it:"
+            " --crop reference measures what is inside the reference's bounding box, --crop polygon:FILE any part"
+        )
+    yield from map(str, candidate.deformation.further_warnings)
+
+
+def _difference_words(found: Difference) -> str:
+    metric, _, detail = found.metric.partition("/")
+    label = LABELS.get(detail) or f"{LABELS[metric]} {ARROWS[detail]}"
+    low, high = found.interval
+    if low <= 0 <= high:
+        return f"{label}: {found.a} and {found.b} cannot be told apart (difference in [{low:.3g}, {high:.3g}])"
+    better, worse = (found.a, found.b) if high < 0 else (found.b, found.a)
+    bounds = sorted((abs(low), abs(high)))
+    by = f"{abs(found.difference):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]"
+    return f"{label}: {better} is lower than {worse} by {by}"

@@ -1,0 +1,72 @@
+"""The clouds of a comparison from their files, with what the report says of each file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
+from pcbench.io import FILTERED, read_cloud
+from pcbench.io.files import digest, named_file
+from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.settings import Settings
+from pcbench.report.folder import UNPRINTABLE, check_name
+from pcbench.report.inputs import InputFile
+
+
+def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputFile]:
+    """The reference of a comparison, which a mesh may be, and the file that it came from.
+
+    Raises:
+        InputError: the file cannot be read; the message starts with the path.
+        MissingExtra: an optional library is needed for it.
+    """
+    if not holds_mesh(path):
+        return read_candidate(path, settings)
+    warnings: list[str] = []
+    mesh = read_mesh(path, on_warning=warnings.append)
+    return mesh, InputFile(str(path), digest(path), tuple(warnings))
+
+
+def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
+    """A cloud, and the file that it came from; errors as of `read_reference`."""
+    warnings: list[str] = []
+    filters: dict[str, Any] = {}
+    if path.suffix.lower() in FILTERED:  # a LAS reference may be filtered though the candidates are of another kind
+        filters = {"classes": settings.classes, "returns": settings.returns}
+    cloud = read_cloud(path, on_warning=warnings.append, **filters)
+    return cloud, InputFile(str(path), digest(path), tuple(warnings))
+
+
+def paths_in(settings: Settings) -> list[Path]:
+    """The files that settings name, such as a matrix."""
+    cores = settings.m3c2.file if isinstance(settings.m3c2, M3C2Settings) else None
+    return [*filter(None, (named_file(settings.register), named_file(settings.crop), cores))]
+
+
+def named_files(settings: Settings) -> tuple[InputFile, ...]:
+    """What the report says of the files that settings name."""
+    return tuple(InputFile(str(path), digest(path)) for path in paths_in(settings))
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """A name for each candidate: its file's stem, with a number where stems are equal.
+
+    Raises:
+        InputError: a stem cannot be part of file names.
+    """
+    result: list[str] = []
+    stems = [UNPRINTABLE.sub("_", path.stem) for path in paths]
+    taken = {*stems, "reference"}
+    for stem in stems:
+        name, number = stem or "candidate", 2
+        if name in result or name == "reference":
+            while f"{stem}_{number}" in taken:
+                number += 1
+            name = f"{stem}_{number}"
+            taken.add(name)
+        result.append(check_name(name))
+    return result

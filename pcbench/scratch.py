@@ -1,0 +1,187 @@
+"""What a run has beside its results while it lives: temporary files and folders, and its claim to an output.
+
+Each is locked by its owner (flock), and the system takes a lock back when its process ends, however it ends. So the
+next run can tell what a killed one left from what a living one works on, and sweeps it; and of two runs with one output
+the second is refused.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import os
+import platform
+import secrets
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from pcbench.errors import InputError
+
+_PREFIX = ".pcbench-"
+_LOCK = ".lock"  # how the names of claims end
+_OURS = f"{_PREFIX}{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"  # of this machine
+# What another machine left on a shared disk, whose locks may not be seen here, is swept after this.
+_MAX_FOREIGN_AGE_S = 86_400.0
+_ATTEMPTS, _PAUSE_S = 5, 0.05  # to claim an output
+_NO_LOCK = -1
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # writing an open file fails by these, and names no file
+
+
+@contextmanager
+def claim(output: Path) -> Iterator[None]:
+    """Keep an output to this run: a file or a folder, which need not exist, in an existing folder.
+
+    Where the folder cannot be written or its disk knows no locks nothing is claimed.
+
+    Raises:
+        InputError: another run has it.
+    """
+    target = output.resolve()
+    sweep(target.parent)
+    path = target.with_name(f"{_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}{_LOCK}")
+    lock = _claimed(path)
+    if lock is None:
+        raise InputError(f"{output}: another run is writing there: wait for it, or choose another name")
+    try:
+        yield
+    finally:
+        if lock != _NO_LOCK:
+            path.unlink(missing_ok=True)
+            os.close(lock)
+
+
+@contextmanager
+def scratch_file(output: Path) -> Iterator[tuple[Path, BinaryIO]]:
+    """A new file beside an output, open for writing, that is gone afterwards, unless it was renamed to it.
+
+    Raises:
+        OSError: it cannot be made or written; the error names the output.
+    """
+    folder = output.resolve().parent
+    sweep(folder)
+    path = folder / f"{_OURS}{secrets.token_hex(8)}.tmp"
+    with naming(output, path):
+        descriptor = _kept(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), path)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                yield path, file
+        finally:
+            path.unlink(missing_ok=True)
+
+
+@contextmanager
+def scratch_folder(output: Path | None = None) -> Iterator[Path]:
+    """A new folder that is gone afterwards, unless it was renamed.
+
+    Args:
+        output: what it may be renamed to; it is made beside. None: a private one where the system has its temporary
+            files.
+
+    Raises:
+        OSError: it cannot be made or written; the error names the output.
+    """
+    parent = Path(tempfile.gettempdir()) if output is None else output.absolute().parent
+    sweep(parent)
+    path = parent / f"{_OURS}{secrets.token_hex(8)}"
+
+    def make() -> int:
+        path.mkdir(0o700 if output is None else 0o777)
+        return os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+
+    with naming(output or path, path):
+        descriptor = _kept(make, path)
+        try:
+            yield path
+        finally:
+            shutil.rmtree(path, ignore_errors=True)
+            os.close(descriptor)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what runs left in a folder that have not lived to remove it. What cannot be removed stays."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for path in [Path(entry.path) for entry in entries if entry.name.startswith(_PREFIX)]:
+            with suppress(OSError):
+                _sweep(path)
+
+
+@contextmanager
+def naming(output: Path, scratch: Path) -> Iterator[None]:
+    """A full disk and the like are said of the output that the user named, not of the scratch it is written to."""
+    try:
+        yield
+    except OSError as error:
+        named = output
+        if error.filename is not None:
+            file = Path(os.fsdecode(error.filename))
+            if not file.is_relative_to(scratch):
+                raise
+            named = output / file.relative_to(scratch)
+        elif error.errno is None and "requested and" in str(error):  # numpy's, of a file that it could not fill
+            raise OSError(errno.ENOSPC, f"only a part could be written ({error})", str(output)) from error
+        elif error.errno not in _FULL:
+            raise
+        raise OSError(error.errno, error.strerror, str(named)) from error
+
+
+def _claimed(path: Path) -> int | None:
+    """A descriptor of a claim's file with its lock, `_NO_LOCK` where there can be none, None where another has it."""
+    for _ in range(_ATTEMPTS):
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        except OSError:
+            return _NO_LOCK
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if _is_at(path, descriptor):
+                return descriptor
+        except BlockingIOError:  # perhaps a sweep that is through with it in a moment
+            time.sleep(_PAUSE_S)
+        except OSError:
+            os.close(descriptor)
+            return _NO_LOCK
+        os.close(descriptor)
+    return None
+
+
+def _kept(make: Callable[[], int], path: Path) -> int:
+    """A descriptor of what `make` makes at a path, locked where the disk knows locks."""
+    while True:
+        descriptor = make()
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        if _is_at(path, descriptor):
+            return descriptor
+        os.close(descriptor)  # a sweep came before the lock
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(path.lstat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
+
+
+def _sweep(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # a living run has it
+        status = os.fstat(descriptor)
+        if status.st_uid != os.geteuid():
+            return
+        mine = path.name.startswith(_OURS) or path.name.endswith(_LOCK)
+        if not mine and time.time() - status.st_mtime < _MAX_FOREIGN_AGE_S:
+            return
+        if _is_at(path, descriptor):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink()
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,158 @@
+"""`info` and `convert` take every file that `compare` takes, each by a small example."""
+
+import json
+import struct
+
+import mesh_bytes
+import numpy as np
+import pytest
+import splat_models
+from command_line import one_line
+from las_bytes import las
+
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.io.formats import CLOUDS, MESHES
+
+POINTS = np.random.default_rng(0).uniform(0, 9, (20, 3)).round(3)
+CUBE = 8  # vertices
+EXTRAS = {".laz": "lazrs", ".glb": "trimesh", ".gltf": "trimesh"}
+
+
+def gltf():
+    """The same cubes as text: what stands in the binary file's second chunk goes into the document."""
+    import base64
+
+    data = mesh_bytes.glb()
+    length = struct.unpack_from("<I", data, 12)[0]
+    document = json.loads(data[20 : 20 + length])
+    body = base64.b64encode(data[28 + length :]).decode()
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{body}"
+    return json.dumps(document).encode()
+
+
+def colmap_text():
+    rows = [" ".join(map(str, [k, *point, 1, 2, 3, 0.5])) for k, point in enumerate(POINTS.tolist(), 1)]
+    return "\n".join(rows).encode()
+
+
+def colmap_binary():
+    rows = [struct.pack("<Q3d3BdQ", k, *point, 1, 2, 3, 0.5, 0) for k, point in enumerate(POINTS.tolist(), 1)]
+    return struct.pack("<Q", len(rows)) + b"".join(rows)
+
+
+MADE = {  # formats that pcbench does not write: the bytes of a file, and how many points or vertices it has
+    ".pts": (b"20\n" + "\n".join(" ".join(map(str, p)) for p in POINTS.tolist()).encode(), 20),
+    ".stl": (mesh_bytes.stl(), CUBE),
+    ".obj": (mesh_bytes.obj(), CUBE),
+    ".off": (mesh_bytes.off(), CUBE),
+    ".glb": (mesh_bytes.glb(), 2 * CUBE),
+    ".gltf": (gltf(), 2 * CUBE),
+    "points3D.bin": (colmap_binary(), 20),
+    "points3D.txt": (colmap_text(), 20),
+    "mesh.ply": (mesh_bytes.ply_mesh(), CUBE),
+    "tile.copc.laz": (None, 12),
+}
+EVERY = sorted({*CLOUDS, *MESHES, *MADE})
+
+
+@pytest.fixture
+def example(request, tmp_path, monkeypatch):
+    """A file of the format in the current folder, and how many points or vertices it has."""
+    monkeypatch.chdir(tmp_path)
+    extension = request.param
+    if library := EXTRAS.get(extension if extension.startswith(".") else f".{extension.rpartition('.')[2]}"):
+        pytest.importorskip(library)
+    file = tmp_path / (f"a{extension}" if extension.startswith(".") else extension)
+    if extension == "tile.copc.laz":
+        file.write_bytes(las(7, 12, compress="variable"))
+    elif extension in MADE:
+        file.write_bytes(MADE[extension][0])
+    else:
+        write_cloud(file, Cloud(POINTS))
+    return file, MADE.get(extension, (None, len(POINTS)))[1]
+
+
+@pytest.mark.parametrize("example", EVERY, indirect=True)
+def test_info_and_convert(example, run):
+    file, count = example
+    code, out, err = run("info", file.name)
+    assert (code, err) == (0, "")
+    what = "vertices" if count % CUBE == 0 else "points"
+    assert out.startswith(f"{file.name}: {count} {what}\n")
+    assert ("  mesh   " in out) == (what == "vertices")
+    code, out, err = run("convert", file.name, "out.xyz")
+    assert (code, out, err) == (0, f"out.xyz: {count} points\n", "")
+    assert len(read_cloud("out.xyz")) == count
+
+
+def test_a_model_by_its_folder(tmp_path, run):
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    (tmp_path / "sparse/0/points3D.bin").write_bytes(colmap_binary())
+    assert run("info", str(tmp_path))[1].startswith(f"{tmp_path}: 20 points\n")
+    code, out, _ = run("convert", str(tmp_path), str(tmp_path / "out.ply"))
+    assert (code, out) == (0, f"{tmp_path}/out.ply: 20 points\n")
+
+
+def test_points_are_drawn_on_a_mesh(tmp_path, run, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cube.stl").write_bytes(mesh_bytes.stl())
+    code, out, _ = run("convert", "cube.stl", "drawn.ply", "--sample", "500")
+    assert (code, out) == (0, "drawn.ply: 500 points\n")
+    drawn = read_cloud("drawn.ply")
+    on_a_face = np.isclose(np.abs(drawn.points), np.abs(drawn.points).max(), atol=1e-9).any(axis=1)
+    assert on_a_face.all()
+    np.testing.assert_allclose(np.linalg.norm(drawn.normals, axis=1), 1, atol=1e-6)
+    assert "12 faces of area 24, closed" in run("info", "cube.stl")[1]
+    write_cloud("cloud.ply", POINTS)
+    for arguments, message in (
+        (("cloud.ply", "b.ply", "--sample", "9"), "cloud.ply: --sample draws points on a mesh, and this is none"),
+        (("cube.stl", "b.ply", "--classes", "2"), "cube.stl: a mesh has no classes, returns or splats to filter"),
+    ):
+        code, _, err = run("convert", *arguments)
+        assert code == 2
+        assert one_line(err)
+        assert message in err
+
+
+def test_damaged_faces_leave_the_points_to_be_told(tmp_path, run, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    rows = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
+    (tmp_path / "a.ply").write_text(head + rows)
+    code, out, err = run("info", "a.ply")
+    assert code == 0
+    assert out.startswith("a.ply: 3 points\n")
+    assert "expected faces of the 3 vertices 0 to 2, got 7" in err
+
+
+@pytest.mark.parametrize("dimensions", [3, 2])
+def test_splats_are_told_and_filtered(tmp_path, run, monkeypatch, dimensions):
+    monkeypatch.chdir(tmp_path)
+    write_cloud("splats.ply", splat_models.some(5, dimensions))
+    code, out, _ = run("info", "splats.ply")
+    assert code == 0
+    assert f"  {dimensions}D Gaussian splat model, 5 splats, SH degree 3\n" in out
+    axes = {3: "0.03 to 0.15, median 0.09", 2: "0.02 to 0.1, median 0.06"}[dimensions]
+    assert f"    opacity 0.1 to 0.9, median 0.5; largest axis {axes}\n" in out
+    assert "f_rest" not in out
+    code, out, _ = run("convert", "splats.ply", "opaque.ply", "--min-opacity", "0.6")
+    assert (code, out) == (0, "opaque.ply: 2 points\n")
+    code, out, _ = run("convert", "splats.ply", "small.ply", "--max-axis", "0.065")
+    assert (code, out) == (0, f"small.ply: {2 if dimensions == 3 else 3} points\n")
+    code, _, err = run("convert", "splats.ply", "none.ply", "--min-opacity", "2")
+    assert code == 2
+    assert one_line(err)
+
+
+def test_compare_filters_splats(files, run):
+    points = read_cloud("a.ply").points
+    opacities = np.where(np.arange(len(points)) < 500, 0.05, 0.9)
+    write_cloud("splats.ply", splat_models.model(points, opacities, np.full((len(points), 3), 0.01)))
+    code, out, _ = run("compare", "ref.ply", "splats.ply", "--min-opacity", "0.5", "--json", "-", "--register", "none")
+    assert code == 0
+    document = json.loads(out)
+    assert document["candidates"][0]["points"] == 1000
+    code, _, err = run("compare", "ref.ply", "a.ply", "--min-opacity", "0.5", "--register", "none")
+    assert code == 2
+    assert one_line(err)
+    assert "none of the clouds is a model" in err

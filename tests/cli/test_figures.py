@@ -1,0 +1,71 @@
+"""Options of pictures: what may be chosen, and that a report is drawn the same again."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import one_line
+
+from pcbench import read_cloud
+from pcbench.errors import InputError
+from pcbench.report import Figures
+from pcbench.report.colors import Range
+from pcbench.report.figures import ink, recorded_figures
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"background": "mauve"}, {"background": "#12345"}, {"background": 3}, {"range": 0.0}, {"range": -1}]
+    + [{"range": float("nan")}, {"range": "1"}, {"format": "gif"}, {"format": None}],
+)
+def test_what_cannot_be_drawn_is_refused(wrong):
+    with pytest.raises(InputError, match="expected"):
+        Figures(**wrong)
+
+
+def test_words_are_read_on_every_ground():
+    assert ink("#ffffff") == ink("#f0e442") != ink("#000000") == ink("#1a1c20")
+    assert Figures().ground("dark") == "#1a1c20"
+    assert Figures(background="white").ground("dark") == "#ffffff"
+    assert Figures(background="#123456").ground("white") == "#123456"
+
+
+def test_a_report_keeps_them_and_a_rerun_has_them_again(files, run):
+    options = ("--background", "white", "--range", "0.25", "--format", "svg")
+    assert run("compare", "ref.ply", "a.ply", *options, "--out", "one", "-q")[0] == 0
+    chosen = Figures("white", 0.25, "svg")
+    assert recorded_figures(Path("one/settings.json")) == chosen
+    assert run("compare", "--settings", "one/settings.json", "--out", "two", "-q")[0] == 0
+    assert recorded_figures(Path("two/settings.json")) == chosen
+    again = ("--settings", "one/settings.json", "--range", "0.5")  # outputs may be chosen anew
+    assert run("compare", *again, "--out", "three", "-q")[0] == 0
+    assert recorded_figures(Path("three/settings.json")) == Figures("white", 0.5, "svg")
+    # The clouds of a report are coloured as its pictures are.
+    for kind in ("deviation", "completeness"):
+        cloud = read_cloud(f"one/a_{kind}.ply")
+        expected = Range(0.0, 0.25).colors(np.asarray(cloud.attributes["distance"], float)).astype(int)
+        assert np.abs(expected - np.asarray(cloud.colors)).max() <= 1
+
+
+def test_plot_draws_as_the_report_was_made_but_for_what_is_given(files, run):
+    pytest.importorskip("matplotlib")
+    assert run("compare", "ref.ply", "a.ply", "--format", "svg", "--out", "one", "-q")[0] == 0
+    assert run("plot", "one", "distribution")[1] == "one/figures/distribution.svg\n"
+    assert run("plot", "one", "distribution", "--format", "pdf")[1] == "one/figures/distribution.pdf\n"
+    assert run("plot", "one", "distribution.png")[1] == "one/figures/distribution.png\n"
+    assert "svg" in json.loads(Path("one/settings.json").read_text())["figures"]["format"]
+    # A new report in the folder leaves no picture of the old one.
+    assert run("compare", "ref.ply", "b.ply", "--out", "one", "-q")[0] == 0
+    assert not list(Path("one/figures").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--background", "mauve"), ("--range", "0"), ("--range", "nan"), ("--format", "gif")]
+)
+def test_wrong_options_are_refused_before_anything_is_measured(files, run, option, value):
+    code, out, err = run("compare", "ref.ply", "a.ply", option, value, "--out", "one")
+    assert code == 2
+    assert not out
+    assert option in err or one_line(err)
+    assert not Path("one").exists()

@@ -1,0 +1,264 @@
+"""What hostile users and machines do: one line with a reason, and nobody's file lost."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scene_folders
+from command_line import one_line
+
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.report.compare_files import named
+from pcbench.report.plot import REPORT, worker
+from pcbench.studies.bench.charts import CHARTS
+
+DEEP = "[" * 100_000 + "]" * 100_000
+MINE = """
+import time
+from dataclasses import dataclass
+from pcbench.plugins import Reconstruction
+@dataclass(frozen=True)
+class Mine:
+    seconds: float = 0
+    def reconstruct(self, scene, workspace):
+        print("at work", flush=True)
+        time.sleep(self.seconds)
+        return Reconstruction(scene.points, "georeferenced", scene.cameras)
+"""
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """photos/ with cameras, points and a truth, and mine.py, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    folder = scene_folders.ten_pictures(Path("photos"))
+    points = Cloud(np.random.default_rng(0).normal(size=(30, 3)))
+    write_colmap_model(folder / "sparse", scene_folders.orbit(scene_folders.NAMES), points)
+    (folder / "truth").mkdir()
+    write_cloud(folder / "truth" / "cloud.ply", points)
+    Path("control.txt").write_text("a 0 0 0 0.png 1 1\n")
+    Path("mine.py").write_text(MINE)
+    return folder
+
+
+def everything():
+    return {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ("scene photos --figure photos/images/1.png", "would replace an input"),
+        ("scene photos --figure photos/sparse/cameras.txt", "no picture of pcbench's"),
+        ("scene photos --figure control.txt", "no picture of pcbench's"),
+        ("scene photos --figure elsewhere.png", "no picture of pcbench's"),
+        ("scene photos --write-cameras photos/sparse", "belongs to photos"),
+        ("scene photos --write-cameras photos/transforms.json", "belongs to photos"),
+        ("scene photos --cameras other.json --write-cameras other.json", "belongs to other.json"),
+        ("reconstruct mine.py:Mine photos -o photos/truth/cloud.ply", "would replace an input"),
+        ("reconstruct sfm photos -o control.txt --set control=control.txt", "would replace an input"),
+        ("reconstruct mine.py:Mine photos -o model/cameras.txt --write-cameras model", "two results"),
+        ("reconstruct mine.py:Mine photos -o c.ply --cameras other.json --write-cameras other.json", "an input"),
+        ("register photos/truth/cloud.ply photos/truth/cloud.ply --out x.txt --matrix ./x.txt", "two results"),
+        ("convert photos/sparse photos/sparse/points3D.txt", "would replace an input"),
+    ],
+)
+def test_never_over_an_input(scene, run, command, expected):
+    pytest.importorskip("matplotlib")
+    Path("elsewhere.png").write_bytes(Path("photos/images/2.png").read_bytes())
+    Path("model").mkdir()
+    Path("photos/transforms.json").write_text("{}")
+    assert run("scene", "photos", "--write-cameras", "other.json", "-q")[0] == 0
+    before = everything()
+    code, _, err = run(*command.split())
+    assert code == 2
+    assert one_line(err), err
+    assert expected in err
+    assert everything() == before
+
+
+def test_a_cloud_in_the_scene_may_be_made_again_while_it_is_the_one_that_was_made(scene, run):
+    command = ("reconstruct", "mine.py:Mine", "photos", "-q", "-o", "photos/new.ply")
+    for _ in range(2):
+        assert run(*command)[0] == 0
+    write_cloud("photos/new.ply", Cloud(np.eye(3)))  # somebody's own now
+    code, _, err = run(*command)
+    assert (code, one_line(err)) == (2, True)
+    assert "would replace an input" in err
+
+
+def test_json_goes_beside_a_report_not_into_it(files, run):
+    assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
+    before = everything()
+    code, _, err = run("compare", "ref.ply", "b.ply", "--out", "report", "--json", "report/a_T.txt")
+    assert (code, one_line(err)) == (2, True)
+    assert "write it beside report" in err
+    assert everything() == before
+
+
+def test_one_run_an_output(scene, run):
+    """And what a killed one left is swept by the next."""
+    command = [sys.executable, "-m", "pcbench.cli", "reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply"]
+    other = subprocess.Popen([*command, "--set", "seconds=600"])
+    try:
+        log = Path("cloud.work/log.txt")
+        while other.poll() is None and not (log.exists() and log.read_text()):
+            time.sleep(0.05)
+        mine = ("reconstruct", "mine.py:Mine", "photos", "-q")
+        for arguments in (("-o", "cloud.ply", "--workspace", "w"), ("-o", "c.ply", "--workspace", "cloud.work")):
+            code, _, err = run(*mine, *arguments)
+            assert (code, one_line(err)) == (2, True)
+            assert "another run is writing there" in err
+        assert list(Path().glob(".pcbench-*"))
+        other.send_signal(signal.SIGKILL)
+        other.wait()
+    finally:
+        other.kill()
+    assert run(*mine, "-o", "cloud.ply")[0] == 0
+    assert len(read_cloud("cloud.ply")) == 30
+    assert not list(Path().glob(".pcbench-*"))
+
+
+def test_two_comparisons_into_one_report(files, run, monkeypatch):
+    inside = []
+
+    def again(*_, **__):
+        inside.append(run("compare", "ref.ply", "b.ply", "--out", "report"))
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pcbench.measure.comparison.register", again)
+        run("compare", "ref.ply", "a.ply", "--out", "report")
+    ((code, _, err),) = inside
+    assert (code, err) == (2, "error: report: another run is writing there: wait for it, or choose another name\n")
+    assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
+
+
+@pytest.mark.parametrize("size", [1024, 20_000])
+@pytest.mark.parametrize(
+    ("command", "named"),
+    [
+        ("convert a.ply x.ply", "x.ply"),
+        ("compare ref.ply a.ply --out report --no-figures", "report"),
+        ("register ref.ply a.ply --out x.xyz", "x.xyz"),
+    ],
+)
+def test_a_limit_of_file_sizes_names_the_file(files, run, command, named, size):
+    before = everything()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        code, _, err = run(*command.split())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 2
+    assert one_line(err), err
+    assert err.startswith(f"error: {named}")
+    assert "File too large" in err
+    assert everything() == before
+
+
+def test_standard_output_that_is_full(files):
+    command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, "error: standard output: No space left on device\n")
+
+
+@pytest.mark.parametrize(
+    "text", [DEEP, '{"a":' * 100_000 + "1" + "}" * 100_000, f'{{"frames": {DEEP}}}', f'{{"cameraFrames": {DEEP}}}']
+)
+def test_json_that_is_nested_too_deeply(scene, run, text):
+    Path("deep.json").write_text(text)
+    Path("photos/images/export.json").write_text(text)
+    commands = [("scene", "photos", "--cameras", "deep.json")]
+    if "cameraFrames" in text:
+        commands += [("scene", "photos/images")]
+    for command in commands:
+        code, out, err = run(*command)
+        assert (code, out) == (2, "")
+        assert one_line(err), err
+        assert "nested too deeply" in err
+
+
+def test_threads_that_no_machine_has(files):
+    command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply", "-q"]
+    many = {**os.environ, "OMP_NUM_THREADS": "100000"}
+    done = subprocess.run(command, env=many, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert one_line(done.stderr), done.stderr
+    assert "OMP_NUM_THREADS=100000: expected at most" in done.stderr
+    done = subprocess.run([sys.executable, "-c", "import pcbench; pcbench.Index"], env=many, capture_output=True)
+    assert b"InputError: OMP_NUM_THREADS=100000" in done.stderr
+
+
+def test_an_address_space_of_a_gibibyte(files):
+    """With more threads asked for than it has room for. Where it is too little, that is one line."""
+    limited = "import resource, sys\nresource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)\n"
+    limited += "sys.argv = 'pcbench compare ref.ply a.ply -q'.split()\nfrom pcbench.cli import main\nmain()\n"
+    many = {**os.environ, "OMP_NUM_THREADS": "64", "OPENBLAS_NUM_THREADS": "64"}
+    for mebibytes, code in ((1024, 0), (180, 2)):
+        command = [sys.executable, "-c", limited, str(mebibytes)]
+        done = subprocess.run(command, env=many, capture_output=True, text=True, check=False)
+        assert done.returncode == code, done.stderr
+        assert code == 0 or one_line(done.stderr), done.stderr
+
+
+def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
+    whole = Path("report/comparison.json").read_text()
+    damaged = [
+        whole[:100],
+        "[]",
+        DEEP,
+        whole.replace('"percentiles"', '"x"'),
+        whole.replace('"name": "a"', '"name": 3'),
+    ]
+    texts = {
+        "report/comparison.json": damaged,
+        "bench/bench.json": ["[", "[]", '{"schema": 3}', '{"rows": [{}]}', DEEP],
+    }
+    Path("bench").mkdir()
+    for (path, damages), drawer in zip(texts.items(), (REPORT, CHARTS), strict=True):
+        for text in damages:
+            Path(path).write_text(text)
+            # What the drawing process says, without its start.
+            monkeypatch.setattr(sys, "argv", ["worker", str(Path(path).parent), drawer.function])
+            assert worker.main() == 2
+            said = capsys.readouterr().out
+            assert said.count("\n") == 1
+            assert str(Path(path).parent) in said
+    code, _, err = run("plot", "bench")
+    assert (code, one_line(err)) == (2, True)
+    assert "nested too deeply" in err
+
+
+def test_a_line_break_in_a_name(files, run):
+    for name in ("ref", "a"):
+        Path(f"{name}.ply").rename(f"{name}\nb|c.ply")
+    assert list(named([Path("a\nb.ply"), Path("a_b.ply")])) == ["a_b", "a_b_2"]
+    code, out, err = run("compare", "ref\nb|c.ply", "a\nb|c.ply", "--out", "report")
+    assert (code, err) == (0, "")
+    assert "a_b|c" in out
+    table = Path("report/table.md").read_text().splitlines()
+    assert table[0].startswith("# ref b|c.ply: 4,000 points")
+    assert table[2].count("|") == 6  # three columns, and two that are escaped
+    assert Path("report/a_b|c_T.txt").is_file()
+    assert json.loads(Path("report/comparison.json").read_text())["candidates"][0]["name"] == "a_b|c"
+
+
+def test_a_plugin_whose_import_never_ends(tmp_path, run):
+    (tmp_path / "loop.py").write_text("while True:\n    pass\n")
+    code, _, err = run("plugins", f"{tmp_path}/loop.py:X", "--time-limit", "1")
+    assert code == 2
+    assert one_line(err)
+    assert "takes longer than 1 s" in err

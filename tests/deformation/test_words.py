@@ -1,0 +1,92 @@
+"""What is said of a deformation obeys what is said of the registration, and rounding is no size."""
+
+import re
+
+import numpy as np
+import pytest
+
+from pcbench import Cloud, Settings, compare, deform
+from pcbench.report.table import markdown
+from pcbench.scenes.synthetic import city
+
+UTM = np.array([352300.0, 5123400.0, 300.0])
+
+
+def corridor(bend, seed):
+    """A floor and two walls along x, 60 m: nothing fixes sliding along it. Bent upwards by `bend` at its ends."""
+    rng = np.random.default_rng(seed)
+    x, part, t = rng.uniform(-30, 30, 6_000), rng.integers(0, 3, 6_000), rng.uniform(-1, 1, 6_000)
+    across, height = np.where(part == 0, 2 * t, np.where(part == 1, -2.0, 2.0)), np.where(part == 0, 0.0, 1.5 + 1.5 * t)
+    points = np.stack([x, across, height], axis=1) + rng.normal(0, 0.01, (6_000, 3))
+    return points + bend * np.outer(np.square(x / 30), [0, 0, 1])
+
+
+def field(bend, seed):
+    """Flat ground of 40 m."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-20, 20, (12_000, 2))
+    return np.column_stack([xy, rng.normal(0, 0.01, len(xy)) + bend * np.square(xy / 20).sum(axis=1)])
+
+
+@pytest.mark.parametrize("scene", [corridor, field])
+def test_a_pose_that_nothing_fixes_comes_before_the_verdict(scene):
+    reference, straight, bent = scene(0.0, 1), scene(0.0, 2), scene(0.2, 3)
+    registration, found = deform(reference, straight)
+    assert "scores along it mean nothing" in str(registration.warnings[0])
+    assert found.verdict == "none"
+    assert found.sentence("a").startswith("as far as the geometry fixes the pose, a is not deformed")
+    assert not found.further_warnings  # the sentence holds it
+    _, found = deform(reference, bent)
+    assert found.verdict == "undecided"
+    assert found.sentence("a").startswith("a: whether it is deformed is undecided: the geometry does not fix the pose")
+    assert "p =" not in found.sentence("a")
+    assert (found.amplitude, found.p_value, found.local, found.minimum_detectable_rms) == (None,) * 4
+    # A pose that was given was not found along what nothing fixes.
+    _, found = deform(reference, bent, "none")
+    assert found.verdict == "non-affine"
+    assert found.sentence("a").startswith("as far as the geometry fixes the pose, a is bent against the reference")
+
+
+@pytest.fixture(scope="module")
+def town():
+    return city(3).sample(15_000, np.random.default_rng(1))[0]
+
+
+def test_nothing_is_said_of_candidates_that_may_lie_wrong(town):
+    other = city(3).sample(15_000, np.random.default_rng(2))[0]
+    clouds = {"right": other, "wrong": town[::2] + [11, 7, 0]}
+    found = compare(town, clouds, Settings(register="none"))
+    wrong = found["wrong"]
+    assert wrong.registration.doubtful
+    assert wrong.deformation.warnings[0].code == "doubtful-registration"
+    assert (wrong.deformation.amplitude, wrong.deformation.p_value, wrong.deformation.growth) == (None, None, None)
+    text = markdown(found)
+    assert "wrong: whether it is deformed is undecided: the registration is doubtful" in text
+    assert "than wrong" not in text
+    assert "told apart" not in text
+
+
+@pytest.mark.parametrize("place", ["where it is", "survey", "feet"])
+def test_a_cloud_against_itself_differs_by_nothing(town, place):
+    cloud = {
+        "where it is": Cloud(town),
+        "survey": Cloud(town + UTM),
+        "feet": Cloud((town + UTM) / 0.3048, unit="ft"),
+    }[place]
+    found = compare(cloud, cloud)
+    itself = found["candidate_1"]
+    assert itself.metrics.hausdorff.symmetric_max == 0
+    assert itself.registration.rmse == 0
+    assert not (*itself.warnings, *itself.registration.warnings, *itself.deformation.warnings)
+    assert itself.deformation.remaining_rms == itself.deformation.noise.sigma_white == 0
+    text = markdown(found)
+    assert "candidate_1 lies on the reference but for the rounding of coordinates: it is not deformed" in text
+    assert not re.search(r"e-1\d", text)
+
+
+def test_a_copy_that_is_brought_back_differs_by_rounding(town):
+    found = compare(town + UTM, town + UTM + [0.3, 0.1, 0.05])["candidate_1"]
+    assert 0 < found.metrics.hausdorff.symmetric_max < 1e-8
+    assert not (*found.warnings, *found.registration.warnings, *found.deformation.warnings)
+    assert found.deformation.sentence().endswith("but for the rounding of coordinates: it is not deformed")
+    assert found.deformation.amplitude.rms == found.deformation.minimum_detectable_rms == 0

@@ -1,0 +1,79 @@
+"""Which Gaussian splats count as points, from files as training writes them."""
+
+import numpy as np
+import pytest
+import splat_models
+
+import pcbench
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.errors import InputError
+from pcbench.geometry.splats import splat_model
+
+
+@pytest.mark.parametrize(("dimensions", "degree"), [(3, 3), (3, 0), (2, 3), (3, 1)])
+def test_a_model_is_known_by_its_attributes(tmp_path, dimensions, degree):
+    write_cloud(tmp_path / "a.ply", splat_models.some(5, dimensions, degree))
+    model = splat_model(read_cloud(tmp_path / "a.ply"))
+    assert (model.dimensions, model.sh_degree) == (dimensions, degree)
+    np.testing.assert_allclose(model.opacities, [0.1, 0.3, 0.5, 0.7, 0.9], rtol=1e-6)
+    np.testing.assert_allclose(model.largest_axes, 0.01 * dimensions * np.arange(1, 6), rtol=1e-6)
+
+
+def test_opacities_that_are_no_logits_are_taken_as_they_are():
+    cloud = splat_models.some()
+    plain = Cloud(cloud.points, attributes={**cloud.attributes, "opacity": np.linspace(0, 1, 5)})
+    np.testing.assert_array_equal(splat_model(plain).opacities, np.linspace(0, 1, 5))
+
+
+def test_other_clouds_are_no_models(tmp_path):
+    assert splat_model(Cloud(np.zeros((2, 3)), attributes={"opacity": np.zeros(2)})) is None
+
+
+def test_files_are_filtered_as_they_are_read(tmp_path):
+    file = tmp_path / "a.ply"
+    whole = splat_models.some()
+    write_cloud(file, whole)
+    np.testing.assert_array_equal(read_cloud(file, min_opacity=0.49).points, whole.points[2:])
+    np.testing.assert_array_equal(read_cloud(file, max_axis=0.061).points, whole.points[:2])
+    np.testing.assert_array_equal(read_cloud(file, min_opacity=0.2, max_axis=0.1).points, whole.points[1:3])
+    assert read_cloud(file, min_opacity=0.2, max_axis=0.1).attributes.keys() == whole.attributes.keys()
+    assert len(read_cloud(file, min_opacity=0)) == 5
+
+
+def test_refusals(tmp_path):
+    splats, cloud = tmp_path / "a.ply", tmp_path / "b.ply"
+    write_cloud(splats, splat_models.some())
+    write_cloud(cloud, np.zeros((4, 3)))
+    for path, options, message in (
+        (splats, {"min_opacity": 1.5}, "expected the least opacity as a number 0 to 1, got 1.5"),
+        (splats, {"max_axis": 0}, "expected the largest axis as a positive length, got 0"),
+        (
+            splats,
+            {"max_axis": 0.001},
+            "none of 5 splats is left: opacities are 0.1 to 0.9, median 0.5, largest axes 0.03",
+        ),
+        (cloud, {"min_opacity": 0.5}, "known of Gaussian splats only: the cloud has no attributes opacity, scale_0"),
+    ):
+        with pytest.raises(InputError) as refused:
+            read_cloud(path, **options)
+        assert str(refused.value).startswith(f"{path}: ")
+        assert message in str(refused.value)
+
+
+def test_a_comparison_leaves_faint_and_long_splats_out(tmp_path):
+    rng = np.random.default_rng(0)
+    plane = np.column_stack([rng.uniform(-1, 1, (900, 2)), np.zeros(900)])
+    mist = rng.uniform(-1, 1, (300, 3))
+    opacities, axes = np.full(1200, 0.9), np.full((1200, 3), 0.01)
+    opacities[900:1050], axes[1050:] = 0.05, 2.0
+    splats = splat_models.model(np.concatenate([plane, mist]), opacities, axes)
+    write_cloud(tmp_path / "splats.ply", splats)
+    limits = {"register": "none", "min_opacity": 0.5, "max_axis": 0.1}
+    for candidate in (tmp_path / "splats.ply", splats):
+        found = pcbench.compare(plane, candidate, **limits)
+        assert next(iter(found)).points == 900
+        assert next(iter(found)).metrics.hausdorff.symmetric_max == 0
+    with pytest.raises(InputError, match="none of the clouds is a model"):
+        pcbench.compare(plane, plane, **limits)
+    with pytest.raises(InputError, match="candidate_1: none of 1200 splats is left"):
+        pcbench.compare(plane, splats, register="none", min_opacity=1.0)

@@ -1,0 +1,154 @@
+"""M3C2 with settings of one's own, against brute force written from the paper."""
+
+import json
+
+import numpy as np
+import oracles
+import pytest
+import shapes
+from command_line import one_line
+from data_folder import data_folder
+
+from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
+from pcbench.errors import InputError
+
+GIVEN = {"radius": 1.2, "depth": 1.5, "normal_radius": 1.5, "registration_error": 0.02}
+
+
+@pytest.fixture(scope="module")
+def pair():
+    reference, _ = shapes.terrain(6000, seed=1)
+    candidate, _ = shapes.terrain(4000, seed=2)
+    cores, _ = shapes.terrain(40, seed=3)
+    cores[-1] += [0, 0, 1000]  # far off: nothing about it
+    return reference, candidate + [0, 0, 0.15], cores
+
+
+def check(found, expected):
+    np.testing.assert_array_equal(found.counts_reference, expected["counts"][:, 0])
+    np.testing.assert_array_equal(found.counts_candidate, expected["counts"][:, 1])
+    np.testing.assert_allclose(found.distances, expected["distances"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.lod, expected["lod"], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("origin", [0.0, 4e5])
+def test_explicit_settings_against_brute_force(pair, origin):
+    reference, candidate, cores = (points + origin for points in pair)
+    normals = oracles.m3c2_normals(pair[0], pair[2], GIVEN["normal_radius"])
+    expected = oracles.m3c2(*pair, normals, GIVEN["radius"], GIVEN["depth"], GIVEN["registration_error"])
+    assert np.isnan(expected["distances"][-1])
+    assert np.isfinite(expected["distances"][:-1]).all()
+    settings = Settings(register="none", m3c2=M3C2Settings(**GIVEN, cores=cores))
+    found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
+    np.testing.assert_allclose(found.cores, cores)
+    if origin == 0:
+        check(found, expected)
+    else:  # coordinates of 4e5 are good to 6e-11; a point at a cylinder's wall may change sides
+        np.testing.assert_allclose(found.distances, expected["distances"], atol=1e-3)
+
+
+def test_normals_of_the_core_points_are_used_where_they_have_some(pair):
+    reference, candidate, cores = pair
+    tilted = np.tile([0.6, 0.0, 0.8], (len(cores), 1))
+    tilted[3] = 0  # has none
+    settings = Settings(register="none", m3c2=M3C2Settings(1.2, 1.5, cores=Cloud(cores, normals=2 * tilted)))
+    found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
+    kept = np.arange(len(cores)) != 3
+    expected = oracles.m3c2(reference, candidate, cores[kept], tilted[kept], 1.2, 1.5, found.registration_error)
+    np.testing.assert_allclose(found.distances[kept], expected["distances"], rtol=0, atol=1e-9)
+    assert np.isnan([found.distances[3], found.lod[3], *found.normals[3]]).all()
+
+
+def test_cloudcompares_core_points_and_normals_through_compare():
+    folder = data_folder("autzen")
+    pytest.importorskip("laspy")
+    reference, candidate = (read_cloud(folder / f"autzen-bmx-{year}.las").points for year in (2010, 2023))
+    path = folder / "autzen-bmx-cc.txt"
+    names = path.read_text().splitlines()[0].replace('"', "").split(",")
+    column = dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    cores, normals = (
+        np.stack([column[name] for name in group], axis=1) for group in ("XYZ", ("NormalX", "NormalY", "NormalZ"))
+    )
+    how = M3C2Settings(2.890432, 5.5, cores=Cloud(cores, normals=normals), registration_error=0)
+    found = compare(reference, candidate, Settings(register="none", m3c2=how))["candidate_1"].deviation.m3c2
+    valid = np.linalg.norm(normals, axis=1) > 0.5
+    np.testing.assert_array_equal(found.counts_candidate[valid], column["Npoints_cloud2"][valid])
+    # The file has three decimals; NaN stands in the same places.
+    np.testing.assert_allclose(found.distances[valid], column["M3C2 distance"][valid], atol=1e-3)
+    np.testing.assert_allclose(found.lod[valid], column["distance uncertainty"][valid], atol=1e-3)
+
+
+def test_what_is_not_said_has_its_default(pair):
+    reference, candidate, _ = pair
+    plain = compare(reference, candidate, Settings(register="none", maps=("m3c2",)))["candidate_1"].deviation.m3c2
+    halved = compare(reference, candidate, Settings(register="none", m3c2=f"depth={plain.radius / 2}"))
+    halved = halved["candidate_1"].deviation.m3c2
+    np.testing.assert_array_equal(halved.cores, plain.cores)
+    assert (halved.radius, halved.half_length) == (plain.radius, plain.radius / 2)
+
+
+def test_core_points_outside_the_region_are_left_out(pair):
+    reference, candidate, cores = pair
+    low, high = np.median(cores[:, 0]), cores[:-1].max(axis=0) + 1
+    box = f"box:{low},-1000,-1000,{high[0]},1000,1000"
+    settings = Settings(register="none", crop=box, m3c2=M3C2Settings(1.2, cores=cores))
+    found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
+    inside = cores[(cores[:, 0] >= low) & (cores[:, 2] < 1000)]
+    np.testing.assert_allclose(found.cores, inside)
+    with pytest.raises(InputError, match="none of the 1 core points"):
+        compare(reference, candidate, Settings(register="none", m3c2=M3C2Settings(1.2, cores=cores[-1:]), crop=box))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"expected NAME=VALUE with a name of radius, depth, normal_radius, cores, registration_error, got ''"),
+        ("0.5", r"expected NAME=VALUE .* got '0\.5'"),
+        ("scale=2", "got 'scale=2'"),
+        ("radius=0.5,dept=2", "got 'dept=2'"),
+        ("radius=a", "expected M3C2's radius as a number, got 'a'"),
+        ("radius=", "expected a value after radius="),
+        ("radius=1,radius=2", "radius is given twice"),
+        ("radius=0", "expected M3C2's radius as a positive number, got 0"),
+        ("depth=-1", "expected M3C2's depth as a positive number"),
+        ("normal_radius=nan", "expected M3C2's normal_radius as a positive number, got nan"),
+        ("registration_error=-1", "at least 0, got -1"),
+    ],
+)
+def test_texts_that_are_no_settings(text, message):
+    with pytest.raises(InputError, match=message):
+        Settings(m3c2=text)
+
+
+def test_texts_are_read_back():
+    how = M3C2Settings.parse("radius=0.5, depth=2 ,cores=a, b.ply")
+    assert (how.radius, how.depth, how.normal_radius, str(how.cores)) == (0.5, 2.0, None, "a, b.ply")
+    assert M3C2Settings.parse(how.text).text == how.text
+    assert Settings(m3c2="radius=1").maps == ("m3c2",)
+    for wrong in (3, True, {"radius": 1}):
+        with pytest.raises(InputError, match="m3c2"):
+            Settings(m3c2=wrong)
+    with pytest.raises(InputError, match="radius"):
+        M3C2Settings("0.5")
+
+
+def test_from_the_command_line_and_again(pair, tmp_path, run):
+    for name, points in zip(("r.ply", "c.ply", "cores.xyz"), pair, strict=True):
+        write_cloud(tmp_path / name, Cloud(points))
+    files = [tmp_path / "r.ply", tmp_path / "c.ply"]
+    how = f"radius=1.2,depth=1.5,normal_radius=1.5,cores={tmp_path / 'cores.xyz'},registration_error=0.02"
+    options = ["--register", "none", "--m3c2", how]
+    assert run("compare", *files, *options, "--out", tmp_path / "report")[0] == 0
+    found = json.loads((tmp_path / "report" / "comparison.json").read_text())["candidates"][0]["deviation"]["m3c2"]
+    assert (found["radius"], found["half_length"], found["registration_error"]) == (1.2, 1.5, 0.02)
+    assert (found["core_points"], found["valid"]) == (40, 39)
+    settings = json.loads((tmp_path / "report" / "settings.json").read_text())
+    assert settings["files"][0]["path"] == str(tmp_path / "cores.xyz")
+    again = run("compare", "--settings", tmp_path / "report" / "settings.json", "--json", tmp_path / "again.json")
+    assert again[0] == 0
+    assert json.loads((tmp_path / "again.json").read_text())["candidates"][0]["deviation"]["m3c2"] == found
+    for wrong, said in ((f"cores={tmp_path / 'no.ply'}", "no.ply"), ("diameter=1", "diameter=1")):
+        code, _, err = run("compare", *files, "--m3c2", wrong)
+        assert code == 2
+        assert one_line(err)
+        assert said in err

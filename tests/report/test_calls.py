@@ -1,0 +1,101 @@
+"""What programs call: clouds, arrays and paths alike, settings by name, and what a result says of itself."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pcbench
+from pcbench import Cloud, PcbenchError, Settings
+from pcbench.errors import InputError
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Three samples of a bowl: as files of several kinds in the current folder, and as arrays."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(1)
+    arrays = {}
+    for name in ("ref.ply", "a.xyz", "b.npy"):
+        plane = rng.uniform(-1, 1, (400, 2))
+        arrays[name] = np.column_stack([plane, 0.3 * np.square(plane).sum(axis=1)])
+        pcbench.write_cloud(name, arrays[name])
+    return arrays
+
+
+def test_paths_are_read_where_clouds_are_taken(files, tmp_path):
+    found = pcbench.compare("ref.ply", ["a.xyz", tmp_path / "b.npy"], register="none")
+    assert [candidate.name for candidate in found] == ["a", "b"]
+    assert found.inputs.reference.path == "ref.ply"
+    assert found.inputs.candidates["b"].path == str(tmp_path / "b.npy")
+    assert len(found.inputs.candidates["a"].sha256) == 64
+    read = [pcbench.read_cloud(name) for name in ("ref.ply", "a.xyz", "b.npy")]
+    same = pcbench.compare(read[0], read[1:], register="none")
+    assert same.inputs is None
+    for one, other in zip(found, same, strict=True):
+        assert one.metrics.d1_mse == other.metrics.d1_mse
+    one, other = pcbench.register("ref.ply", "a.xyz"), pcbench.register(read[0], read[1])
+    np.testing.assert_array_equal(one.T_reference_candidate.matrix, other.T_reference_candidate.matrix)
+    assert len(pcbench.crop("ref.ply", "box:-1,-1,-1,0,1,1")) == int((files["ref.ply"][:, 0] <= 0).sum())
+    by_path, by_cloud = pcbench.deform("ref.ply", "a.xyz")[1], pcbench.deform(read[0], read[1])[1]
+    assert by_path.sentence("a", "") == by_cloud.sentence("a", "")
+
+
+def test_candidates_of_all_kinds_have_names(files):
+    mixed = pcbench.compare("ref.ply", ["a.xyz", files["b.npy"]], register="none")
+    assert [candidate.name for candidate in mixed] == ["a", "candidate_2"]
+    assert [c.name for c in pcbench.compare("ref.ply", "a.xyz", register="none")] == ["a"]
+    assert [c.name for c in pcbench.compare("ref.ply", {"mine": "a.xyz"}, register="none")] == ["mine"]
+    pcbench.write_cloud("candidate_2.ply", "a.xyz")
+    with pytest.raises(InputError, match="two candidates are called 'candidate_2'"):
+        pcbench.compare("ref.ply", ["candidate_2.ply", files["b.npy"]])
+
+
+def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path, monkeypatch):
+    monkeypatch.setattr("pcbench.measure.reference._MESH_SAMPLES", 1000)
+    (tmp_path / "box.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n")
+    assert pcbench.compare("box.obj", "a.xyz", register="none").reference.faces == 2
+
+
+def test_what_readers_left_out_is_a_warning(files):
+    with Path("a.xyz").open("a") as file:
+        file.write("nan nan nan\n")
+    with pytest.warns(UserWarning, match="dropped 1 of 401 points"):
+        found = pcbench.compare("ref.ply", "a.xyz", register="none")
+    assert "dropped 1 of 401 points" in found.inputs.candidates["a"].warnings[0]
+
+
+def test_a_report_of_paths_can_be_repeated(files, tmp_path):
+    found = pcbench.compare("ref.ply", "a.xyz", register="none")
+    found.save("report", figures=False)
+    assert (tmp_path / "report" / "settings.json").is_file()
+    with pytest.raises(PcbenchError, match="no-such"):
+        pcbench.compare("no-such.ply", "a.xyz")
+
+
+def test_settings_by_name(files):
+    found = pcbench.compare("ref.ply", "a.xyz", register="none", seed=5, thresholds=[0.1])
+    assert (found.settings.register, found.settings.seed, found.settings.thresholds) == ("none", 5, (0.1,))
+    both = pcbench.compare("ref.ply", "a.xyz", Settings(register="none", seed=5), seed=6)
+    assert (both.settings.register, both.settings.seed) == ("none", 6)
+    with pytest.raises(InputError, match="unknown setting 'registr': expected one of register, crop,"):
+        pcbench.compare("ref.ply", "a.xyz", registr="none")
+
+
+def test_arrays_and_paths_are_written_as_clouds_are(files, tmp_path):
+    pcbench.write_cloud("c.ply", "b.npy")
+    np.testing.assert_array_equal(pcbench.read_cloud("c.ply").points, files["b.npy"])
+    pcbench.write_cloud("d.xyz", files["b.npy"][:2].tolist())
+    assert len(pcbench.read_cloud("d.xyz")) == 2
+    with pytest.raises(InputError, match="points"):
+        pcbench.write_cloud("e.ply", np.zeros((3, 2)))
+    assert not (tmp_path / "e.ply").exists()
+
+
+def test_a_comparison_shows_itself_in_a_few_lines(files):
+    found = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
+    first, *rest = repr(found).splitlines()
+    assert first.startswith("Comparison with 400 points, spacing 0.")
+    assert first.endswith(" m")
+    assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]
+    assert max(map(len, repr(found).splitlines())) < 120

@@ -1,0 +1,96 @@
+"""Ranges of colours, and the maps themselves: beside formulas of colour science that we did not write."""
+
+import numpy as np
+import pytest
+
+from pcbench.report.colors import DIVERGING, SEQUENTIAL, Range, largest_but_strays, ranges
+
+# Machado, Oliveira and Fernandes 2009, severity 1, for linear RGB.
+BLIND = {
+    "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritan": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+    "none": np.eye(3),
+}
+
+
+def lightness(colors, seen_by="none"):
+    """CIE L* of sRGB colours (N, 3) from 0 to 255."""
+    s = np.asarray(colors, float) / 255
+    linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+    linear = np.clip(linear @ np.array(BLIND[seen_by]).T, 0, 1)
+    y = linear @ [0.2126, 0.7152, 0.0722]
+    return np.where(y > (6 / 29) ** 3, 116 * np.cbrt(y) - 16, y * (29 / 3) ** 3)
+
+
+@pytest.mark.parametrize("seen_by", BLIND)
+def test_distances_are_read_from_lightness_alone(seen_by):
+    colors = Range(0.0, 1.0).colors(np.linspace(0, 1, 101))
+    steps = np.diff(lightness(colors, seen_by)[::10])
+    assert (steps > 2.5).all()  # a difference that anybody sees; even
+    assert steps.max() < 3 * steps.min()
+    grey = colors @ [0.299, 0.587, 0.114]
+    assert (np.diff(grey[::10]) > 0).all()
+
+
+def test_small_distances_stand_out_from_the_dark_ground():
+    assert lightness(SEQUENTIAL[:1])[0] > lightness([[0x1A, 0x1C, 0x20]])[0] + 12
+
+
+def test_signed_distances_are_lightest_in_the_middle_and_even_to_both_sides():
+    light = lightness(DIVERGING)
+    assert int(np.argmax(light)) == len(DIVERGING) // 2
+    np.testing.assert_allclose(light, light[::-1], atol=8)
+    scale = Range(-1.0, 1.0, signed=True)
+    assert scale.colors(np.array([0.0]))[0].tolist() == DIVERGING[len(DIVERGING) // 2].tolist()
+
+
+def test_values_outside_a_range_have_the_colours_of_its_ends():
+    colors = Range(0.0, 1.0).colors(np.array([-1.0, 0.0, 1.0, 5.0]))
+    assert (colors[0] == colors[1]).all()
+    assert (colors[2] == colors[3]).all()
+    assert colors[1].tolist() == SEQUENTIAL[0].tolist()
+
+
+def test_a_candidate_that_is_far_off_does_not_change_the_others():
+    without = ranges({"a": 0.02, "b": 0.05, "c": 0.09})
+    assert {scale.high for scale in without.values()} == {0.09}
+    assert "shared by all 3" in without["a"].note
+    found = ranges({"a": 0.02, "far": 40.0, "b": 0.05, "c": 0.09})
+    assert list(found) == ["a", "far", "b", "c"]
+    for name in "abc":
+        assert found[name].high == without[name].high
+        assert "shared by 3 of 4" in found[name].note
+    assert found["far"].high == 40.0
+    assert "of this one of 4 alone" in found["far"].note
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_ranges_hold_whatever_the_candidates(seed):
+    """None has a range below its own 95th percentile, none one that it uses less than a fifth of."""
+    rng = np.random.default_rng(seed)
+    highest = {str(k): float(v) for k, v in enumerate(10.0 ** rng.uniform(-4, 4, rng.integers(1, 12)))}
+    found = ranges(highest)
+    for name, scale in found.items():
+        assert highest[name] <= scale.high <= 5 * highest[name]
+        farther = ranges({**highest, "far": 1e3 * max(highest.values())})
+        assert farther[name].high == scale.high
+
+
+def test_strays_do_not_decide():
+    values = np.r_[np.linspace(-1, 1, 1000), [1e6] * 20]
+    assert largest_but_strays(values) < 1.0
+    assert largest_but_strays(np.zeros(0)) == 0.0
+
+
+def test_rounding_is_not_spread_over_all_colours():
+    found = ranges({"same": 1e-15, "other": 0.1}, spacing=0.5)
+    assert found["same"].high == 0.5
+    assert "rounding" in found["same"].note
+    assert found["other"].high == 0.1
+    assert ranges({"same": 0.0})["same"].high > 0
+
+
+def test_a_given_range_is_that_of_all():
+    found = ranges({"a": 0.02, "b": 40.0}, signed=True, given=0.3)
+    assert {(scale.low, scale.high) for scale in found.values()} == {(-0.3, 0.3)}

@@ -1,0 +1,154 @@
+"""What `compare` prints: at most a dozen rows, in the width that there is, and where the rest lies."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+
+from pcbench import Cloud, Settings, compare, write_cloud
+from pcbench.report import print_comparison
+
+LONG = "reconstruction_of_the_whole_site_with_default_settings_2024-05-"
+
+
+@pytest.fixture(scope="module")
+def clouds(tmp_path_factory):
+    """A reference in metres and two candidates, one of which reaches far beyond it."""
+    folder = tmp_path_factory.mktemp("clouds")
+    write_cloud(folder / "ref.ply", Cloud(shapes.city(2000, noise=0.01, seed=1)[0], unit="m"))
+    a = shapes.city(1000, noise=0.02, seed=9)[0]
+    for name, points in (("a", a), ("b", shapes.city(800, noise=0.05, seed=8)[0])):
+        write_cloud(folder / f"{name}.ply", Cloud(points))
+    write_cloud(folder / "beyond.ply", Cloud(np.vstack([a, a + [np.ptp(a[:, 0]) + 5, 0, 0]])))
+    return folder
+
+
+@pytest.fixture
+def printed(clouds, run, monkeypatch, tmp_path):
+    """Run compare on some candidates: the lines of the answer, those of the table, what is below, and all of it."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*names, options=()):
+        monkeypatch.setenv("COLUMNS", "80")
+        files = [clouds / f"{name}.ply" for name in ("ref", *names)]
+        code, out, err = run("compare", *files, "--register", "none", *options)
+        assert (code, err) == (0, "")
+        return parts(out)
+
+    return call
+
+
+def parts(out):
+    above, table, *below = out.split("\n\n")
+    return above.splitlines(), table.splitlines(), " ".join("\n\n".join(below).split()), out
+
+
+@pytest.fixture(scope="module")
+def six():
+    """Two of them have names that differ at their ends, and one is in millimetres."""
+    reference = Cloud(shapes.city(1500, noise=0.01, seed=1)[0], unit="m")
+    names = ["a", "b", "c", f"{LONG}17", f"{LONG}18"]
+    found = {name: shapes.city(800, noise=0.02 * k, seed=10 + k)[0] for k, name in enumerate(names)}
+    middle = reference.points.mean(axis=0)
+    return compare(reference, {**found, "astray": 1000 * (found["a"] - middle) + middle}, Settings(register="none"))
+
+
+@pytest.fixture
+def shown(six, monkeypatch, capsys):
+    """Print the comparison of some of the six on a terminal of so many columns."""
+
+    def call(*names, columns=80):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        kept = tuple(six[name] for name in names)
+        pairs = tuple(d for d in six.differences if {d.a, d.b} <= set(names))
+        print_comparison(replace(six, candidates=kept, differences=pairs))
+        return parts(capsys.readouterr().out)
+
+    return call
+
+
+@pytest.mark.parametrize("columns", [80, 132])
+@pytest.mark.parametrize("names", [("a",), (f"{LONG}17",), ("a", "b"), (f"{LONG}17", f"{LONG}18")], ids=len)
+def test_one_and_two_stand_side_by_side(shown, names, columns):
+    above, table, below, out = shown(*names, columns=columns)
+    assert len(table) == 2 + 12
+    assert max(map(len, out.splitlines())) <= columns
+    assert table[1].split() == ["c→r", "r→c"] * len(names)
+    assert [line[:16] for line in table].count("  sampling floor") == 2
+    assert len({*table[0].split()}) == len(names)
+    assert "--full prints every metric" in below
+    assert len(above) <= 1 + 4 * (3 if columns == 80 else 2)
+    assert "gao2025" not in out
+    assert "is lower than" not in out
+
+
+@pytest.mark.parametrize("columns", [60, 80, 132])
+def test_six_are_a_row_each(six, shown, columns):
+    names = [c.name for c in six]
+    above, table, _, _ = shown(*names, columns=columns)
+    head, rows = table[:2], table[2:]
+    assert len(rows) == 6
+    assert max(map(len, table + above)) <= columns
+    assert [row.split()[0] for row in rows if "reconst" not in row] == ["a", "b", "c", "astray"]
+    ends = [row.split()[0] for row in rows if "reconst" in row]
+    assert [end[-2:] for end in ends] == ["17", "18"]
+    words = " ".join(head).split()
+    assert "c→r" in words and "r→c" in words
+    if columns >= 80:
+        assert words.count("floor") >= 2
+    assert words.count("mean") == (2 if columns == 132 else 1)
+
+
+def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
+    above, table, _, _ = shown("a", "b", "astray")
+    assert above[1].startswith("The registration of astray is doubtful")
+    assert table[1].split()[0] == "pose"
+    (row,) = [line for line in table if line.startswith("astray")]
+    assert "doubtful" in row
+    assert "doubtful" not in "".join(line for line in table if not line.startswith("astray"))
+    assert "pose" not in shown("a", "b", "c")[1][1]
+
+
+def test_a_small_overlap_stands_above_the_numbers(printed):
+    above, _, _, _ = printed("beyond")
+    said = " ".join(" ".join(above).split())
+    assert "of it lies on the reference (within 5 of its spacings" in said
+    assert "--crop reference measures" in said
+    cropped, *_ = printed("beyond", options=["--crop", "reference"])
+    assert "--crop reference" not in " ".join(cropped)
+
+
+def test_full_prints_all(printed):
+    _, _, _, out = printed("a", "b", options=["--full"])
+    for label in ("Chamfer, sum of means", "mpeg: d1_psnr", "  median, signed", "  standard deviation", "  NMAD"):
+        assert label in out
+    assert "D1 MSE c→r: a and b cannot be told apart (difference in [" in " ".join(out.split())
+    assert "b is not deformed against the reference" in " ".join(out.split())
+    assert "--full" not in out
+
+
+def test_what_was_asked_for_is_among_the_rows(printed):
+    _, table, _, _ = printed("a", options=["--thresholds", "0.5,2"])
+    assert [line.split("  ")[0] for line in table[-2:]] == ["F-score at 0.5", "F-score at 2"]
+    _, table, _, _ = printed("a", options=["--map", "m3c2"])
+    assert any(line.startswith("map m3c2: bias, rms") for line in table)
+    assert len(table) <= 2 + 12
+
+
+def test_where_the_rest_lies(printed):
+    out = printed("a", options=["--out", "kept"])[2]
+    assert "report: kept/ holds table.md" in out
+    for name in ("comparison.json", "metrics.csv", "*_deviation.ply", "*_T.txt"):
+        assert name in out
+    assert "figures" not in out  # none were drawn
+    assert "NMAD" in Path("kept/table.md").read_text()
+    assert printed("a")[2].startswith("--out FOLDER keeps")
+
+
+def test_a_sentence_is_a_line_where_no_width_is_known(clouds, run, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    _, out, _ = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
+    assert out.splitlines()[1].startswith("a lies ")
+    assert out.splitlines()[1].endswith(".")

@@ -1,0 +1,78 @@
+"""How far a work is: what steps tell, and what is made of it."""
+
+import io
+import sys
+
+import pytest
+
+from pcbench.cli.messages import duration, steps
+from pcbench.progress import Estimate, Plan, Step
+
+
+def test_a_plan_tells_what_each_step_and_the_rest_take():
+    told = []
+    plan = Plan(told.append, [1.0, 10.0, 3.0])
+    plan("reading")
+    inner = Plan(plan.within(), [4.0, 6.0])
+    inner("registering")
+    inner("measuring")
+    plan("writing")
+    plan("more than was planned")
+    assert told == ["reading", "registering", "measuring", "writing", "more than was planned"]
+    assert [(step.expected, step.after) for step in told] == [(1, 13), (4, 9), (6, 3), (3, 0), (None, 0)]
+
+
+def test_the_time_left_follows_the_machine():
+    """Of a work of 4 x 25 expected seconds on a machine that takes three times as long."""
+    estimate = Estimate(0.0)
+    for number in range(4):
+        now = 75.0 * number
+        estimate.begin(Step("run", 25.0, 25.0 * (3 - number)), now)
+        if number:
+            assert estimate.left(now) == pytest.approx(300 - now, rel=0.15)
+            assert estimate.share(now) == pytest.approx(now / 300, abs=0.05)
+    assert estimate.left(now + 40) < estimate.left(now + 10)
+
+
+def test_a_step_that_takes_too_long_never_ends_before_it_does():
+    estimate = Estimate(0.0)
+    estimate.begin(Step("long", 2.0, 1.0), 0.0)
+    shares = [estimate.share(float(t)) for t in range(1, 100)]
+    assert max(shares) < 1.0
+    assert all(estimate.left(float(t)) > 1.0 for t in range(100))
+
+
+def test_words_alone_say_nothing_about_time():
+    estimate = Estimate(0.0)
+    estimate.begin("somebody's own words", 1.0)
+    assert estimate.left(5.0) is None
+    assert estimate.share(5.0) is None
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (59, "59 s"), (89, "89 s"), (91, "2 min"), (7200, "2 h")])
+def test_durations_are_short(seconds, text):
+    assert duration(seconds) == text
+
+
+def test_nothing_is_shown_where_no_terminal_is(capsys):
+    with steps(False) as step:
+        step("reading")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_shows_a_bar_with_the_time_left(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    with steps(False) as step:
+        step(Step("registering [a]", 30.0, 60.0))
+        shown = sys.stderr
+        import time
+
+        time.sleep(0.3)
+    assert "registering [a]" in shown.getvalue()
+    assert "90 s left" in shown.getvalue()

@@ -1,0 +1,107 @@
+"""Temporary files, and claims to outputs: nobody's work is swept, and nothing of a killed run stays."""
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from pcbench.errors import InputError
+from pcbench.io.files import atomic_write
+from pcbench.scratch import claim, naming, scratch_file, scratch_folder, sweep
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from pcbench.scratch import claim, scratch_file, scratch_folder
+out = Path(sys.argv[1])
+with claim(out), scratch_folder(out) as folder, scratch_file(out.with_suffix(".ply")) as (_, file):
+    (folder / "half").write_text("half")
+    print("ready", flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def other(tmp_path):
+    """Another process that claims and fills `tmp_path / "out"`."""
+    process = subprocess.Popen([sys.executable, "-c", HOLD, tmp_path / "out"], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "ready\n"
+    yield process
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def test_what_a_living_run_has_is_left_and_what_a_killed_one_had_is_swept(tmp_path, other):
+    theirs = sorted(p.name for p in tmp_path.iterdir())
+    assert len(theirs) == 3
+    old = time.time() - 10**6
+    for path in tmp_path.iterdir():
+        os.utime(path, (old, old))  # age alone is no proof
+    with pytest.raises(InputError, match="another run is writing there"), claim(tmp_path / "out"):
+        pass
+    with atomic_write(tmp_path / "mine.txt") as file:
+        file.write(b"mine")
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*theirs, "mine.txt"])
+    other.send_signal(signal.SIGKILL)
+    other.wait()
+    with claim(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
+        (folder / "whole").touch()
+        folder.rename(tmp_path / "out")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt", "out"]
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["whole"]
+
+
+def test_what_another_machine_left_is_swept_after_a_day(tmp_path):
+    for name in ("young", "old"):
+        (tmp_path / f".pcbench-00000000-{name}").mkdir()
+        (tmp_path / f".pcbench-00000000-{name}.tmp").write_text("half")
+    (tmp_path / ".pcbench.txt").write_text("a user's own")
+    old = time.time() - 2 * 86_400
+    for path in tmp_path.glob("*-old*"):
+        os.utime(path, (old, old))
+    sweep(tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {
+        ".pcbench-00000000-young",
+        ".pcbench-00000000-young.tmp",
+        ".pcbench.txt",
+    }
+
+
+def test_nothing_stays_after_an_error(tmp_path):
+    with pytest.raises(ZeroDivisionError), claim(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
+        (folder / "half").touch()
+        raise ZeroDivisionError
+    with pytest.raises(ZeroDivisionError), scratch_file(tmp_path / "a") as (_, file):
+        file.write(b"half")
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_said_of_the_output(tmp_path):
+    with pytest.raises(OSError, match="No space") as caught, naming(tmp_path / "out", tmp_path / "scratch"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.filename == str(tmp_path / "out")
+    with pytest.raises(OSError, match="denied") as caught, naming(tmp_path / "out", tmp_path / "scratch"):
+        raise PermissionError(errno.EACCES, "denied", tmp_path / "scratch" / "a" / "b.ply")
+    assert caught.value.filename == str(tmp_path / "out" / "a" / "b.ply")
+    with pytest.raises(FileNotFoundError) as caught, naming(tmp_path / "out", tmp_path / "scratch"):
+        (tmp_path / "elsewhere").read_text()
+    assert caught.value.filename == str(tmp_path / "elsewhere")
+
+
+def test_a_limit_of_file_sizes_is_said_of_the_output(tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(OSError, match="File too large") as caught, atomic_write(tmp_path / "a.ply") as file:
+            file.write(bytes(10_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert caught.value.filename == str(tmp_path / "a.ply")
+    assert list(tmp_path.iterdir()) == []
