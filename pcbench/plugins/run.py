@@ -120,10 +120,12 @@ def run(
     """
     (workspace / PLUGIN).mkdir(parents=True, exist_ok=True)
     with claim(workspace):
-        return _run(job, workspace, time_limit_s)
+        return _run(job, workspace, time_limit_s, on_progress)
 
 
-def _run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None) -> Run:
+def _run(
+    job: ReconstructionJob, workspace: Path, time_limit_s: float | None, on_progress: Callable[[str], None] | None
+) -> Run:
     (workspace / OUTCOME).unlink(missing_ok=True)
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
