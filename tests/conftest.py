@@ -59,7 +59,8 @@ def renderer():
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Call the command line in this process: (exit code, stdout, stderr)."""
+    """Call the command line in this process: (exit code, stdout, stderr). Sentences are not broken into lines."""
+    monkeypatch.delenv("COLUMNS", raising=False)
 
     def call(*arguments, figures=False):
         if arguments[0] == "compare" and not figures:

@@ -16,8 +16,8 @@ from command_line import one_line
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.report.compare_files import named
 from pcbench.report.plot import REPORT, worker
+from pcbench.report.reading import names_of
 from pcbench.studies.bench.charts import CHARTS
 
 DEEP = "[" * 100_000 + "]" * 100_000
@@ -232,7 +232,7 @@ def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
         for text in damages:
             Path(path).write_text(text)
             # What the drawing process says, without its start.
-            monkeypatch.setattr(sys, "argv", ["worker", str(Path(path).parent), drawer.function])
+            monkeypatch.setattr(sys, "argv", ["worker", str(Path(path).parent), drawer.function, "{}"])
             assert worker.main() == 2
             said = capsys.readouterr().out
             assert said.count("\n") == 1
@@ -245,13 +245,14 @@ def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
 def test_a_line_break_in_a_name(files, run):
     for name in ("ref", "a"):
         Path(f"{name}.ply").rename(f"{name}\nb|c.ply")
-    assert list(named([Path("a\nb.ply"), Path("a_b.ply")])) == ["a_b", "a_b_2"]
+    assert names_of([Path("a\nb.ply"), Path("a_b.ply")]) == ["a_b", "a_b_2"]
     code, out, err = run("compare", "ref\nb|c.ply", "a\nb|c.ply", "--out", "report")
     assert (code, err) == (0, "")
     assert "a_b|c" in out
     table = Path("report/table.md").read_text().splitlines()
     assert table[0].startswith("# ref b|c.ply: 4,000 points")
-    assert table[2].count("|") == 6  # three columns, and two that are escaped
+    header = next(line for line in table if line.startswith("|"))
+    assert header.count("|") == 6  # three columns, and two that are escaped
     assert Path("report/a_b|c_T.txt").is_file()
     assert json.loads(Path("report/comparison.json").read_text())["candidates"][0]["name"] == "a_b|c"
 

@@ -153,7 +153,7 @@ def test_refusals(photographs, tmp_path):
     transforms([{"file_path": "3.png", "transform_matrix": eye}], k3=0.1)
     refuses("undistort")
     (photographs / "transforms.json").write_text("{")
-    refuses("expected a transforms.json")
+    refuses("transforms.json: expected JSON")
     (photographs / "transforms.json").unlink()
 
     model = photographs / "sparse/0"
