@@ -56,6 +56,7 @@ def test_survives_outliers_and_partial_overlap(scene):
     assert 0.2 < result.overlap < 0.6
 
 
+@pytest.mark.slow
 def test_large_rotations_are_found_or_said_to_be_missed(scene):
     reference, candidate = scene
     for shift in (-20,):  # metres: half a block

@@ -222,6 +222,7 @@ def test_every_picture_has_its_own_gain_and_noise(city, renderer, tmp_path):
     assert not np.array_equal(b, c)
 
 
+@pytest.mark.slow
 def test_features_enough_for_sfm(city, renderer, tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
     from PIL import Image

@@ -58,7 +58,7 @@ def test_water_is_level():
     assert np.ptp(plan.terrain.at(*np.random.default_rng(0).uniform(land.low, land.high, (200, 2)).T)) > 0.05
 
 
-@pytest.mark.parametrize("extent", [100, 130, 250])
+@pytest.mark.parametrize("extent", [100, 130, pytest.param(250, marks=pytest.mark.slow)])
 def test_every_city_can_be_built(extent):
     """Narrow blocks, lone blocks, blocks about the origin: nothing has a negative size or leaves the city."""
     for seed in range(12):
