@@ -12,6 +12,7 @@ import fcntl
 import hashlib
 import os
 import platform
+import re
 import secrets
 import shutil
 import tempfile
@@ -25,6 +26,8 @@ from pcbench.errors import InputError
 
 _PREFIX = ".pcbench-"
 _LOCK = ".lock"  # how the names of claims end
+# Names that are made here, and no other: what a user calls .pcbench-notes is the user's.
+_NAMES = re.compile(rf"{re.escape(_PREFIX)}([0-9a-f]{{16}}{re.escape(_LOCK)}|[0-9a-f]{{8}}-[0-9a-f]{{16}}(\.tmp)?)")
 _OURS = f"{_PREFIX}{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"  # of this machine
 # What another machine left on a shared disk, whose locks may not be seen here, is swept after this.
 _MAX_FOREIGN_AGE_S = 86_400.0
@@ -106,7 +109,7 @@ def scratch_folder(output: Path | None = None) -> Iterator[Path]:
 def sweep(folder: Path) -> None:
     """Remove what runs left in a folder that have not lived to remove it. What cannot be removed stays."""
     with suppress(OSError), os.scandir(folder) as entries:
-        for path in [Path(entry.path) for entry in entries if entry.name.startswith(_PREFIX)]:
+        for path in [Path(entry.path) for entry in entries if _NAMES.fullmatch(entry.name)]:
             with suppress(OSError):
                 _sweep(path)
 

@@ -58,19 +58,31 @@ def test_what_a_living_run_has_is_left_and_what_a_killed_one_had_is_swept(tmp_pa
 
 
 def test_what_another_machine_left_is_swept_after_a_day(tmp_path):
-    for name in ("young", "old"):
-        (tmp_path / f".pcbench-00000000-{name}").mkdir()
-        (tmp_path / f".pcbench-00000000-{name}.tmp").write_text("half")
-    (tmp_path / ".pcbench.txt").write_text("a user's own")
-    old = time.time() - 2 * 86_400
-    for path in tmp_path.glob("*-old*"):
-        os.utime(path, (old, old))
+    young, old = (f".pcbench-00000000-{letter * 16}" for letter in "ab")
+    for name in (young, old):
+        (tmp_path / name).mkdir()
+        (tmp_path / f"{name}.tmp").write_text("half")
+    long_ago = time.time() - 2 * 86_400
+    for path in tmp_path.glob(f"{old}*"):
+        os.utime(path, (long_ago, long_ago))
     sweep(tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {
-        ".pcbench-00000000-young",
-        ".pcbench-00000000-young.tmp",
+    assert {p.name for p in tmp_path.iterdir()} == {young, f"{young}.tmp"}
+
+
+def test_what_a_user_has_named_alike_stays(tmp_path):
+    names = [
         ".pcbench.txt",
-    }
+        ".pcbench-notes",
+        ".pcbench-list.lock",
+        ".pcbench-00000000-old",
+        ".pcbench-0123456789abcdef",
+    ]
+    for name in names:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "kept").write_text("a user's own")
+        os.utime(tmp_path / name, (0, 0))
+    sweep(tmp_path)
+    assert sorted(p.parent.name for p in tmp_path.glob("*/kept")) == sorted(names)
 
 
 def test_nothing_stays_after_an_error(tmp_path):

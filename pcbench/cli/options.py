@@ -132,10 +132,10 @@ def triple(option: str, text: str) -> tuple[float, float, float]:
     """Three numbers x,y,z.
 
     Raises:
-        InputError: they are not three, or no numbers.
+        InputError: they are not three, or no finite numbers.
     """
     values = numbers(option, text, float)
-    if values is None or len(values) != 3:
+    if values is None or len(values) != 3 or not all(map(math.isfinite, values)):
         raise InputError(f"expected {option} as three numbers x,y,z, got {text!r}")
     return values[0], values[1], values[2]
 

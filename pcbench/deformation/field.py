@@ -86,7 +86,7 @@ def local_changes(
     geometry: Geometry, noise: Noise, sums: TileSums, resolution: float
 ) -> tuple[NDArray[np.bool_], FloatArray, LocalChanges]:
     """Cells that changed by themselves by more than the resolution, (C,), the length of what the largest model leaves
-    in each, (C,), and how many they are.
+    in each, (C,), NaN where a cell holds too little to tell, and how many they are.
 
     The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
     discoveries are limited as in Benjamini & Hochberg 1995.
@@ -125,4 +125,4 @@ def local_changes(
         largest=float(length[farthest]) if changed.any() else None,
         at=(x, y, z) if changed.any() else None,
     )
-    return changed, length, found
+    return changed, np.where(tested, length, np.nan), found

@@ -170,7 +170,8 @@ class Field:
         vertical: measured mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN where no
             surface there shows it.
         sigma: standard deviation of `vertical` under the noise.
-        local: length of what the largest model leaves of the cell's displacement.
+        local: length of what the largest model leaves of the cell's displacement; NaN where a cell holds too little for
+            its changes to be told.
         changed: whether that is more than noise, at a false discovery rate of 5 %.
         counts: pairs.
     """

@@ -26,7 +26,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction, from_candidate, from_reference
-from pcbench.measure.m3c2 import M3C2Settings, compare_along_normals
+from pcbench.measure.m3c2 import M3C2Settings, compare_along_normals, m3c2_warnings
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, Comparison, Difference
 from pcbench.measure.scores import Measurement, measure
@@ -165,7 +165,11 @@ def _compare_one(
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=_peak_rss(),
-        warnings=(*_crs_warnings(reference.cloud, cloud), *measurement.warnings),
+        warnings=(
+            *_crs_warnings(reference.cloud, cloud),
+            *measurement.warnings,
+            *(() if deviation.m3c2 is None else m3c2_warnings(deviation.m3c2)),
+        ),
     )
     return result, measurement
 

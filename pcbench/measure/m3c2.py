@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, Notice
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index
@@ -157,6 +158,19 @@ def compare_along_normals(
         distances, lod = (np.where(unknown, np.nan, values) for values in (found.distances, found.lod))
         found = found._replace(normals=normals, distances=distances, lod=lod)
     return found.shifted(-reference.origin)
+
+
+def m3c2_warnings(found: M3C2) -> Iterator[Notice]:
+    """Whether there is anything to compare: with cylinders that hold nothing, the map is empty."""
+    if np.isfinite(found.significant).any():
+        return
+    measured = int(np.count_nonzero(np.isfinite(found.distances)))
+    text = (
+        f"M3C2 says nothing: a cylinder of radius {found.radius:.3g} and depth {found.half_length:.3g} holds points of"
+        f" both clouds at {measured} of {len(found.cores)} core points, and five of each, which a level of detection"
+        " needs, at none: --m3c2 radius=... and depth=... make it larger, and cores are in the reference's coordinates"
+    )
+    yield Notice("empty-m3c2", text)
 
 
 def _given(reference: Reference, given: Cloud) -> tuple[FloatArray, FloatArray]:

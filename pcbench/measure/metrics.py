@@ -74,17 +74,17 @@ def mean_square(distances: ArrayLike) -> float:
 
 def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
     """Symmetric Hausdorff distance max(max a, max b), unsquared."""
-    return max(float(_distances(each, "hausdorff").max()) for each in (a, b))
+    return max(float(_unsigned(each, "hausdorff").max()) for each in (a, b))
 
 
 def one_way_hausdorff(distances: ArrayLike) -> float:
     """Largest one-way distance."""
-    return float(_distances(distances, "one_way_hausdorff").max())
+    return float(_unsigned(distances, "one_way_hausdorff").max())
 
 
 def chamfer_unsquared(a: ArrayLike, b: ArrayLike) -> float:
     """mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
-    forth, back = (float(np.mean(_distances(each, "chamfer_unsquared"))) for each in (a, b))
+    forth, back = (float(np.mean(_unsigned(each, "chamfer_unsquared"))) for each in (a, b))
     return forth + back
 
 
@@ -99,7 +99,7 @@ def fscore(a: ArrayLike, b: ArrayLike, threshold: float) -> FScore:
 
     Knapitsch et al. 2017 (Tanks and Temples), eqs. 1-5.
     """
-    forth, back = (_distances(each, "fscore", ", threshold") for each in (a, b))
+    forth, back = (_unsigned(each, "fscore", ", threshold") for each in (a, b))
     if not threshold > 0:
         raise InputError(f"expected a positive threshold, got {threshold}")
     precision, recall = float(np.mean(forth <= threshold)), float(np.mean(back <= threshold))
@@ -217,4 +217,12 @@ def _distances(given: ArrayLike, name: str | None, further: str = "") -> FloatAr
         raise InputError("expected at least one distance, got none")
     if bad := int(np.count_nonzero(np.isnan(values))):
         raise InputError(f"expected distances, got NaN in {bad} of {len(values)}")
+    return values
+
+
+def _unsigned(given: ArrayLike, name: str, further: str = "") -> FloatArray:
+    """The same of distances that may not cancel one another: signed ones are refused."""
+    values = _distances(given, name, further)
+    if bad := int(np.count_nonzero(values < 0)):
+        raise InputError(f"expected unsigned distances, got {bad} of {len(values)} below 0: take np.abs of them")
     return values

@@ -15,6 +15,7 @@ from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction, MeanMetric
 from pcbench.measure.intervals import Sampled, Spread
 from pcbench.measure.results import (
+    ARROWS,
     BACK,
     FORTH,
     Chamfer,
@@ -166,10 +167,11 @@ def _doubts(spreads: Mapping[str, Spread], scores: Mapping[str, Sampled], roundi
     name, worst = min(found.items(), key=lambda item: item[1].pieces)
     if worst.pieces < MIN_PIECES:
         over = f"distances are alike over about {worst.reach:.3g}: " if worst.reach > 0 else ""
+        metric, _, way = name.partition("/")
         yield Notice(
             "few-pieces",
             f"intervals are rough: {over}the scene holds about {worst.pieces:.0f} independent pieces, and fewer than"
-            f" {MIN_PIECES} do not show how scores vary ({name})",
+            f" {MIN_PIECES} do not show how scores vary ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
         )
 
 

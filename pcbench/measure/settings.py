@@ -123,7 +123,7 @@ def _positive(values: Any) -> list[float]:
     except (TypeError, ValueError, OverflowError):
         numbers = []
     if not numbers or not all(np.isfinite(v) and v > 0 for v in numbers):
-        raise InputError(f"expected positive thresholds, got {values!r}")
+        raise InputError(f"expected thresholds as positive lengths, in a tuple or list, got {values!r}")
     return numbers
 
 

@@ -169,7 +169,7 @@ class _Writer:
         """Who is best, and whom it can be told from: the paired differences decide, not whether intervals overlap."""
         order = sorted(found, key=lambda name: found[name].value)
         first = found[order[0]]
-        like = [order[0], *(name for name in order[1:] if not self._differ(order[0], name, first.metric))]
+        like = self._tied_with(order[0], order, first.metric)
         values = [self.length(found[name].value) for name in order]
         best, worst = self.names[order[0]], self.names[order[-1]]
         words = f" {first.words}" + ("" if first.floor is None else f" (floor {self.length(first.floor)})")
@@ -179,11 +179,23 @@ class _Writer:
             return f"{best} is {more} than {worst}: {values[0]} against {values[1]}{words}"
         if len(like) == len(order):
             return f"Which is {most} cannot be told: {values[0]} ({best}) to {values[-1]} ({worst}){words}"
-        last = f"{worst} is last ({values[-1]})"
+        tied = self._tied_with(order[-1], order, first.metric)
+        last = "" if order[-1] in like else self._last([name for name in tied if name not in like], found)
         if len(like) == 1:
-            return f"{best} is {most}: {values[0]}{words}, then {self.names[order[1]]} ({values[1]}); {last}"
-        these = joined([self.names[name] for name in like])
-        return f"{these} are {most} and cannot be told apart: {values[0]} to {values[len(like) - 1]}{words}; {last}"
+            then = "" if order[1] in tied else f", then {self.names[order[1]]} ({values[1]})"
+            return f"{best} is {most}: {values[0]}{words}{then}{last}"
+        these, farthest = joined([self.names[name] for name in like]), self.length(found[like[-1]].value)
+        return f"{these} are {most} and cannot be told apart: {values[0]} to {farthest}{words}{last}"
+
+    def _tied_with(self, one: str, order: Sequence[str], metric: str) -> list[str]:
+        """Those that cannot be told from one of them, and itself, in the same order."""
+        return [name for name in order if name == one or not self._differ(one, name, metric)]
+
+    def _last(self, tied: Sequence[str], found: Mapping[str, _Distance]) -> str:
+        names, ends = joined([self.names[k] for k in tied]), [self.length(found[k].value) for k in (tied[0], tied[-1])]
+        if len(tied) == 1:
+            return f"; {names} is last ({ends[0]})"
+        return f"; {names} are last and cannot be told apart ({' to '.join(ends)})"
 
     def _partly(self, candidate: Candidate) -> str:
         """Of what only a part lies on the reference, the distances are mostly those of the rest."""
@@ -197,7 +209,7 @@ class _Writer:
         if len(robust) < len(candidates):
             return ""
         best, better = min(off, key=lambda name: off[name].value), min(robust, key=lambda name: robust[name])
-        if _MANY_STRAYS * robust[better] > robust[best]:
+        if _MANY_STRAYS * robust[better] >= robust[best]:
             return ""
         values = f"{self.length(robust[better])} against {self.length(robust[best])}"
         return f"; but by the NMAD, which strays do not move, it is {self.names[better]} ({values})"

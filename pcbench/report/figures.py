@@ -52,7 +52,11 @@ class Figures:
 
     def changed(self, background: str | None, range: float | None, format: str | None) -> Figures:
         """With what a user chose instead; None: as it is."""
-        return Figures(background or self.background, range or self.range, format or self.format)
+        return Figures(
+            self.background if background is None else background,
+            self.range if range is None else range,
+            self.format if format is None else format,
+        )
 
     def plain(self) -> dict[str, Any]:
         """As JSON holds it: `Figures(**plain)` is the same again."""

@@ -9,7 +9,7 @@ from pcbench.measure.deviation import Spread
 from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, ThresholdScores
 from pcbench.report.comparison import Comparison
 from pcbench.report.table import Line
-from pcbench.report.words import UNKNOWN, number, rounding, shortened
+from pcbench.report.words import UNKNOWN, columns, number, rounding, shortened
 
 MOST_ACROSS = 2  # candidates that stand side by side
 _MOST_ROWS = 12
@@ -25,7 +25,7 @@ class Column(NamedTuple):
 
     @property
     def width(self) -> int:
-        return max(map(len, (*self.head, *self.cells)))
+        return max(map(columns, (*self.head, *self.cells)))
 
 
 def main_lines(comparison: Comparison) -> list[Line]:
@@ -63,13 +63,13 @@ def main_lines(comparison: Comparison) -> list[Line]:
 
 
 def main_columns(comparison: Comparison, width: int) -> list[Column]:
-    """For a row each: as many columns as `width` letters hold beside the names, the most telling ones first."""
+    """For a row each: as many as `width` columns of a terminal hold beside the names, the most telling ones first."""
     candidates = list(comparison)
     show = _shown(comparison, digits=3)
     d2, mean = ([c.metrics.directed[name] for c in candidates] for name in ("d2_mse", "mean_distance"))
     h = [c.metrics.hausdorff for c in candidates]
     pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
-    columns = [  # in the order in which they stand, with their rank
+    ranked = [  # in the order in which they stand, with their rank
         (8, Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates])),
         (0 if any(pose) else None, Column(("", "pose"), pose)),
         (4, Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates])),
@@ -87,17 +87,17 @@ def main_columns(comparison: Comparison, width: int) -> list[Column]:
         (2, Column(("", "deformation"), [c.deformation.verdict for c in candidates])),
         (7, Column(("bend", "RMS"), [_bend_size(c, show) for c in candidates])),
     ]
-    room = width - min(max(len(c.name) for c in candidates), _LEAST_NAME)
+    room = width - min(max(columns(c.name) for c in candidates), _LEAST_NAME)
     kept: set[int] = set()
-    ranks = sorted({rank for rank, _ in columns if rank is not None})
+    ranks = sorted({rank for rank, _ in ranked if rank is not None})
     for rank in ranks:
-        some = {k for k, (of, _) in enumerate(columns) if of == rank}
-        needed = sum(columns[k][1].width + _GAP for k in some)
+        some = {k for k, (of, _) in enumerate(ranked) if of == rank}
+        needed = sum(ranked[k][1].width + _GAP for k in some)
         if rank > 0 and needed > room:
             break
         kept |= some
         room -= needed
-    chosen = [column for k, (_, column) in enumerate(columns) if k in kept]
+    chosen = [column for k, (_, column) in enumerate(ranked) if k in kept]
     left = max(width - sum(column.width + _GAP for column in chosen), _LEAST_NAME // 2)
     return [Column(("", ""), _names(candidates, left)), *chosen]
 

@@ -243,7 +243,7 @@ def markdown(comparison: Comparison) -> str:
     names = [candidate.name.replace("|", "\\|") for candidate in comparison]
     header = ["", *(f"{name} {arrow}" for name in names for arrow in ARROWS.values())]
     text = [
-        f"# {' '.join(title(comparison).splitlines())}",
+        f"# {title(comparison)}",
         "",
         " ".join(answer(comparison)),
         "",

@@ -13,7 +13,7 @@ from pcbench.report.comparison import Comparison
 from pcbench.report.notes import details, warnings
 from pcbench.report.summary import MOST_ACROSS, main_columns, main_lines
 from pcbench.report.table import Line, lines
-from pcbench.report.words import shortened, title
+from pcbench.report.words import columns, padded, shortened, title
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,13 +47,13 @@ def print_comparison(comparison: Comparison, *, full: bool = False, folder: Path
         rows = lines(comparison) if full else main_lines(comparison)
         _print_lines(console, [c.name for c in comparison], list(rows))
     else:
-        names, *columns = main_columns(comparison, width)
-        left = max(map(len, names.cells))
+        names, *others = main_columns(comparison, width)
+        left = max(map(columns, names.cells))
         for head in (0, 1):
-            cells = [column.head[head].rjust(column.width) for column in columns]
+            cells = [column.head[head].rjust(column.width) for column in others]
             _print_row(console, ["".ljust(left), *cells], "bold")
         for row, name in enumerate(names.cells):
-            _print_row(console, [name.ljust(left), *(column.cells[row].rjust(column.width) for column in columns)])
+            _print_row(console, [padded(name, left), *(column.cells[row].rjust(column.width) for column in others)])
     console.print()
     if full:
         for sentence in details(comparison):
@@ -75,7 +75,7 @@ def print_columns(rows: Iterable[Sequence[str]]) -> None:
         table.add_row(*line)
     console = _console()
     # Wider than a narrow terminal rather than cut.
-    widths = [max(len(line[k]) for line in [header, *rest]) for k in range(len(header))]
+    widths = [max(columns(line[k]) for line in [header, *rest]) for k in range(len(header))]
     console.width = max(console.width, sum(widths) + 2 * len(widths))
     console.print(table)
 
@@ -101,8 +101,8 @@ def _print_lines(console: Console, names: Sequence[str], table: Sequence[Line | 
     for name, pair in zip(names, widths, strict=True):  # a long name takes what room there is
         room = sum(pair) + len(_GAP)
         shown = shortened(name, room + spare)
-        pair[0] += max(len(shown) - room, 0)
-        heads.append(shown.rjust(sum(pair) + len(_GAP)))
+        pair[0] += max(columns(shown) - room, 0)
+        heads.append(padded(shown, sum(pair) + len(_GAP), right=True))
     _print_row(console, ["".ljust(label), *heads], "bold")
     _print_row(console, ["".ljust(label), *(a.rjust(w) for pair in widths for a, w in zip(_ARROWS, pair, strict=True))])
     for line in table:

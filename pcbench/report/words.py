@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Sequence
+from itertools import accumulate
 
 from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.intervals import Interval
@@ -42,12 +44,38 @@ def joined(names: Sequence[str], most: int = 8) -> str:
 
 
 def shortened(name: str, width: int) -> str:
-    """A name in one line of at most `width` letters: its ends, which tell files apart, are kept."""
-    name = "".join(letter if letter.isprintable() else "?" for letter in name)
-    if len(name) <= width:
+    """A name in one line of at most `width` columns: its ends, which tell files apart, are kept."""
+    name = printable(name)
+    if columns(name) <= width:
         return name
     tail = (width - 1) // 2
-    return f"{name[: width - 1 - tail]}…{name[len(name) - tail :]}"
+    return f"{_as_many(name, width - 1 - tail)}…{_as_many(name[::-1], tail)[::-1]}"
+
+
+def printable(name: str) -> str:
+    """A name in one line that moves no cursor."""
+    return "".join(letter if letter.isprintable() else "?" for letter in name)
+
+
+def columns(text: str) -> int:
+    """That a text takes on a terminal: two for a wide letter, none for a mark upon one (Unicode annex 11)."""
+    return sum(map(_columns, text))
+
+
+def padded(text: str, width: int, *, right: bool = False) -> str:
+    """A text in `width` columns, at their left or at their right."""
+    blanks = " " * (width - columns(text))
+    return f"{blanks}{text}" if right else f"{text}{blanks}"
+
+
+def _columns(letter: str) -> int:
+    return 0 if unicodedata.combining(letter) else 2 if unicodedata.east_asian_width(letter) in "WF" else 1
+
+
+def _as_many(text: str, width: int) -> str:
+    """The letters at the beginning that `width` columns hold."""
+    ends = accumulate(map(_columns, text))
+    return text[: sum(end <= width for end in ends)]
 
 
 def rounding(comparison: Comparison) -> float:
@@ -59,5 +87,5 @@ def title(comparison: Comparison) -> str:
     """The reference, in one line."""
     reference = comparison.reference
     unit = f" {reference.unit}" if reference.unit else ""
-    name = "reference" if comparison.inputs is None else comparison.inputs.reference.path
+    name = "reference" if comparison.inputs is None else printable(str(comparison.inputs.reference.path))
     return f"{name}: {reference.points:,} points, spacing {reference.spacing_median:.3g}{unit}"

@@ -61,7 +61,8 @@ def test_plot_draws_as_the_report_was_made_but_for_what_is_given(files, run):
 
 
 @pytest.mark.parametrize(
-    ("option", "value"), [("--background", "mauve"), ("--range", "0"), ("--range", "nan"), ("--format", "gif")]
+    ("option", "value"),
+    [("--background", "mauve"), ("--background", ""), ("--range", "0"), ("--range", "nan"), ("--format", "gif")],
 )
 def test_wrong_options_are_refused_before_anything_is_measured(files, run, option, value):
     code, out, err = run("compare", "ref.ply", "a.ply", option, value, "--out", "one")

@@ -250,7 +250,7 @@ def test_a_line_break_in_a_name(files, run):
     assert (code, err) == (0, "")
     assert "a_b|c" in out
     table = Path("report/table.md").read_text().splitlines()
-    assert table[0].startswith("# ref b|c.ply: 4,000 points")
+    assert table[0].startswith("# ref?b|c.ply: 4,000 points")
     header = next(line for line in table if line.startswith("|"))
     assert header.count("|") == 6  # three columns, and two that are escaped
     assert Path("report/a_b|c_T.txt").is_file()

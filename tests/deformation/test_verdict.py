@@ -73,6 +73,7 @@ def test_one_moved_building_is_a_local_change():
     candidate[moved] += [0.2, 0.1, 0.1]
     found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
     assert found.verdict == "none"
+    assert np.isfinite(found.field.local).sum() == found.local.tiles_tested < len(found.field.local)
     places = found.field.places[found.field.changed]
     inside = (np.abs(places[:, :2] - middle) < half + 15).all(axis=1)
     assert inside.sum() >= 1

@@ -152,3 +152,17 @@ def test_from_the_command_line_and_again(pair, tmp_path, run):
         assert code == 2
         assert one_line(err)
         assert said in err
+
+
+def test_cylinders_that_hold_too_little_are_said(pair):
+    reference, candidate, _ = pair
+
+    def said(text):
+        found = compare(reference, candidate, register="none", m3c2=text).candidates[0]
+        return [str(notice) for notice in found.warnings if notice.code == "empty-m3c2"]
+
+    assert said("radius=1.2") == []
+    (text,) = said("radius=1e-9")
+    assert text.startswith(
+        "M3C2 says nothing: a cylinder of radius 1e-09 and depth 1e-09 holds points of both clouds at 0"
+    )

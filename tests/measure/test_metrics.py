@@ -207,3 +207,11 @@ def test_two_clouds_may_be_clouds_or_files(tmp_path):
         metrics.hausdorff_between(tmp_path / "b.ply", second)
     with pytest.raises(InputError, match="expected"):
         metrics.chamfer_unsquared_between(first[:, 0], second)
+
+
+@pytest.mark.parametrize("name", ["chamfer_unsquared", "hausdorff", "fscore"])
+def test_signed_distances_are_refused_where_they_would_cancel(name):
+    further = [0.1] if name == "fscore" else []
+    with pytest.raises(InputError, match="expected unsigned distances, got 1 of 2 below 0"):
+        getattr(metrics, name)([1.0, -1.0], [1.0], *further)
+    assert metrics.mean_square([1.0, -1.0]) == 1.0  # of squares the sign is no matter

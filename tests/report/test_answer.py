@@ -13,7 +13,7 @@ from pcbench.registration import result
 from pcbench.report.answer import answer
 from pcbench.report.notes import details, warnings
 from pcbench.report.table import html, markdown
-from pcbench.report.words import joined, length, shortened
+from pcbench.report.words import columns, joined, length, padded, shortened
 
 GIVEN = Settings(register="none")
 
@@ -99,6 +99,34 @@ def test_of_many_the_best_and_the_last_are_named_and_no_pair_is_spelled_out(meas
     assert not any("is lower than" in sentence for sentence in said)
     assert sum("is lower than" in s or "cannot be told apart" in s for s in details(measured)) == 6 * 4
     assert "ot deformed: " in said[2]
+
+
+def test_the_last_are_named_with_those_that_they_cannot_be_told_from(measured):
+    """What is said of the first holds of the last: nobody is last by chance."""
+
+    def said(*alike):
+        pairs = [
+            d._replace(interval=Interval(-1.0, 1.0) if {d.a, d.b} in alike else Interval(1.0, 2.0))
+            for d in measured.differences
+        ]
+        return answer(replace(some(measured, "a", "b", "c"), differences=tuple(pairs)))[0]
+
+    assert "then b" in said()
+    assert "; c is last (" in said()
+    assert "; b and c are last and cannot be told apart (" in said({"b", "c"})
+    assert "then b" not in said({"b", "c"})
+    by_chance = said({"a", "c"})
+    assert by_chance.startswith("a and c are closest")
+    assert "last" not in by_chance
+    far = measured["c"].metrics.d2_rms.accuracy.value
+    assert f" to {far:.3g} m RMS" in by_chance
+
+
+def test_strays_are_no_matter_where_they_change_no_order():
+    """A cloud of which all lies on the reference is best by any measure."""
+    reference = shapes.terrain(1500, seed=1)[0]
+    noisy = reference + np.random.default_rng(0).normal(0, 0.2, reference.shape)
+    assert "NMAD" not in answer(compare(reference, {"same": reference, "noisy": noisy}, GIVEN))[0]
 
 
 def test_no_verdict_on_a_doubtful_registration(measured):
@@ -192,3 +220,6 @@ def test_words():
     assert shortened("reconstruction_2024-05-17", 15) == "reconst…4-05-17"
     assert shortened("short", 15) == "short"
     assert shortened("two\nlines\udcff", 15) == "two?lines?"
+    assert shortened("測量點雲的名字", 9) == "測量…名字"
+    assert (columns("a測é"), columns("e\u0301")) == (4, 1)
+    assert padded("測", 4, right=True) == "  測"

@@ -218,6 +218,30 @@ def test_evidence_has_a_panel_for_what_there_is(report, tmp_path):
     assert one[1] == pytest.approx(0.5 * two[1], rel=0.01)
 
 
+@pytest.mark.parametrize("background", [None, "black", "#888888"])
+def test_changed_tiles_are_seen_on_any_ground(report, tmp_path, background):
+    """Those that were tested are drawn, however few pairs they hold; those of which much is left stand out most."""
+    pytest.importorskip("matplotlib")
+    from matplotlib.image import imread
+
+    document = json.loads((report / "comparison.json").read_text())["candidates"][0]["deformation"]
+    document = {**document, "growth": None, "rungs": []}
+
+    def image(left):
+        attributes = {"pairs": np.full(3, 2), "local": np.array(left), "changed": np.zeros(3)}
+        field = Cloud(np.array([[0.0, 0, 0], [10, 10, 0], [5, 5, 0]]), attributes=attributes)
+        path = tmp_path / "deformation.png"
+        drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures(background))
+        return imread(path)[..., :3] if drawn else None
+
+    middle, none = image([0.5, 1.0, 0.6]), image([0.5, 1.0, np.nan])
+    apart = np.abs(middle - middle[2, 2]).max(axis=2)
+    assert ((np.abs(middle - none).max(axis=2) > 0.2) & (apart > 0.2)).sum() > 50  # the one that was not tested
+    faint = image([0.0, 1.0, np.nan])
+    assert ((np.abs(faint - none).max(axis=2) > 0.1) & (np.abs(faint - faint[2, 2]).max(axis=2) > 0.03)).sum() > 50
+    assert image([np.nan] * 3) is None
+
+
 def test_displacements_are_seen_from_everywhere(tmp_path):
     """From above, too, where arrows that rise and sink have no length."""
     pytest.importorskip("matplotlib")

@@ -1,5 +1,6 @@
 """What `compare` prints: at most a dozen rows, in the width that there is, and where the rest lies."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +100,21 @@ def test_six_are_a_row_each(six, shown, columns):
     if columns >= 80:
         assert words.count("floor") >= 2
     assert words.count("mean") == (2 if columns == 132 else 1)
+
+
+def test_wide_letters_take_two_columns(clouds, run, monkeypatch, tmp_path):
+    """So that numbers stand below their heads; and a name moves no cursor."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    names = ["點雲", "b", "c"]
+    for name in names:
+        shutil.copy(clouds / "a.ply", f"{name}.ply")
+    shutil.copy(clouds / "ref.ply", "re\x1b[31m\nf.ply")
+    code, out, _ = run("compare", "re\x1b[31m\nf.ply", *(f"{name}.ply" for name in names), "--register", "none")
+    assert code == 0
+    assert out.startswith("re?[31m?f.ply: 2,000 points")
+    wide, narrow = (next(line for line in out.splitlines() if line.startswith(f"{name} ")) for name in names[:2])
+    assert wide.index("%") + 2 == narrow.index("%")
 
 
 def test_a_doubtful_pose_is_marked_in_its_row(six, shown):

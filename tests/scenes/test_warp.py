@@ -154,6 +154,8 @@ def test_it_turns_about_what_is_asked_for(run, about, place):
         ("in.ply out.ply --kind dome --rms nan", "positive RMS"),
         ("in.ply out.ply --kind dome --rms 1 --rotate 1,2", "three numbers"),
         ("in.ply out.ply --kind dome --rms 1 --about middle", "three numbers"),
+        ("in.ply out.ply --kind dome --rms 1 --about 0,0,nan", "--about as three numbers"),
+        ("in.ply out.ply --kind dome --rms 1 --shift 1e400,0,0", "--shift as three numbers"),
         ("in.ply out.ply --kind dome --rms 1 --scale 0", "positive scale"),
         ("in.ply in.ply --kind dome --rms 1", "would replace an input"),
         ("no.ply out.ply --kind dome --rms 1", "no.ply"),

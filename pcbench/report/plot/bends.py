@@ -14,14 +14,14 @@ from pcbench.deformation import Deformation, Growth, Trend
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.report.colors import Range
-from pcbench.report.figures import Figures
+from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import compose, save
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import Frame, View, round_length
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
+_FAINTEST = 0.12  # from the ground to the ink: a tile of which nothing is left
 _ARROW = 0.1  # of the scene: how long the 95th percentile of the arrows is drawn
-_MIN_PAIRS = 20  # of a tile that a change is looked for in
 
 
 def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path, look: Figures) -> bool:
@@ -43,9 +43,11 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
     grown = len(panels)
     if bend.rungs:
         panels.append(lambda axis: _rungs(axis, bend, factor, short))
-    tested = np.asarray(field.attributes["pairs"]) >= _MIN_PAIRS
+    tested = np.isfinite(np.asarray(field.attributes["local"], np.float64))
     if tested.any():
-        panels.append(lambda axis: _changes(axis, bend, field.select(tested), unit, factor, short))
+        shown = field.select(tested)
+        ground = look.ground("white")
+        panels.append(partial(_changes, bend=bend, field=shown, unit=unit, factor=factor, short=short, ground=ground))
     if not panels:
         return False
     columns = min(len(panels), 2)
@@ -141,13 +143,18 @@ def _rungs(axis: Any, bend: Deformation, factor: float, short: str) -> None:
     axis.grid(alpha=0.25)
 
 
-def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: float, short: str) -> None:
+def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: float, short: str, ground: str) -> None:
+    from matplotlib.colors import LinearSegmentedColormap, to_rgb
+
     local = factor * np.asarray(field.attributes["local"], np.float64)
     changed = np.asarray(field.attributes["changed"]) > 0
     x, y = (field.points[:, :2] - np.floor(field.points[:, :2].min(axis=0))).T
     order = np.argsort(local)
     limit = float(np.percentile(local, 98)) or 1.0
-    dots = axis.scatter(x[order], y[order], c=local[order], s=26, marker="s", cmap="Greys", vmin=0, vmax=limit)
+    least, most = (np.array(to_rgb(color)) for color in (ground, ink(ground)))
+    # No tile vanishes in the ground, and what is left most is seen best on any.
+    cmap = LinearSegmentedColormap.from_list("changes", [least + _FAINTEST * (most - least), most])
+    dots = axis.scatter(x[order], y[order], c=local[order], s=26, marker="s", cmap=cmap, vmin=0, vmax=limit)
     axis.scatter(x[changed], y[changed], s=80, marker="s", facecolors="none", edgecolors=_RED, linewidths=1.8)
     axis.figure.colorbar(dots, ax=axis, label=f"left by the largest model [{short}]", shrink=0.9)
     axis.set_aspect("equal")
