@@ -40,9 +40,8 @@ def cloud_of(model: Any, min_views: int, unit: str | None) -> tuple[Cloud, list[
     views = np.array([_views(point) for point in everything], dtype=np.int32)
     points = [point for point, n in zip(everything, views, strict=True) if n >= min_views]
     if not points:
-        raise ReconstructionError(
-            f"none of {len(everything)} points is shown by {min_views} images: take more images, or --set min_views=2"
-        )
+        advice = "take more images" + (", or --set min_views=2" if min_views > 2 else "")
+        raise ReconstructionError(f"none of {len(everything)} points is shown by {min_views} images: {advice}")
     left_out = len(everything) - len(points)
     cloud = Cloud(
         np.array([point.xyz for point in points]),

@@ -17,6 +17,7 @@ from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors
 from reconstructors.sfm.mapping import largest_component
+from reconstructors.sfm.model import cloud_of
 from reconstructors.sfm.sfm import ColmapSfm
 
 pytest.importorskip("pycolmap")
@@ -396,3 +397,11 @@ def test_brighton(tmp_path):
     assert np.median(np.linalg.norm(found - expected, axis=1)) < 2
     # The drone looks down: it is above what it sees.
     assert np.median(made.cloud.points[:, 2]) < found[:, 2].min() - 20
+
+
+@pytest.mark.parametrize(("views", "advice"), [(3, "take more images, or --set min_views=2"), (2, "take more images")])
+def test_no_point_of_enough_images(views, advice):
+    import pycolmap
+
+    with pytest.raises(ReconstructionError, match=f"none of 0 points is shown by {views} images: {advice}$"):
+        cloud_of(pycolmap.Reconstruction(), views, None)
