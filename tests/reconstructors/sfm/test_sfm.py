@@ -17,7 +17,6 @@ from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors
 from reconstructors.sfm.mapping import largest_component
-from reconstructors.sfm.model import cloud_of
 from reconstructors.sfm.sfm import ColmapSfm
 
 pytest.importorskip("pycolmap")
@@ -399,9 +398,16 @@ def test_brighton(tmp_path):
     assert np.median(made.cloud.points[:, 2]) < found[:, 2].min() - 20
 
 
-@pytest.mark.parametrize(("views", "advice"), [(3, "take more images, or --set min_views=2"), (2, "take more images")])
-def test_no_point_of_enough_images(views, advice):
-    import pycolmap
-
-    with pytest.raises(ReconstructionError, match=f"none of 0 points is shown by {views} images: {advice}$"):
-        cloud_of(pycolmap.Reconstruction(), views, None)
+def test_images_from_one_place_give_no_point(tmp_path):
+    folder = tmp_path / "scene"
+    (folder / "images").mkdir(parents=True)
+    whole = corner.cameras(7, K)[3]
+    picture = corner.photograph(whole)
+    cameras = []
+    for k, left in enumerate((0, 40, 80)):  # parts of one photograph, with the cameras that took them
+        part = replace(K, width=400, cx=K.cx - left)
+        cameras.append(replace(whole, name=f"{k}.png", intrinsics=part))
+        Image.fromarray(picture[:, left : left + 400]).save(folder / "images" / f"{k}.png")
+    write_colmap_model(folder / "sparse", cameras)
+    with pytest.raises(ReconstructionError, match=r"no point is triangulated: no three images .* from different places"):
+        ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)
