@@ -409,5 +409,5 @@ def test_images_from_one_place_give_no_point(tmp_path):
         cameras.append(replace(whole, name=f"{k}.png", intrinsics=part))
         Image.fromarray(picture[:, left : left + 400]).save(folder / "images" / f"{k}.png")
     write_colmap_model(folder / "sparse", cameras)
-    with pytest.raises(ReconstructionError, match=r"no point is triangulated: no three images .* from different places"):
+    with pytest.raises(ReconstructionError, match=r"no point is triangulated: .* from different places"):
         ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)
