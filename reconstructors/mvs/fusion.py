@@ -187,20 +187,21 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
     return replace(cloud, attributes={"views": views})
 
 
-def visibility(path: Path) -> tuple[IntArray, IntArray]:
+def visibility(path: Path) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Numbers of points and of images (M,), a pair for each image that a point comes from, of a .vis file of COLMAP:
     the uint64 number of points, then each point's uint32 count and so many uint32 numbers of images, from 0.
     """
     words = np.fromfile(path, dtype="<u4")
     count = int(words[:2].view("<u8")[0])
-    numbers, starts, place = words.tolist(), np.empty(count, dtype=np.int64), 2
+    # A view, and no list: that would take ten times the memory of the file.
+    numbers, starts, place = words.data, np.empty(count, dtype=np.int64), 2
     for point in range(count):
         starts[point] = place
         place += 1 + numbers[place]
-    lengths = words[starts].astype(np.int64)
+    lengths = words[starts]
     is_image = np.ones(place, dtype=np.bool_)
     is_image[:2] = is_image[starts] = False
-    return np.repeat(np.arange(count), lengths), words[:place][is_image].astype(np.int64)
+    return np.repeat(np.arange(count, dtype=np.int32), lengths), words[:place][is_image].view(np.int32)
 
 
 def tracks_of(found: Mapping[str, Links], cameras: Collection[str]) -> list[Track]:

@@ -52,10 +52,12 @@ MESH = "mesh.ply"  # in the workspace
 
 COUNTS = "views.npy"  # in the folder of a map: the number (H, W) of images that agree at each pixel
 _LINKS = "links.npz"
+_SFM = "sfm"  # in the workspace: what `sfm` keeps
+_FEWEST = 3  # images: sparse points are of three
 _CONFIRMING = 12  # images whose maps may confirm a depth
 _SAMPLED = 8  # images that tell how much texture there is
 _SAMPLE_SIDE = 1000  # pixels of their longer side
-_BYTES = 3 * 20 + 4  # a pixel: depth, normal and confidence three times, and the photograph
+_BYTES = 3 * 20 + 4 + 26  # a pixel: depth, normal and confidence three times, the photograph, its part of the cloud
 _KEEP = 3  # views and maps that are kept beside those of a reference and its sources
 
 
@@ -117,10 +119,9 @@ class DenseMvs:
             raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
-        if len(scene) < self.views:
-            raise InputError(
-                f"expected at least {self.views} images, as many as have to agree (views), got {len(scene)}"
-            )
+        least = max(_FEWEST, self.views)
+        if len(scene) < least:
+            raise InputError(f"expected at least {least} images (three, and {self.views} that agree), got {len(scene)}")
         backend, why = choose_backend(self.backend)
         solved = self._solved(scene, workspace)
         sparse, origin = _local(workspace, solved.cameras)
@@ -163,10 +164,10 @@ class DenseMvs:
         """Cameras and sparse points. Given cameras need fewer of these: features are found at one size only."""
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         progress("sparse points" if given else "cameras and sparse points")
-        (workspace / "sfm").mkdir(exist_ok=True)
+        (workspace / _SFM).mkdir(exist_ok=True)
         # Of its cloud only the model is used: how many images have to show a point is decided there.
         sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
-        return sfm.reconstruct(scene, workspace / "sfm")
+        return sfm.reconstruct(scene, workspace / _SFM)
 
     def _planned(self, scene: Scene, sparse: Sparse) -> tuple[list[Reference], Plan, list[str]]:
         """What each image is matched with and how much is done, and a note on the images that are left out."""
@@ -242,7 +243,7 @@ def _local(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[Sparse, Floa
     """Cameras and sparse points of `sfm` about the first camera's place, and that place: fusion counts in float32."""
     import pycolmap
 
-    model = pycolmap.Reconstruction(workspace / "sfm" / "model")
+    model = pycolmap.Reconstruction(workspace / _SFM / "model")
     origin = next(iter(cameras.values())).position.round()
     return sparse_of(model, cameras).about(origin), origin
 
@@ -283,13 +284,18 @@ def _check_disk(workspace: Path, cameras: Mapping[str, Camera]) -> None:
         ReconstructionError: they do not.
     """
     pixels = sum(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
-    held = sum(path.stat().st_size for path in workspace.rglob("*.bin") if not path.is_symlink())
+    kept = [path for folder in workspace.iterdir() if folder.name != _SFM for path in folder.rglob("*")]
+    held = sum(path.stat().st_size for path in kept if path.is_file() and not path.is_symlink())
     needed, free = _BYTES * pixels - held, shutil.disk_usage(workspace).free
     if needed > free:
         raise ReconstructionError(
-            f"the disk of {workspace} is too full: the maps of {len(cameras)} images take {needed / 2**30:.1f} GiB, and"
-            f" {free / 2**30:.1f} GiB are free; make room, or ask for less (--set spacing)"
+            f"the disk of {workspace} is too full: the maps of {len(cameras)} images take {_mebibytes(needed)} more,"
+            f" and {_mebibytes(free)} are free; make room, or ask for less (--set spacing)"
         )
+
+
+def _mebibytes(size: int) -> str:
+    return f"{size / 2**20:,.0f} MiB"
 
 
 def _empties(kept: _Filtered, references: Sequence[Reference]) -> list[str]:

@@ -1,6 +1,7 @@
 """Dense multi-view stereo from photographs to a cloud, with exact maps in the place of the matcher's."""
 
 import errno
+import re
 import shutil
 
 import numpy as np
@@ -160,8 +161,10 @@ def test_masks_are_obeyed(photographs, tmp_path, monkeypatch):
 
 def test_what_cannot_work_is_said(solved, workspace, photographs, tmp_path, monkeypatch):
     scene = read_scene(photographs)
-    with pytest.raises(InputError, match="expected at least 3 images, as many as have to agree"):
-        DenseMvs().reconstruct(scene.select(["001.png", "002.png"]), tmp_path)
+    for views, least in ((2, 3), (3, 3), (4, 4)):  # sparse points are of three images, whatever has to agree
+        few = scene.select(["000.png", "001.png", "002.png"][: least - 1])
+        with pytest.raises(InputError, match=rf"at least {least} images \(three, and {views} that agree\), got"):
+            DenseMvs(views=views).reconstruct(few, tmp_path)
 
     empty = ExactMatcher(scene.cameras, lambda camera: corner_map(camera).where(np.zeros((240, 320), bool)))
     empty.install(monkeypatch)
@@ -174,9 +177,30 @@ def test_what_cannot_work_is_said(solved, workspace, photographs, tmp_path, monk
     monkeypatch.setattr("reconstructors.mvs.patchmatch.match", full)
     with pytest.raises(ReconstructionError, match="is full: make room and run it again"):
         DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
-    monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000))
-    with pytest.raises(ReconstructionError, match=r"too full: the maps of 5 images take 0\.0 GiB"):
-        DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
+
+
+def test_a_disk_that_is_too_small_is_said_first(solved, workspace, photographs, monkeypatch):
+    scene = read_scene(photographs)
+    ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
+    parts = [workspace / part for part in ("views", "photometric", "geometric", "maps", "fused")]
+    files = [path for part in parts for path in part.rglob("*") if path.is_file() and not path.is_symlink()]
+    took = sum(path.stat().st_size for path in files)
+
+    def have(free):
+        monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, free))
+
+    # What is there is not asked for again.
+    have(90 * 5 * 320 * 240 - took)
+    DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    # What is asked for holds all that a run writes, the cloud too, and not much more.
+    for part in parts:
+        shutil.rmtree(part)
+    written = took + 40 * len(solved[1].cloud)
+    have(written)
+    with pytest.raises(ReconstructionError, match="too full: the maps of 5 images take") as error:
+        DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    asked = 2**20 * int(re.search(r"take (\d+) MiB more", str(error.value))[1])
+    assert written < asked < 1.5 * written
 
 
 def test_images_without_a_depth_are_named(workspace, photographs, monkeypatch):
