@@ -1,0 +1,78 @@
+"""What dense clouds and maps are held against in tests/bench/mvs_city.py says what is put into them."""
+
+import numpy as np
+import pytest
+from dense_cases import FLAT, WINDOW, City, deviations, missed, score_cloud, score_maps
+from exact_maps import mesh_map
+
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.io.colmap_model import write_colmap_model
+from reconstructors.mvs.maps import DepthMap, write_map
+
+# A square of ground of 10 m; half of what is seen of it has texture.
+GROUND = MeshIndex(Mesh([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], [[0, 1, 2], [0, 2, 3]]))
+SEEN = np.array([[x, y, 0.0] for x in np.arange(0.05, 10, 0.1) for y in np.arange(0.05, 10, 0.1)])
+VIEWS = np.where(SEEN[:, 1] < 9, 9, 3)
+CITY = City(None, None, GROUND, SEEN, SEEN[:, 0] < 5, VIEWS, 8 * SEEN[:, 1], 0.101)
+
+
+def test_a_window_of_noise_is_plain_and_one_of_squares_is_not():
+    rng = np.random.default_rng(0)
+    plain = np.clip(rng.normal(120, 1.5, (60, 80)), 0, 255).astype(np.uint8)
+    squares = plain + np.uint8(20) * ((np.indices(plain.shape) // 4).sum(axis=0) % 2).astype(np.uint8)
+    half = WINDOW // 2
+    found = deviations(squares)
+    window = squares[20 - half : 20 + half + 1, 30 - half : 30 + half + 1]
+    assert found[20, 30] == pytest.approx(window.std())
+    assert (found > FLAT).all()
+    assert (deviations(plain) < FLAT).all()
+
+
+def test_a_cloud_is_scored():
+    right = SEEN[SEEN[:, 1] < 8]
+    near = right + [0, 0, 0.15]  # between one and two footprints
+    stray = right[: len(right) // 4] + [0, 0, 3.0]
+    found = score_cloud(CITY, np.concatenate([right, near, stray]))
+    assert found.points == 2 * len(right) + len(right) // 4
+    np.testing.assert_allclose(found.precision, [1 / 2.25, 2 / 2.25, 2 / 2.25])
+    assert found.wrong == pytest.approx(0.25 / 2.25)
+    # Four fifths of the ground, and as far beyond as a threshold reaches.
+    np.testing.assert_allclose(found.recall, [0.81, 0.82, 0.85], atol=1e-9)
+    np.testing.assert_allclose(found.textured, found.recall)
+    assert found.empty == pytest.approx(0.15)
+    assert found.plain_share == 0.5
+    blind = score_cloud(CITY, right[right[:, 0] < 5])
+    assert blind.textured[0] == pytest.approx(0.81)
+    assert blind.plain[0] < 0.02
+
+
+def test_what_is_missed_is_told_apart():
+    found = missed(CITY, SEEN[SEEN[:, 1] < 8])
+    # At two footprints 82 of 100 rows are found: none of those that three images show, 82 of the 90 of nine.
+    np.testing.assert_allclose(found["3 images"], [0.1, 0, 10 / 18])
+    np.testing.assert_allclose(found["6 or more"], [0.9, 82 / 90, 8 / 18])
+    np.testing.assert_allclose(found["below 60 deg"], [0.75, 1, 0])
+    np.testing.assert_allclose(found["60 to 75"], [0.19, 7 / 19, 12 / 18])
+    assert found["4 or 5"].share == 0
+
+
+def test_maps_are_scored(tmp_path):
+    k = Intrinsics(60, 40, 50.0, 50.0, 30.0, 20.0)
+    cameras = [Camera(f"{n}.png", k, look_at([5 + n, 5, 6], [5, 5, 0])) for n in range(2)]
+    turn = np.radians(5)
+    for camera in cameras:
+        true = mesh_map(camera, GROUND)
+        rows = np.arange(40)[:, None]
+        # A quarter is off by two pixels there, a tenth by ten, and a quarter is not known.
+        depth = true.depth * np.where(rows < 10, 1 + 2 / k.fx, np.where(rows < 14, 1 + 10 / k.fx, 1))
+        normal = true.normal @ np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+        made = DepthMap(depth.astype(np.float32), normal.astype(np.float32), true.confidence)
+        (tmp_path / camera.name).mkdir()
+        write_map(tmp_path / camera.name, made.where((rows < 30) & (true.depth > 0)))
+    write_colmap_model(tmp_path, cameras)
+    found = score_maps(CITY, tmp_path)
+    assert found.known == pytest.approx(0.75, abs=0.03)
+    np.testing.assert_allclose(found.depth, [0, 10, 10, 10], atol=1e-3)
+    assert found.wrong == pytest.approx(4 / 30, abs=0.02)
+    assert 3 < found.normal < 5.1
