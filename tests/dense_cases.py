@@ -8,15 +8,19 @@ from typing import NamedTuple
 import numpy as np
 from exact_maps import mesh_map
 from PIL import Image
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import maximum_filter, uniform_filter
 
+from pcbench.geometry.cameras import Camera
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.visibility import SEEN_BY, sees
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.scenes import read_scene
 from pcbench.studies.bench.truth import Truth, mesh_of, read_truth
+from reconstructors.mvs.filter import world_points
 from reconstructors.mvs.maps import read_map
+from reconstructors.mvs.mvs import MAPS
+from reconstructors.mvs.views import IMAGE, VIEWS
 
 WINDOW = 9  # pixels along a patch, as matchers compare them
 FLAT = 4.0  # standard deviation of its grey values without texture: the sensor's noise makes 1.5
@@ -153,44 +157,83 @@ def missed(city: City, points: np.ndarray) -> dict[str, Missed]:
 
 
 class MapScore(NamedTuple):
-    """Errors of all depths and normals that the maps of a folder hold.
+    """Errors of all depths and normals that the maps of a workspace hold.
 
     Args:
         known: share of the pixels with a depth, of those that show the city.
-        depth: percentiles 50, 90, 95 and 99 of the errors, in footprints of the pixel.
-        wrong: share of the depths that are off by more than five footprints, or beside the city.
+        depth: percentiles 50, 90, 95 and 99 of the errors along the pixels' rays, in their footprints.
         normal: median angle between normals and those of the true faces in degrees.
+        plain: share of the pixels that show the city in a patch without texture, of those that show it.
+        plain_known: share of the pixels with a depth, of those that show the city in a patch without texture.
+        plain_wrong: share of these depths that lie nowhere near the surface.
+        sky_known: share of the pixels with a depth, of those whose patch shows nothing but sky.
     """
 
     known: float
     depth: np.ndarray
-    wrong: float
     normal: float
+    plain: float
+    plain_known: float
+    plain_wrong: float
+    sky_known: float
 
 
-def score_maps(city: City, maps: Path, cameras: Path | None = None) -> MapScore:
-    """The maps of a folder as `mvs` leaves it, of undistorted photographs at any size, against rays through the mesh.
+class Pixels(NamedTuple):
+    """Of a map, each (H, W).
 
     Args:
-        cameras: the folder with their model, where it is another one.
+        city, sky: what shows the city, and what shows nothing but sky in the window around it.
+        known: what has a depth.
+        plain: what has no texture around it.
+        errors: of the depths, in footprints; infinite where they are beside the city.
+        far: where the depth lies nowhere near the surface.
+        angles: between normal and the true one, in degrees.
     """
-    errors, angles, pixels = [], [], 0
-    for camera in read_colmap_cameras(cameras or maps):
-        made = read_map(maps / camera.name)
-        true = mesh_map(camera, city.index)
-        depth, normals = true.depth, true.normal
-        pixels += np.count_nonzero(depth > 0)
-        known = made.known
-        hit = known & (depth > 0)
-        sizes = depth / camera.intrinsics.fx
-        off = np.full(depth.shape, np.inf)
-        off[hit] = np.abs(made.depth - depth)[hit] / sizes[hit]
-        errors.append(off[known])
-        close = hit & (off < WRONG)  # what is nowhere near a face has no normal to be held against
-        cosines = np.einsum("ni,ni->n", made.normal[close], normals[close])
-        angles.append(np.degrees(np.arccos(np.clip(cosines, -1, 1))))
-    off = np.concatenate(errors)
-    percentiles = np.percentile(off, [50, 90, 95, 99], method="lower")
+
+    city: np.ndarray
+    sky: np.ndarray
+    known: np.ndarray
+    plain: np.ndarray
+    errors: np.ndarray
+    far: np.ndarray
+    angles: np.ndarray
+
+
+def score_maps(city: City, workspace: Path) -> MapScore:
+    """The maps that `mvs` leaves in its workspace, of undistorted photographs at any size, against rays through the
+    mesh.
+    """
+    cameras = read_colmap_cameras(workspace / MAPS)
+    each = [_pixels(city, camera, workspace) for camera in cameras]
+    of = Pixels(*(np.concatenate([values.ravel() for values in column]) for column in zip(*each, strict=True)))
+    plain = of.plain & of.city
     return MapScore(
-        len(off) / pixels, percentiles, float(np.mean(off > WRONG)), float(np.median(np.concatenate(angles)))
+        known=float(np.mean(of.known[of.city])),
+        depth=np.percentile(of.errors[of.known], [50, 90, 95, 99], method="lower"),
+        # What is nowhere near a face has no normal to be held against.
+        normal=float(np.median(of.angles[of.known & of.city & ~of.far])),
+        plain=_share(of.plain, of.city),
+        plain_known=_share(of.known, plain),
+        plain_wrong=_share(of.far, plain & of.known),
+        sky_known=_share(of.known, of.sky),
     )
+
+
+def _share(which: np.ndarray, among: np.ndarray) -> float:
+    return float(np.mean(which[among])) if among.any() else float("nan")
+
+
+def _pixels(city: City, camera: Camera, workspace: Path) -> Pixels:
+    made, true, k = read_map(workspace / MAPS / camera.name), mesh_map(camera, city.index), camera.intrinsics
+    with Image.open(workspace / VIEWS / camera.name / IMAGE) as image:
+        plain = deviations(np.asarray(image.convert("L"))) <= FLAT
+    row, column = np.nonzero(made.known)
+    depth = made.depth[row, column].astype(float)
+    points = world_points(camera, np.stack([column + 0.5, row + 0.5], axis=1), depth)
+    far = np.zeros(made.depth.shape, dtype=bool)
+    far[row, column] = city.index.query(points).distances > WRONG * depth / k.fx
+    shown = true.depth > 0
+    errors = np.full(shown.shape, np.inf)
+    errors[shown] = np.abs(made.depth - true.depth)[shown] / (true.depth[shown] / k.fx)
+    angles = np.degrees(np.arccos(np.clip(np.einsum("hwi,hwi->hw", made.normal, true.normal), -1, 1)))
+    return Pixels(shown, ~maximum_filter(shown, WINDOW), made.known, plain, errors, far, angles)

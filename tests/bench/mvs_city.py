@@ -67,21 +67,22 @@ def reconstruct(folder: Path, work: Path, confidence: float | None = None) -> No
 
 
 HEAD = (
-    f"{'':12}{'':>9}{'within footprints':>21}{'wrong':>8}{'seen, within':>20}{'empty':>7}{'textured':>9}{'plain':>16}"
-    f"{'depth error, footprints':>27}{'':>7}{'normal':>7}\n"
-    f"{'':12}{'points':>9}{'1':>7}{'2':>7}{'5':>7}{'':>8}{'1':>6}{'2':>7}{'5':>7}{'':>7}{'2':>9}{'share':>8}{'5':>8}"
-    f"{'50%':>9}{'90%':>6}{'95%':>6}{'99%':>6}{'> 5':>7}{'deg':>7}"
+    f"{'':12}{'':>9}{'points within':>21}{'wrong':>8}{'seen, within':>21}{'empty':>7}{'textured':>10}"
+    f"{'depth error, footprints':>27}{'normal':>8}{'plain pixels':>21}{'sky':>7}\n"
+    f"{'':12}{'points':>9}{'1':>7}{'2':>7}{'5':>7}{'':8}{'1':>7}{'2':>7}{'5':>7}{'':7}{'2':>10}"
+    f"{'50%':>9}{'90%':>6}{'95%':>6}{'99%':>6}{'deg':>8}{'share':>7}{'kept':>7}{'wrong':>7}{'kept':>7}"
 )
 
 
-def row(name: str, city: City, score: CloudScore, maps: Path) -> str:
-    found = score_maps(city, maps)
+def row(name: str, city: City, score: CloudScore, workspace: Path) -> str:
+    found = score_maps(city, workspace)
     right = "".join(f"{share:7.3f}" for share in score.precision)
     there = "".join(f"{share:7.3f}" for share in score.recall)
     depth = "".join(f"{error:6.2f}" for error in found.depth)
+    shares = f"{found.plain:7.1%}{found.plain_known:7.1%}{found.plain_wrong:7.2%}{found.sky_known:7.2%}"
     return (
-        f"{name:12}{score.points:9,}{right}{score.wrong:8.2%}{there[1:]}{score.empty:7.1%}{score.textured[1]:9.3f}"
-        f"{score.plain_share:8.1%}{score.plain[2]:8.3f}   {depth}{found.wrong:7.2%}{found.normal:7.1f}"
+        f"{name:12}{score.points:9,}{right}{score.wrong:8.2%}{there}{score.empty:7.1%}{score.textured[1]:10.3f}   "
+        f"{depth}{found.normal:8.1f}{shares}"
     )
 
 
@@ -98,7 +99,7 @@ def cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> Non
         work.mkdir(exist_ok=True)
         reconstruct(folder, work)
         city = read_city(folder)
-        print(row(name, city, scored(city, work), work / "work" / "plugin" / "maps"), flush=True)
+        print(row(name, city, scored(city, work), work / "work" / "plugin"), flush=True)
 
 
 def what_is_missed(root: Path) -> None:

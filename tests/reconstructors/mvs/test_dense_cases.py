@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from dense_cases import FLAT, WINDOW, City, deviations, missed, score_cloud, score_maps
 from exact_maps import mesh_map
+from PIL import Image
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import Mesh, MeshIndex
@@ -58,21 +59,31 @@ def test_what_is_missed_is_told_apart():
 
 
 def test_maps_are_scored(tmp_path):
+    """A slice of the ground between two of sky, plain in its left half."""
     k = Intrinsics(60, 40, 50.0, 50.0, 30.0, 20.0)
-    cameras = [Camera(f"{n}.png", k, look_at([5 + n, 5, 6], [5, 5, 0])) for n in range(2)]
+    cameras = [Camera(f"{n}.png", k, look_at([5 + n / 2, 5, 15], [5 + n / 2, 5, 0], up=[0, 1, 0])) for n in range(2)]
+    rows, columns = np.indices((40, 60))
     turn = np.radians(5)
+    turned = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
     for camera in cameras:
         true = mesh_map(camera, GROUND)
-        rows = np.arange(40)[:, None]
-        # A quarter is off by two pixels there, a tenth by ten, and a quarter is not known.
+        shown = true.depth > 0
+        # The ground begins in row 3: seven rows are off by two pixels, four by ten; beside the ground one row is known.
         depth = true.depth * np.where(rows < 10, 1 + 2 / k.fx, np.where(rows < 14, 1 + 10 / k.fx, 1))
-        normal = true.normal @ np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-        made = DepthMap(depth.astype(np.float32), normal.astype(np.float32), true.confidence)
-        (tmp_path / camera.name).mkdir()
-        write_map(tmp_path / camera.name, made.where((rows < 30) & (true.depth > 0)))
-    write_colmap_model(tmp_path, cameras)
-    found = score_maps(CITY, tmp_path)
-    assert found.known == pytest.approx(0.75, abs=0.03)
-    np.testing.assert_allclose(found.depth, [0, 10, 10, 10], atol=1e-3)
-    assert found.wrong == pytest.approx(4 / 30, abs=0.02)
-    assert 3 < found.normal < 5.1
+        depth = np.where(shown, depth, 15.0)
+        made = DepthMap(depth.astype(np.float32), (true.normal @ turned).astype(np.float32), np.ones((40, 60), "f4"))
+        for folder in (tmp_path / "maps" / camera.name, tmp_path / "views" / camera.name):
+            folder.mkdir(parents=True)
+        write_map(tmp_path / "maps" / camera.name, made.where((rows < 30) & (shown | (rows == 20))))
+        gray = np.where(columns < 30, 120, 120 + 40 * ((rows // 4 + columns // 4) % 2)).astype(np.uint8)
+        Image.fromarray(gray).save(tmp_path / "views" / camera.name / "image.png")
+    write_colmap_model(tmp_path / "maps", cameras)
+    city = CITY._replace(index=GROUND)
+    found = score_maps(city, tmp_path)
+    assert found.known == pytest.approx(27 / 34, abs=0.02)
+    np.testing.assert_allclose(found.depth[:2], [0, 10], atol=1e-3)
+    assert found.depth[3] == np.inf
+    assert found.normal == pytest.approx(5, abs=0.01)
+    assert found.plain_known == pytest.approx(27 / 34, abs=0.02)
+    assert found.plain_wrong == pytest.approx(4 / 27, abs=0.03)
+    assert found.sky_known == pytest.approx(1 / 40, abs=0.01)
