@@ -19,19 +19,24 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from dense_cases import City, CloudScore, missed, read_city, score_cloud, score_maps
+from dense_cases import WRONG, City, CloudScore, missed, read_city, score_cloud, score_maps
 
+from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
+from pcbench.scenes.synthetic.layout import lay_out
+from pcbench.scenes.synthetic.plan import CitySettings
 
+LAKES = 6  # a seed that makes two lakes of four blocks
 CASES = {
     "city": "",
-    "texture 0.3": "--texture 0.3",
     "texture 0": "--texture 0",
     "repeated": "--repeated",
-    "water": "--water --reflections",
-    "hard": "--hard",
+    "water": f"--water --reflections --seed {LAKES}",
+    "hard": f"--hard --seed {LAKES}",
     "moved": "",
 }
+EXTENT = 100  # of the cities, in metres
+SHORE = 3.0  # metres of the lakes' sides that are left out
 MOVING = 0.2  # of the sides of an image: what moves in it
 
 
@@ -40,7 +45,7 @@ def pcbench(*arguments: object) -> None:
 
 
 def make(folder: Path, name: str, options: argparse.Namespace) -> None:
-    size = ["--images", options.images, "--size", options.size, "--extent", 100, "--rig", options.rig]
+    size = ["--images", options.images, "--size", options.size, "--extent", EXTENT, "--rig", options.rig]
     chosen = [*size, "--seed", options.seed, *CASES[name].split()]
     pcbench("synth", "city", "--out", folder, "--points", 200_000, "--quiet", *chosen)
     if name == "moved":
@@ -86,6 +91,21 @@ def row(name: str, city: City, score: CloudScore, workspace: Path) -> str:
     )
 
 
+def on_lakes(city: City, points: np.ndarray) -> str:
+    """How much of the water has a point anywhere near, and how many of the points over it are wrong."""
+    plan = lay_out(CitySettings(extent=EXTENT, water=True, seed=LAKES))
+    limit, seen, over = WRONG * city.footprint, [], []
+    for lake in (block for block in plan.blocks if block.kind == "lake"):
+        low, high = np.add(lake.low, SHORE), np.subtract(lake.high, SHORE)
+        here = city.seen[((city.seen[:, :2] > low) & (city.seen[:, :2] < high)).all(axis=1)]
+        level = np.median(here[:, 2])
+        there = points[((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)]
+        seen.append(Index(points).query(here[np.abs(here[:, 2] - level) < 0.1]).distances < limit)
+        over.append(np.abs(there[:, 2] - level) > limit)
+    kept, wrong = (float(np.mean(np.concatenate(of))) for of in (seen, over))
+    return f"{'':12}of its lakes {kept:.1%} have points near, and of the points over them {wrong:.2%} are wrong"
+
+
 def scored(city: City, work: Path) -> CloudScore:
     return score_cloud(city, read_cloud(work / "cloud.ply").points)
 
@@ -100,6 +120,8 @@ def cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> Non
         reconstruct(folder, work)
         city = read_city(folder)
         print(row(name, city, scored(city, work), work / "work" / "plugin"), flush=True)
+        if f"--seed {LAKES}" in CASES[name]:
+            print(on_lakes(city, read_cloud(work / "cloud.ply").points), flush=True)
 
 
 def what_is_missed(root: Path) -> None:
@@ -120,7 +142,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
     options = parser.parse_args()
     print(setting())
-    print(f"{options.images} images of {options.size}, rig {options.rig}, cities of 100 m, seed {options.seed}")
+    print(f"{options.images} images of {options.size}, rig {options.rig}, cities of {EXTENT} m, seed {options.seed}")
     with tempfile.TemporaryDirectory() as temporary:
         root = options.folder or Path(temporary)
         root.mkdir(parents=True, exist_ok=True)
