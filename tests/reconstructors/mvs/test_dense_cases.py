@@ -5,6 +5,7 @@ import pytest
 from dense_cases import FLAT, WINDOW, City, deviations, missed, score_cloud, score_maps
 from exact_maps import mesh_map
 from PIL import Image
+from repository import ROOT
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import Mesh, MeshIndex
@@ -87,3 +88,22 @@ def test_maps_are_scored(tmp_path):
     assert found.plain_known == pytest.approx(27 / 34, abs=0.02)
     assert found.plain_wrong == pytest.approx(4 / 27, abs=0.03)
     assert found.sky_known == pytest.approx(1 / 40, abs=0.01)
+
+
+def test_two_tables_stand_side_by_side(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    from mvs_reference import side_by_side
+
+    head = "a line\n\n      sparse\n   c→r   r→c\n"
+    left = (
+        head + "points measured       10      20\n  sampling floor     0.5       1\ndeformation         none\n\nreport"
+    )
+    right = head + "points measured       10      90\ndeformation         none\n  bend RMS           0.1\n"
+    found = [line.split("  ") for line in side_by_side(left, right).splitlines()]
+    cells = [[word.strip() for word in line if word.strip()] for line in found]
+    assert cells == [
+        ["points measured", "10", "20", "10", "90"],
+        ["sampling floor", "0.5", "1"],
+        ["deformation", "none", "none"],
+        ["bend RMS", "0.1"],
+    ]
