@@ -67,7 +67,7 @@ def text(cells: list[str]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default=SCENE, help=f"Options of `pcbench synth city`.  [default: {SCENE}]")
-    parser.add_argument("--threshold", default="0.5,1,2", help="Of precision and recall in metres.")
+    parser.add_argument("--threshold", default="0.5", help="Of precision and recall in metres.")
     parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
     options = parser.parse_args()
     print(setting())
