@@ -1,8 +1,10 @@
 """What dense clouds and maps are held against in tests/bench/mvs_city.py says what is put into them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from dense_cases import FLAT, WINDOW, City, deviations, missed, score_cloud, score_maps
+from dense_cases import FLAT, WINDOW, City, deviations, missed, read_city, score_cloud, score_maps
 from exact_maps import mesh_map
 from PIL import Image
 from repository import ROOT
@@ -107,3 +109,24 @@ def test_two_tables_stand_side_by_side(monkeypatch):
         ["deformation", "none", "none"],
         ["bend RMS", "0.1"],
     ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["city", "texture 0", "water", "moved"])
+def test_what_is_there_is_right(name, tmp_path, monkeypatch, renderer):
+    """Where there is texture, where there is none, over water, and where something else is in each photograph."""
+    pytest.importorskip("pycolmap")
+    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    from mvs_city import make, reconstruct, scored
+
+    make(tmp_path / "city", name, SimpleNamespace(images=14, size="240x160", rig="oblique", seed=11))
+    reconstruct(tmp_path / "city", tmp_path)
+    city = read_city(tmp_path / "city")
+    cloud, maps = scored(city, tmp_path), score_maps(city, tmp_path / "work" / "plugin")
+    assert cloud.wrong < 0.02
+    assert maps.plain_wrong < 0.02
+    assert maps.sky_known < 0.01
+    if name == "city":
+        assert cloud.precision[1] > 0.9
+        assert cloud.recall[1] > 0.6
+        assert maps.normal < 10
