@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from dense_cases import read_city
 
-SWEEPS = {"spacing": "0.7,1,1.5", "image_scale": "0.35,0.5,0.7,1", "sources": "2,4,8"}
+SWEEPS = {"spacing": "0.55,0.7,1", "image_scale": "0.35,0.5,0.7,1", "sources": "2,4,8"}
 CONFIDENCES = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
 AT = 1  # of the bench's thresholds: 2 pixels
 LOOKS = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
