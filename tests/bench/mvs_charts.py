@@ -105,6 +105,7 @@ def main() -> None:
     parser.add_argument("--size", default="360x240")
     parser.add_argument("--rig", default="oblique")
     parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--only", choices=("budgets", "confidence"))
     parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="Draw mvs_budgets.png and mvs_confidence.png.")
     options = parser.parse_args()
@@ -117,12 +118,15 @@ def main() -> None:
         if not (root / "city").exists():
             make(root / "city", "city", options)
         where = "2 footprints"
-        found = budgets(root / "city", root)
-        if options.chart:
-            draw(found, options.chart / "mvs_budgets.png", "CPU seconds", f"F-score over what was seen, {where}")
-        line = {"confidence": confidences(root / "city", root / "confidence")}
-        if options.chart:
-            draw(line, options.chart / "mvs_confidence.png", f"of what was seen within {where}", f"precision, {where}")
+        if options.only != "confidence":
+            found = budgets(root / "city", root)
+            if options.chart:
+                draw(found, options.chart / "mvs_budgets.png", "CPU seconds", f"F-score over what was seen, {where}")
+        if options.only != "budgets":
+            line = {"confidence": confidences(root / "city", root / "confidence")}
+            if options.chart:
+                path = options.chart / "mvs_confidence.png"
+                draw(line, path, f"share of what was seen, {where}", f"precision, {where}")
 
 
 if __name__ == "__main__":
