@@ -78,15 +78,15 @@ def draw(lines: dict[str, list[Place]], path: Path, x: str, y: str) -> None:
     for key, places in lines.items():
         color, shape = LOOKS.get(key, ("#0072b2", "o"))
         axis.plot([p.x for p in places], [p.y for p in places], f"-{shape}", color=color, alpha=0.85, label=key)
-        up = list(lines).index(key) != 1  # the second line's labels stand below
+        above = key not in ("image_scale", "sources")  # which end where spacing does
         for place in places:
             axis.annotate(
                 place.label,
                 (place.x, place.y),
-                (0, 7 if up else -7),
+                (-4, 6) if above else (0, -7),
                 textcoords="offset points",
-                ha="center",
-                va="bottom" if up else "top",
+                ha="right" if above else "center",
+                va="bottom" if above else "top",
                 color=color,
                 fontsize=9,
             )
@@ -95,7 +95,7 @@ def draw(lines: dict[str, list[Place]], path: Path, x: str, y: str) -> None:
     axis.margins(0.09, 0.14)
     axis.grid(True, alpha=0.3)
     axis.spines[["top", "right"]].set_visible(False)
-    axis.legend(frameon=False, loc="lower right")
+    axis.legend(frameon=False, loc="best")
     figure.savefig(path)
 
 
