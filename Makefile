@@ -6,7 +6,8 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 # Constraints in the environment reach the isolated build too.
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
-NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*/*.cpp pcbench/native/*/*.h)
+NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*/*.cpp pcbench/native/*/*.h \
+  reconstructors/*/native/*.cpp reconstructors/*/native/*.h)
 
 .PHONY: demo test lint types docs slow sanitize compilers bench gallery clean
 
@@ -16,7 +17,7 @@ $(BIN)/python:
 
 # An editable install does not rebuild C++ by itself: the stamps depend on the native sources.
 $(VENV)/.demo: $(BIN)/python $(NATIVE)
-	$(PIP) --editable '.[plot,sfm]'
+	$(PIP) --editable '.[plot,sfm,mvs]'
 	@touch $@
 
 $(VENV)/.all: $(BIN)/python $(NATIVE)
@@ -40,7 +41,7 @@ other_core = CXX=$(1) $(PIP) --no-deps --upgrade --target build/$(2)/site . $(pa
 # The tests of the compiled core with every access and every operation checked. They run on the interpreter under the
 # virtual environment: inside it the editable install would be found first. Captured at Python's level, reports show.
 CORE_TESTS := tests/geometry/test_neighbors.py tests/geometry/test_normals.py $(wildcard tests/geometry/test_mesh*.py) \
-  tests/native/test_instruction_sets.py
+  tests/native/test_instruction_sets.py tests/reconstructors/mvs/test_patchmatch.py
 sanitize: $(VENV)/.all
 	$(call other_core,g++,sanitize,'PCB_SANITIZE=address;undefined')
 	LD_PRELOAD="$$(g++ -print-file-name=libasan.so) $$(g++ -print-file-name=libstdc++.so)" \

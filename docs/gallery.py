@@ -50,6 +50,12 @@ def bench(folder: Path) -> None:
     small(folder / "bench" / "figures" / "accuracy_completeness.png", "bench_directions")
 
 
+def dense(folder: Path) -> None:
+    """The bench that ends the demo; prints its table."""
+    pcbench("demo --points 20000 --out FOLDER", folder)
+    small(folder / "bench" / "figures" / "speed.png", "bench_dense")
+
+
 def bend(folder: Path) -> None:
     pcbench("experiment bend --out FOLDER/bend --quiet", folder)
     # Its lines are told apart by colours that a palette would merge.
@@ -57,7 +63,7 @@ def bend(folder: Path) -> None:
 
 
 def main() -> None:
-    pictures = {"demo": demo, "city": city, "bench": bench, "bend": bend}
+    pictures = {"demo": demo, "city": city, "bench": bench, "dense": dense, "bend": bend}
     for name in sys.argv[1:] or pictures:
         with TemporaryDirectory() as folder:
             pictures[name](Path(folder))

@@ -109,7 +109,7 @@ def reconstruct(
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
         check_workspace(work)
-        result = run(job, work, time_limit)
+        result = run(job, work, time_limit, lambda text: step(f"reconstructing with {name}: {text}"))
     if not quiet:
         for warning in result.warnings:
             if not (wgs84 and "--wgs84" in warning):

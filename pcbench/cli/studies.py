@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pcbench.studies.bench.runs import BenchJob
 
 
-@click.command(short_help="Make small cities with exact truth, compare clouds of one and bench SfM on the other.")
+@click.command(short_help="Make small cities with exact truth, compare clouds of one, bench SfM and MVS on the other.")
 @click.option("--out", type=FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
 @click.option(
     "--points",
@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
     """Make a small city whose geometry is known exactly, a dense reference of it, a sparse and a densified candidate
     with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
-    city and bench sparse SfM on it, at two image scales with finer and coarser features (needs the extras plot, sfm).
+    city and bench sparse SfM and dense MVS on it, each at two image scales, SfM with finer and coarser features (needs
+    the extras plot, sfm, mvs).
     """
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
@@ -84,7 +85,7 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
     with steps(quiet) as step:
         bench_job = demo_job(out / "city", seed, step)
     if not quiet:
-        click.echo(f"\nbench: sparse SfM on {out / 'city'}, whose truth is known")
+        click.echo(f"\nbench: sparse SfM and dense MVS on {out / 'city'}, whose truth is known")
     _bench_and_print(bench_job, out / "bench", figures=figures, quiet=quiet)
 
 

@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -17,6 +17,7 @@ from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins import Reconstruction
+from pcbench.plugins.progress import followed
 from pcbench.scratch import claim, scratch_folder
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
@@ -98,13 +99,20 @@ class Run:
         raise ReconstructionError(f"{self.status}: {self.message} (log: {self.log})")
 
 
-def run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None = None) -> Run:
+def run(
+    job: ReconstructionJob,
+    workspace: Path,
+    time_limit_s: float | None = None,
+    on_progress: Callable[[str], None] | None = None,
+) -> Run:
     """Run a reconstructor. Its failure is a result, not an exception.
 
     Args:
         workspace: a folder that is made if it is missing; a later run of the same reconstructor goes on from what this
             one has finished. Two runs at a time need two.
         time_limit_s: after it the process and its children are killed.
+        on_progress: called with what the reconstructor says of how far it is (`pcbench.plugins.progress`), by another
+            thread.
 
     Raises:
         InputError: another run is at work in the workspace.
@@ -112,15 +120,17 @@ def run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None = No
     """
     (workspace / PLUGIN).mkdir(parents=True, exist_ok=True)
     with claim(workspace):
-        return _run(job, workspace, time_limit_s)
+        return _run(job, workspace, time_limit_s, on_progress)
 
 
-def _run(job: ReconstructionJob, workspace: Path, time_limit_s: float | None) -> Run:
+def _run(
+    job: ReconstructionJob, workspace: Path, time_limit_s: float | None, on_progress: Callable[[str], None] | None
+) -> Run:
     (workspace / OUTCOME).unlink(missing_ok=True)
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
     start = time.perf_counter()
-    with (workspace / LOG).open("wb", buffering=0) as log:
+    with (workspace / LOG).open("wb", buffering=0) as log, followed(workspace / LOG, on_progress):
         ended = run_module(
             "pcbench.plugins.reconstruct_child",
             str(workspace.absolute()),

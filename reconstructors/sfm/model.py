@@ -39,6 +39,11 @@ def cloud_of(model: Any, min_views: int, unit: str | None) -> tuple[Cloud, list[
     everything = [point for _, point in sorted(model.points3D.items())]
     views = np.array([_views(point) for point in everything], dtype=np.int32)
     points = [point for point, n in zip(everything, views, strict=True) if n >= min_views]
+    if not everything:
+        raise ReconstructionError(
+            "no point is triangulated: no three images show the same from places so far apart that depths can be told"
+            " (1.5 degrees): take more images, from different places"
+        )
     if not points:
         raise ReconstructionError(
             f"none of {len(everything)} points is shown by {min_views} images: take more images, or --set min_views=2"

@@ -74,7 +74,7 @@ def test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch):
     runs = [block for block in found if block.mark is None]
     if any("synth city" in block.text for block in runs):
         request.getfixturevalue("renderer")
-    if any("reconstruct sfm" in block.text for block in runs):
+    if any(f"reconstruct {name}" in block.text for block in runs for name in ("sfm", "mvs")):
         pytest.importorskip("pycolmap")
     monkeypatch.setenv("COLUMNS", "132")
     namespace, said = {"__name__": "__main__"}, ""

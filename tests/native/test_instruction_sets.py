@@ -20,14 +20,14 @@ FLAGS = {
 COMPILER = shutil.which(os.environ.get("CXX", "c++"))
 
 
-def unit(isa):
-    return NATIVE / "points" / f"kernels_{isa}.cpp"
+LOOPS = [NATIVE / "points", ROOT / "reconstructors" / "mvs" / "native"]
+of_all_loops = pytest.mark.parametrize("folder", LOOPS, ids=["points", "patchmatch"])
 
 
-def compile_unit(isa, *flags, out: Path):
+def compile_unit(folder, isa, *flags, out: Path):
     return subprocess.run(
-        [COMPILER, "-std=c++17", "-fPIC", "-fopenmp", "-fno-exceptions", "-w", f"-I{NATIVE}", *flags]
-        + ["-c", str(unit(isa)), "-o", str(out)],
+        [COMPILER, "-std=c++17", "-fPIC", "-fopenmp", "-fno-exceptions", "-w", f"-I{NATIVE}", f"-I{folder}", *flags]
+        + ["-c", str(folder / f"kernels_{isa}.cpp"), "-o", str(out)],
         capture_output=True,
         text=True,
     )
@@ -36,14 +36,15 @@ def compile_unit(isa, *flags, out: Path):
 @pytest.mark.skipif(COMPILER is None or shutil.which("nm") is None, reason="needs a C++ compiler and nm")
 @pytest.mark.skipif(os.uname().machine != "x86_64", reason="one instruction set only on this machine")
 @pytest.mark.parametrize("isa", FLAGS)
-def test_no_symbol_of_an_instruction_set_can_be_taken_for_that_of_another(isa, tmp_path):
+@of_all_loops
+def test_no_symbol_of_an_instruction_set_can_be_taken_for_that_of_another(folder, isa, tmp_path):
     """The linker keeps one of several weak symbols of a name: a copy for AVX-512 would crash a machine without it.
 
     Compiled without optimisation, when no call is inlined that is not bound to be: every inline function and template
     that any compiler might leave in the object shows. Each must name its instruction set. So must what the standard
     library adds, which is why it is hardly used there.
     """
-    built = compile_unit(isa, "-O0", *FLAGS[isa], out=tmp_path / "unit.o")
+    built = compile_unit(folder, isa, "-O0", *FLAGS[isa], out=tmp_path / "unit.o")
     assert built.returncode == 0, built.stderr
     listed = subprocess.run(
         ["nm", "--demangle", "--defined-only", str(tmp_path / "unit.o")], capture_output=True, text=True
@@ -51,16 +52,17 @@ def test_no_symbol_of_an_instruction_set_can_be_taken_for_that_of_another(isa, t
     assert listed.returncode == 0, listed.stderr
     symbols = [line.split(maxsplit=2)[1:] for line in listed.stdout.splitlines()]
     weak = [name for kind, name in symbols if kind == "W"]  # functions; data are the same for all
-    own = f"pcbench::{isa}::"
+    own = f"pcbench::{isa}::" if folder.parent == NATIVE else f"pcbench::mvs::{isa}::"
     assert any(own in name for name in weak)  # else nothing was looked at
     assert [name for name in weak if own not in name] == []
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 @pytest.mark.parametrize("isa", ["avx2", "avx512"])
-def test_a_unit_compiled_without_its_instructions_is_refused(isa, tmp_path):
+@of_all_loops
+def test_a_unit_compiled_without_its_instructions_is_refused(folder, isa, tmp_path):
     """Without its flags it would be a second baseline under the name of another."""
-    built = compile_unit(isa, "-fsyntax-only", out=tmp_path / "unit.o")
+    built = compile_unit(folder, isa, "-fsyntax-only", out=tmp_path / "unit.o")
     assert built.returncode != 0
     assert "must be compiled with" in built.stderr
 

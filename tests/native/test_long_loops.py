@@ -13,6 +13,7 @@ from mesh_shapes import icosphere, triangle_soup
 from repository import TESTS
 
 from pcbench.native import _core
+from reconstructors.mvs.native import _patchmatch
 
 
 def assert_ctrl_c_stops(call):
@@ -87,6 +88,7 @@ from pathlib import Path
 sys.path[:0] = {path!r}
 from mesh_shapes import triangle_soup
 from pcbench.native import _core
+from reconstructors.mvs.native import _patchmatch
 
 vertices, faces = triangle_soup(50_000)
 failed, room = 0, 0
@@ -116,3 +118,14 @@ def test_a_mesh_beyond_memory_is_a_memory_error():
     assert done.returncode == 0, done.stderr
     failed, size = map(int, done.stdout.split())
     assert failed > 3 and size == 50_000
+
+
+def test_ctrl_c_stops_the_search_for_a_depth_map():
+    gray = np.random.default_rng(3).integers(0, 255, (300, 400), np.uint8)
+    pinhole, motion = np.array([400, 400, 200, 150], np.float32), np.eye(3, 4, dtype=np.float32)
+    motion[0, 3] = 40
+    matcher = _patchmatch.Matcher(gray, pinhole, None, 1.0, 10.0, 40.0, 1.0, 0)
+    matcher.add_source(gray, motion, None, motion, None)
+    planes, cost, views = (np.full((300, 400, n), -1, np.float32) for n in (4, 1, 1))
+    # Many seconds of work.
+    assert_ctrl_c_stops(partial(matcher.run, planes, cost[..., 0].copy(), views, 200))

@@ -1,22 +1,24 @@
-"""The compiled module: its committed stub is current."""
+"""The compiled modules: their committed stubs are current."""
 
 import subprocess
 import sys
 
+import pytest
 from repository import ROOT
 
 from pcbench.native import _core
+from reconstructors.mvs.native import _patchmatch
 
-STUB = ROOT / "pcbench" / "native" / "_core.pyi"
 
-
-def test_committed_stub_is_current(tmp_path):
-    out = tmp_path / "_core.pyi"
+@pytest.mark.parametrize("module", [_core, _patchmatch], ids=["core", "patchmatch"])
+def test_committed_stub_is_current(module, tmp_path):
+    out = tmp_path / "module.pyi"
     subprocess.run(
-        [sys.executable, "-m", "nanobind.stubgen", "-m", _core.__name__, "-o", str(out)],
+        [sys.executable, "-m", "nanobind.stubgen", "-m", module.__name__, "-o", str(out)],
         check=True,
         capture_output=True,
     )
-    assert out.read_text() == STUB.read_text(), (
-        "copy the generated _core.pyi from the build folder over the committed one"
+    committed = (ROOT / module.__name__.replace(".", "/")).with_suffix(".pyi")
+    assert out.read_text() == committed.read_text(), (
+        f"copy the generated {committed.name} from the build folder over the committed one"
     )

@@ -1,4 +1,4 @@
-"""The bench that ends `pcbench demo`: sparse SfM on a small photographed city, at four budgets."""
+"""The bench that ends `pcbench demo`: sparse SfM and dense MVS on a small photographed city, at six budgets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SIDE = 120.0  # metres: the smallest city with streets between blocks
 def why_not() -> str | None:
     """What keeps the demo's bench from running here, one line."""
     if find_spec("pycolmap") is None:
-        return "pycolmap is needed for the bench: pip install 'pcbench[plot,sfm]'"
+        return "pycolmap is needed for the bench: pip install 'pcbench[plot,sfm,mvs]'"
     try:
         check_renderer()
     except PcbenchError as error:
@@ -48,7 +48,12 @@ def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:
     return BenchJob(
         folder,
         folder / "truth" / "cloud.ply",
-        ["sfm"],
-        [Axis.sweep("image_scale=0.5,1"), Axis.sweep("upsample=false,true")],
+        ["sfm", "mvs"],
+        # Full-size images would take mvs longer than all the rest.
+        [
+            Axis.sweep("image_scale=0.5,1"),
+            Axis.sweep("mvs.image_scale=0.35,0.5"),
+            Axis.sweep("sfm.upsample=false,true"),
+        ],
         rules=Rules(crop=f"box:{-half:g},{-half:g},-100,{half:g},{half:g},200"),
     )

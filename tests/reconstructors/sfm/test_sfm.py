@@ -396,3 +396,18 @@ def test_brighton(tmp_path):
     assert np.median(np.linalg.norm(found - expected, axis=1)) < 2
     # The drone looks down: it is above what it sees.
     assert np.median(made.cloud.points[:, 2]) < found[:, 2].min() - 20
+
+
+def test_images_from_one_place_give_no_point(tmp_path):
+    folder = tmp_path / "scene"
+    (folder / "images").mkdir(parents=True)
+    whole = corner.cameras(7, K)[3]
+    picture = corner.photograph(whole)
+    cameras = []
+    for k, left in enumerate((0, 40, 80)):  # parts of one photograph, with the cameras that took them
+        part = replace(K, width=400, cx=K.cx - left)
+        cameras.append(replace(whole, name=f"{k}.png", intrinsics=part))
+        Image.fromarray(picture[:, left : left + 400]).save(folder / "images" / f"{k}.png")
+    write_colmap_model(folder / "sparse", cameras)
+    with pytest.raises(ReconstructionError, match=r"no point is triangulated: .* from different places"):
+        ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)

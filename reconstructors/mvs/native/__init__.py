@@ -1,0 +1,5 @@
+"""The compiled search for depth maps."""
+
+from reconstructors.mvs.native import _patchmatch
+
+__all__ = ["_patchmatch"]

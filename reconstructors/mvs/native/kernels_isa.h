@@ -1,0 +1,13 @@
+// Compiled once for each instruction set with its own flags (CMakeLists.txt) and its own namespace PCB_ISA, as the
+// search loops of pcbench/native/points are, and for the same reasons.
+#pragma once
+#include "kernels.h"
+#include "sweep.h"
+
+namespace pcbench::mvs::PCB_ISA {
+
+#define PCB_QUOTE_(name) #name
+#define PCB_QUOTE(name) PCB_QUOTE_(name)
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), begin, sweep};
+
+}  // namespace pcbench::mvs::PCB_ISA

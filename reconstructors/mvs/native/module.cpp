@@ -1,0 +1,160 @@
+// Python's view of the search for depth maps.
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <vector>
+
+#include "common/arrays.h"
+#include "common/choose_kernels.h"
+#include "common/interruptible.h"
+#include "kernels.h"
+
+namespace {
+
+using pcbench::mvs::Kernels;
+using pcbench::mvs::Problem;
+using pcbench::mvs::Source;
+using pcbench::mvs::State;
+using Gray = In<uint8_t, nb::ndim<2>>;
+using Map = In<float, nb::ndim<2>>;
+using Matrix = In<float, nb::shape<3, 4>>;
+
+const Kernels& kernels() {
+    static const Kernels& chosen = pcbench::choose_kernels<Kernels>({
+#ifdef PCB_X86
+        &pcbench::mvs::avx512::kernels, &pcbench::mvs::avx2::kernels,
+#endif
+        &pcbench::mvs::baseline::kernels});
+    return chosen;
+}
+
+std::vector<uint32_t> quads(Gray image) {
+    const size_t height = image.shape(0), width = image.shape(1);
+    std::vector<uint32_t> out(width * height);
+    const uint8_t* from = image.data();
+    for (size_t y = 0; y < height; ++y) {
+        const uint8_t *line = from + y * width, *below = from + std::min(y + 1, height - 1) * width;
+        for (size_t x = 0; x < width; ++x) {
+            const size_t right = std::min(x + 1, width - 1);
+            out[y * width + x] = static_cast<uint32_t>(line[x]) | static_cast<uint32_t>(line[right]) << 8 |
+                                 static_cast<uint32_t>(below[x]) << 16 | static_cast<uint32_t>(below[right]) << 24;
+        }
+    }
+    return out;
+}
+
+void split(Matrix motion, float* turn, float* shift) {
+    for (int r = 0; r < 3; ++r) {
+        std::copy_n(motion.data() + 4 * r, 3, turn + 3 * r);
+        shift[r] = motion.data()[4 * r + 3];
+    }
+}
+
+// One photograph, what it is compared with, and the search for its depth map.
+class Matcher {
+public:
+    Matcher(Gray gray, In<float, nb::shape<4>> pinhole, std::optional<Gray> valid, double nearest, double farthest,
+            double pixels_per_depth, double least_variance, uint32_t seed)
+        : gray_(gray), valid_(valid) {
+        problem_.gray = gray_.data();
+        problem_.height = static_cast<int>(gray_.shape(0));
+        problem_.width = static_cast<int>(gray_.shape(1));
+        check(problem_.height > 0 && problem_.width > 0, "expected a picture of at least one pixel");
+        if (valid_) {
+            check(valid_->shape(0) == gray_.shape(0) && valid_->shape(1) == gray_.shape(1),
+                  "expected a mask of the picture's size");
+            problem_.valid = valid_->data();
+        }
+        check(nearest > 0 && farthest > nearest, "expected 0 < nearest < farthest");
+        check(pixels_per_depth > 0, "expected pixels_per_depth > 0");
+        problem_.fx = pinhole.data()[0], problem_.fy = pinhole.data()[1];
+        problem_.cx = pinhole.data()[2], problem_.cy = pinhole.data()[3];
+        problem_.nearest = static_cast<float>(nearest), problem_.farthest = static_cast<float>(farthest);
+        problem_.pixels_per_depth = static_cast<float>(pixels_per_depth);
+        check(least_variance > 0, "expected least_variance > 0");
+        problem_.least_variance = static_cast<float>(least_variance);
+        problem_.seed = seed;
+        int k = 0;
+        for (int j = -2; j <= 2; ++j)
+            for (int i = -2; i <= 2; ++i, ++k)
+                for (int step = 0; step < 256; ++step)
+                    problem_.patch_weights[k][step] =
+                        static_cast<float>(std::exp(-(4.0 * (i * i + j * j)) / (2 * kSpaceSigma * kSpaceSigma) -
+                                                    step * step / (2 * kGraySigma * kGraySigma)));
+    }
+
+    void add_source(Gray gray, Matrix motion, std::optional<Map> depth, Matrix back, std::optional<Map> shown) {
+        check(problem_.source_count < pcbench::mvs::kMaxSources, "expected at most 16 sources");
+        Source& source = problem_.sources[problem_.source_count++];
+        source.height = static_cast<int>(gray.shape(0));
+        source.width = static_cast<int>(gray.shape(1));
+        check(source.height > 0 && source.width > 0, "expected a picture of at least one pixel");
+        quads_.push_back(quads(gray));
+        source.quads = quads_.back().data();
+        split(motion, source.turn, source.shift);
+        split(back, source.back_turn, source.back_shift);
+        if (depth) {
+            check(depth->shape(0) == gray.shape(0) && depth->shape(1) == gray.shape(1),
+                  "expected a depth map of the source's size");
+            depths_.push_back(*depth);
+            source.depth = depths_.back().data();
+        }
+        if (shown) {
+            check(shown->shape(0) == gray.shape(0) && shown->shape(1) == gray.shape(1),
+                  "expected a mask of the source's size");
+            shown_.push_back(*shown);
+            source.shown = shown_.back().data();
+        }
+    }
+
+    void run(Out<float, nb::shape<-1, -1, 4>> planes, Out<float, nb::ndim<2>> cost, Out<float, nb::ndim<3>> view_costs,
+             int sweeps, int first) {
+        const auto sized = [&](const auto& array) {
+            return array.shape(0) == gray_.shape(0) && array.shape(1) == gray_.shape(1);
+        };
+        check(sized(planes) && sized(cost) && sized(view_costs), "expected maps of the picture's size");
+        check(view_costs.shape(2) == static_cast<size_t>(problem_.source_count), "expected a cost for each source");
+        check(problem_.source_count > 0, "expected at least one source");
+        State state{planes.data(), cost.data(), view_costs.data()};
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
+            if (!kernels().begin(problem_, state, interrupt)) return;
+            for (int i = 0; i < sweeps; ++i)
+                if (!kernels().sweep(problem_, state, first + i, 8, interrupt)) return;
+        });
+    }
+
+private:
+    static constexpr double kSpaceSigma = 4.0, kGraySigma = 25.0;
+
+    Problem problem_;
+    Gray gray_;
+    std::optional<Gray> valid_;
+    std::vector<std::vector<uint32_t>> quads_;
+    std::vector<Map> depths_, shown_;
+};
+
+}  // namespace
+
+NB_MODULE(_patchmatch, m) {
+    m.doc() = "Compiled PatchMatch stereo; call it through reconstructors.mvs.patchmatch.";
+
+    m.def("isa", [] { return kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
+
+    nb::class_<Matcher>(m, "Matcher", "The search for one photograph's depth map.")
+        .def(nb::init<Gray, In<float, nb::shape<4>>, std::optional<Gray>, double, double, double, double, uint32_t>(),
+             nb::arg("gray").noconvert(), nb::arg("pinhole").noconvert(), nb::arg("valid").noconvert().none(),
+             nb::arg("nearest"), nb::arg("farthest"), nb::arg("pixels_per_depth"), nb::arg("least_variance"),
+             nb::arg("seed"))
+        .def("add_source", &Matcher::add_source, nb::arg("gray").noconvert(), nb::arg("motion").noconvert(),
+             nb::arg("depth").noconvert().none(), nb::arg("back").noconvert(), nb::arg("shown").noconvert().none(),
+             "motion: from homogeneous pixels times depth of the reference to those of the source (3, 4); back: the"
+             " other way. With a depth map, agreement with it is part of the cost; shown: 0 where a mask hides it.")
+        .def("run", &Matcher::run, nb::arg("planes").noconvert(), nb::arg("cost").noconvert(),
+             nb::arg("view_costs").noconvert(), nb::arg("sweeps"), nb::arg("first") = 0,
+             "Improves the planes (depth and normal of each pixel) in place; one whose depth is outside the range is "
+             "begun at"
+             " random.");
+}

@@ -1,0 +1,227 @@
+"""CPU seconds and accuracy of a depth map, against OpenCV's plane sweep on the same images: python tests/bench/mvs.py
+
+Photographs of a synthetic city from true cameras, with exact depths. `--scaling` varies sources and threads;
+`--memory` runs the whole reconstructor on 10 and 50 images and says what it held at most.
+"""
+
+import argparse
+import importlib.util
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from measure import alternate, limit_threads, setting
+
+PLANES = 128
+WINDOW = 9  # pixels along a patch, as the bundled matcher has it
+
+
+class Case(NamedTuple):
+    reference: Any
+    sources: Sequence[Any]
+    depth_range: tuple[float, float]
+    truth: np.ndarray
+    depths: Sequence[np.ndarray]
+
+
+def load(folder: Path, number: int, count: int) -> Case:
+    """One image, its sources as the reconstructor would order them by angle, and exact depths of all."""
+    from PIL import Image
+
+    from pcbench.scenes import read_scene
+    from reconstructors.mvs.patchmatch import View
+
+    scene = read_scene(folder)
+    exact = {name: np.load(folder / "truth" / "depth" / f"{Path(name).stem}.npy") for name in scene.images}
+    name = scene.images[number]
+    own, truth = scene.cameras[name], exact[name]
+    height, width = truth.shape
+    depth = truth[height // 2, width // 2]
+    target = own.position + own.direction * depth
+
+    def off(other: str) -> float:
+        a, b = own.position - target, scene.cameras[other].position - target
+        cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
+        return abs(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))) - 12)
+
+    others = sorted((other for other in scene.images if other != name), key=off)[:count]
+
+    def view(which: str) -> View:
+        return View(np.asarray(Image.open(scene.folder / which).convert("L")), scene.cameras[which])
+
+    seen = truth[truth > 0]
+    depth_range = (0.9 * float(seen.min()), 1.1 * float(seen.max()))
+    return Case(view(name), [view(other) for other in others], depth_range, truth, [exact[other] for other in others])
+
+
+def bundled(case: Case) -> np.ndarray:
+    """Three photometric and two geometric iterations, the sources' maps given: each is one other image's work."""
+    from reconstructors.mvs.patchmatch import match, refine
+
+    found = match(case.reference, case.sources, case.depth_range)
+    return refine(case.reference, case.sources, case.depths, found, case.depth_range).depth
+
+
+def photometric(case: Case) -> np.ndarray:
+    from reconstructors.mvs.patchmatch import match
+
+    return match(case.reference, case.sources, case.depth_range).depth
+
+
+def plane_sweep(case: Case) -> np.ndarray:
+    """Planes that face the camera, evenly in inverse depth: the mean of the two best sources' normalised correlations
+    over a window, and a parabola through the best plane and its neighbours (Collins 1996; Gallup et al. 2007).
+    """
+    import cv2
+
+    gray = case.reference.gray.astype(np.float32)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return cv2.boxFilter(values, -1, (WINDOW, WINDOW))
+
+    own = mean(gray)
+    own_variance = np.maximum(mean(gray * gray) - own * own, 1)
+    k = centred(case.reference.camera)
+    inverse = np.linspace(1 / case.depth_range[1], 1 / case.depth_range[0], PLANES)
+    costs = np.empty((PLANES, *gray.shape), np.float32)
+    for number, step in enumerate(inverse):
+        each = []
+        for source in case.sources:
+            relative = source.camera.cam_from_world @ case.reference.camera.cam_from_world.inverse()
+            plane = relative.rotation + np.outer(relative.translation, [0, 0, step])
+            homography = centred(source.camera) @ plane @ np.linalg.inv(k)
+            there = cv2.warpPerspective(
+                source.gray, homography, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            ).astype(np.float32)
+            other = mean(there)
+            variance = np.maximum(mean(there * there) - other * other, 1)
+            each.append(1 - (mean(gray * there) - own * other) / np.sqrt(own_variance * variance))
+        costs[number] = np.sort(each, axis=0)[:2].mean(axis=0)
+    best = np.clip(costs.argmin(axis=0), 1, PLANES - 2)
+    a, b, c = (np.take_along_axis(costs, (best + d)[None], axis=0)[0] for d in (-1, 0, 1))
+    bend = np.maximum(a - 2 * b + c, 1e-6)
+    offset = np.clip(0.5 * (a - c) / bend, -0.5, 0.5)
+    return (1 / (inverse[0] + (best + offset) * (inverse[1] - inverse[0]))).astype(np.float32)
+
+
+def centred(camera: Any) -> np.ndarray:
+    matrix = camera.intrinsics.matrix
+    matrix[:2, 2] -= 0.5
+    return matrix
+
+
+CONTESTANTS: dict[str, Callable[[Case], np.ndarray]] = {"pcbench": bundled, "pcbench, photometric": photometric}
+if importlib.util.find_spec("cv2"):
+    CONTESTANTS["OpenCV plane sweep"] = plane_sweep
+
+
+class Accuracy(NamedTuple):
+    """Shares of the pixels that are off by less than one, two, and five footprints, and the median error in these."""
+
+    one: float
+    two: float
+    five: float
+    median: float
+
+
+def accuracy(case: Case, depth: np.ndarray) -> Accuracy:
+    seen = case.truth > 0
+    off = np.abs(depth - case.truth)[seen] / (case.truth[seen] / case.reference.camera.intrinsics.fx)
+    return Accuracy(*(float(np.mean(off < limit)) for limit in (1, 2, 5)), float(np.median(off)))
+
+
+def measure(folder: str, sources: int, threads: int, runs: int) -> None:
+    """The child process: prints the medians and the accuracies over three images as JSON."""
+    limit_threads(threads)
+    if "OpenCV plane sweep" in CONTESTANTS:
+        import cv2
+
+        cv2.setNumThreads(threads)
+    from pcbench.scenes import read_scene
+
+    count = len(read_scene(Path(folder)).images)
+    rows: dict[str, list[list[float]]] = {name: [] for name in CONTESTANTS}
+    for number in (0, count // 3, 2 * count // 3):
+        case = load(Path(folder), number, sources)
+        seconds = alternate({name: partial(run, case) for name, run in CONTESTANTS.items()}, runs)
+        for name, run in CONTESTANTS.items():
+            rows[name].append([*seconds[name], *accuracy(case, run(case))])
+    print(json.dumps({name: np.mean(values, axis=0).tolist() for name, values in rows.items()}))
+
+
+def city(folder: Path, images: int, size: str) -> None:
+    options = ["--images", str(images), "--size", size, "--seed", "3", "--points", "1000", "--quiet"]
+    subprocess.run([sys.executable, "-m", "pcbench.cli", "synth", "city", "--out", folder, *options], check=True)
+
+
+def peak_memory(folder: Path, work: Path) -> float:
+    """MiB that the reconstructor's process held at most."""
+    script = (
+        "import json, resource, subprocess, sys;"
+        "command = [sys.executable, '-m', 'pcbench.cli', 'reconstruct', 'mvs', *sys.argv[1:], '--quiet'];"
+        "subprocess.run(command, check=True);"
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)"
+    )
+    arguments = [folder, "--out", work / "cloud.ply", "--workspace", work / "workspace"]
+    work.mkdir()
+    done = subprocess.run([sys.executable, "-c", script, *arguments], check=True, stdout=subprocess.PIPE, text=True)
+    return float(done.stdout.splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", default="960x540,1920x1080")
+    parser.add_argument("--sources", default="4")
+    parser.add_argument("--threads", default="1")
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--scaling", action="store_true", help="2, 4 and 8 sources, 1 and 2 threads, at 960x540")
+    parser.add_argument("--memory", action="store_true", help="of 10 and of 50 images of 480x270")
+    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        folder, *numbers = options.child
+        return measure(folder, *map(int, numbers))
+    missing = "" if "OpenCV plane sweep" in CONTESTANTS else "; missing: cv2 (pip install opencv-python-headless)"
+    print(f"{setting()}; median of {options.runs} alternating runs, mean of three images{missing}")
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(temporary)
+        if options.memory:
+            for images in (10, 50):
+                city(root / f"{images}", images, "480x270")
+                held = peak_memory(root / f"{images}", root / f"work{images}")
+                print(f"{images} images of 480x270: {held:.0f} MiB at most", flush=True)
+            return
+        sources, threads, sizes = options.sources, options.threads, options.sizes
+        if options.scaling:
+            sources, threads, sizes = "2,4,8", "1,2", "480x270,960x540"
+        print(f"{'size':>10}{'sources':>8}{'threads':>8}  {'method':22}{'wall s':>8}{'CPU s':>8}{'ratio':>7}", end="")
+        print(f"{'< 1 px':>8}{'< 2 px':>8}{'< 5 px':>8}{'median':>8}")
+        for size in sizes.split(","):
+            city(root / size, 12, size)
+            for count in sources.split(","):
+                for number in threads.split(","):
+                    child = [str(root / size), count, number, str(options.runs)]
+                    done = subprocess.run(
+                        [sys.executable, Path(__file__), "--child", *child],
+                        check=True,
+                        stdout=subprocess.PIPE,
+                        text=True,
+                    )
+                    found = json.loads(done.stdout)
+                    for name, (wall, cpu, one, two, five, median) in found.items():
+                        ratio = cpu / found["pcbench"][1]
+                        print(
+                            f"{size:>10}{count:>8}{number:>8}  {name:22}{wall:8.2f}{cpu:8.2f}{ratio:7.2f}"
+                            f"{one:8.3f}{two:8.3f}{five:8.3f}{median:8.3f}",
+                            flush=True,
+                        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""What budgets and the confidence buy of a dense cloud: python tests/bench/mvs_charts.py --chart FOLDER
+
+`pcbench bench` runs `mvs` on a synthetic city with exact truth over one setting at a time: `spacing`, `image_scale` and
+`sources`, the others as they are by default. Then one run is filtered and fused again for each `confidence`. Prints a
+table; with `--chart` draws time against F-score and precision against completeness, both at two footprints of a pixel.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from measure import setting
+from mvs_city import make, pcbench, reconstruct, scored
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from dense_cases import read_city
+
+SWEEPS = {"spacing": "0.55,0.7,1", "image_scale": "0.35,0.5,0.7,1", "sources": "2,4,8"}
+CONFIDENCES = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
+AT = 1  # of the bench's thresholds: 2 pixels
+LOOKS = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
+
+
+class Place(NamedTuple):
+    """One run: its setting's value, and where it stands in a chart."""
+
+    label: str
+    x: float
+    y: float
+
+
+def budgets(city: Path, out: Path) -> dict[str, list[Place]]:
+    """Seconds and F-scores over what was seen of every value of each setting."""
+    found: dict[str, list[Place]] = {}
+    for key, values in SWEEPS.items():
+        folder, reference = out / key, city / "truth" / "cloud.ply"
+        chosen = ["--method", "mvs", "--sweep", f"{key}={values}", "--out", folder, "--no-figures", "--quiet"]
+        pcbench("bench", city, "--reference", reference, *chosen)
+        rows = [row for row in json.loads((folder / "bench.json").read_text())["rows"] if row["status"] == "ok"]
+        for row in rows:
+            at = row["thresholds"][AT]
+            found.setdefault(key, []).append(Place(row["choices"][key], row["cpu_s"], at["fscore_visible"]))
+            print(
+                f"{key:12}{row['choices'][key]:>6}{row['wall_s']:8.1f}{row['cpu_s']:8.1f}{row['points']:10,}"
+                f"{at['precision']:9.3f}{at['recall_visible']:9.3f}{at['fscore_visible']:9.3f}",
+                flush=True,
+            )
+    return found
+
+
+def confidences(folder: Path, work: Path) -> list[Place]:
+    """Completeness over what was seen and precision of every confidence; only filter and fusion run again."""
+    city, found = read_city(folder), []
+    work.mkdir(exist_ok=True)
+    for confidence in CONFIDENCES:
+        reconstruct(folder, work, confidence)
+        score = scored(city, work)
+        found.append(Place(f"{confidence:g}", score.recall[AT], score.precision[AT]))
+        print(
+            f"{'confidence':12}{confidence:6g}{'':16}{score.points:10,}{score.precision[AT]:9.3f}{score.recall[AT]:9.3f}"
+            f"{score.fscore[AT]:9.3f}{score.wrong:9.2%}",
+            flush=True,
+        )
+    return found
+
+
+def draw(lines: dict[str, list[Place]], path: Path, x: str, y: str) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.2), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.add_subplot()
+    for key, places in lines.items():
+        color, shape = LOOKS.get(key, ("#0072b2", "o"))
+        axis.plot([p.x for p in places], [p.y for p in places], f"-{shape}", color=color, alpha=0.85, label=key)
+        above = key not in ("image_scale", "sources")  # which end where spacing does
+        for place in places:
+            axis.annotate(
+                place.label,
+                (place.x, place.y),
+                (-4, 6) if above else (0, -7),
+                textcoords="offset points",
+                ha="right" if above else "center",
+                va="bottom" if above else "top",
+                color=color,
+                fontsize=9,
+            )
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
+    axis.margins(0.09, 0.14)
+    axis.grid(True, alpha=0.3)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.legend(frameon=False, loc="best")
+    figure.savefig(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=int, default=12)
+    parser.add_argument("--size", default="360x240")
+    parser.add_argument("--rig", default="oblique")
+    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--only", choices=("budgets", "confidence"))
+    parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
+    parser.add_argument("--chart", type=Path, metavar="FOLDER", help="Draw mvs_budgets.png and mvs_confidence.png.")
+    options = parser.parse_args()
+    print(setting())
+    print(f"{options.images} images of {options.size}, rig {options.rig}, a city of 100 m, seed {options.seed}")
+    print(f"{'':18}{'wall s':>8}{'CPU s':>8}{'points':>10}{'within 2':>9}{'seen':>9}{'F-score':>9}{'wrong':>9}")
+    with tempfile.TemporaryDirectory() as temporary:
+        root = options.folder or Path(temporary)
+        root.mkdir(parents=True, exist_ok=True)
+        if not (root / "city").exists():
+            make(root / "city", "city", options)
+        where = "2 footprints"
+        if options.only != "confidence":
+            found = budgets(root / "city", root)
+            if options.chart:
+                draw(found, options.chart / "mvs_budgets.png", "CPU seconds", f"F-score over what was seen, {where}")
+        if options.only != "budgets":
+            line = {"confidence": confidences(root / "city", root / "confidence")}
+            if options.chart:
+                path = options.chart / "mvs_confidence.png"
+                draw(line, path, f"share of what was seen, {where}", f"precision, {where}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""The reference of papers beside the truth: python tests/bench/mvs_reference.py
+
+Sparse SfM of a synthetic city, its cameras solved and laid into the world by GPS, is compared with the dense cloud that
+`mvs` makes of the same images with the same cameras, as Gao et al. compare with COLMAP's, and with the true surface.
+Both comparisons are of `pcbench compare`; their tables are printed side by side.
+"""
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from difflib import SequenceMatcher
+from pathlib import Path
+
+from measure import setting
+
+SCENE = "--images 20 --size 480x320 --extent 100 --rig oblique --gps 0.5 --points 200000 --seed 5"
+SOLVED = ("--cameras", "none", "--set", "poses=solve")
+COMPARED = ("--register", "none", "--no-figures", "--thresholds")
+
+
+def pcbench(*arguments: object) -> str:
+    """What a command prints."""
+    command = [sys.executable, "-m", "pcbench.cli", *map(str, arguments)]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+def rows(printed: str) -> list[tuple[str, list[str]]]:
+    """The rows of the table among what `pcbench compare` prints, after the line that names the directions."""
+    lines = iter(printed.splitlines())
+    next(line for line in lines if "r→c" in line)
+    found = []
+    for line in lines:
+        if not line.strip():
+            break
+        label, *cells = re.split(r"\s{2,}", line.strip())
+        found.append((" " * (len(line) - len(line.lstrip())) + label, cells))
+    return found
+
+
+def side_by_side(left: str, right: str) -> str:
+    """Two tables of `pcbench compare` as one: a row that only one has is empty in the other."""
+    tables = rows(left), rows(right)
+    labels = [[label for label, _ in table] for table in tables]
+    lines = []
+    for _, a, b, c, d in SequenceMatcher(None, *labels, autojunk=False).get_opcodes():
+        for i in range(max(b - a, d - c)):
+            of_left = tables[0][a + i] if a + i < b else ("", [])
+            of_right = tables[1][c + i] if c + i < d else ("", [])
+            if of_left[0] == of_right[0]:
+                lines.append((of_left[0], of_left[1], of_right[1]))
+            else:
+                lines += [
+                    (label, *way)
+                    for label, way in ((of_left[0], (of_left[1], [])), (of_right[0], ([], of_right[1])))
+                    if label
+                ]
+    return "\n".join(f"{label:26}{text(first)}{text(second)}".rstrip() for label, first, second in lines)
+
+
+def text(cells: list[str]) -> str:
+    """Cells of the two directions; one that is of both stands under the first."""
+    return "".join(f"{cell:>12}" for cell in [*cells, "", ""][:2])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default=SCENE, help=f"Options of `pcbench synth city`.  [default: {SCENE}]")
+    parser.add_argument("--threshold", default="0.5", help="Of precision and recall in metres.")
+    parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
+    options = parser.parse_args()
+    print(setting())
+    with tempfile.TemporaryDirectory() as temporary:
+        root = options.folder or Path(temporary)
+        root.mkdir(parents=True, exist_ok=True)
+        city = root / "city"
+        if not city.exists():
+            pcbench("synth", "city", "--out", city, "--quiet", *options.scene.split())
+        for name in ("sfm", "mvs"):
+            pcbench("reconstruct", name, city, "--out", root / f"{name}.ply", *SOLVED, "--quiet")
+        printed = []
+        for reference in (root / "mvs.ply", city / "truth" / "cloud.ply"):
+            report = root / f"against_{reference.stem}"
+            made = pcbench("compare", reference, root / "sfm.ply", "--out", report, *COMPARED, options.threshold)
+            printed.append(made.replace(f"{root}/", ""))
+            print(printed[-1].split("\n\n")[0], end="\n\n")
+        print(
+            f"{'':26}{'against MVS':>24}{'against the truth':>24}\n{'':26}{'c→r':>12}{'r→c':>12}{'c→r':>12}{'r→c':>12}"
+        )
+        print(side_by_side(*printed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Depth and normal maps that are exact: what a matcher without errors would return."""
+
+from dataclasses import replace
+
+import numpy as np
+import textured_corner as corner
+
+from reconstructors.mvs.maps import DepthMap
+
+
+def rays(camera):
+    """Directions (H, W, 3) in the world, of depth 1, through the centres of the pixels."""
+    k = camera.intrinsics
+    x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
+    return np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], axis=-1) @ camera.cam_from_world.rotation
+
+
+def plane_map(camera, normal, offset):
+    """Of the plane normal . x = offset (unit normal)."""
+    normal = np.asarray(normal, dtype=float)
+    with np.errstate(divide="ignore"):
+        depth = (offset - normal @ camera.position) / (rays(camera) @ normal)
+    return _map(camera, np.where(depth > 0, depth, 0), np.broadcast_to(normal, (*depth.shape, 3)))
+
+
+def corner_map(camera):
+    """Of the three planes of `textured_corner`."""
+    lines = rays(camera)
+    nearest, normals = np.full(lines.shape[:2], np.inf), np.zeros(lines.shape)
+    for axis in range(3):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = -camera.position[axis] / lines[..., axis]
+        points = camera.position + depth[..., None] * lines
+        others = points[..., [other for other in range(3) if other != axis]]
+        seen = (depth > 0) & (depth < nearest) & ((others >= 0) & (others <= corner.SIDE)).all(axis=-1)
+        nearest[seen], normals[seen] = depth[seen], np.eye(3)[axis]
+    return _map(camera, np.where(np.isfinite(nearest), nearest, 0), normals)
+
+
+def mesh_map(camera, index):
+    """Of a mesh, by its index."""
+    lines = rays(camera).reshape(-1, 3)
+    hits = index.cast(camera.position, lines)
+    shape = (camera.intrinsics.height, camera.intrinsics.width)
+    normals = index.mesh.normals()[np.maximum(hits.faces, 0)]
+    depth = np.where(hits.faces < 0, 0.0, hits.distances)
+    return _map(camera, depth.reshape(shape), normals.reshape(*shape, 3))
+
+
+def _map(camera, depth, normals):
+    local = normals @ camera.cam_from_world.rotation.T
+    facing = np.einsum("hwi,hwi->hw", local, rays(camera) @ camera.cam_from_world.rotation.T) < 0
+    local = np.where(facing[..., None], local, -local) * (depth > 0)[..., None]
+    return DepthMap(depth.astype(np.float32), local.astype(np.float32), (depth > 0).astype(np.float32))
+
+
+class ExactMatcher:
+    """Stands in for the matcher: the maps of `made(camera)` by the true cameras, whatever the frame of the views."""
+
+    def __init__(self, cameras, made):
+        self.cameras, self.made, self.matched, self.refined = cameras, made, [], []
+
+    def _true(self, view):
+        return self.made(replace(self.cameras[view.camera.name], intrinsics=view.camera.intrinsics))
+
+    def match(self, reference, sources, depth_range, *, levels=3, iterations=3, seed=0):
+        self.matched.append((reference, list(sources), depth_range))
+        return self._true(reference)
+
+    def refine(self, reference, sources, source_depths, initial, depth_range, *, iterations=2, seed=0):
+        assert len(sources) == len(source_depths)
+        self.refined.append(reference.camera.name)
+        return initial
+
+    def install(self, monkeypatch):
+        monkeypatch.setattr("reconstructors.mvs.patchmatch.match", self.match)
+        monkeypatch.setattr("reconstructors.mvs.patchmatch.refine", self.refine)
+        return self

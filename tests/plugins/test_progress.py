@@ -1,0 +1,78 @@
+"""How far a reconstruction is, from its log to whoever waits."""
+
+import pytest
+
+from pcbench.plugins import progress as module
+from pcbench.plugins.progress import counted, duration, followed, progress
+from pcbench.plugins.run import ReconstructionJob, run
+
+PLUGIN = """
+import numpy as np
+from dataclasses import dataclass
+from pathlib import Path
+from pcbench import Cloud
+from pcbench.plugins import Reconstruction
+from pcbench.plugins.progress import counted
+
+@dataclass(frozen=True)
+class Slow:
+    def reconstruct(self, scene, workspace):
+        print("something else")
+        for _ in counted("abc", "working"):
+            pass
+        return Reconstruction(Cloud(np.eye(3)), "arbitrary")
+"""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.4, "0 s"), (89, "89 s"), (90, "2 min"), (600, "10 min"), (5400, "1 h 30 min"), (7800, "2 h 10 min")],
+)
+def test_durations_are_for_people(seconds, words):
+    assert duration(seconds) == words
+
+
+def test_time_left_is_that_of_what_takes_time(capsys, monkeypatch):
+    """The first two were kept from an earlier run: of the four that were worked on each took 10 s."""
+    clock = iter([0, 0.01, 0.02, 0.03, 1, 11, 11, 21, 21, 31, 31, 41])
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
+    assert list(counted("abcdef", "matching")) == list("abcdef")
+    assert capsys.readouterr().err.splitlines() == [
+        "progress: matching: 1 of 6 images",
+        "progress: matching: 2 of 6 images",
+        "progress: matching: 3 of 6 images, 30 s left",
+        "progress: matching: 4 of 6 images, 20 s left",
+        "progress: matching: 5 of 6 images, 10 s left",
+        "progress: matching: 6 of 6 images",
+    ]
+
+
+def test_a_log_is_followed_to_its_end(tmp_path):
+    log, shown = tmp_path / "log.txt", []
+    with log.open("w") as file, followed(log, shown.append):
+        print("noise", file=file)
+        print("progress: 1 of 2", file=file)
+        print("progress: 2 of 2", file=file, flush=True)
+        file.write("progress: no whole line")
+        file.flush()
+    assert shown == ["1 of 2", "2 of 2"]
+    with followed(tmp_path / "nothing.txt", None):
+        pass
+
+
+def test_a_line_of_progress_is_marked(capsys):
+    progress("meshing")
+    assert capsys.readouterr().err == "progress: meshing\n"
+
+
+def test_a_run_tells_how_far_its_reconstructor_is(tmp_path):
+    (tmp_path / "slow.py").write_text(PLUGIN)
+    (tmp_path / "images").mkdir()
+    from PIL import Image
+
+    Image.new("RGB", (8, 8)).save(tmp_path / "images/a.png")
+    shown = []
+    job = ReconstructionJob(f"{tmp_path / 'slow.py'}:Slow", tmp_path)
+    ended = run(job, tmp_path / "work", on_progress=shown.append)
+    assert ended.status == "ok", ended.message
+    assert shown == [f"working: {k} of 3 images" for k in (1, 2, 3)]

@@ -1,0 +1,132 @@
+"""What dense clouds and maps are held against in tests/bench/mvs_city.py says what is put into them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from dense_cases import FLAT, WINDOW, City, deviations, missed, read_city, score_cloud, score_maps
+from exact_maps import mesh_map
+from PIL import Image
+from repository import ROOT
+
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.io.colmap_model import write_colmap_model
+from reconstructors.mvs.maps import DepthMap, write_map
+
+# A square of ground of 10 m; half of what is seen of it has texture.
+GROUND = MeshIndex(Mesh([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], [[0, 1, 2], [0, 2, 3]]))
+SEEN = np.array([[x, y, 0.0] for x in np.arange(0.05, 10, 0.1) for y in np.arange(0.05, 10, 0.1)])
+VIEWS = np.where(SEEN[:, 1] < 9, 9, 3)
+CITY = City(None, None, GROUND, SEEN, SEEN[:, 0] < 5, VIEWS, 8 * SEEN[:, 1], 0.101)
+
+
+def test_a_window_of_noise_is_plain_and_one_of_squares_is_not():
+    rng = np.random.default_rng(0)
+    plain = np.clip(rng.normal(120, 1.5, (60, 80)), 0, 255).astype(np.uint8)
+    squares = plain + np.uint8(20) * ((np.indices(plain.shape) // 4).sum(axis=0) % 2).astype(np.uint8)
+    half = WINDOW // 2
+    found = deviations(squares)
+    window = squares[20 - half : 20 + half + 1, 30 - half : 30 + half + 1]
+    assert found[20, 30] == pytest.approx(window.std())
+    assert (found > FLAT).all()
+    assert (deviations(plain) < FLAT).all()
+
+
+def test_a_cloud_is_scored():
+    right = SEEN[SEEN[:, 1] < 8]
+    near = right + [0, 0, 0.15]  # between one and two footprints
+    stray = right[: len(right) // 4] + [0, 0, 3.0]
+    found = score_cloud(CITY, np.concatenate([right, near, stray]))
+    assert found.points == 2 * len(right) + len(right) // 4
+    np.testing.assert_allclose(found.precision, [1 / 2.25, 2 / 2.25, 2 / 2.25])
+    assert found.wrong == pytest.approx(0.25 / 2.25)
+    # Four fifths of the ground, and as far beyond as a threshold reaches.
+    np.testing.assert_allclose(found.recall, [0.81, 0.82, 0.85], atol=1e-9)
+    np.testing.assert_allclose(found.textured, found.recall)
+    assert found.empty == pytest.approx(0.15)
+    assert found.plain_share == 0.5
+    blind = score_cloud(CITY, right[right[:, 0] < 5])
+    assert blind.textured[0] == pytest.approx(0.81)
+    assert blind.plain[0] < 0.02
+
+
+def test_what_is_missed_is_told_apart():
+    found = missed(CITY, SEEN[SEEN[:, 1] < 8])
+    # At two footprints 82 of 100 rows are found: none of those that three images show, 82 of the 90 of nine.
+    np.testing.assert_allclose(found["3 images"], [0.1, 0, 10 / 18])
+    np.testing.assert_allclose(found["6 or more"], [0.9, 82 / 90, 8 / 18])
+    np.testing.assert_allclose(found["below 60 deg"], [0.75, 1, 0])
+    np.testing.assert_allclose(found["60 to 75"], [0.19, 7 / 19, 12 / 18])
+    assert found["4 or 5"].share == 0
+
+
+def test_maps_are_scored(tmp_path):
+    """A slice of the ground between two of sky, plain in its left half."""
+    k = Intrinsics(60, 40, 50.0, 50.0, 30.0, 20.0)
+    cameras = [Camera(f"{n}.png", k, look_at([5 + n / 2, 5, 15], [5 + n / 2, 5, 0], up=[0, 1, 0])) for n in range(2)]
+    rows, columns = np.indices((40, 60))
+    turn = np.radians(5)
+    turned = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    for camera in cameras:
+        true = mesh_map(camera, GROUND)
+        shown = true.depth > 0
+        # The ground begins in row 3: seven rows are off by two pixels, four by ten; beside the ground one row is known.
+        depth = true.depth * np.where(rows < 10, 1 + 2 / k.fx, np.where(rows < 14, 1 + 10 / k.fx, 1))
+        depth = np.where(shown, depth, 15.0)
+        made = DepthMap(depth.astype(np.float32), (true.normal @ turned).astype(np.float32), np.ones((40, 60), "f4"))
+        for folder in (tmp_path / "maps" / camera.name, tmp_path / "views" / camera.name):
+            folder.mkdir(parents=True)
+        write_map(tmp_path / "maps" / camera.name, made.where((rows < 30) & (shown | (rows == 20))))
+        gray = np.where(columns < 30, 120, 120 + 40 * ((rows // 4 + columns // 4) % 2)).astype(np.uint8)
+        Image.fromarray(gray).save(tmp_path / "views" / camera.name / "image.png")
+    write_colmap_model(tmp_path / "maps", cameras)
+    city = CITY._replace(index=GROUND)
+    found = score_maps(city, tmp_path)
+    assert found.known == pytest.approx(27 / 34, abs=0.02)
+    np.testing.assert_allclose(found.depth[:2], [0, 10], atol=1e-3)
+    assert found.depth[3] == np.inf
+    assert found.normal == pytest.approx(5, abs=0.01)
+    assert found.plain_known == pytest.approx(27 / 34, abs=0.02)
+    assert found.plain_wrong == pytest.approx(4 / 27, abs=0.03)
+    assert found.sky_known == pytest.approx(1 / 40, abs=0.01)
+
+
+def test_two_tables_stand_side_by_side(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    from mvs_reference import side_by_side
+
+    head = "a line\n\n      sparse\n   c→r   r→c\n"
+    left = (
+        head + "points measured       10      20\n  sampling floor     0.5       1\ndeformation         none\n\nreport"
+    )
+    right = head + "points measured       10      90\ndeformation         none\n  bend RMS           0.1\n"
+    found = [line.split("  ") for line in side_by_side(left, right).splitlines()]
+    cells = [[word.strip() for word in line if word.strip()] for line in found]
+    assert cells == [
+        ["points measured", "10", "20", "10", "90"],
+        ["sampling floor", "0.5", "1"],
+        ["deformation", "none", "none"],
+        ["bend RMS", "0.1"],
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["city", "texture 0", "water", "moved"])
+def test_what_is_there_is_right(name, tmp_path, monkeypatch, renderer):
+    """Where there is texture, where there is none, over water, and where something else is in each photograph."""
+    pytest.importorskip("pycolmap")
+    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    from mvs_city import make, reconstruct, scored
+
+    make(tmp_path / "city", name, SimpleNamespace(images=14, size="240x160", rig="oblique", seed=11))
+    reconstruct(tmp_path / "city", tmp_path)
+    city = read_city(tmp_path / "city")
+    cloud, maps = scored(city, tmp_path), score_maps(city, tmp_path / "work" / "plugin")
+    assert cloud.wrong < 0.02
+    assert maps.plain_wrong < 0.02
+    assert maps.sky_known < 0.01
+    if name == "city":
+        assert cloud.precision[1] > 0.9
+        assert cloud.recall[1] > 0.6
+        assert maps.normal < 10

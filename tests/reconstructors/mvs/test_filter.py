@@ -1,0 +1,127 @@
+"""What of a map is kept: exact maps of a plane and of a corner, spoiled where it is known."""
+
+import numpy as np
+import pytest
+import textured_corner as corner
+from exact_maps import corner_map, plane_map, rays
+
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.visibility import in_frame
+from reconstructors.mvs.filter import Criteria, filter_map, world_points
+from reconstructors.mvs.maps import DepthMap
+
+K = Intrinsics(160, 120, 150.0, 155.0, 81.0, 58.5)
+TILTED = np.array([0.3, -0.2, 0.932]) / np.linalg.norm([0.3, -0.2, 0.932])
+
+
+def cameras(count=4, step=0.6):
+    return [Camera(f"{k}", K, look_at([step * k, 0.3 * (k % 2), 5], [step * k, 0, 0])) for k in range(count)]
+
+
+def filtered(seen, maps, criteria=None, valid=None):
+    sources = list(zip(seen[1:], maps[1:], strict=True))
+    return filter_map(seen[0], maps[0], sources, criteria or Criteria(), valid)
+
+
+def frames_that_show(seen, made):
+    """(sources, H, W): whether the frame of a source has the pixel's point."""
+    points = (seen[0].position + made.depth[..., None] * rays(seen[0])).reshape(-1, 3)
+    return np.stack([in_frame(camera, points).reshape(made.depth.shape) for camera in seen[1:]])
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), TILTED])
+def test_what_others_show_is_kept_and_counted(normal):
+    seen = cameras()
+    maps = [plane_map(camera, normal, 0.2) for camera in seen]
+    kept, agree = filtered(seen, maps)
+    shown = frames_that_show(seen, maps[0])
+    # Points on the very border of a frame are told to be in or out of it by rounding.
+    assert (agree == (shown & (shown.sum(axis=0) >= 2))).mean() > 0.999
+    assert (kept.known == (shown.sum(axis=0) >= 2)).mean() > 0.999
+    np.testing.assert_array_equal(kept.depth[kept.known], maps[0].depth[kept.known])
+    assert not kept.normal[~kept.known].any()
+    assert not kept.confidence[~kept.known].any()
+
+
+def spoiled(made, depth=1.0, turn_deg=0.0):
+    """The left half with other depths, or normals turned about y."""
+    left = np.arange(made.depth.shape[1]) < made.depth.shape[1] // 2
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    turned = made.normal @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32).T
+    return DepthMap(
+        np.where(left, np.float32(depth) * made.depth, made.depth),
+        np.where(left[:, None], turned, made.normal).astype(np.float32),
+        made.confidence,
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "criteria", "stays"),
+    [
+        ({"depth": 1.005}, {}, True),
+        ({"depth": 1.02}, {}, False),
+        ({"depth": 1.02}, {"depth": 0.03, "pixels": 9.0}, True),
+        # 0.6 from one camera to the next at a distance of 5: 0.5 % of the depth are 0.09 pixels of 150.
+        ({"depth": 1.005}, {"pixels": 0.05}, False),
+        ({"turn_deg": 25.0}, {}, True),
+        ({"turn_deg": 40.0}, {}, False),
+    ],
+)
+def test_what_others_contradict_is_not(change, criteria, stays):
+    seen = cameras()
+    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in seen]
+    true, _ = filtered(seen, maps)
+    kept, _ = filtered(seen, [spoiled(maps[0], **change), *maps[1:]], Criteria(**criteria))
+    left = np.arange(160) < 80
+    # Points that are moved along their rays move in the frames of the others, too.
+    assert (kept.known & left).sum() == (pytest.approx((true.known & left).sum(), rel=0.04) if stays else 0)
+    assert (kept.known & ~left).sum() == (true.known & ~left).sum()
+
+
+def test_the_number_of_views_is_asked_for():
+    seen = cameras(5, step=0.9)
+    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in seen]
+    shown = 1 + frames_that_show(seen, maps[0]).sum(axis=0)
+    for views in (2, 3, 4, 5):
+        kept, _ = filtered(seen, maps, Criteria(views=views))
+        assert kept.known.sum() == pytest.approx((shown >= views).sum(), abs=10)
+    assert (shown == 5).any()
+    assert (shown == 2).any()
+
+
+def test_unconfident_and_hidden_pixels_are_left_out_and_confirm_nothing():
+    seen = cameras(3)
+    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in seen]
+    whole = filtered(seen, maps)[0].known
+    doubtful = maps[0].confidence.copy()
+    doubtful[:40] = 0.2
+    kept, _ = filtered(seen, [DepthMap(maps[0].depth, maps[0].normal, doubtful), *maps[1:]])
+    assert not kept.known[:40].any()
+    np.testing.assert_array_equal(kept.known[40:], whole[40:])
+    blind = DepthMap(maps[2].depth, maps[2].normal, np.full_like(maps[2].confidence, 0.2))
+    assert not filtered(seen, [*maps[:2], blind])[0].known.any()
+    valid = np.ones((120, 160), bool)
+    valid[:, 100:] = False
+    np.testing.assert_array_equal(filtered(seen, maps, valid=valid)[0].known, whole & valid)
+
+
+def test_depth_edges_confirm_only_themselves():
+    """In front of the corner's edges and where one plane hides another, what is kept is what the truth says."""
+    seen = corner.cameras(6, corner.standard_intrinsics(240, 180))
+    maps = [corner_map(camera) for camera in seen]
+    kept, agree = filtered(seen, maps)
+    at = np.nonzero(kept.known)
+    points = world_points(seen[0], np.stack([at[1] + 0.5, at[0] + 0.5], axis=1), kept.depth[at])
+    assert corner.distances(points).max() < 1e-5
+    assert kept.known.mean() > 0.9 * maps[0].known.mean()
+    assert agree.shape == (5, 180, 240)
+    assert (agree.sum(axis=0)[kept.known] >= 2).all()
+
+
+def test_points_of_pixels_project_back():
+    camera = cameras()[1]
+    pixels = np.random.default_rng(0).uniform(0, 120, (50, 2))
+    depth = np.random.default_rng(1).uniform(1, 9, 50)
+    back, z = camera.project(world_points(camera, pixels, depth))
+    np.testing.assert_allclose(back, pixels, atol=1e-9)
+    np.testing.assert_allclose(z, depth, atol=1e-12)

@@ -1,0 +1,232 @@
+"""Dense multi-view stereo from photographs to a cloud, with exact maps in the place of the matcher's."""
+
+import errno
+import re
+import shutil
+
+import numpy as np
+import pytest
+import textured_corner as corner
+from exact_maps import ExactMatcher, corner_map, rays
+from PIL import Image
+
+from pcbench.errors import InputError, ReconstructionError
+from pcbench.io import read_cloud
+from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
+from pcbench.scenes import read_scene
+from reconstructors.mvs.maps import read_map
+from reconstructors.mvs.mvs import DenseMvs
+
+pytest.importorskip("pycolmap")
+
+K = corner.standard_intrinsics(320, 240)
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """Five images of the corner with their true cameras."""
+    folder = tmp_path_factory.mktemp("corner")
+    (folder / "images").mkdir()
+    cameras = corner.cameras(5, K)
+    for camera in cameras:
+        Image.fromarray(corner.photograph(camera)).save(folder / "images" / camera.name)
+    write_colmap_model(folder / "sparse", cameras)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def solved(photographs, tmp_path_factory):
+    """A workspace after one run with exact maps, the run, and its matcher."""
+    workspace, scene = tmp_path_factory.mktemp("solved"), read_scene(photographs)
+    with pytest.MonkeyPatch.context() as patch:
+        matcher = ExactMatcher(scene.cameras, corner_map).install(patch)
+        made = DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    return workspace, made, matcher
+
+
+@pytest.fixture
+def workspace(solved, tmp_path):
+    """A copy of it, to change."""
+    shutil.copytree(solved[0], tmp_path / "work", symlinks=True)
+    return tmp_path / "work"
+
+
+def test_exact_maps_become_an_exact_cloud(solved, photographs):
+    _, made, matcher = solved
+    cloud = made.cloud
+    assert made.gauge == "georeferenced"
+    assert len(made.cameras) == 5
+    assert len(cloud) > 20_000
+    # A pixel is 17 mm; fusion takes medians of each coordinate, which leave the plane by parts of it only at edges.
+    error = corner.distances(cloud.points)
+    assert np.median(error) < 1e-5
+    assert np.quantile(error, 0.99) < 0.002
+    assert cloud.attributes["views"].min() >= 3
+    assert cloud.attributes["views"].max() == 5
+    normals = np.eye(3)[np.argmin(np.abs(cloud.points), axis=1)]
+    assert np.quantile(np.einsum("ni,ni->n", normals, cloud.normals), 0.01) > 0.99
+    # A point has the colour of what it shows.
+    scene = read_scene(photographs)
+    pixels, _ = scene.cameras["003.png"].project(cloud.points)
+    inside = ((pixels > 5) & (pixels < [315, 235])).all(axis=1)
+    x, y = pixels[inside].astype(int).T
+    shown = scene.read_image("003.png")[y, x].astype(float)
+    assert np.median(np.abs(shown - cloud.colors[inside])) < 6
+    # Each image was matched once, between depths that hold what it shows.
+    assert sorted(view.camera.name for view, _, _ in matcher.matched) == list(scene.images)
+    for view, sources, (near, far) in matcher.matched:
+        depth = corner_map(scene.cameras[view.camera.name]).depth
+        assert sources and len(sources) <= 4
+        assert near < np.quantile(depth[depth > 0], 0.05)
+        assert far > np.quantile(depth[depth > 0], 0.95)
+
+
+def test_what_was_chosen_is_said(solved):
+    notes = " ".join(solved[1].notes)
+    assert "backend bundled: asked for" in notes
+    assert "images of 320 pixels along the longer side, their full size: points about 0.01" in notes
+    assert "sources an image, they see points at" in notes
+    assert "3 + 2 iterations over 2 levels" in notes
+    assert "5 depth maps fused; points of" in notes
+
+
+def test_maps_are_there_for_others(solved):
+    workspace, made, _ = solved
+    cameras = read_colmap_cameras(workspace / "maps")
+    assert [camera.name for camera in cameras] == sorted(made.cameras)
+    for camera in cameras:
+        got, true = read_map(workspace / "maps" / camera.name), corner_map(camera)
+        kept = got.known
+        assert kept.mean() > 0.5 * true.known.mean()
+        np.testing.assert_allclose(got.depth[kept], true.depth[kept], rtol=1e-6)
+        np.testing.assert_allclose(got.normal[kept], true.normal[kept], atol=1e-5)
+        assert (workspace / "views" / camera.name / "image.png").is_file()
+
+
+def test_a_mesh_is_made_on_request(workspace, solved, photographs, monkeypatch):
+    asked = []
+
+    def meshed(fused, out, origin, unit):
+        asked.append((fused, out, origin, unit))
+        return 1234
+
+    monkeypatch.setattr("reconstructors.mvs.mvs.write_mesh", meshed)
+    made = DenseMvs(backend="bundled", mesh=True).reconstruct(read_scene(photographs), workspace)
+    ((fused, out, origin, unit),) = asked
+    assert out == workspace / "mesh.ply"
+    assert f"Poisson's mesh of 1234 faces: {out}" in made.notes
+    assert unit is None
+    raw = read_cloud(fused).points + origin
+    np.testing.assert_array_equal(raw, solved[1].cloud.points)
+
+
+def test_a_killed_run_loses_one_image(workspace, solved, photographs, monkeypatch):
+    scene = read_scene(photographs)
+    for path in ("photometric/003.png", "geometric/003.png", "maps/003.png"):
+        shutil.rmtree(workspace / path)
+    (workspace / "photometric/.003.png.partial").mkdir()
+    (workspace / "photometric/.003.png.partial/depth.bin").write_bytes(b"480&3")
+    matcher = ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
+    made = DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    assert [view.camera.name for view, _, _ in matcher.matched] == ["003.png"]
+    assert matcher.refined == ["003.png"]
+    np.testing.assert_array_equal(made.cloud.points, solved[1].cloud.points)
+    # Other criteria need no other maps, another seed does.
+    stricter = DenseMvs(backend="bundled", views=4).reconstruct(scene, workspace)
+    assert len(matcher.matched) == 1
+    assert stricter.cloud.attributes["views"].min() >= 4
+    DenseMvs(backend="bundled", seed=1).reconstruct(scene, workspace)
+    assert len(matcher.matched) == 6
+
+
+def test_masks_are_obeyed(photographs, tmp_path, monkeypatch):
+    folder = tmp_path / "scene"
+    shutil.copytree(photographs, folder)
+    (folder / "masks").mkdir()
+    cameras = corner.cameras(5, K)
+    for camera in cameras:
+        # The floor beyond a line is not to be seen.
+        depth = corner_map(camera).depth
+        points = camera.position + depth[..., None] * rays(camera)
+        Image.fromarray(np.where(points[..., 2] < 0.5, 0, 255).astype(np.uint8)).save(folder / "masks" / camera.name)
+    scene = read_scene(folder)
+    assert len(scene.masks) == 5
+    (tmp_path / "work").mkdir()
+    matcher = ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
+    made = DenseMvs(backend="bundled").reconstruct(scene, tmp_path / "work")
+    assert all(view.valid is not None and not view.valid.all() for view, _, _ in matcher.matched)
+    assert made.cloud.points[:, 2].min() > 0.48
+    assert made.cloud.points[:, 2].max() > 1
+
+
+def test_what_cannot_work_is_said(solved, workspace, photographs, tmp_path, monkeypatch):
+    scene = read_scene(photographs)
+    for views, least in ((2, 3), (3, 3), (4, 4)):  # sparse points are of three images, whatever has to agree
+        few = scene.select(["000.png", "001.png", "002.png"][: least - 1])
+        with pytest.raises(InputError, match=rf"at least {least} images \(three, and {views} that agree\), got"):
+            DenseMvs(views=views).reconstruct(few, tmp_path)
+
+    empty = ExactMatcher(scene.cameras, lambda camera: corner_map(camera).where(np.zeros((240, 320), bool)))
+    empty.install(monkeypatch)
+    with pytest.raises(ReconstructionError, match="no map is made: of 5 images no depth is confident"):
+        DenseMvs(backend="bundled", seed=2).reconstruct(scene, workspace)
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("reconstructors.mvs.patchmatch.match", full)
+    with pytest.raises(ReconstructionError, match="is full: make room and run it again"):
+        DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
+
+
+def test_a_disk_that_is_too_small_is_said_first(solved, workspace, photographs, monkeypatch):
+    scene = read_scene(photographs)
+    ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
+    parts = [workspace / part for part in ("views", "photometric", "geometric", "maps", "fused")]
+    files = [path for part in parts for path in part.rglob("*") if path.is_file() and not path.is_symlink()]
+    took = sum(path.stat().st_size for path in files)
+
+    def have(free):
+        monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, free))
+
+    # What is there is not asked for again.
+    have(90 * 5 * 320 * 240 - took)
+    DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    # What is asked for holds all that a run writes, the cloud too, and not much more.
+    for part in parts:
+        shutil.rmtree(part)
+    written = took + 40 * len(solved[1].cloud)
+    have(written)
+    with pytest.raises(ReconstructionError, match="too full: the maps of 5 images take") as error:
+        DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    asked = 2**20 * int(re.search(r"take (\d+) MiB more", str(error.value))[1])
+    assert written < asked < 1.5 * written
+
+
+def test_images_without_a_depth_are_named(workspace, photographs, monkeypatch):
+    scene = read_scene(photographs)
+
+    def blind(camera):
+        made = corner_map(camera)
+        return made.where(np.full(made.depth.shape, camera.name != "004.png"))
+
+    ExactMatcher(scene.cameras, blind).install(monkeypatch)
+    made = DenseMvs(backend="bundled", seed=4).reconstruct(scene, workspace)
+    assert "1 of 5 images have no depth that others confirm: 004.png" in made.notes
+    assert "4 depth maps fused" in " ".join(made.notes)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"spacing": 0.0}, "positive spacing"),
+        ({"sources": 0}, "1 to 8 sources"),
+        ({"sources": 9}, "1 to 8 sources"),
+        ({"confidence": 1.5}, "confidence from 0 to 1"),
+        ({"views": 1}, "at least 2 images"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        DenseMvs(**settings)

@@ -1,0 +1,167 @@
+"""The search for depth maps: against planes in closed form, and against correlations computed in float64."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from repository import TESTS
+from textured_planes import Photographed, plane_scene
+
+from pcbench.errors import InputError
+from reconstructors.mvs.patchmatch import MAX_SOURCES, _State, match, noise_variance, refine
+
+
+def in_pixels(scene: Photographed, depth):
+    """Errors of a depth map as the image of the point moves in the first source, in pixels."""
+    return np.abs(1 / depth - 1 / scene.depths[0]) * scene.focal * scene.baseline
+
+
+@pytest.fixture(scope="module")
+def slanted():
+    scene = plane_scene(normal=(0.35, -0.2, -1.0))
+    return scene, match(scene.views[0], scene.views[1:], (5.0, 20.0))
+
+
+def test_a_slanted_plane_comes_back(slanted):
+    scene, found = slanted
+    assert np.median(in_pixels(scene, found.depth)) < 0.05
+    assert np.mean(in_pixels(scene, found.depth) < 0.5) > 0.97
+    cosines = found.normal @ (np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0]))
+    assert np.degrees(np.arccos(np.median(cosines))) < 5
+    assert np.median(found.confidence) > 0.9
+
+
+def test_agreement_with_exact_maps_of_the_sources_improves_it(slanted):
+    scene, found = slanted
+    refined = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0))
+    assert in_pixels(scene, refined.depth).mean() < in_pixels(scene, found.depth).mean()
+    assert np.percentile(in_pixels(scene, refined.depth), 99) < 0.5
+
+
+def test_maps_of_the_sources_that_say_otherwise_cost(slanted):
+    scene, found = slanted
+    wrong = [np.float32(1.3) * depth for depth in scene.depths[1:]]
+    right = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0), iterations=0)
+    denied = refine(scene.views[0], scene.views[1:], wrong, found, (5.0, 20.0), iterations=0)
+    loss = (right.confidence - denied.confidence)[40:-40, 60:-60]
+    assert np.median(loss) == pytest.approx(0.6, abs=0.02)  # three pixels of 0.2 each
+
+
+def correlation(scene: Photographed, x, y, normal, source):
+    """Of the patches about a pixel, weighted as Schonberger et al. 2016 do, in float64 and by the exact homography."""
+    reference, other = scene.views[0], scene.views[source]
+    k = reference.camera.intrinsics
+    offsets = np.stack(np.meshgrid(*[np.arange(-4, 5, 2)] * 2, indexing="xy"), axis=-1).reshape(-1, 2)
+    at = np.array([x, y]) + offsets
+    ray = np.array([(x + 0.5 - k.cx) / k.fx, (y + 0.5 - k.cy) / k.fy, 1])
+    rays = np.column_stack([(at + 0.5 - [k.cx, k.cy]) / [k.fx, k.fy], np.ones(len(at))])
+    points = rays * (scene.depths[0][y, x] * (normal @ ray) / (rays @ normal))[:, None]
+    world = reference.camera.cam_from_world.inverse().apply(points)
+    pixels = other.camera.project(world)[0] - 0.5
+    here = reference.gray[at[:, 1], at[:, 0]].astype(float)
+    column, row = np.floor(pixels).astype(int).T
+    fx, fy = (pixels - np.floor(pixels)).T
+    gray = other.gray.astype(float)
+    there = (
+        (gray[row, column] * (1 - fx) + gray[row, column + 1] * fx) * (1 - fy)
+        + (gray[row + 1, column] * (1 - fx) + gray[row + 1, column + 1] * fx) * fy
+    )  # fmt: skip
+    step = here - reference.gray[y, x]
+    weights = np.exp(-(offsets**2).sum(axis=1) / (2 * 4.0**2) - step**2 / (2 * 25.0**2))
+    weights /= weights.sum()
+    a, b = here - weights @ here, there - weights @ there
+    return weights @ (a * b) / np.sqrt((weights @ a**2) * (weights @ b**2))
+
+
+def test_costs_are_those_of_the_correlation_in_float64():
+    normal = np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0])
+    scene = plane_scene(normal=(0.35, -0.2, -1.0))
+    height, width = scene.depths[0].shape
+    planes = np.empty((height, width, 4), np.float32)
+    planes[..., 0], planes[..., 1:] = 1.01 * scene.depths[0], normal
+    state = _State.of(planes.copy(), len(scene.views) - 1)
+    state.improve(scene.views[0], scene.views[1:], None, (5.0, 20.0), 0, 0, 0)
+    off = scene._replace(depths=[1.01 * scene.depths[0]])
+    for x, y in np.random.default_rng(1).integers((80, 60), (width - 80, height - 60), (40, 2)):
+        for source in range(1, len(scene.views)):
+            expected = 1 - correlation(off, x, y, normal, source)
+            assert state.view_costs[y, x, source - 1] == pytest.approx(expected, abs=3e-3)
+
+
+def test_a_plane_without_texture_is_not_believed():
+    scene = plane_scene(contrast=0)
+    assert np.mean(match(scene.views[0], scene.views[1:], (5.0, 20.0)).confidence > 0) < 0.01
+
+
+@pytest.mark.parametrize("sigma", [0.5, 2, 6])
+def test_the_noise_of_a_picture_is_told_from_its_texture(sigma):
+    flat = plane_scene(contrast=0, noise=sigma).views[0].gray
+    assert noise_variance(flat) == pytest.approx(sigma**2 + 1 / 12, rel=0.35)
+    smooth = plane_scene(noise=sigma, width=480, height=320).views[0].gray  # twice as many pixels a wave
+    assert noise_variance(smooth) < 4 * (sigma**2 + 1 / 12)
+
+
+def test_masks_are_obeyed(slanted):
+    scene, _ = slanted
+    hidden = np.ones(scene.depths[0].shape, bool)
+    hidden[:, :60] = False
+    found = match(scene.views[0]._replace(valid=hidden), scene.views[1:], (5.0, 20.0))
+    assert not found.depth[:, :60].any() and not found.confidence[:, :60].any()
+    assert found.depth[:, 64:].all()
+    nowhere = [view._replace(valid=np.zeros_like(hidden)) for view in scene.views[1:]]
+    assert not match(scene.views[0], nowhere, (5.0, 20.0)).confidence.any()
+
+
+def test_what_cannot_be_searched_is_refused(slanted):
+    scene, _ = slanted
+    with pytest.raises(InputError, match="expected 1 to 16 sources, got 0"):
+        match(scene.views[0], [], (5.0, 20.0))
+    with pytest.raises(InputError, match="got 17"):
+        match(scene.views[0], [scene.views[1]] * (MAX_SOURCES + 1), (5.0, 20.0))
+    with pytest.raises(InputError, match="positive depths"):
+        match(scene.views[0], scene.views[1:], (0.0, 20.0))
+
+
+ANSWER = """
+import hashlib, json, sys
+sys.path[:0] = {path!r}
+from textured_planes import plane_scene
+from reconstructors.mvs.native import _patchmatch
+from reconstructors.mvs.patchmatch import match, refine
+
+scene = plane_scene(normal=(0.35, -0.2, -1.0), width=150)
+found = match(scene.views[0], scene.views[1:], (5.0, 20.0), iterations=2)
+found = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0), iterations=1)
+digest = hashlib.sha256()
+for array in (found.depth, found.normal, found.confidence):
+    digest.update(array.tobytes())
+print(json.dumps([_patchmatch.isa(), digest.hexdigest()]))
+"""
+
+
+def answer_with(**environment):
+    return subprocess.run(
+        [sys.executable, "-c", ANSWER.format(path=[str(TESTS)])],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def baseline_answer():
+    done = answer_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
+    isa, digest = json.loads(done.stdout)
+    assert isa == "baseline"
+    return digest
+
+
+@pytest.mark.parametrize("isa, threads", [("baseline", "3"), ("avx2", "1"), ("avx512", "2")])
+def test_the_same_bits_with_any_instruction_set_and_number_of_threads(baseline_answer, isa, threads):
+    done = answer_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
+    if "PCBENCH_ISA: expected one that this machine runs" in done.stderr:
+        pytest.skip(f"this machine has no {isa}: there is nothing to compare with the baseline")
+    assert json.loads(done.stdout) == [isa, baseline_answer], done.stderr

@@ -1,0 +1,71 @@
+"""How much is done for what is wanted, and the reasons that are given."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from reconstructors.mvs.plan import Survey, make_plan, textured_share
+
+USUAL = Survey(side=1600, footprint=0.1, angle_deg=20.0, overlap=8, textured=0.9)
+
+
+def test_by_default_images_of_up_to_2000_pixels_give_what_they_can():
+    plan = make_plan(USUAL, None, None)
+    assert (plan.scale, plan.spacing) == (1.0, 0.1)
+    assert "their full size: points about 0.1 apart" in plan.reasons[0]
+    large = make_plan(replace(USUAL, side=6000, footprint=0.02), None, None)
+    assert (large.scale, large.spacing) == (0.25, 0.08)
+    assert "images of 1500 pixels along the longer side, 1/4 of their size" in large.reasons[0]
+
+
+def test_a_spacing_decides_the_size():
+    plan = make_plan(USUAL, 0.25, None)
+    assert plan.scale == pytest.approx(0.4)
+    assert plan.spacing == pytest.approx(0.25)
+    assert (
+        "images of 640 pixels along the longer side, 0.40 of their size, as a spacing of 0.25 asks for"
+        in plan.reasons[0]
+    )
+    # Nothing is finer than the photographs, and nothing coarser than can be matched.
+    finer = make_plan(USUAL, 0.01, None)
+    assert (finer.scale, finer.spacing) == (1.0, 0.1)
+    assert "a spacing of 0.01 is finer" in finer.reasons[0]
+    coarser = make_plan(USUAL, 10.0, None)
+    assert coarser.scale == pytest.approx(240 / 1600)
+    assert "a spacing of 10 is coarser" in coarser.reasons[0]
+    assert coarser.levels < plan.levels == 3
+
+
+def test_narrow_angles_ask_for_more_sources():
+    counts = [make_plan(replace(USUAL, angle_deg=angle), None, None).sources for angle in (40.0, 20.0, 14.0, 5.0)]
+    assert counts[0] == 4
+    assert counts == sorted(counts)
+    assert counts[-1] == 8
+    # A pair at 14 degrees has 0.3 / tan(14) = 1.2 pixels in depth; half a pixel takes (1.2 / 0.5)^2 of them.
+    assert counts[2] == 6
+    few = make_plan(replace(USUAL, angle_deg=5.0, overlap=3), None, None)
+    assert few.sources == 3
+    assert "no more overlap" in few.reasons[1]
+    assert make_plan(USUAL, None, 7).sources == 7
+    assert "as asked for" in make_plan(USUAL, None, 7).reasons[1]
+
+
+def test_little_texture_asks_for_more_iterations():
+    assert make_plan(USUAL, None, None).iterations == 3
+    poor = make_plan(replace(USUAL, textured=0.3), None, None)
+    assert poor.iterations == 4
+    assert "30% of the patches have texture" in poor.reasons[2]
+
+
+def test_texture_is_what_varies_within_a_patch():
+    rng = np.random.default_rng(0)
+    flat = np.full((90, 90), 128, np.uint8)
+    assert textured_share([flat]) == 0
+    # The noise of a sensor is none, nor are brighter patches beside darker ones.
+    assert textured_share([(flat + rng.normal(0, 1.5, flat.shape)).round().astype(np.uint8)]) == 0
+    assert textured_share([np.kron(rng.integers(0, 256, (10, 10)), np.ones((9, 9))).astype(np.uint8)]) == 0
+    noise = rng.integers(0, 256, (90, 90)).astype(np.uint8)
+    assert textured_share([noise]) == 1
+    assert textured_share([flat, noise]) == 0.5
+    assert textured_share([np.hstack([flat[:, :45], noise[:, :45]])]) == 0.5
