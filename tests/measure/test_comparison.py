@@ -271,7 +271,7 @@ def test_refusals(pair):
         compare(reference, candidate + 1e4, NONE)
     with pytest.raises(InputError, match="at least one candidate"):
         compare(reference, [], NONE)
-    with pytest.raises(InputError, match="positive thresholds"):
+    with pytest.raises(InputError, match="thresholds as positive lengths"):
         Settings(thresholds=(0.0,))
     with pytest.raises(InputError, match="leaves none of x's"):
         compare(reference, {"x": candidate[candidate[:, 0] > 20]}, Settings("none", crop="box:0,0,-9,10,40,9"))

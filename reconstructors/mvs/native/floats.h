@@ -1,8 +1,8 @@
 // A SIMD vector of sixteen floats, on whatever registers this translation unit may use, with integers and a mask alike.
 // Every operation is one IEEE operation on each lane (no fused multiply-add, no reassociation), so each instruction set
-// gives the same bits. Included once for each instruction set, inside its own namespace PCB_ISA: see kernels_isa.h.
+// gives the same bits. Roots and moduli are the compiler's own: of std::sqrt(float) the linker would keep one copy for
+// all instruction sets. Included once for each instruction set, inside its own namespace PCB_ISA: see kernels_isa.h.
 #pragma once
-#include <cmath>
 #include <cstdint>
 
 #if defined(__AVX2__)
@@ -122,7 +122,7 @@ inline Floats operator*(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] * b.v[i]);
 inline Floats operator/(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] / b.v[i]); }
 inline Floats min(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
 inline Floats max(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
-inline Floats sqrt(Floats a) { PCB_EACH(Floats, std::sqrt(a.v[i])); }
+inline Floats sqrt(Floats a) { PCB_EACH(Floats, __builtin_sqrtf(a.v[i])); }
 inline Mask operator<(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] < b.v[i])); }
 inline Mask operator&(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & b.v[i]); }
 inline Floats select(Mask m, Floats yes, Floats no) { PCB_EACH(Floats, m.v[i] ? yes.v[i] : no.v[i]); }

@@ -265,7 +265,8 @@ private:
     // In the range, and not seen from behind or along itself.
     bool sensible(const Group& group, int l, const Plane& plane) const {
         const float facing = (plane.nx * group.ray_x[l] + plane.ny * group.ray_y[l]) + plane.nz;
-        const float length = std::sqrt((group.ray_x[l] * group.ray_x[l] + group.ray_y[l] * group.ray_y[l]) + 1.0f);
+        const float length =
+            __builtin_sqrtf((group.ray_x[l] * group.ray_x[l] + group.ray_y[l] * group.ray_y[l]) + 1.0f);
         return plane.depth >= problem_.nearest && plane.depth <= problem_.farthest && facing < -0.1f * length;
     }
 
@@ -273,7 +274,7 @@ private:
     bool same(const Plane& a, const Plane& b) const {
         const float moved = (1.0f / a.depth - 1.0f / b.depth) * problem_.pixels_per_depth;
         const float cosine = (a.nx * b.nx + a.ny * b.ny) + a.nz * b.nz;
-        return std::fabs(moved) < kSameMove && cosine > kSameCosine;
+        return __builtin_fabsf(moved) < kSameMove && cosine > kSameCosine;
     }
 
     float random_depth(Random& random) const {
@@ -283,7 +284,8 @@ private:
 
     // Any direction within 60 degrees of the ray back to the camera, about evenly.
     void random_normal(Random& random, const Group& group, int l, Plane& plane) const {
-        const float length = std::sqrt((group.ray_x[l] * group.ray_x[l] + group.ray_y[l] * group.ray_y[l]) + 1.0f);
+        const float length =
+            __builtin_sqrtf((group.ray_x[l] * group.ray_x[l] + group.ray_y[l] * group.ray_y[l]) + 1.0f);
         plane.nx = -group.ray_x[l] / length, plane.ny = -group.ray_y[l] / length, plane.nz = -1.0f / length;
         turn(random, 1.5f, plane);
     }
@@ -291,7 +293,7 @@ private:
     static void turn(Random& random, float by, Plane& plane) {
         const float nx = plane.nx + by * random.symmetric(), ny = plane.ny + by * random.symmetric(),
                     nz = plane.nz + by * random.symmetric();
-        const float length = std::sqrt((nx * nx + ny * ny) + nz * nz);
+        const float length = __builtin_sqrtf((nx * nx + ny * ny) + nz * nz);
         if (length < 1e-3f) return;
         plane.nx = nx / length, plane.ny = ny / length, plane.nz = nz / length;
     }
