@@ -145,6 +145,7 @@ def test_crop_selects_queries_not_what_is_searched():
     assert m.presets["gao2025"].hausdorff == pytest.approx(0.6)
 
 
+@pytest.mark.slow
 def test_intervals_cover_and_shrink():
     """Nominal 95 % intervals of D1 cover the expectation in most of 40 scenes; bigger differences are seen."""
     rng = np.random.default_rng(7)
