@@ -146,6 +146,12 @@ def m3c2(reference, candidate, cores, normals, radius, half_length, registration
 # Sampling floors: what two samples of one surface would score
 
 
+def cloudcompare_columns(path):
+    """What CloudCompare wrote of M3C2 core points: each column (N,) by its name."""
+    names = path.read_text().splitlines()[0].replace('"', "").split(",")
+    return dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+
+
 def floor_distances(queries, points):
     """(N,) leave-one-out distances inside the searched cloud, at the points fourth nearest to the queries."""
     fourth = [

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.io.colmap_model import write_colmap_model
 
 SIDE = 4.0  # of each plane, from the corner at the origin
 
@@ -68,3 +69,14 @@ def distances(points):
 
 def standard_intrinsics(width=480, height=360):
     return Intrinsics(width, height, 0.9 * width, 0.9 * width, width / 2, height / 2)
+
+
+def write_scene(folder, cameras):
+    """Photographs and their true cameras in a folder that exists; the folder."""
+    from PIL import Image
+
+    (folder / "images").mkdir()
+    for camera in cameras:
+        Image.fromarray(photograph(camera)).save(folder / "images" / camera.name)
+    write_colmap_model(folder / "sparse", cameras)
+    return folder

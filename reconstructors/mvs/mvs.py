@@ -42,7 +42,7 @@ from reconstructors.mvs.fusion import (
 from reconstructors.mvs.maps import read_map, write_map
 from reconstructors.mvs.plan import MOST_SOURCES, Plan, Survey, make_plan, textured_share
 from reconstructors.mvs.sources import Reference, choose_references
-from reconstructors.mvs.sparse import Sparse, sparse_of
+from reconstructors.mvs.sparse import Sparse, shifted, sparse_of
 from reconstructors.mvs.views import IMAGE, Photographs, in_folder, luminance, pinhole, view_stage
 from reconstructors.sfm.features import some
 from reconstructors.sfm.sfm import ColmapSfm
@@ -146,7 +146,7 @@ class DenseMvs:
 
         kept = self._filtered(photographs, references, made, workspace)
         notes += _empties(kept, references)
-        write_colmap_model(workspace / MAPS, [_back(cameras[name], origin) for name in kept.folders])
+        write_colmap_model(workspace / MAPS, [shifted(cameras[name], -origin) for name in kept.folders])
         fused = self._fused(cameras, views, kept.folders, workspace)
         counts = {name: folder / COUNTS for name, folder in kept.folders.items()}
         cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
@@ -246,12 +246,6 @@ def _local(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[Sparse, Floa
     model = pycolmap.Reconstruction(workspace / _SFM / "model")
     origin = next(iter(cameras.values())).position.round()
     return sparse_of(model, cameras).about(origin), origin
-
-
-def _back(camera: Camera, origin: FloatArray) -> Camera:
-    from reconstructors.mvs.sparse import shifted
-
-    return shifted(camera, -origin)
 
 
 def _taking_part(references: Sequence[Reference]) -> list[str]:

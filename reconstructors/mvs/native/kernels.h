@@ -7,7 +7,7 @@ namespace pcbench::mvs {
 struct Kernels {
     const char* name;
     bool (*begin)(const Problem&, State&, Interrupt&);
-    bool (*sweep)(const Problem&, State&, int number, int of, Interrupt&);
+    bool (*sweep)(const Problem&, State&, int number, Interrupt&);
 };
 
 namespace baseline {

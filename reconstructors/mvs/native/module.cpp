@@ -122,7 +122,7 @@ public:
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             if (!kernels().begin(problem_, state, interrupt)) return;
             for (int i = 0; i < sweeps; ++i)
-                if (!kernels().sweep(problem_, state, first + i, 8, interrupt)) return;
+                if (!kernels().sweep(problem_, state, first + i, interrupt)) return;
         });
     }
 

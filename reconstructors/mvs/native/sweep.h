@@ -65,12 +65,12 @@ struct Candidates {
 
 class Sweep {
 public:
-    Sweep(const Problem& problem, State& state, int number, int of)
+    Sweep(const Problem& problem, State& state, int number)
         : problem_(problem), state_(state), number_(number), sources_(problem.source_count) {
         // From pixels to fractions of one, and from wide turns to small ones.
         reach_ = 2.0f;
         tilt_ = 0.5f;
-        for (int i = 0; i < number && i < of; ++i) reach_ *= 0.5f, tilt_ *= 0.6f;
+        for (int i = 0; i < number; ++i) reach_ *= 0.5f, tilt_ *= 0.6f;
     }
 
     // The costs of the planes there are; pixels without one get one at random.
@@ -310,12 +310,12 @@ private:
 };
 
 // One colour after the other. Number: of the sweep, from 0, after which the steps of the variation are halved.
-inline bool sweep(const Problem& problem, State& state, int number, int of, Interrupt& interrupt) {
+inline bool sweep(const Problem& problem, State& state, int number, Interrupt& interrupt) {
     for (int colour = 0; colour < 2; ++colour) {
 #pragma omp parallel for schedule(dynamic, 4)
         for (int y = 0; y < problem.height; ++y) {
             if (interrupt.requested()) continue;
-            Sweep work(problem, state, number, of);
+            Sweep work(problem, state, number);
             for (int first = (y + colour) & 1; first < problem.width; first += 2 * kLanes)
                 work.improve(Group(problem, y, first));
         }
@@ -327,7 +327,7 @@ inline bool begin(const Problem& problem, State& state, Interrupt& interrupt) {
 #pragma omp parallel for schedule(dynamic, 4)
     for (int y = 0; y < problem.height; ++y) {
         if (interrupt.requested()) continue;
-        Sweep work(problem, state, 0, 1);
+        Sweep work(problem, state, 0);
         for (int colour = 0; colour < 2; ++colour)
             for (int first = colour; first < problem.width; first += 2 * kLanes) work.begin(Group(problem, y, first));
     }

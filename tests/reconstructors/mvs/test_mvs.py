@@ -12,7 +12,7 @@ from PIL import Image
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.io import read_cloud
-from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
+from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.scenes import read_scene
 from reconstructors.mvs.maps import read_map
 from reconstructors.mvs.mvs import DenseMvs
@@ -25,13 +25,7 @@ K = corner.standard_intrinsics(320, 240)
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
     """Five images of the corner with their true cameras."""
-    folder = tmp_path_factory.mktemp("corner")
-    (folder / "images").mkdir()
-    cameras = corner.cameras(5, K)
-    for camera in cameras:
-        Image.fromarray(corner.photograph(camera)).save(folder / "images" / camera.name)
-    write_colmap_model(folder / "sparse", cameras)
-    return folder
+    return corner.write_scene(tmp_path_factory.mktemp("corner"), corner.cameras(5, K))
 
 
 @pytest.fixture(scope="module")

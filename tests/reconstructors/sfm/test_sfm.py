@@ -28,13 +28,7 @@ QUICK = {"upsample": False, "features": 2000}
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
     """Seven images of the corner of 480 x 360 pixels with their true cameras."""
-    folder = tmp_path_factory.mktemp("corner")
-    (folder / "images").mkdir()
-    cameras = corner.cameras(7, K)
-    for camera in cameras:
-        Image.fromarray(corner.photograph(camera)).save(folder / "images" / camera.name)
-    write_colmap_model(folder / "sparse", cameras)
-    return folder
+    return corner.write_scene(tmp_path_factory.mktemp("corner"), corner.cameras(7, K))
 
 
 @pytest.fixture(scope="module")
