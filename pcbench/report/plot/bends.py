@@ -162,8 +162,9 @@ def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: floa
     axis.set_ylabel(f"y [{unit}]")
     if bend.local is None:
         return
+    changes = bend.local
     axis.set_title(
-        f"local changes: {bend.local.tiles_changed} of {bend.local.tiles_tested} tiles (red, FDR {bend.local.fdr:.0%})",
+        f"local changes: {changes.tiles_changed} of {changes.tiles_tested} tiles (framed, FDR {changes.fdr:.0%})",
         fontsize=10,
         loc="left",
     )
