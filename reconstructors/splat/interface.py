@@ -71,7 +71,7 @@ class Rasterizer(Protocol):
         *,
         geometry: bool,
     ) -> Drawn:
-        """Draw N Gaussians: means (N, 3), quats (N, 4) wxyz, scales (N, 3), opacities (N,), sh (N, K, 3), background (3,).
+        """Draw N Gaussians: means (N, 3), quats (N, 4), scales (N, 3), opacities (N,), sh (N, K, 3), background (3,).
 
         Args:
             geometry: whether depth, normal and median depth are wanted.
