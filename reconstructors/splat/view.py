@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
@@ -65,12 +63,4 @@ class View:
             (self.width - self.cx) / self.fx + beyond_x,
             -self.cy / self.fy - beyond_y,
             (self.height - self.cy) / self.fy + beyond_y,
-        )
-
-    @property
-    def as_floats(self) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
-        """(21,) float32: rotation by rows, position, fx, fy, cx, cy, the four limits and near."""
-        return np.array(
-            [*self.rotation.ravel(), *self.position, self.fx, self.fy, self.cx, self.cy, *self.limits, self.near],
-            dtype=np.float32,
         )
