@@ -22,6 +22,7 @@ constexpr float kDilation = 0.3f;             // square pixels added to the proj
 constexpr float kLn2 = 0.693147181f;
 constexpr float kWhitening = 0.849321800f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = 2^-(kWhitening x)^2
 constexpr float kLeastQuaternion = 1e-24f;  // squared length below which a rotation is undefined
+constexpr float kMostDeterminant = 1e36f;  // of a covariance in pixels: a float has no room for the squares of more
 constexpr int kMaxHarmonics = 16;           // of spherical harmonics up to degree 3
 
 // ---- numbers
@@ -170,7 +171,7 @@ struct Footprint {
 };
 
 // Returns the splat but for its colour. It is not to be drawn where the mask `drawn` is false: behind `nearest`, too
-// faint, or of an undefined rotation.
+// faint, of an undefined rotation, or larger than a float can square (some 1e9 pixels), where its numbers may be NaN.
 template <class F, class M>
 PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion, Vec<F> scale, F opacity,
                         Footprint<F>& f, M& drawn) {
@@ -208,6 +209,7 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     f.xy = dot(f.row_x, f.row_y);
     // The determinant of a needle's covariance is small beside its terms: Lagrange's identity has no difference of them.
     f.determinant = dot(f.normal_xy, f.normal_xy) + fused(F(kDilation), xx + yy, F(kDilation * kDilation));
+    drawn = drawn & (f.determinant < F(kMostDeterminant));  // which is not so of NaN
     f.depth_x = dot(f.row_z, f.row_x);
     f.depth_y = dot(f.row_z, f.row_y);
 
