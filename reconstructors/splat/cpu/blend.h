@@ -81,7 +81,7 @@ inline void blend_block(const Frame& frame, const Place& place, const float* spl
         const Splat<Floats> s = splat_at(splats + kSplatFloats * static_cast<size_t>(listed[n]));
         const Seen seen = seen_of(s, x, y);
         const Floats alpha = lesser(seen.alpha, most);
-        const Floats next = fused(zero - left, alpha, left);
+        const Floats next = fused(-left, alpha, left);
         Mask counts = going & (least <= alpha);
         const Mask ends = counts & (next < end);
         going = without(going, ends);
@@ -195,7 +195,7 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
             Rays& r = rays[block];
             const Seen seen = seen_of(s, r.x, r.y);
             Floats alpha = lesser(seen.alpha, most);
-            const Floats next = fused(zero - r.left, alpha, r.left);
+            const Floats next = fused(-r.left, alpha, r.left);
             Mask counts = least <= alpha;
             const Mask ends = counts & (next < end);
             counts = without(counts, ends);
@@ -206,15 +206,13 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
             if (bits(zero < r.left) == 0) going &= ~(1u << block);
         }
         float* out = moments + static_cast<size_t>(kWidth) * instance.emission;
-        const Floats sums[kLanes] = {m.h,       m.hu,     m.hv,    m.huu,     m.huv,     m.hvv,      m.color.x, m.color.y,
-                                     m.color.z, m.weight, m.error, m.depth,   m.depth_u, m.depth_v,  m.normal.x, m.normal.y};
+        const Floats columns[kLanes] = {m.h,       m.hu,     m.hv,    m.huu,   m.huv,     m.hvv,     m.color.x,  m.color.y,
+                                        m.color.z, m.weight, m.error, m.depth, m.depth_u, m.depth_v, m.normal.x, m.normal.y};
         if (kGeometry) {
-            for (int k = 0; k < kLanes; ++k) out[k] = sum(sums[k]);
-            out[16] = sum(m.normal.z);
-            out[17] = out[18] = out[19] = 0.0f;
+            store(out, sums(columns));
+            out[kLanes] = sum(m.normal.z);
         } else {
-            for (int k = 0; k < 11; ++k) out[k] = sum(sums[k]);
-            out[11] = 0.0f;
+            store_first(out, kPlainMomentFloats, sums(columns));
         }
     }
 }
