@@ -1,7 +1,7 @@
 // The mathematics of Gaussian splatting, one copy for every device: the CPU's loops include it once for each
 // instruction set, with F a SIMD vector or a float; NVRTC reads it before the CUDA kernels, with F a float.
 //
-// It includes nothing. Whoever includes it defines PCB_FN (what precedes a function) and, for each F beside + - * / < and
+// It includes nothing. Whoever includes it reads pinhole.h before, and defines PCB_FN (what precedes a function) and, for each F beside + - * / < and
 // the conversion from a float: fused(a, b, c) = a * b + c rounded once, root, lesser, greater, select(mask, yes, no),
 // add_exponent(x, n), which multiplies x by 2^n, and exponent(x, mantissa), which splits x > 0 into 2^n * mantissa in
 // [1, 2). Not one of them depends on the device, so that both sum and round alike.
@@ -92,16 +92,7 @@ PCB_FN Vec<F> select(M mask, Vec<F> yes, Vec<F> no) {
     return {select(mask, yes.x, no.x), select(mask, yes.y, no.y), select(mask, yes.z, no.z)};
 }
 
-// ---- the camera: a pinhole
-
-struct Pinhole {
-    float rotation[9];  // cam_from_world, by rows
-    float position[3];  // in the world
-    float fx, fy, cx, cy;
-    float left, right, top, bottom;  // x / z and y / z at which the affine approximation is taken are held within these
-    float nearest;                   // depth
-    int width, height;
-};
+// ---- the camera: a pinhole (pinhole.h)
 
 template <class F>
 PCB_FN Vec<F> to_camera(const Pinhole& at, Vec<F> p) {
@@ -267,7 +258,8 @@ PCB_FN F least_square(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
 
 template <class F>
 PCB_FN F alpha_at(F level, F u, F v) {
-    return exp2_of(fused(F(0.0f) - u, u, fused(F(0.0f) - v, v, level)));
+    // Far away the exponent is held where its power can still be written, far below kLeastAlpha.
+    return exp2_of(greater(fused(F(0.0f) - u, u, fused(F(0.0f) - v, v, level)), F(-64.0f)));
 }
 
 // The derivative of the loss by what a pixel shows.

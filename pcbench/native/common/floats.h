@@ -1,0 +1,165 @@
+// A SIMD vector of sixteen floats, on whatever registers this translation unit may use, with integers and a mask alike.
+// Every operation is one IEEE operation on each lane (no reassociation; a multiply-add only where it is asked for, and
+// then with one rounding everywhere), so each instruction set gives the same bits. Roots are the compiler's own: of
+// std::sqrt(float) the linker would keep one copy for all instruction sets. Included once for each instruction set,
+// into the namespace PCB_SPACE, which names it.
+#pragma once
+#include <cstdint>
+
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+namespace PCB_SPACE {
+
+constexpr int kLanes = 16;
+
+#if defined(__AVX512F__) && defined(__AVX512DQ__)
+
+struct Floats {
+    __m512 v;
+    Floats() = default;
+    Floats(__m512 registers) : v(registers) {}
+    explicit Floats(float s) : v(_mm512_set1_ps(s)) {}
+};
+struct Mask {
+    __mmask16 m;
+};
+inline Floats load(const float* p) { return _mm512_loadu_ps(p); }
+inline void store(float* p, Floats a) { _mm512_storeu_ps(p, a.v); }
+inline Floats operator+(Floats a, Floats b) { return _mm512_add_ps(a.v, b.v); }
+inline Floats operator-(Floats a, Floats b) { return _mm512_sub_ps(a.v, b.v); }
+inline Floats operator*(Floats a, Floats b) { return _mm512_mul_ps(a.v, b.v); }
+inline Floats operator/(Floats a, Floats b) { return _mm512_div_ps(a.v, b.v); }
+inline Floats fused(Floats a, Floats b, Floats c) { return _mm512_fmadd_ps(a.v, b.v, c.v); }
+inline Floats lesser(Floats a, Floats b) { return _mm512_min_ps(a.v, b.v); }
+inline Floats greater(Floats a, Floats b) { return _mm512_max_ps(a.v, b.v); }
+inline Floats root(Floats a) { return _mm512_sqrt_ps(a.v); }
+inline Mask operator<(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ)}; }
+inline Mask operator<=(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)}; }
+inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m)}; }
+inline Mask without(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & ~b.m)}; }
+inline unsigned bits(Mask m) { return m.m; }
+inline Floats select(Mask m, Floats yes, Floats no) { return _mm512_mask_blend_ps(m.m, no.v, yes.v); }
+inline Floats add_exponent(Floats x, Floats whole) {
+    const __m512i n = _mm512_slli_epi32(_mm512_cvtps_epi32(whole.v), 23);
+    return _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(x.v), n));
+}
+inline Floats exponent(Floats x, Floats& mantissa) {
+    const __m512i all = _mm512_castps_si512(x.v);
+    mantissa = _mm512_castsi512_ps(_mm512_or_epi32(_mm512_and_epi32(all, _mm512_set1_epi32(0x007fffff)),
+                                                   _mm512_set1_epi32(0x3f800000)));
+    return _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_srli_epi32(all, 23), _mm512_set1_epi32(127)));
+}
+
+#elif defined(__AVX2__)
+
+struct Floats {
+    __m256 a, b;
+    Floats() = default;
+    Floats(__m256 low, __m256 high) : a(low), b(high) {}
+    explicit Floats(float s) : a(_mm256_set1_ps(s)), b(_mm256_set1_ps(s)) {}
+};
+struct Mask {
+    __m256 a, b;
+};
+inline Floats load(const float* p) { return {_mm256_loadu_ps(p), _mm256_loadu_ps(p + 8)}; }
+inline void store(float* p, Floats x) { _mm256_storeu_ps(p, x.a), _mm256_storeu_ps(p + 8, x.b); }
+inline Floats operator+(Floats x, Floats y) { return {_mm256_add_ps(x.a, y.a), _mm256_add_ps(x.b, y.b)}; }
+inline Floats operator-(Floats x, Floats y) { return {_mm256_sub_ps(x.a, y.a), _mm256_sub_ps(x.b, y.b)}; }
+inline Floats operator*(Floats x, Floats y) { return {_mm256_mul_ps(x.a, y.a), _mm256_mul_ps(x.b, y.b)}; }
+inline Floats operator/(Floats x, Floats y) { return {_mm256_div_ps(x.a, y.a), _mm256_div_ps(x.b, y.b)}; }
+inline Floats fused(Floats x, Floats y, Floats z) {
+    return {_mm256_fmadd_ps(x.a, y.a, z.a), _mm256_fmadd_ps(x.b, y.b, z.b)};
+}
+inline Floats lesser(Floats x, Floats y) { return {_mm256_min_ps(x.a, y.a), _mm256_min_ps(x.b, y.b)}; }
+inline Floats greater(Floats x, Floats y) { return {_mm256_max_ps(x.a, y.a), _mm256_max_ps(x.b, y.b)}; }
+inline Floats root(Floats x) { return {_mm256_sqrt_ps(x.a), _mm256_sqrt_ps(x.b)}; }
+inline Mask operator<(Floats x, Floats y) {
+    return {_mm256_cmp_ps(x.a, y.a, _CMP_LT_OQ), _mm256_cmp_ps(x.b, y.b, _CMP_LT_OQ)};
+}
+inline Mask operator<=(Floats x, Floats y) {
+    return {_mm256_cmp_ps(x.a, y.a, _CMP_LE_OQ), _mm256_cmp_ps(x.b, y.b, _CMP_LE_OQ)};
+}
+inline Mask operator&(Mask x, Mask y) { return {_mm256_and_ps(x.a, y.a), _mm256_and_ps(x.b, y.b)}; }
+inline Mask without(Mask x, Mask y) { return {_mm256_andnot_ps(y.a, x.a), _mm256_andnot_ps(y.b, x.b)}; }
+inline unsigned bits(Mask m) { return _mm256_movemask_ps(m.a) | _mm256_movemask_ps(m.b) << 8; }
+inline Floats select(Mask m, Floats yes, Floats no) {
+    return {_mm256_blendv_ps(no.a, yes.a, m.a), _mm256_blendv_ps(no.b, yes.b, m.b)};
+}
+inline __m256 add_exponent(__m256 x, __m256 whole) {
+    const __m256i n = _mm256_slli_epi32(_mm256_cvtps_epi32(whole), 23);
+    return _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(x), n));
+}
+inline __m256 exponent(__m256 x, __m256& mantissa) {
+    const __m256i all = _mm256_castps_si256(x);
+    mantissa = _mm256_castsi256_ps(_mm256_or_si256(_mm256_and_si256(all, _mm256_set1_epi32(0x007fffff)),
+                                                   _mm256_set1_epi32(0x3f800000)));
+    return _mm256_cvtepi32_ps(_mm256_sub_epi32(_mm256_srli_epi32(all, 23), _mm256_set1_epi32(127)));
+}
+inline Floats add_exponent(Floats x, Floats whole) { return {add_exponent(x.a, whole.a), add_exponent(x.b, whole.b)}; }
+inline Floats exponent(Floats x, Floats& mantissa) {
+    return {exponent(x.a, mantissa.a), exponent(x.b, mantissa.b)};
+}
+
+#else
+
+struct Floats {
+    float v[kLanes];
+    Floats() = default;
+    explicit Floats(float s) {
+        for (int i = 0; i < kLanes; ++i) v[i] = s;
+    }
+};
+struct Mask {
+    int32_t v[kLanes];  // 0 or -1
+};
+#define PCB_EACH(type, expression)                            \
+    type out;                                                 \
+    for (int i = 0; i < kLanes; ++i) out.v[i] = (expression); \
+    return out
+inline Floats load(const float* p) { PCB_EACH(Floats, p[i]); }
+inline void store(float* p, Floats a) {
+    for (int i = 0; i < kLanes; ++i) p[i] = a.v[i];
+}
+inline Floats operator+(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] + b.v[i]); }
+inline Floats operator-(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] - b.v[i]); }
+inline Floats operator*(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] * b.v[i]); }
+inline Floats operator/(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] / b.v[i]); }
+inline Floats fused(Floats a, Floats b, Floats c) { PCB_EACH(Floats, __builtin_fmaf(a.v[i], b.v[i], c.v[i])); }
+inline Floats lesser(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
+inline Floats greater(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
+inline Floats root(Floats a) { PCB_EACH(Floats, __builtin_sqrtf(a.v[i])); }
+inline Mask operator<(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] < b.v[i])); }
+inline Mask operator<=(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] <= b.v[i])); }
+inline Mask operator&(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & b.v[i]); }
+inline Mask without(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & ~b.v[i]); }
+inline unsigned bits(Mask m) {
+    unsigned out = 0;
+    for (int i = 0; i < kLanes; ++i) out |= static_cast<unsigned>(m.v[i] & 1) << i;
+    return out;
+}
+inline Floats select(Mask m, Floats yes, Floats no) { PCB_EACH(Floats, m.v[i] ? yes.v[i] : no.v[i]); }
+inline int32_t as_bits(float x) {
+    int32_t out;
+    __builtin_memcpy(&out, &x, sizeof out);
+    return out;
+}
+inline float as_float(int32_t x) {
+    float out;
+    __builtin_memcpy(&out, &x, sizeof out);
+    return out;
+}
+inline Floats add_exponent(Floats x, Floats whole) {
+    PCB_EACH(Floats, as_float(static_cast<int32_t>(static_cast<uint32_t>(as_bits(x.v[i])) +
+                                                   (static_cast<uint32_t>(static_cast<int32_t>(whole.v[i])) << 23))));
+}
+inline Floats exponent(Floats x, Floats& mantissa) {
+    for (int i = 0; i < kLanes; ++i) mantissa.v[i] = as_float((as_bits(x.v[i]) & 0x007fffff) | 0x3f800000);
+    PCB_EACH(Floats, static_cast<float>((as_bits(x.v[i]) >> 23) - 127));
+}
+#undef PCB_EACH
+
+#endif
+
+}  // namespace PCB_SPACE

@@ -1,0 +1,103 @@
+"""The rasterizer on the CPU: compiled loops, the same bits at any thread count and on every instruction set."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from reconstructors.splat.cpu import _rasterizer
+from reconstructors.splat.interface import Drawn, ImageLoss, Pulled
+from reconstructors.splat.view import View
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class Rasterizer:
+    """See `reconstructors.splat.interface.Rasterizer`. Tensors are float32, contiguous and on the CPU.
+
+    It holds, from one view to the next, some 110 bytes a Gaussian, 12 bytes for each Gaussian in each tile of 16 x 16
+    pixels that it touches, and for the derivatives 48 more of those (80 with geometry).
+    """
+
+    def __init__(self) -> None:
+        self._compiled = _rasterizer.Rasterizer()
+        self._shape: tuple[int, ...] = ()
+
+    def forward(
+        self,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        sh: Tensor,
+        view: View,
+        background: Tensor,
+        *,
+        geometry: bool,
+    ) -> Drawn:
+        """The image; the tensors must stay as they are until `backward`."""
+        size = (view.height, view.width)
+        color, transmittance = means.new_empty((*size, 3)), means.new_empty(size)
+        depth, normal, median_depth = (
+            (means.new_empty(size), means.new_empty((*size, 3)), means.new_empty(size)) if geometry else (None,) * 3
+        )
+        self._compiled.forward(
+            *(tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)),
+            np.ascontiguousarray(view.rotation, dtype=np.float32),
+            view.position.astype(np.float32),
+            np.array([view.fx, view.fy, view.cx, view.cy], dtype=np.float32),
+            np.array(view.limits, dtype=np.float32),
+            view.near,
+            background.detach().numpy(),
+            *(None if image is None else image.numpy() for image in (color, transmittance, depth, normal, median_depth)),
+        )
+        self._shape = tuple(sh.shape)
+        return Drawn(color, transmittance, depth, normal, median_depth)
+
+    def backward(
+        self,
+        color: Tensor,
+        transmittance: Tensor | None,
+        depth: Tensor | None,
+        normal: Tensor | None,
+        error: Tensor | None,
+    ) -> Pulled:
+        """The derivatives of what `forward` drew last."""
+        import torch
+
+        count = self._compiled.drawn
+        shapes = [(count, 3), (count, 4), (count, 3), (count,), (count, *self._shape[1:]), (count, 2), (count,), (count,)]
+        pulled = Pulled(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
+        self._compiled.backward(
+            *(None if image is None else image.numpy() for image in (color, transmittance, depth, normal, error)),
+            *(tensor.numpy() for tensor in pulled),
+        )
+        return pulled
+
+
+def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
+    """See `reconstructors.splat.reference.image_loss`, in float32."""
+    import torch
+
+    gradient = torch.empty_like(image)
+    l1, ssim = _rasterizer.ImageLoss()(image.detach().numpy(), target.numpy(), ssim_weight, gradient.numpy())
+    return ImageLoss(l1, ssim, gradient)
+
+
+def adam(
+    parameters: Tensor,
+    first: Tensor,
+    second: Tensor,
+    gradient: Tensor,
+    ids: Tensor,
+    learning_rate: float,
+    step: int,
+    betas: tuple[float, float] = (0.9, 0.999),
+    eps: float = 1e-15,
+) -> None:
+    """One step of Adam, in place, on the rows `ids` (rising) of parameters (N, D) and their moments; other rows stay."""
+    _rasterizer.adam(
+        *(tensor.numpy() for tensor in (parameters, first, second, gradient, ids)), learning_rate, step, *betas, eps
+    )

@@ -1,0 +1,218 @@
+// From Gaussians to splats in the image, sixteen at a time, and the derivative of that.
+#pragma once
+#include "rows.h"
+
+namespace PCB_SPACE {
+
+// Sixteen Gaussians as they are stored.
+struct Gaussians {
+    Vec<Floats> mean, scale;
+    Quaternion<Floats> quaternion;
+    Floats opacity;
+};
+
+inline Gaussians gaussians_at(const Model& model, int64_t at, int count) {
+    const float* q = model.quaternions + 4 * at;
+    return {vector_of(model.means + 3 * at, count), vector_of(model.scales + 3 * at, count),
+            {column_of(q, 4, 0, count), column_of(q, 4, 1, count), column_of(q, 4, 2, count), column_of(q, 4, 3, count)},
+            column_of(model.opacities + at, 1, 0, count)};
+}
+
+// The colours of sixteen Gaussians in the directions in which they are seen.
+inline Vec<Floats> colors_at(const Model& model, int64_t at, int count, Vec<Floats> offset) {
+    Floats basis[kMaxHarmonics];
+    harmonics(unit(offset), model.harmonic_count, basis);
+    const int width = 3 * model.harmonic_count;
+    const float* rows = model.harmonics + width * at;
+    const Floats half = Floats(0.5f), zero = Floats(0.0f);
+    Vec<Floats> color = {half, half, half};
+    for (int k = 0; k < model.harmonic_count; ++k)
+        color = fused(basis[k],
+                      Vec<Floats>{column_of(rows, width, 3 * k, count), column_of(rows, width, 3 * k + 1, count),
+                                  column_of(rows, width, 3 * k + 2, count)},
+                      color);
+    return {greater(color.x, zero), greater(color.y, zero), greater(color.z, zero)};
+}
+
+inline float held(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
+
+// The pixels of a line of `size` whose centres are within `extent` of `center`; none where first > last.
+inline void pixels_within(float center, float extent, int size, int& first, int& last) {
+    const float low = held(center - extent - 0.5f, -1.0f, static_cast<float>(size));
+    const float high = held(center + extent - 0.5f, -1.0f, static_cast<float>(size));
+    first = static_cast<int>(low);
+    first += first < low;  // upwards
+    last = static_cast<int>(high);
+    last -= last > high;  // downwards
+    if (first < 0) first = 0;
+    if (last > size - 1) last = size - 1;
+}
+
+inline int project_group(const Frame& frame, int64_t group) {
+    const Model& model = frame.model;
+    const int64_t begin = group * kGroup;
+    const int64_t end = begin + kGroup < model.count ? begin + kGroup : model.count;
+    int drawn_count = 0;
+    for (int64_t at = begin; at < end; at += kLanes) {
+        const int count = end - at < kLanes ? static_cast<int>(end - at) : kLanes;
+        const Gaussians g = gaussians_at(model, at, count);
+        Footprint<Floats> f;
+        Mask drawn;
+        Splat<Floats> s = project(frame.pinhole, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
+        // Neither comparison holds of what is not a number.
+        const Floats most = Floats(1e8f);
+        drawn = drawn & (f.extent_x < most) & (f.extent_y < most);
+        unsigned lanes = bits(drawn) & ((1u << count) - 1u);
+        if (lanes == 0) continue;
+
+        float x[kLanes], y[kLanes], extent_x[kLanes], extent_y[kLanes], depth[kLanes];
+        store(x, s.x), store(y, s.y), store(extent_x, f.extent_x), store(extent_y, f.extent_y), store(depth, s.depth);
+        const int64_t slot = begin + drawn_count;
+        unsigned kept = 0;
+        int rows = 0;
+        for (; lanes != 0; lanes &= lanes - 1) {
+            const int i = __builtin_ctz(lanes);
+            int left, right, top, bottom;
+            pixels_within(x[i], extent_x[i], frame.pinhole.width, left, right);
+            pixels_within(y[i], extent_y[i], frame.pinhole.height, top, bottom);
+            if (left > right || top > bottom) continue;
+            kept |= 1u << i;
+            frame.boxes[slot + rows] = {static_cast<int16_t>(left / kTile), static_cast<int16_t>(top / kTile),
+                                        static_cast<int16_t>(right / kTile), static_cast<int16_t>(bottom / kTile)};
+            frame.depths[slot + rows] = depth[i];
+            frame.ids[slot + rows] = static_cast<uint32_t>(at + i);
+            ++rows;
+        }
+        if (kept == 0) continue;
+        s.color = colors_at(model, at, count, f.offset);
+        float* out = frame.splats + kSplatFloats * slot;
+        const Floats columns[kSplatFloats] = {s.x,       s.y,       s.uu,    s.uv,       s.vv,       s.level,
+                                              s.color.x, s.color.y, s.color.z, s.depth,  s.depth_u,  s.depth_v,
+                                              s.normal.x, s.normal.y, s.normal.z, f.reach};
+        for (int k = 0; k < kSplatFloats; ++k) write_column(out, kSplatFloats, k, kept, columns[k]);
+        drawn_count += rows;
+    }
+    return drawn_count;
+}
+
+inline int cover(const Frame& frame, uint32_t slot, uint32_t* tiles, uint32_t* blocks) {
+    static const float kAcross[kLanes] = {0, 4, 8, 12, 0, 4, 8, 12, 0, 4, 8, 12, 0, 4, 8, 12};
+    static const float kDown[kLanes] = {0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12};
+    const float* s = frame.splats + kSplatFloats * static_cast<size_t>(slot);
+    const Box box = frame.boxes[slot];
+    const Floats across = load(kAcross), down = load(kDown), last = Floats(kBlock - 1.0f);
+    const Floats uu = Floats(s[2]), uv = Floats(s[3]), vv = Floats(s[4]);
+    // The slack keeps a block whose nearest pixel rounding has put just outside.
+    const Floats reach = Floats(s[15] * 1.0001f + 1e-3f);
+    int count = 0;
+    for (int row = box.top; row <= box.bottom; ++row) {
+        const Floats y0 = down + Floats(static_cast<float>(row * kTile) + 0.5f - s[1]);
+        const int high = frame.pinhole.height - row * kTile;  // pixels of this row's tiles within the image
+        for (int column = box.left; column <= box.right; ++column) {
+            const Floats x0 = across + Floats(static_cast<float>(column * kTile) + 0.5f - s[0]);
+            const int wide = frame.pinhole.width - column * kTile;
+            const Mask inside = (across < Floats(static_cast<float>(wide))) & (down < Floats(static_cast<float>(high)));
+            const Mask touched = least_square(uu, uv, vv, x0, x0 + last, y0, y0 + last) <= reach;
+            const unsigned mask = bits(touched & inside);
+            if (mask == 0) continue;
+            tiles[count] = static_cast<uint32_t>(row * frame.tiles_across + column);
+            blocks[count++] = mask;
+        }
+    }
+    return count;
+}
+
+// The sums over pixels of sixteen drawn Gaussians, each over all tiles that it is in.
+inline Moments<Floats> moments_of(const Frame& frame, const float* moments, const uint32_t* first,
+                                  const uint32_t* count, int rows) {
+    float all[kLanes][32];  // by rows; 32, so that two vectors cover a record
+    const int width = frame.geometry ? kMomentFloats : kPlainMomentFloats;
+    for (int i = 0; i < kLanes; ++i) {
+        Floats low = Floats(0.0f), high = Floats(0.0f);
+        if (i < rows) {
+            const float* record = moments + static_cast<size_t>(width) * first[i];
+            for (uint32_t k = 0; k < count[i]; ++k, record += width) {
+                low = low + load(record);  // the array has room for a vector behind its last record
+                if (frame.geometry) high = high + load(record + kLanes);
+            }
+        }
+        store(all[i], low), store(all[i] + kLanes, high);
+    }
+    const auto column = [&](int k) {
+        float lanes[kLanes];
+        for (int i = 0; i < kLanes; ++i) lanes[i] = all[i][k];
+        return load(lanes);
+    };
+    Moments<Floats> m;
+    m.h = column(0), m.hu = column(1), m.hv = column(2), m.huu = column(3), m.huv = column(4), m.hvv = column(5);
+    m.color = {column(6), column(7), column(8)};
+    m.weight = column(9), m.error = column(10);
+    const Floats zero = Floats(0.0f);
+    m.depth = m.depth_u = m.depth_v = zero;
+    m.normal = {zero, zero, zero};
+    if (frame.geometry) {
+        m.depth = column(11), m.depth_u = column(12), m.depth_v = column(13);
+        m.normal = {column(14), column(15), column(16)};
+    }
+    return m;
+}
+
+inline void project_group_gradient(const Frame& frame, int64_t group, const float* moments, const uint32_t* first,
+                                   const uint32_t* count, int64_t row, const ModelGradients& out) {
+    const Model& model = frame.model;
+    const int64_t begin = group * kGroup;
+    const int harmonic_count = model.harmonic_count, width = 3 * harmonic_count;
+    for (int done = 0; done < frame.drawn[group]; done += kLanes, row += kLanes) {
+        const int rows = frame.drawn[group] - done < kLanes ? frame.drawn[group] - done : kLanes;
+        const int64_t slot = begin + done;
+        float means[3 * kLanes], scales[3 * kLanes], quaternions[4 * kLanes], opacities[kLanes];
+        const float* sh[kLanes];
+        for (int i = 0; i < kLanes; ++i) {
+            const int64_t id = frame.ids[slot + (i < rows ? i : 0)];
+            for (int k = 0; k < 3; ++k) means[3 * i + k] = model.means[3 * id + k];
+            for (int k = 0; k < 3; ++k) scales[3 * i + k] = model.scales[3 * id + k];
+            for (int k = 0; k < 4; ++k) quaternions[4 * i + k] = model.quaternions[4 * id + k];
+            opacities[i] = model.opacities[id];
+            sh[i] = model.harmonics + width * id;
+        }
+        const Model gathered = {kLanes, means, quaternions, scales, opacities, nullptr, harmonic_count};
+        const Gaussians g = gaussians_at(gathered, 0, kLanes);
+        Footprint<Floats> f;
+        Mask drawn;
+        const Splat<Floats> s = project(frame.pinhole, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
+        const Moments<Floats> m = moments_of(frame, moments, first + slot, count + slot, rows);
+        Gradient<Floats> by = project_gradient(frame.pinhole, g.scale, g.opacity, f, s, m);
+
+        // Where a colour is held at zero it does not depend on the harmonics.
+        const Floats zero = Floats(0.0f);
+        const float* splats = frame.splats + kSplatFloats * slot;
+        const auto free = [&](int k, Floats by_channel) {
+            return select(zero < column_of(splats, kSplatFloats, 6 + k, rows), by_channel, zero);
+        };
+        const Vec<Floats> by_color = {free(0, m.color.x), free(1, m.color.y), free(2, m.color.z)};
+        Floats basis[kMaxHarmonics], by_basis[kMaxHarmonics];
+        const Vec<Floats> direction = unit(f.offset);
+        harmonics(direction, harmonic_count, basis);
+        const unsigned lanes = (1u << rows) - 1u;
+        for (int k = 0; k < harmonic_count; ++k) {
+            float channel[3][kLanes];
+            for (int i = 0; i < kLanes; ++i)
+                for (int c = 0; c < 3; ++c) channel[c][i] = sh[i][3 * k + c];
+            by_basis[k] = dot(by_color, Vec<Floats>{load(channel[0]), load(channel[1]), load(channel[2])});
+            write_vector(out.harmonics + width * row, width, 3 * k, lanes, basis[k] * by_color);
+        }
+        by.mean = by.mean + unit_gradient(f.offset, harmonics_gradient(direction, harmonic_count, by_basis));
+
+        write_vector(out.means + 3 * row, 3, 0, lanes, by.mean);
+        write_vector(out.scales + 3 * row, 3, 0, lanes, by.scale);
+        write_column(out.quaternions + 4 * row, 4, 0, lanes, by.quaternion.w);
+        write_vector(out.quaternions + 4 * row, 4, 1, lanes, {by.quaternion.x, by.quaternion.y, by.quaternion.z});
+        write_column(out.opacities + row, 1, 0, lanes, by.opacity);
+        write_column(out.screen + 2 * row, 2, 0, lanes, by.screen_x);
+        write_column(out.screen + 2 * row, 2, 1, lanes, by.screen_y);
+        write_column(out.weight + row, 1, 0, lanes, m.weight);
+        write_column(out.error + row, 1, 0, lanes, m.error);
+    }
+}
+
+}  // namespace PCB_SPACE

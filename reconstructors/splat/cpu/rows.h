@@ -1,0 +1,37 @@
+// Between arrays by rows and SIMD vectors by columns: sixteen rows at a time, of which the first `count` exist.
+#pragma once
+
+namespace PCB_SPACE {
+
+// Column `column` of rows of `width` floats; lanes beyond `count` repeat the first row.
+inline Floats column_of(const float* rows, int width, int column, int count) {
+    float lanes[kLanes];
+    for (int i = 0; i < kLanes; ++i) lanes[i] = rows[(i < count ? i : 0) * width + column];
+    return load(lanes);
+}
+inline Vec<Floats> vector_of(const float* rows, int count) {
+    return {column_of(rows, 3, 0, count), column_of(rows, 3, 1, count), column_of(rows, 3, 2, count)};
+}
+
+// Writes the lanes with a bit in `lanes` to consecutive rows.
+inline void write_column(float* rows, int width, int column, unsigned lanes, Floats values) {
+    float all[kLanes];
+    store(all, values);
+    for (int at = 0; lanes != 0; lanes &= lanes - 1, ++at) rows[at * width + column] = all[__builtin_ctz(lanes)];
+}
+inline void write_vector(float* rows, int width, int column, unsigned lanes, Vec<Floats> values) {
+    write_column(rows, width, column, lanes, values.x);
+    write_column(rows, width, column + 1, lanes, values.y);
+    write_column(rows, width, column + 2, lanes, values.z);
+}
+
+// The sum of all lanes, halves folded onto each other: the same order on every instruction set.
+inline float sum(Floats values) {
+    float all[kLanes];
+    store(all, values);
+    for (int half = kLanes / 2; half > 0; half /= 2)
+        for (int i = 0; i < half; ++i) all[i] += all[i + half];
+    return all[0];
+}
+
+}  // namespace PCB_SPACE
