@@ -19,7 +19,7 @@ class Rasterize(torch.autograd.Function):  # type: ignore[misc]
     def forward(ctx: Any, rasterizer: Rasterizer, view: View, background: Tensor, *gaussians: Tensor) -> Any:
         means, quats, scales, opacities, sh = (tensor.detach().contiguous() for tensor in gaussians)
         drawn = rasterizer.forward(means, quats, scales, opacities, sh, view, background.detach(), geometry=True)
-        # Tensors of their own over the same memory: the rasterizer keeps those that it made, and if it kept these, which
+        # Tensors of their own over the same memory: the rasterizer keeps those that it made; if it kept these, which
         # know what made them, both would live for ever.
         images = tuple(image.detach() for image in drawn if image is not None)
         ctx.rasterizer = rasterizer

@@ -58,9 +58,9 @@ def rasterize(
     are none of second order.
 
     A Gaussian is drawn if its mean is deeper than 0.01, its opacity exceeds 1/255, its quaternion has a length
-    (above 1e-12), and it is under some 1e9 pixels in size. 0.3 square pixels are added to its projected covariance. What
-    would show with less than 1/255 at a pixel is skipped there; alpha is at most 0.99; a ray ends before less than 1e-4
-    of the background would be left.
+    (above 1e-12), and it is under some 1e9 pixels in size. 0.3 square pixels are added to its projected covariance.
+    What would show with less than 1/255 at a pixel is skipped there; alpha is at most 0.99; a ray ends before less
+    than 1e-4 of the background would be left.
 
     Memory beside the tensors given and returned, until the derivative has been taken: MEMORY
 
