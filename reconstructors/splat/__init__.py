@@ -1,1 +1,5 @@
 """Gaussian splatting: a differentiable rasterizer for the CPU and for CUDA, and what is built on it."""
+
+from reconstructors.splat.rasterize import Rendering, rasterize
+
+__all__ = ["Rendering", "rasterize"]

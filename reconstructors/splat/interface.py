@@ -1,12 +1,13 @@
 """What the rasterizers of every device take and give.
 
-Each device has a `Rasterizer` and the functions `image_loss` and `adam`: `reconstructors.splat.cpu`,
-`reconstructors.splat.cuda`, and the plain `reconstructors.splat.reference` that the two are tested against. Tensors are
-of one device, contiguous and float32, in float64 for the reference.
+Each device has a module of `Kernels`: `reconstructors.splat.cpu`, `reconstructors.splat.cuda`, and the plain
+`reconstructors.splat.reference` that the two are tested against. Tensors are of one device, contiguous and float32; the
+reference works and answers in float64.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from reconstructors.splat.view import View
@@ -106,3 +107,34 @@ class ImageLoss(NamedTuple):
     l1: float | Tensor
     ssim: float | Tensor
     gradient: Tensor
+
+
+class Adam(Protocol):
+    """One step of Adam, in place, on the rows `ids` (V,) of parameters (N, D) and their moments; other rows stay.
+
+    `gradient` (V, D) is of those rows; `step` counts from 1, of all rows alike.
+    """
+
+    def __call__(
+        self,
+        parameters: Tensor,
+        first: Tensor,
+        second: Tensor,
+        gradient: Tensor,
+        ids: Tensor,
+        learning_rate: float,
+        step: int,
+        betas: tuple[float, float] = ...,
+        eps: float = ...,
+    ) -> None: ...
+
+
+class Kernels(Protocol):
+    """What the module of each device has."""
+
+    @property
+    def Rasterizer(self) -> Callable[[], Rasterizer]: ...
+    @property
+    def image_loss(self) -> Callable[[Tensor, Tensor, float], ImageLoss]: ...
+    @property
+    def adam(self) -> Adam: ...

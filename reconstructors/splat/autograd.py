@@ -1,0 +1,52 @@
+"""A rasterizer as a function that torch can differentiate. Importing this imports torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from reconstructors.splat.interface import Rasterizer
+from reconstructors.splat.view import View
+
+
+class Rasterize(torch.autograd.Function):  # type: ignore[misc]
+    """Gaussians and a background in, the five images of `Drawn` out; shapes as in `Rasterizer`."""
+
+    @staticmethod
+    def forward(ctx: Any, rasterizer: Rasterizer, view: View, background: Tensor, *gaussians: Tensor) -> Any:
+        means, quats, scales, opacities, sh = (tensor.detach().contiguous() for tensor in gaussians)
+        drawn = rasterizer.forward(means, quats, scales, opacities, sh, view, background.detach(), geometry=True)
+        # Tensors of their own over the same memory: the rasterizer keeps those that it made; if it kept these, which
+        # know what made them, both would live for ever.
+        images = tuple(image.detach() for image in drawn if image is not None)
+        ctx.rasterizer = rasterizer
+        # The rasterizer reads them all again. Asking torch for them refuses what has been overwritten meanwhile.
+        ctx.save_for_backward(*gaussians, *images)
+        ctx.mark_non_differentiable(images[-1])
+        ctx.set_materialize_grads(False)
+        return images
+
+    @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator]
+    def backward(
+        ctx: Any,
+        color: Tensor | None,
+        transmittance: Tensor | None,
+        depth: Tensor | None,
+        normal: Tensor | None,
+        _: None,
+    ) -> Any:
+        *gaussians, drawn_color, drawn_transmittance, _depth, _normal, _median_depth = ctx.saved_tensors
+        by_color = torch.zeros_like(drawn_color) if color is None else color.contiguous()
+        others = [None if image is None else image.contiguous() for image in (transmittance, depth, normal)]
+        pulled = ctx.rasterizer.backward(by_color, *others, None)
+        by_gaussians = []
+        for tensor, rows in zip(gaussians, pulled[1:6], strict=True):
+            full = torch.zeros_like(tensor)
+            full[pulled.ids] = rows.to(full.dtype)
+            by_gaussians.append(full)
+        by_background = (by_color * drawn_transmittance[..., None]).sum(dim=(0, 1)) if ctx.needs_input_grad[2] else None
+        return None, None, by_background, *by_gaussians
