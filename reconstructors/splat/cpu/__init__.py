@@ -92,12 +92,19 @@ def adam(
     second: Tensor,
     gradient: Tensor,
     ids: Tensor,
-    learning_rate: float,
+    learning_rate: float | Tensor,
     step: int,
     betas: tuple[float, float] = (0.9, 0.999),
     eps: float = 1e-15,
 ) -> None:
-    """One step of Adam, in place, on the rows `ids` (rising) of parameters (N, D) and their moments; other rows stay."""
+    """One step of Adam, in place, on the rows `ids` (rising) of parameters (N, D) and their moments; other rows stay.
+
+    Args:
+        learning_rate: of all columns, or of each (D,).
+    """
+    import torch
+
+    rates = torch.as_tensor(learning_rate, dtype=torch.float32).expand(parameters.shape[1]).contiguous()
     _rasterizer.adam(
-        *(tensor.numpy() for tensor in (parameters, first, second, gradient, ids)), learning_rate, step, *betas, eps
+        *(tensor.numpy() for tensor in (parameters, first, second, gradient, ids, rates)), step, *betas, eps
     )
