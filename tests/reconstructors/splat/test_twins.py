@@ -91,8 +91,8 @@ def photographs(rng, height, width):
 @pytest.mark.parametrize("height, width", [(1, 1), (3, 7), (11, 5), (16, 32), (37, 50)])
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
 def test_loss_of_an_image(engine, height, width, weight):
-    """Squares of values about 1 are subtracted from each other in float32: 1e-7 of them is 1e-4 of the constant 9e-4 that
-    they are added to."""
+    """Squares of values about 1 are subtracted from each other in float32: 1e-7 of them is 1e-4 of the constant 9e-4 to
+    which they are added."""
     image, target = (engine.tensor(array) for array in photographs(np.random.default_rng(4), height, width))
     ours, theirs = engine.kernels.image_loss(image, target, weight), reference.image_loss(image, target, weight)
     assert float(ours.l1) == pytest.approx(float(theirs.l1), rel=1e-6)
