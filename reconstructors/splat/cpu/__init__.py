@@ -51,7 +51,10 @@ class Rasterizer:
             np.array(view.limits, dtype=np.float32),
             view.near,
             background.detach().numpy(),
-            *(None if image is None else image.numpy() for image in (color, transmittance, depth, normal, median_depth)),
+            *(
+                None if image is None else image.numpy()
+                for image in (color, transmittance, depth, normal, median_depth)
+            ),
         )
         self._shape = tuple(sh.shape)
         return Drawn(color, transmittance, depth, normal, median_depth)
@@ -68,7 +71,16 @@ class Rasterizer:
         import torch
 
         count = self._compiled.drawn
-        shapes = [(count, 3), (count, 4), (count, 3), (count,), (count, *self._shape[1:]), (count, 2), (count,), (count,)]
+        shapes = [
+            (count, 3),
+            (count, 4),
+            (count, 3),
+            (count,),
+            (count, *self._shape[1:]),
+            (count, 2),
+            (count,),
+            (count,),
+        ]
         pulled = Pulled(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
         self._compiled.backward(
             *(None if image is None else image.numpy() for image in (color, transmittance, depth, normal, error)),
