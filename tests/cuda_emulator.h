@@ -7,16 +7,12 @@
 // It shows neither the memory model nor what lanes in lockstep would do, neither registers nor speed.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <memory>
 #include <type_traits>
 #include <utility>
-#include <vector>
 
 #if defined(__SANITIZE_ADDRESS__)
 #include <sanitizer/asan_interface.h>
@@ -35,6 +31,7 @@ namespace emulator {
 
 constexpr unsigned kWarpSize = 32;
 constexpr size_t kStack = 1 << 18;
+constexpr unsigned kMostThreads = 1024;  // of a block
 
 // ---- fibers
 
@@ -100,7 +97,8 @@ struct Thread {
 };
 
 struct Machine {
-    std::vector<Thread> threads;
+    Thread threads[kMostThreads];
+    unsigned count = 0;  // of them
     Context scheduler;
     void* fake_stack = nullptr;
     const void* bottom = nullptr;  // of the scheduler's stack
@@ -188,7 +186,7 @@ inline void release_warp(unsigned number) {
     if (asked.state != State::kAtWarp) return;
     const unsigned first = number - number % kWarpSize;
     Thread* lanes = &machine.threads[first];
-    const unsigned count = std::min<unsigned>(kWarpSize, static_cast<unsigned>(machine.threads.size()) - first);
+    const unsigned count = machine.count - first < kWarpSize ? machine.count - first : kWarpSize;
     unsigned ballot = 0;
     uint64_t sum = 0;
     for (unsigned lane = 0; lane < count; ++lane) {
@@ -228,15 +226,16 @@ inline void release_warp(unsigned number) {
 inline void release_block() {
     const Thread& first = machine.threads[0];
     uint64_t count = 0;
-    for (const Thread& thread : machine.threads) {
-        if (thread.state != State::kAtBlock) return;
-        count += thread.value;
+    for (unsigned i = 0; i < machine.count; ++i) {
+        if (machine.threads[i].state != State::kAtBlock) return;
+        count += machine.threads[i].value;
     }
-    for (unsigned i = 0; i < machine.threads.size(); ++i)
+    for (unsigned i = 0; i < machine.count; ++i)
         if (machine.threads[i].line != first.line)
             return fail("divergent barrier: thread 0 is at line %d, thread %u at line %d", first.line, i,
                         machine.threads[i].line);
-    for (Thread& thread : machine.threads) thread.answer = count, thread.state = State::kReady;
+    for (unsigned i = 0; i < machine.count; ++i)
+        machine.threads[i].answer = count, machine.threads[i].state = State::kReady;
 }
 
 // Nobody can go on: who waits where.
@@ -244,9 +243,9 @@ inline void fail_stuck() {
     unsigned waiting = 0, other = 0;
     const auto& threads = machine.threads;
     while (threads[waiting].state == State::kEnded) ++waiting;
-    while (other < threads.size() && threads[other].state == threads[waiting].state) ++other;
+    while (other < machine.count && threads[other].state == threads[waiting].state) ++other;
     const char* names[] = {"ready", "at a barrier of the block", "at a barrier of its warp", "ended"};
-    if (other == threads.size()) return fail("divergent barrier: thread %u waits (line %d)", waiting, threads[waiting].line);
+    if (other == machine.count) return fail("divergent barrier: thread %u waits (line %d)", waiting, threads[waiting].line);
     fail("divergent barrier: thread %u is %s (line %d), thread %u %s (line %d)", waiting,
          names[static_cast<int>(threads[waiting].state)], threads[waiting].line, other,
          names[static_cast<int>(threads[other].state)], threads[other].line);
@@ -265,11 +264,14 @@ struct Shuffler {
         z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
         return z ^ (z >> 31);
     }
-    void arrange(std::vector<unsigned>& numbers) {
-        const size_t count = numbers.size();
-        for (unsigned i = 0; i < count; ++i) numbers[i] = order == kReverse ? static_cast<unsigned>(count) - 1 - i : i;
+    void arrange(unsigned* numbers, unsigned count) {
+        for (unsigned i = 0; i < count; ++i) numbers[i] = order == kReverse ? count - 1 - i : i;
         if (order != kRandom) return;
-        for (size_t i = count; i > 1; --i) std::swap(numbers[i - 1], numbers[draw() % i]);
+        for (unsigned i = count; i > 1; --i) {
+            const unsigned other = static_cast<unsigned>(draw() % i), last = numbers[i - 1];
+            numbers[i - 1] = numbers[other];
+            numbers[other] = last;
+        }
     }
 };
 
@@ -288,16 +290,17 @@ inline void spoil_shared() {}
 
 inline void run_block(Shuffler& shuffler) {
     spoil_shared();
-    auto& threads = machine.threads;
-    for (Thread& thread : threads) {
-        thread.state = State::kReady;
-        make_context(thread.context, thread.stack, run_thread);
+    Thread* threads = machine.threads;
+    for (unsigned i = 0; i < machine.count; ++i) {
+        threads[i].state = State::kReady;
+        make_context(threads[i].context, threads[i].stack, run_thread);
     }
-    std::vector<unsigned> numbers(threads.size());
+    unsigned numbers[kMostThreads];
     for (bool moved = true; moved && !machine.failed;) {
         moved = false;
-        shuffler.arrange(numbers);
-        for (const unsigned number : numbers) {
+        shuffler.arrange(numbers, machine.count);
+        for (unsigned i = 0; i < machine.count; ++i) {
+            const unsigned number = numbers[i];
             if (threads[number].state != State::kReady) continue;
             resume(number);
             moved = true;
@@ -306,29 +309,30 @@ inline void run_block(Shuffler& shuffler) {
             if (threads[number].state == State::kAtBlock) release_block();
         }
     }
-    for (const Thread& thread : threads)
-        if (thread.state != State::kEnded) return fail_stuck();
+    for (unsigned i = 0; i < machine.count; ++i)
+        if (threads[i].state != State::kEnded) return fail_stuck();
 }
 
 inline int run(void (*call)(), unsigned blocks, unsigned threads, int order, uint64_t seed, char* message, size_t room) {
-    machine.threads.clear();
-    machine.threads.resize(threads);
-    const std::unique_ptr<char[]> stacks(new char[kStack * threads]);
-    for (unsigned i = 0; i < threads; ++i) machine.threads[i].stack = stacks.get() + kStack * i;
+    if (threads > kMostThreads) std::abort();
+    char* stacks = static_cast<char*>(std::malloc(kStack * threads));
+    unsigned* numbers = static_cast<unsigned*>(std::malloc(sizeof(unsigned) * blocks));
+    for (unsigned i = 0; i < threads; ++i) machine.threads[i].stack = stacks + kStack * i;
+    machine.count = threads;
     machine.call = call;
     machine.message = message;
     machine.room = room;
     machine.failed = false;
     gridDim.x = blocks, blockDim.x = threads;
     Shuffler shuffler{order, seed};
-    std::vector<unsigned> numbers(blocks);
-    shuffler.arrange(numbers);
-    for (const unsigned block : numbers) {
-        blockIdx.x = block;
+    shuffler.arrange(numbers, blocks);
+    for (unsigned i = 0; i < blocks && !machine.failed; ++i) {
+        blockIdx.x = numbers[i];
         run_block(shuffler);
-        if (machine.failed) return 1;
     }
-    return 0;
+    std::free(numbers);
+    std::free(stacks);
+    return machine.failed ? 1 : 0;
 }
 
 // ---- calls by name
@@ -459,8 +463,11 @@ T atomicAdd(T* to, T value) {
     return before;
 }
 
-inline float __fmaf_rn(float a, float b, float c) { return std::fma(a, b, c); }
-inline float __fsqrt_rn(float x) { return std::sqrt(x); }
+inline float __fmaf_rn(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+inline float __fsqrt_rn(float x) { return __builtin_sqrtf(x); }
+inline float ceilf(float x) { return __builtin_ceilf(x); }
+inline float floorf(float x) { return __builtin_floorf(x); }
+inline float fabsf(float x) { return __builtin_fabsf(x); }
 inline int __float_as_int(float x) { return emulator::unpacked<int>(emulator::packed(x)); }
 inline float __int_as_float(int x) { return emulator::unpacked<float>(emulator::packed(x)); }
 inline int __popc(unsigned x) { return __builtin_popcount(x); }
