@@ -96,9 +96,11 @@ def faint(rng):
 
 
 def opaque(rng):
-    """Opacities of 1, which are held at 0.99: rays end after a few."""
+    """Opacities of 1, which are held at 0.99: rays end after a few. Some are at one place, others alike all through."""
     scene = scattered(rng, 120, size=0.4)
     scene.opacities[:] = 1
+    scene.means[:6] = scene.means[0]
+    scene.means[6:12], scene.scales[6:12], scene.quats[6:12] = scene.means[6], 0.7, scene.quats[6]
     return scene
 
 

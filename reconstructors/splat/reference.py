@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from numpy.polynomial import Legendre, Polynomial
 from torch import Tensor
@@ -20,8 +21,9 @@ from torch import Tensor
 from reconstructors.splat.interface import Drawn, ImageLoss, Pulled
 from reconstructors.splat.view import View
 
-_LEAST_ALPHA, _MOST_ALPHA = 1 / 255, 0.99
-_LEAST_TRANSMITTANCE = 1e-4
+# As float32 rounds them: two Gaussians held at 0.99 leave 1e-4 of a ray, all but exactly, and on which side of the
+# threshold that is must not depend on the type.
+_LEAST_ALPHA, _MOST_ALPHA, _LEAST_TRANSMITTANCE = (float(np.float32(x)) for x in (1 / 255, 0.99, 1e-4))
 _DILATION = 0.3  # square pixels
 _LEAST_QUATERNION = 1e-24  # squared length
 _MOST_DETERMINANT = 1e36  # of the covariance in pixels, to the fourth: float32 has no room for much more

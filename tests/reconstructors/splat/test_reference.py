@@ -1,0 +1,168 @@
+"""The plain rasterizer against finite differences, scipy, torch's optimizer and the camera's own projection."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+from scipy.special import sph_harm_y
+from splat_scenes import make, odd_quaternions, on_the_border, scattered
+
+from reconstructors.splat.view import View
+
+torch = pytest.importorskip("torch")
+reference = pytest.importorskip("reconstructors.splat.reference")
+
+
+def in_double(scene):
+    return reference.Gaussians(*(torch.from_numpy(array).double() for array in scene.arrays))
+
+
+@pytest.mark.parametrize("kind", [scattered, on_the_border])
+def test_gradients_are_finite_differences(kind):
+    """By every number of eight Gaussians, of a random sum of all that 40 pixels show: none is near a threshold here."""
+    scene = kind(np.random.default_rng(2))
+    k = scene.camera.intrinsics.resized(8, 5)
+    view = View.of(type(scene.camera)("", k, scene.camera.cam_from_world))
+    gaussians = [tensor[:8, :4] if tensor.ndim == 3 else tensor[:8] for tensor in in_double(scene)]
+    background = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
+
+    def images(*tensors):
+        return reference.draw(reference.Gaussians(*tensors[:5]), view, tensors[5])[:4]
+
+    def loss(*tensors):
+        rng = np.random.default_rng(1)
+        return sum((image * torch.from_numpy(rng.normal(size=image.shape))).sum() for image in images(*tensors))
+
+    inputs = [tensor.contiguous().requires_grad_() for tensor in (*gaussians, background)]
+    assert (images(*inputs)[1] < 0.9).float().mean() > 0.2
+    assert torch.autograd.gradcheck(loss, inputs, eps=1e-6, atol=1e-6, rtol=1e-6)
+
+
+def test_the_pass_back_is_what_autograd_gives():
+    """Of a sum over all images; the screen's gradient is that of moving one Gaussian's image over the pixels."""
+    scene = make(scattered)
+    view, leaves = View.of(scene.camera), [tensor.requires_grad_() for tensor in in_double(scene)]
+    background = torch.from_numpy(scene.background).double()
+    drawn = reference.draw(reference.Gaussians(*leaves), view, background)
+    rng = np.random.default_rng(1)
+    by = [torch.from_numpy(rng.normal(size=image.shape)) for image in drawn[:4]]
+    torch.autograd.backward([(image * weight).sum() for image, weight in zip(drawn[:4], by, strict=True)])
+    rasterizer = reference.Rasterizer()
+    rasterizer.forward(*leaves, view, background, geometry=True)
+    pulled = rasterizer.backward(*by, None)
+    for leaf, rows in zip(leaves, pulled[1:6], strict=True):
+        full = torch.zeros_like(leaf)
+        full[pulled.ids] = rows
+        assert torch.allclose(full, leaf.grad, rtol=1e-12, atol=1e-12)
+    splats = reference.project(reference.Gaussians(*leaves), view)
+    nothing = torch.zeros_like(splats.depth)
+
+    def loss(xy):
+        images = reference.blend(splats._replace(xy=xy), nothing, view, background).drawn
+        return sum((image * weight).sum() for image, weight in zip(images[:4], by, strict=True)).item()
+
+    with torch.no_grad():
+        for row in (0, 11, 30):
+            place = int((splats.ids == pulled.ids[row]).nonzero()[0, 0])
+            for axis in range(2):
+                step = torch.zeros_like(splats.xy)
+                step[place, axis] = 1e-6
+                slope = (loss(splats.xy + step) - loss(splats.xy - step)) / 2e-6
+                assert slope == pytest.approx(pulled.screen[row, axis].item(), rel=1e-5, abs=1e-5)
+
+
+def test_weights_and_errors_are_sums_over_pixels():
+    """The weights of all Gaussians are what is hidden of the background, and so it is of the error."""
+    scene = make(scattered)
+    rasterizer, view = reference.Rasterizer(), View.of(scene.camera)
+    drawn = rasterizer.forward(*in_double(scene), view, torch.zeros(3), geometry=True)
+    error = torch.rand(view.height, view.width, generator=torch.Generator().manual_seed(1))
+    pulled = rasterizer.backward(drawn.color, None, None, None, error)
+    assert pulled.weight.sum().item() == pytest.approx((1 - drawn.transmittance).sum().item(), rel=1e-12)
+    assert pulled.error.sum().item() == pytest.approx(((1 - drawn.transmittance) * error).sum().item(), rel=1e-12)
+
+
+def test_rotations_are_those_of_scipy():
+    quats = make(odd_quaternions).quats[10:].astype(np.float64)
+    ours = reference.rotations(torch.from_numpy(quats)).numpy()
+    np.testing.assert_allclose(ours, Rotation.from_quat(quats, scalar_first=True).as_matrix(), atol=1e-12)
+
+
+def test_harmonics_are_those_of_scipy():
+    """Real ones are sqrt(2) times the real or the imaginary part of the complex ones."""
+    directions = np.random.default_rng(3).normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    polar, azimuth = np.arccos(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
+    columns = []
+    for degree in range(4):
+        for order in range(-degree, degree + 1):
+            complex_one = sph_harm_y(degree, abs(order), polar, azimuth)
+            columns.append(
+                complex_one.real if order == 0 else np.sqrt(2) * (complex_one.imag, complex_one.real)[order > 0]
+            )
+    ours = reference.harmonics(torch.from_numpy(directions), 16).numpy()
+    np.testing.assert_allclose(ours, np.column_stack(columns), atol=1e-12)
+    for count in (1, 4, 9):
+        np.testing.assert_array_equal(reference.harmonics(torch.from_numpy(directions), count).numpy(), ours[:, :count])
+
+
+def test_a_small_gaussian_is_projected_as_its_points_are():
+    """Each axis a thousandth: the spread of its ends in the image, and of their depths, as the camera projects them."""
+    scene = make(scattered)
+    view, gaussians = View.of(scene.camera), in_double(scene)
+    splats = reference.project(gaussians, view)
+    center, _ = scene.camera.project(gaussians.means.numpy()[splats.ids])
+    np.testing.assert_allclose(splats.xy.numpy(), center, atol=1e-9)
+    turns = Rotation.from_quat(scene.quats[splats.ids].astype(np.float64), scalar_first=True).as_matrix()
+    covariance, with_depth = np.zeros((len(center), 2, 2)), np.zeros((len(center), 2))
+    for axis in range(3):
+        arm = 1e-3 * turns[:, :, axis] * scene.scales[splats.ids, axis, None].astype(np.float64)
+        (there, deep), (back, shallow) = (
+            scene.camera.project(gaussians.means.numpy()[splats.ids] + sign * arm) for sign in (1, -1)
+        )
+        half, depth = (there - back) / 2e-3, (deep - shallow) / 2e-3
+        covariance += half[:, :, None] * half[:, None]
+        with_depth += half * depth[:, None]
+    left, right, top, bottom = view.limits
+    x, y = ((center - [view.cx, view.cy]) / [view.fx, view.fy]).T
+    within = (x > left) & (x < right) & (y > top) & (y < bottom)
+    assert within.sum() > 30
+    dilated = covariance + 0.3 * np.eye(2)
+    np.testing.assert_allclose(torch.linalg.inv(splats.inverse).numpy()[within], dilated[within], rtol=1e-4, atol=1e-4)
+    slope = np.linalg.solve(dilated, with_depth[:, :, None])[:, :, 0]
+    np.testing.assert_allclose(splats.slope.numpy()[within], slope[within], rtol=1e-3, atol=1e-5)
+
+
+def test_ssim_is_that_of_filters_of_scipy():
+    rng = np.random.default_rng(2)
+    x, y = rng.random((2, 23, 31, 3))
+
+    def smooth(image):
+        return gaussian_filter(image, 1.5, radius=5, mode="constant", axes=(0, 1))
+
+    xx, yy, xy = smooth(x * x) - smooth(x) ** 2, smooth(y * y) - smooth(y) ** 2, smooth(x * y) - smooth(x) * smooth(y)
+    up = (2 * smooth(x) * smooth(y) + 1e-4) * (2 * xy + 9e-4)
+    ssim = (up / ((smooth(x) ** 2 + smooth(y) ** 2 + 1e-4) * (xx + yy + 9e-4))).mean()
+    loss = reference.image_loss(torch.from_numpy(x), torch.from_numpy(y), 0.2)
+    assert loss.ssim.item() == pytest.approx(ssim, rel=1e-10)
+    assert loss.l1.item() == pytest.approx(np.abs(x - y).mean(), rel=1e-12)
+    # Its derivative, by moving one value.
+    moved = [torch.from_numpy(x.copy()) for _ in range(2)]
+    moved[0][0, 12, 1] += 1e-6
+    moved[1][0, 12, 1] -= 1e-6
+    ends = [reference.image_loss(image, torch.from_numpy(y), 0.2) for image in moved]
+    values = [0.8 * end.l1.item() + 0.2 * (1 - end.ssim.item()) for end in ends]
+    assert (values[0] - values[1]) / 2e-6 == pytest.approx(loss.gradient[0, 12, 1].item(), rel=1e-5)
+
+
+def test_adam_is_that_of_torch_where_all_rows_are_seen():
+    rng = np.random.default_rng(7)
+    ours = torch.from_numpy(rng.normal(size=(6, 4)))
+    theirs = ours.clone().requires_grad_()
+    first, second = torch.zeros_like(ours), torch.zeros_like(ours)
+    optimizer = torch.optim.Adam([theirs], lr=0.02, eps=1e-15)
+    for step in range(1, 8):
+        theirs.grad = torch.from_numpy(rng.normal(size=(6, 4)))
+        optimizer.step()
+        reference.adam(ours, first, second, theirs.grad, torch.arange(6), 0.02, step)
+    assert torch.allclose(ours, theirs.detach(), rtol=1e-12, atol=1e-14)

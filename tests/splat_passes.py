@@ -1,0 +1,74 @@
+"""One pass forward and back through any rasterizer, in arrays that can be compared."""
+
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+
+from reconstructors.splat.view import View
+
+IMAGES = ("color", "transmittance", "depth", "normal", "median_depth")
+
+
+class Engine(NamedTuple):
+    """Kernels, as `reconstructors.splat.interface.Kernels` has them, and the device that their tensors are on."""
+
+    kernels: ModuleType
+    device: str
+
+    def tensor(self, array):
+        import torch
+
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+
+class Pass(NamedTuple):
+    """What a rasterizer gave, with gradients for all N Gaussians: zeros for those that it did not draw."""
+
+    images: dict  # by name, (P, 1 or 3)
+    pulled: dict  # by name, (N, ...)
+    drawn: np.ndarray  # (N,) bool
+
+    def arrays(self):
+        return {**self.images, **self.pulled}
+
+
+class Wanted(NamedTuple):
+    """Derivatives by the images, or None; and an error image, or None."""
+
+    color: np.ndarray
+    transmittance: np.ndarray | None
+    depth: np.ndarray | None
+    normal: np.ndarray | None
+    error: np.ndarray | None
+
+
+def random_wanted(scene, seed=3):
+    rng, k = np.random.default_rng(seed), scene.camera.intrinsics
+    size = (k.height, k.width)
+    shapes = [(*size, 3), size, size, (*size, 3)]
+    return Wanted(*(rng.normal(size=shape).astype(np.float32) for shape in shapes), rng.random(size).astype(np.float32))
+
+
+def run_pass(engine, scene, wanted=None, rasterizer=None, geometry=True):
+    """A forward pass, and a backward pass where derivatives are given."""
+    rasterizer = rasterizer or engine.kernels.Rasterizer()
+    view = View.of(scene.camera)
+    *gaussians, background = (engine.tensor(array) for array in (*scene.arrays, scene.background))
+    drawn = rasterizer.forward(*gaussians, view, background, geometry=geometry)
+    pixels = view.width * view.height
+    images = {
+        name: image.cpu().double().numpy().reshape(pixels, -1)
+        for name, image in zip(IMAGES, drawn, strict=True)
+        if image is not None
+    }
+    if wanted is None:
+        return Pass(images, {}, np.zeros(0, bool))
+    pulled = rasterizer.backward(*(None if image is None else engine.tensor(image) for image in wanted))
+    ids, count = pulled.ids.cpu().numpy(), len(scene.means)
+    assert (np.diff(ids) > 0).all()
+    full = {}
+    for name, rows in zip(pulled._fields[1:], pulled[1:], strict=True):
+        full[name] = np.zeros((count, *rows.shape[1:]))
+        full[name][ids] = rows.cpu().double().numpy()
+    return Pass(images, full, np.isin(np.arange(count), ids))
