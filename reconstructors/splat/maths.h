@@ -218,7 +218,7 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     s.y = fused(F(at.fy), y, F(at.cy));
     const F steep = root(f.yy / f.determinant), lean = f.xy / f.yy, flat = one / root(f.yy);
     s.uu = F(kWhitening) * steep;
-    s.uv = zero - s.uu * lean;
+    s.uv = -(s.uu * lean);
     s.vv = F(kWhitening) * flat;
     s.level = log2_of(select(drawn, opacity, one));
     s.depth = z;
@@ -247,7 +247,8 @@ template <class F>
 PCB_FN F least_square(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
     const F zero = F(0.0f);
     const F dx = lesser(greater(zero, x0), x1), dy = lesser(greater(zero, y0), y1);
-    const F along_y = zero - uu * uv * dx / (uv * uv + vv * vv), along_x = zero - uv * dy / uu;
+    // The quotients are the same for every box of a splat.
+    const F along_y = -(uu * uv / (uv * uv + vv * vv)) * dx, along_x = -(uv / uu) * dy;
     const F y = lesser(greater(along_y, y0), y1), x = lesser(greater(along_x, x0), x1);
     const F u_at_x = fused(uu, dx, uv * y), v_at_x = vv * y;
     const F u_at_y = fused(uu, x, uv * dy), v_at_y = vv * dy;
@@ -259,7 +260,7 @@ PCB_FN F least_square(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
 template <class F>
 PCB_FN F alpha_at(F level, F u, F v) {
     // Far away the exponent is held where its power can still be written, far below kLeastAlpha.
-    return exp2_of(greater(fused(F(0.0f) - u, u, fused(F(0.0f) - v, v, level)), F(-64.0f)));
+    return exp2_of(greater(fused(-u, u, fused(-v, v, level)), F(-64.0f)));
 }
 
 // The derivative of the loss by what a pixel shows.
@@ -294,8 +295,9 @@ PCB_FN void add_pixel(const Splat<F>& s, F u, F v, F alpha, F free, F transmitta
         seen = fused(fused(s.depth_u, u, fused(s.depth_v, v, s.depth)), g.depth, seen);
         seen = seen + dot(s.normal, g.normal);
     }
-    behind = behind - weight * seen;
-    const F h = free * alpha * (transmittance * seen - behind / (F(1.0f) - alpha));
+    const F part = weight * seen;
+    behind = behind - part;
+    const F h = free * fused(-behind, alpha / (F(1.0f) - alpha), part);
     const F hu = h * u, hv = h * v;
     m.h = m.h + h;
     m.hu = m.hu + hu;
@@ -338,8 +340,8 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     const F by_u = fused(pull, m.hu, s.depth_u * m.depth), by_v = fused(pull, m.hv, s.depth_v * m.depth);
     const F by_u_u = fused(pull, m.huu, s.depth_u * m.depth_u), by_u_v = fused(pull, m.huv, s.depth_u * m.depth_v);
     const F by_v_v = fused(pull, m.hvv, s.depth_v * m.depth_v);
-    out.screen_x = zero - s.uu * by_u;
-    out.screen_y = zero - fused(s.uv, by_u, s.vv * by_v);
+    out.screen_x = -(s.uu * by_u);
+    out.screen_y = -fused(s.uv, by_u, s.vv * by_v);
 
     // By the whitening. An offset is dy = v / vv, dx = (u - uv dy) / uu.
     const F g_uv = by_u_v / s.vv, g_vv = by_v_v / s.vv, g_uu = (by_u_u - s.uv * g_uv) / s.uu;
@@ -349,13 +351,13 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     const F g_du = F(1.0f / kWhitening) * m.depth_u, g_dv = F(1.0f / kWhitening) * m.depth_v;
     const F g_steep = F(kWhitening) * (g_uu - lean * g_uv) + (f.depth_x - lean * f.depth_y) * g_du;
     const F g_flat = F(kWhitening) * g_vv + f.depth_y * g_dv;
-    const F g_lean = zero - (s.uu * g_uv + steep * f.depth_y * g_du);
+    const F g_lean = -(s.uu * g_uv + steep * f.depth_y * g_du);
     const F g_depth_x = steep * g_du;
     const F g_depth_y = flat * g_dv - lean * g_depth_x;
 
     // steep = sqrt(yy / determinant), flat = 1 / sqrt(yy), lean = xy / yy.
     const F half_steep = F(0.5f) * steep * g_steep;
-    const F g_determinant = zero - half_steep / f.determinant;
+    const F g_determinant = -(half_steep / f.determinant);
     const F g_xy = g_lean / f.yy;
     const F g_yy = (half_steep - F(0.5f) * flat * g_flat - lean * g_lean) / f.yy;
 
@@ -371,7 +373,7 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     const F per_z = one / f.center.z, zoom_x = F(at.fx) * per_z, zoom_y = F(at.fy) * per_z;
     const Vec<F> g_across = zoom_x * g_row_x, g_down = zoom_y * g_row_y;
     g_row_z = g_row_z - fused(f.slope_x, g_across, f.slope_y * g_down);
-    const F g_slope_x = zero - dot(g_across, f.row_z), g_slope_y = zero - dot(g_down, f.row_z);
+    const F g_slope_x = -dot(g_across, f.row_z), g_slope_y = -dot(g_down, f.row_z);
     F g_z = m.depth - per_z * (dot(g_row_x, f.row_x) + dot(g_row_y, f.row_y));
 
     // The mean: x / z moves the projected mean, and the affine approximation unless that is held at its limit.

@@ -27,7 +27,18 @@ struct Mask {
 };
 inline Floats load(const float* p) { return _mm512_loadu_ps(p); }
 inline void store(float* p, Floats a) { _mm512_storeu_ps(p, a.v); }
+inline Floats load_first(const float* p, int count) {
+    return _mm512_maskz_loadu_ps(static_cast<__mmask16>((1u << count) - 1u), p);
+}
+inline void store_first(float* p, int count, Floats a) {
+    _mm512_mask_storeu_ps(p, static_cast<__mmask16>((1u << count) - 1u), a.v);
+}
+inline Floats load_strided(const float* p, int stride) {
+    const __m512i steps = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    return _mm512_i32gather_ps(_mm512_mullo_epi32(steps, _mm512_set1_epi32(stride)), p, 4);
+}
 inline Floats operator+(Floats a, Floats b) { return _mm512_add_ps(a.v, b.v); }
+inline Floats operator-(Floats a) { return -a.v; }
 inline Floats operator-(Floats a, Floats b) { return _mm512_sub_ps(a.v, b.v); }
 inline Floats operator*(Floats a, Floats b) { return _mm512_mul_ps(a.v, b.v); }
 inline Floats operator/(Floats a, Floats b) { return _mm512_div_ps(a.v, b.v); }
@@ -41,15 +52,28 @@ inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m
 inline Mask without(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & ~b.m)}; }
 inline unsigned bits(Mask m) { return m.m; }
 inline Floats select(Mask m, Floats yes, Floats no) { return _mm512_mask_blend_ps(m.m, no.v, yes.v); }
-inline Floats add_exponent(Floats x, Floats whole) {
-    const __m512i n = _mm512_slli_epi32(_mm512_cvtps_epi32(whole.v), 23);
-    return _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(x.v), n));
-}
+inline Floats add_exponent(Floats x, Floats whole) { return _mm512_scalef_ps(x.v, whole.v); }
 inline Floats exponent(Floats x, Floats& mantissa) {
     const __m512i all = _mm512_castps_si512(x.v);
     mantissa = _mm512_castsi512_ps(_mm512_or_epi32(_mm512_and_epi32(all, _mm512_set1_epi32(0x007fffff)),
                                                    _mm512_set1_epi32(0x3f800000)));
     return _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_srli_epi32(all, 23), _mm512_set1_epi32(127)));
+}
+// The sums of the lanes of sixteen vectors, halves folded onto each other: lane i with i + 8, with i + 4, i + 2, i + 1.
+inline Floats sums(const Floats* from) {
+    const auto folded = [](__m512 a, __m512 b) {
+        return _mm512_add_ps(_mm512_shuffle_f32x4(a, b, 0x44), _mm512_shuffle_f32x4(a, b, 0xee));
+    };
+    __m512 quarters[4];
+    for (int k = 0; k < 4; ++k) {
+        const __m512 low = folded(from[k].v, from[k + 4].v), high = folded(from[k + 8].v, from[k + 12].v);
+        quarters[k] = _mm512_add_ps(_mm512_shuffle_f32x4(low, high, 0x88), _mm512_shuffle_f32x4(low, high, 0xdd));
+    }
+    const auto halved = [](__m512 a, __m512 b) {
+        return _mm512_add_ps(_mm512_shuffle_ps(a, b, 0x44), _mm512_shuffle_ps(a, b, 0xee));
+    };
+    const __m512 even = halved(quarters[0], quarters[1]), odd = halved(quarters[2], quarters[3]);
+    return _mm512_add_ps(_mm512_shuffle_ps(even, odd, 0x88), _mm512_shuffle_ps(even, odd, 0xdd));
 }
 
 #elif defined(__AVX2__)
@@ -65,7 +89,21 @@ struct Mask {
 };
 inline Floats load(const float* p) { return {_mm256_loadu_ps(p), _mm256_loadu_ps(p + 8)}; }
 inline void store(float* p, Floats x) { _mm256_storeu_ps(p, x.a), _mm256_storeu_ps(p + 8, x.b); }
+inline __m256i first_lanes(int count) {
+    return _mm256_cmpgt_epi32(_mm256_set1_epi32(count), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
+}
+inline Floats load_first(const float* p, int count) {
+    return {_mm256_maskload_ps(p, first_lanes(count)), _mm256_maskload_ps(p + 8, first_lanes(count - 8))};
+}
+inline void store_first(float* p, int count, Floats x) {
+    _mm256_maskstore_ps(p, first_lanes(count), x.a), _mm256_maskstore_ps(p + 8, first_lanes(count - 8), x.b);
+}
+inline Floats load_strided(const float* p, int stride) {
+    const __m256i steps = _mm256_mullo_epi32(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), _mm256_set1_epi32(stride));
+    return {_mm256_i32gather_ps(p, steps, 4), _mm256_i32gather_ps(p + 8 * stride, steps, 4)};
+}
 inline Floats operator+(Floats x, Floats y) { return {_mm256_add_ps(x.a, y.a), _mm256_add_ps(x.b, y.b)}; }
+inline Floats operator-(Floats x) { return {-x.a, -x.b}; }
 inline Floats operator-(Floats x, Floats y) { return {_mm256_sub_ps(x.a, y.a), _mm256_sub_ps(x.b, y.b)}; }
 inline Floats operator*(Floats x, Floats y) { return {_mm256_mul_ps(x.a, y.a), _mm256_mul_ps(x.b, y.b)}; }
 inline Floats operator/(Floats x, Floats y) { return {_mm256_div_ps(x.a, y.a), _mm256_div_ps(x.b, y.b)}; }
@@ -101,6 +139,21 @@ inline Floats add_exponent(Floats x, Floats whole) { return {add_exponent(x.a, w
 inline Floats exponent(Floats x, Floats& mantissa) {
     return {exponent(x.a, mantissa.a), exponent(x.b, mantissa.b)};
 }
+inline Floats sums(const Floats* from) {
+    const auto eight = [](const Floats* some) {
+        const auto folded = [](Floats x, Floats y) {
+            const __m256 p = _mm256_add_ps(x.a, x.b), q = _mm256_add_ps(y.a, y.b);
+            return _mm256_add_ps(_mm256_permute2f128_ps(p, q, 0x20), _mm256_permute2f128_ps(p, q, 0x31));
+        };
+        const auto halved = [](__m256 p, __m256 q) {
+            return _mm256_add_ps(_mm256_shuffle_ps(p, q, 0x44), _mm256_shuffle_ps(p, q, 0xee));
+        };
+        const __m256 even = halved(folded(some[0], some[4]), folded(some[1], some[5]));
+        const __m256 odd = halved(folded(some[2], some[6]), folded(some[3], some[7]));
+        return _mm256_add_ps(_mm256_shuffle_ps(even, odd, 0x88), _mm256_shuffle_ps(even, odd, 0xdd));
+    };
+    return {eight(from), eight(from + 8)};
+}
 
 #else
 
@@ -122,7 +175,13 @@ inline Floats load(const float* p) { PCB_EACH(Floats, p[i]); }
 inline void store(float* p, Floats a) {
     for (int i = 0; i < kLanes; ++i) p[i] = a.v[i];
 }
+inline Floats load_first(const float* p, int count) { PCB_EACH(Floats, i < count ? p[i] : 0.0f); }
+inline void store_first(float* p, int count, Floats a) {
+    for (int i = 0; i < count; ++i) p[i] = a.v[i];
+}
+inline Floats load_strided(const float* p, int stride) { PCB_EACH(Floats, p[i * stride]); }
 inline Floats operator+(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] + b.v[i]); }
+inline Floats operator-(Floats a) { PCB_EACH(Floats, -a.v[i]); }
 inline Floats operator-(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] - b.v[i]); }
 inline Floats operator*(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] * b.v[i]); }
 inline Floats operator/(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] / b.v[i]); }
@@ -157,6 +216,16 @@ inline Floats add_exponent(Floats x, Floats whole) {
 inline Floats exponent(Floats x, Floats& mantissa) {
     for (int i = 0; i < kLanes; ++i) mantissa.v[i] = as_float((as_bits(x.v[i]) & 0x007fffff) | 0x3f800000);
     PCB_EACH(Floats, static_cast<float>((as_bits(x.v[i]) >> 23) - 127));
+}
+inline Floats sums(const Floats* from) {
+    Floats out;
+    for (int k = 0; k < kLanes; ++k) {
+        Floats folded = from[k];
+        for (int half = kLanes / 2; half > 0; half /= 2)
+            for (int i = 0; i < half; ++i) folded.v[i] += folded.v[i + half];
+        out.v[k] = folded.v[0];
+    }
+    return out;
 }
 #undef PCB_EACH
 

@@ -10,28 +10,18 @@ inline void adam(float* parameters, float* first, float* second, const float* gr
                  int64_t begin, int64_t end, int columns, float rate, float beta1, float beta2, float epsilon) {
     const Floats b1 = Floats(beta1), b2 = Floats(beta2), c1 = Floats(1.0f - beta1), c2 = Floats(1.0f - beta2);
     const Floats step = Floats(-rate), small = Floats(epsilon);
-    const auto move = [&](float* p, float* m, float* v, const float* g) {
-        const Floats by = load(g);
-        const Floats mean = fused(b1, load(m), c1 * by), square = fused(b2, load(v), c2 * by * by);
-        store(m, mean), store(v, square);
-        store(p, fused(step, mean / (root(square) + small), load(p)));
-    };
     for (int64_t i = begin; i < end; ++i) {
         const size_t to = static_cast<size_t>(columns) * static_cast<size_t>(rows[i]);
         const size_t from = static_cast<size_t>(columns) * static_cast<size_t>(i);
-        int at = 0;
-        for (; at + kLanes <= columns; at += kLanes)
-            move(parameters + to + at, first + to + at, second + to + at, gradient + from + at);
-        if (at == columns) continue;
-        float p[kLanes] = {}, m[kLanes] = {}, v[kLanes] = {}, g[kLanes] = {};
-        const int rest = columns - at;
-        for (int k = 0; k < rest; ++k) {
-            p[k] = parameters[to + at + k], m[k] = first[to + at + k], v[k] = second[to + at + k];
-            g[k] = gradient[from + at + k];
+        for (int at = 0; at < columns; at += kLanes) {
+            const int count = columns - at < kLanes ? columns - at : kLanes;
+            float *p = parameters + to + at, *m = first + to + at, *v = second + to + at;
+            const Floats by = load_first(gradient + from + at, count);
+            const Floats mean = fused(b1, load_first(m, count), c1 * by);
+            const Floats square = fused(b2, load_first(v, count), c2 * by * by);
+            store_first(m, count, mean), store_first(v, count, square);
+            store_first(p, count, fused(step, mean / (root(square) + small), load_first(p, count)));
         }
-        move(p, m, v, g);
-        for (int k = 0; k < rest; ++k)
-            parameters[to + at + k] = p[k], first[to + at + k] = m[k], second[to + at + k] = v[k];
     }
 }
 

@@ -81,7 +81,7 @@ inline void blend_block(const Frame& frame, const Place& place, const float* spl
         const Splat<Floats> s = splat_at(splats + kSplatFloats * static_cast<size_t>(listed[n]));
         const Seen seen = seen_of(s, x, y);
         const Floats alpha = lesser(seen.alpha, most);
-        const Floats next = fused(zero - left, alpha, left);
+        const Floats next = fused(-left, alpha, left);
         Mask counts = going & (least <= alpha);
         const Mask ends = counts & (next < end);
         going = without(going, ends);
@@ -111,12 +111,21 @@ inline void blend_block(const Frame& frame, const Place& place, const float* spl
     }
 }
 
+// A tile's splats lie anywhere in memory: they are asked for some instances before they are needed.
+inline void fetch_ahead(const Frame& frame, const Instance* instance) {
+    constexpr int kAhead = 8;
+    if (instance + kAhead < frame.instances + frame.starts[frame.tiles_across * frame.tiles_down])
+        __builtin_prefetch(frame.splats + kSplatFloats * static_cast<size_t>(instance[kAhead].slot));
+}
+
 inline void blend_tile(const Frame& frame, int tile, float* splats, uint32_t* listed) {
     const Instance* instances = frame.instances + frame.starts[tile];
     const uint32_t count = frame.starts[tile + 1] - frame.starts[tile];
-    for (uint32_t n = 0; n < count; ++n)
+    for (uint32_t n = 0; n < count; ++n) {
+        fetch_ahead(frame, instances + n);
         store(splats + kSplatFloats * static_cast<size_t>(n),
               load(frame.splats + kSplatFloats * static_cast<size_t>(instances[n].slot)));
+    }
     for (int block = 0; block < kTileBlocks; ++block) {
         const Place place = place_of(frame, tile, block);
         if (place.inside == 0) continue;
@@ -187,6 +196,7 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
     constexpr int kWidth = kGeometry ? kMomentFloats : kPlainMomentFloats;
     for (uint32_t n = frame.starts[tile]; n < frame.starts[tile + 1]; ++n) {
         const Instance& instance = frame.instances[n];
+        fetch_ahead(frame, &instance);
         const Splat<Floats> s = splat_at(frame.splats + kSplatFloats * static_cast<size_t>(instance.slot));
         Moments<Floats> m = {zero, zero, zero, zero, zero, zero, {zero, zero, zero}, zero, zero,
                              zero, zero, zero, {zero, zero, zero}};
@@ -195,7 +205,7 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
             Rays& r = rays[block];
             const Seen seen = seen_of(s, r.x, r.y);
             Floats alpha = lesser(seen.alpha, most);
-            const Floats next = fused(zero - r.left, alpha, r.left);
+            const Floats next = fused(-r.left, alpha, r.left);
             Mask counts = least <= alpha;
             const Mask ends = counts & (next < end);
             counts = without(counts, ends);
@@ -206,15 +216,13 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
             if (bits(zero < r.left) == 0) going &= ~(1u << block);
         }
         float* out = moments + static_cast<size_t>(kWidth) * instance.emission;
-        const Floats sums[kLanes] = {m.h,       m.hu,     m.hv,    m.huu,     m.huv,     m.hvv,      m.color.x, m.color.y,
-                                     m.color.z, m.weight, m.error, m.depth,   m.depth_u, m.depth_v,  m.normal.x, m.normal.y};
+        const Floats columns[kLanes] = {m.h,       m.hu,     m.hv,    m.huu,   m.huv,     m.hvv,     m.color.x,  m.color.y,
+                                        m.color.z, m.weight, m.error, m.depth, m.depth_u, m.depth_v, m.normal.x, m.normal.y};
         if (kGeometry) {
-            for (int k = 0; k < kLanes; ++k) out[k] = sum(sums[k]);
-            out[16] = sum(m.normal.z);
-            out[17] = out[18] = out[19] = 0.0f;
+            store(out, sums(columns));
+            out[kLanes] = sum(m.normal.z);
         } else {
-            for (int k = 0; k < 11; ++k) out[k] = sum(sums[k]);
-            out[11] = 0.0f;
+            store_first(out, kPlainMomentFloats, sums(columns));
         }
     }
 }

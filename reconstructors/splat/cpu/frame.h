@@ -15,8 +15,8 @@ constexpr int kTileBlocks = kBlocksAcross * kBlocksAcross;
 constexpr int kTilePixels = kTile * kTile;
 constexpr int kGroup = 256;           // Gaussians that are projected at once
 constexpr int kSplatFloats = 16;      // a splat in memory: a cache line
-constexpr int kMomentFloats = 20;     // the sums over pixels of one Gaussian in one tile, of which the plain ones are
-constexpr int kPlainMomentFloats = 12;  // without geometry
+constexpr int kPlainMomentFloats = 11;  // the sums over pixels of one Gaussian in one tile
+constexpr int kMomentFloats = 17;       // the same with geometry
 
 // The Gaussians, by rows.
 struct Model {

@@ -16,25 +16,23 @@ constexpr int kMargin = kReach * kChannels + 1;  // floats before and behind a r
 // Room for `rows` rows of sums with margins and space for a whole last vector.
 inline int padded(int length) { return (length + kLanes - 1) / kLanes * kLanes + 2 * kMargin; }
 
-// Reads a vector of a row at `at`, zero behind its end.
+// A vector of a row at `at`, zero behind its end.
 inline Floats row_at(const float* row, int at, int length) {
-    if (at + kLanes <= length) return load(row + at);
-    float lanes[kLanes] = {};
-    for (int i = 0; at + i < length; ++i) lanes[i] = row[at + i];
-    return load(lanes);
+    return at + kLanes <= length ? load(row + at) : load_first(row + at, length - at);
 }
 inline void write_row(float* row, int at, int length, Floats values) {
-    if (at + kLanes <= length) return store(row + at, values);
-    float lanes[kLanes];
-    store(lanes, values);
-    for (int i = 0; at + i < length; ++i) row[at + i] = lanes[i];
+    if (at + kLanes <= length)
+        store(row + at, values);
+    else
+        store_first(row + at, length - at, values);
 }
 
-inline Floats first_lanes(Floats values, int count) {
+// Zero but for the first `count` lanes.
+inline Floats first_of(Floats values, int count) {
+    if (count >= kLanes) return values;
     float lanes[kLanes];
     store(lanes, values);
-    for (int i = count; i < kLanes; ++i) lanes[i] = 0.0f;
-    return load(lanes);
+    return load_first(lanes, count);
 }
 
 inline void clear_margins(float* sums, int length, int maps) {
@@ -83,11 +81,11 @@ inline void similarity(const float* x, const float* y, int height, int length, i
         const Floats below = Floats(1.0f) / (b1 * b2), value = a1 * a2 * below;
         const Floats slope = value / b2, by_p = two * a1 * below;
         write_row(by_product, at, length, by_p);
-        write_row(by_square, at, length, zero - slope);
+        write_row(by_square, at, length, -slope);
         write_row(by_mean, at, length, two * (my * a2 * below - mx * value / b1) - (my * by_p - two * mx * slope));
         const Floats difference = row_at(x, at, length) - row_at(y, at, length);
-        differences = differences + greater(difference, zero - difference);
-        similarities = similarities + (at + kLanes <= length ? value : first_lanes(value, length - at));
+        differences = differences + greater(difference, -difference);
+        similarities = similarities + first_of(value, length - at);
     }
     sums[0] = sum(differences), sums[1] = sum(similarities);
 }
@@ -116,7 +114,7 @@ inline void loss_gradient(const float* x, const float* y, int height, int length
         const Floats a = row_at(x, at, length), b = row_at(y, at, length);
         const Floats s = fused(Floats(2.0f) * a, across(scratch + size, at),
                                fused(b, across(scratch + 2 * size, at), across(scratch, at)));
-        const Floats sign = select(b < a, by_difference, select(a < b, zero - by_difference, zero));
+        const Floats sign = select(b < a, by_difference, select(a < b, -by_difference, zero));
         write_row(out, at, length, fused(by_similarity, s, sign));
     }
 }

@@ -4,34 +4,75 @@
 
 namespace PCB_SPACE {
 
-// Sixteen Gaussians as they are stored.
+// Sixteen Gaussians, by rows: those of a model, or copies of some of them.
+struct Rows {
+    const float *means, *quaternions, *scales, *opacities;
+};
+struct RowCopies {
+    float means[3 * kLanes], quaternions[4 * kLanes], scales[3 * kLanes], opacities[kLanes];
+};
+
+// Copies the Gaussians of id(0) to id(count - 1); the lanes that are left repeat the first.
+template <class Id>
+inline Rows copied(const Model& model, int count, Id id, RowCopies& to) {
+    for (int i = 0; i < kLanes; ++i) {
+        const int64_t from = id(i < count ? i : 0);
+        for (int k = 0; k < 3; ++k) to.means[3 * i + k] = model.means[3 * from + k];
+        for (int k = 0; k < 4; ++k) to.quaternions[4 * i + k] = model.quaternions[4 * from + k];
+        for (int k = 0; k < 3; ++k) to.scales[3 * i + k] = model.scales[3 * from + k];
+        to.opacities[i] = model.opacities[from];
+    }
+    return {to.means, to.quaternions, to.scales, to.opacities};
+}
+
 struct Gaussians {
     Vec<Floats> mean, scale;
     Quaternion<Floats> quaternion;
     Floats opacity;
 };
-
-inline Gaussians gaussians_at(const Model& model, int64_t at, int count) {
-    const float* q = model.quaternions + 4 * at;
-    return {vector_of(model.means + 3 * at, count), vector_of(model.scales + 3 * at, count),
-            {column_of(q, 4, 0, count), column_of(q, 4, 1, count), column_of(q, 4, 2, count), column_of(q, 4, 3, count)},
-            column_of(model.opacities + at, 1, 0, count)};
+inline Gaussians gaussians_of(const Rows& rows) {
+    const float* q = rows.quaternions;
+    return {vector_of(rows.means), vector_of(rows.scales),
+            {load_strided(q, 4), load_strided(q + 1, 4), load_strided(q + 2, 4), load_strided(q + 3, 4)},
+            load(rows.opacities)};
 }
 
-// The colours of sixteen Gaussians in the directions in which they are seen.
-inline Vec<Floats> colors_at(const Model& model, int64_t at, int count, Vec<Floats> offset) {
-    Floats basis[kMaxHarmonics];
-    harmonics(unit(offset), model.harmonic_count, basis);
-    const int width = 3 * model.harmonic_count;
-    const float* rows = model.harmonics + width * at;
+// The spherical harmonics of sixteen drawn Gaussians, by columns, from their slot on.
+inline void harmonics_of(const Frame& frame, int64_t slot, int count, Vec<Floats>* columns) {
+    const int bands = frame.model.harmonic_count;
+    float rows[3 * kMaxHarmonics][kLanes];
+    for (int i = 0; i < kLanes; ++i) {
+        const int64_t id = frame.ids[slot + (i < count ? i : 0)];
+        const float* from = frame.model.harmonics + 3 * bands * id;
+        for (int k = 0; k < 3 * bands; ++k) rows[k][i] = from[k];
+    }
+    for (int k = 0; k < bands; ++k) columns[k] = {load(rows[3 * k]), load(rows[3 * k + 1]), load(rows[3 * k + 2])};
+}
+
+inline Vec<Floats> offset_of(const Pinhole& at, Vec<Floats> mean) {
+    return mean - Vec<Floats>{Floats(at.position[0]), Floats(at.position[1]), Floats(at.position[2])};
+}
+
+// The colours of drawn Gaussians in the directions in which they are seen.
+inline void color_group(const Frame& frame, int64_t begin, int drawn) {
+    const int bands = frame.model.harmonic_count;
     const Floats half = Floats(0.5f), zero = Floats(0.0f);
-    Vec<Floats> color = {half, half, half};
-    for (int k = 0; k < model.harmonic_count; ++k)
-        color = fused(basis[k],
-                      Vec<Floats>{column_of(rows, width, 3 * k, count), column_of(rows, width, 3 * k + 1, count),
-                                  column_of(rows, width, 3 * k + 2, count)},
-                      color);
-    return {greater(color.x, zero), greater(color.y, zero), greater(color.z, zero)};
+    for (int done = 0; done < drawn; done += kLanes) {
+        const int64_t slot = begin + done;
+        const int count = drawn - done < kLanes ? drawn - done : kLanes;
+        float means[3 * kLanes];
+        for (int i = 0; i < kLanes; ++i)
+            for (int k = 0; k < 3; ++k)
+                means[3 * i + k] = frame.model.means[3 * static_cast<size_t>(frame.ids[slot + (i < count ? i : 0)]) + k];
+        Floats basis[kMaxHarmonics];
+        harmonics(unit(offset_of(frame.pinhole, vector_of(means))), bands, basis);
+        Vec<Floats> columns[kMaxHarmonics];
+        harmonics_of(frame, slot, count, columns);
+        Vec<Floats> color = {half, half, half};
+        for (int k = 0; k < bands; ++k) color = fused(basis[k], columns[k], color);
+        write_vector(frame.splats + kSplatFloats * slot, kSplatFloats, 6, (1u << count) - 1u,
+                     {greater(color.x, zero), greater(color.y, zero), greater(color.z, zero)});
+    }
 }
 
 inline float held(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
@@ -55,10 +96,15 @@ inline int project_group(const Frame& frame, int64_t group) {
     int drawn_count = 0;
     for (int64_t at = begin; at < end; at += kLanes) {
         const int count = end - at < kLanes ? static_cast<int>(end - at) : kLanes;
-        const Gaussians g = gaussians_at(model, at, count);
+        RowCopies copies;
+        const Rows rows_of = count == kLanes
+                                 ? Rows{model.means + 3 * at, model.quaternions + 4 * at, model.scales + 3 * at,
+                                        model.opacities + at}
+                                 : copied(model, count, [&](int i) { return at + i; }, copies);
+        const Gaussians g = gaussians_of(rows_of);
         Footprint<Floats> f;
         Mask drawn;
-        Splat<Floats> s = project(frame.pinhole, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
+        const Splat<Floats> s = project(frame.pinhole, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
         // Neither comparison holds of what is not a number.
         const Floats most = Floats(1e8f);
         drawn = drawn & (f.extent_x < most) & (f.extent_y < most);
@@ -84,14 +130,14 @@ inline int project_group(const Frame& frame, int64_t group) {
             ++rows;
         }
         if (kept == 0) continue;
-        s.color = colors_at(model, at, count, f.offset);
         float* out = frame.splats + kSplatFloats * slot;
-        const Floats columns[kSplatFloats] = {s.x,       s.y,       s.uu,    s.uv,       s.vv,       s.level,
-                                              s.color.x, s.color.y, s.color.z, s.depth,  s.depth_u,  s.depth_v,
-                                              s.normal.x, s.normal.y, s.normal.z, f.reach};
-        for (int k = 0; k < kSplatFloats; ++k) write_column(out, kSplatFloats, k, kept, columns[k]);
+        const Floats columns[] = {s.x, s.y, s.uu, s.uv, s.vv, s.level};
+        for (int k = 0; k < 6; ++k) write_column(out, kSplatFloats, k, kept, columns[k]);
+        const Floats rest[] = {s.depth, s.depth_u, s.depth_v, s.normal.x, s.normal.y, s.normal.z, f.reach};
+        for (int k = 0; k < 7; ++k) write_column(out, kSplatFloats, 9 + k, kept, rest[k]);
         drawn_count += rows;
     }
+    color_group(frame, begin, drawn_count);
     return drawn_count;
 }
 
@@ -125,24 +171,22 @@ inline int cover(const Frame& frame, uint32_t slot, uint32_t* tiles, uint32_t* b
 // The sums over pixels of sixteen drawn Gaussians, each over all tiles that it is in.
 inline Moments<Floats> moments_of(const Frame& frame, const float* moments, const uint32_t* first,
                                   const uint32_t* count, int rows) {
-    float all[kLanes][32];  // by rows; 32, so that two vectors cover a record
+    float all[kLanes][2 * kLanes];  // by rows
     const int width = frame.geometry ? kMomentFloats : kPlainMomentFloats;
     for (int i = 0; i < kLanes; ++i) {
-        Floats low = Floats(0.0f), high = Floats(0.0f);
+        Floats low = Floats(0.0f);
+        float last = 0.0f;
         if (i < rows) {
             const float* record = moments + static_cast<size_t>(width) * first[i];
             for (uint32_t k = 0; k < count[i]; ++k, record += width) {
-                low = low + load(record);  // the array has room for a vector behind its last record
-                if (frame.geometry) high = high + load(record + kLanes);
+                low = low + load_first(record, frame.geometry ? kLanes : kPlainMomentFloats);
+                if (frame.geometry) last += record[kLanes];
             }
         }
-        store(all[i], low), store(all[i] + kLanes, high);
+        store(all[i], low);
+        all[i][kLanes] = last;
     }
-    const auto column = [&](int k) {
-        float lanes[kLanes];
-        for (int i = 0; i < kLanes; ++i) lanes[i] = all[i][k];
-        return load(lanes);
-    };
+    const auto column = [&](int k) { return load_strided(all[0] + k, 2 * kLanes); };
     Moments<Floats> m;
     m.h = column(0), m.hu = column(1), m.hv = column(2), m.huu = column(3), m.huv = column(4), m.hvv = column(5);
     m.color = {column(6), column(7), column(8)};
@@ -165,18 +209,8 @@ inline void project_group_gradient(const Frame& frame, int64_t group, const floa
     for (int done = 0; done < frame.drawn[group]; done += kLanes, row += kLanes) {
         const int rows = frame.drawn[group] - done < kLanes ? frame.drawn[group] - done : kLanes;
         const int64_t slot = begin + done;
-        float means[3 * kLanes], scales[3 * kLanes], quaternions[4 * kLanes], opacities[kLanes];
-        const float* sh[kLanes];
-        for (int i = 0; i < kLanes; ++i) {
-            const int64_t id = frame.ids[slot + (i < rows ? i : 0)];
-            for (int k = 0; k < 3; ++k) means[3 * i + k] = model.means[3 * id + k];
-            for (int k = 0; k < 3; ++k) scales[3 * i + k] = model.scales[3 * id + k];
-            for (int k = 0; k < 4; ++k) quaternions[4 * i + k] = model.quaternions[4 * id + k];
-            opacities[i] = model.opacities[id];
-            sh[i] = model.harmonics + width * id;
-        }
-        const Model gathered = {kLanes, means, quaternions, scales, opacities, nullptr, harmonic_count};
-        const Gaussians g = gaussians_at(gathered, 0, kLanes);
+        RowCopies copies;
+        const Gaussians g = gaussians_of(copied(model, rows, [&](int i) { return frame.ids[slot + i]; }, copies));
         Footprint<Floats> f;
         Mask drawn;
         const Splat<Floats> s = project(frame.pinhole, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
@@ -187,18 +221,17 @@ inline void project_group_gradient(const Frame& frame, int64_t group, const floa
         const Floats zero = Floats(0.0f);
         const float* splats = frame.splats + kSplatFloats * slot;
         const auto free = [&](int k, Floats by_channel) {
-            return select(zero < column_of(splats, kSplatFloats, 6 + k, rows), by_channel, zero);
+            return select(zero < load_strided(splats + 6 + k, kSplatFloats), by_channel, zero);
         };
         const Vec<Floats> by_color = {free(0, m.color.x), free(1, m.color.y), free(2, m.color.z)};
         Floats basis[kMaxHarmonics], by_basis[kMaxHarmonics];
         const Vec<Floats> direction = unit(f.offset);
         harmonics(direction, harmonic_count, basis);
         const unsigned lanes = (1u << rows) - 1u;
+        Vec<Floats> columns[kMaxHarmonics];
+        harmonics_of(frame, slot, rows, columns);
         for (int k = 0; k < harmonic_count; ++k) {
-            float channel[3][kLanes];
-            for (int i = 0; i < kLanes; ++i)
-                for (int c = 0; c < 3; ++c) channel[c][i] = sh[i][3 * k + c];
-            by_basis[k] = dot(by_color, Vec<Floats>{load(channel[0]), load(channel[1]), load(channel[2])});
+            by_basis[k] = dot(by_color, columns[k]);
             write_vector(out.harmonics + width * row, width, 3 * k, lanes, basis[k] * by_color);
         }
         by.mean = by.mean + unit_gradient(f.offset, harmonics_gradient(direction, harmonic_count, by_basis));

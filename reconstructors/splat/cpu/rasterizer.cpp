@@ -162,9 +162,7 @@ size_t Rasterizer::bytes() const {
 
 void Rasterizer::backward(const PictureGradients& by, const ModelGradients& out) {
     const size_t width = frame_.geometry ? kMomentFloats : kPlainMomentFloats;
-    // A record is read by whole vectors, also the last.
-    const size_t wanted = instances_.size() * width + 32;
-    if (moments_.size() < wanted) moments_.resize(wanted);
+    moments_.resize(std::max(moments_.size(), instances_.size() * width));
     const int tiles = frame_.tiles_across * frame_.tiles_down;
 #pragma omp parallel for schedule(dynamic)
     for (int tile = 0; tile < tiles; ++tile) kernels().blend_gradient(frame_, by, tile, moments_.data());

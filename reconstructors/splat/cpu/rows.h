@@ -1,16 +1,10 @@
-// Between arrays by rows and SIMD vectors by columns: sixteen rows at a time, of which the first `count` exist.
+// Between arrays by rows and SIMD vectors by columns, sixteen rows at a time.
 #pragma once
 
 namespace PCB_SPACE {
 
-// Column `column` of rows of `width` floats; lanes beyond `count` repeat the first row.
-inline Floats column_of(const float* rows, int width, int column, int count) {
-    float lanes[kLanes];
-    for (int i = 0; i < kLanes; ++i) lanes[i] = rows[(i < count ? i : 0) * width + column];
-    return load(lanes);
-}
-inline Vec<Floats> vector_of(const float* rows, int count) {
-    return {column_of(rows, 3, 0, count), column_of(rows, 3, 1, count), column_of(rows, 3, 2, count)};
+inline Vec<Floats> vector_of(const float* rows) {
+    return {load_strided(rows, 3), load_strided(rows + 1, 3), load_strided(rows + 2, 3)};
 }
 
 // Writes the lanes with a bit in `lanes` to consecutive rows.
@@ -25,7 +19,7 @@ inline void write_vector(float* rows, int width, int column, unsigned lanes, Vec
     write_column(rows, width, column + 2, lanes, values.z);
 }
 
-// The sum of all lanes, halves folded onto each other: the same order on every instruction set.
+// The sum of all lanes, in the order of `sums`.
 inline float sum(Floats values) {
     float all[kLanes];
     store(all, values);
