@@ -13,7 +13,9 @@ from pathlib import Path
 
 import torch
 
+from reconstructors.splat import cuda
 from reconstructors.splat.cuda.kernels import Kernel, Scalar
+from reconstructors.splat.interface import ImageLoss
 
 ORDERS = (("forward", 0), ("reverse", 0), ("random", 1), ("random", 2))
 _ORDER_NUMBERS = {"forward": 0, "reverse": 1, "random": 2}
@@ -45,6 +47,29 @@ class Emulator:
         self.launched.append(kernel.name)
         assert blocks > 0, f"{kernel.name}: a GPU refuses {blocks} blocks"
         _run(_library(kernel), kernel, blocks, self._order, self._seed, arguments)
+
+
+class EmulatedCuda:
+    """The module of kernels `reconstructors.splat.cuda`, on an emulator.
+
+    Args:
+        order, seed: as of the emulator.
+    """
+
+    def __init__(self, order: str = "forward", seed: int = 0) -> None:
+        self.emulator = Emulator(order, seed)
+
+    def Rasterizer(self) -> cuda.Rasterizer:
+        return cuda.Rasterizer(self.emulator)
+
+    def image_loss(self, *arguments) -> ImageLoss:
+        return cuda.image_loss(*arguments, launcher=self.emulator)
+
+    def adam(self, *arguments) -> None:
+        cuda.adam(*arguments, launcher=self.emulator)
+
+    def morton_order(self, means: torch.Tensor) -> torch.Tensor:
+        return cuda.morton_order(means, self.emulator)
 
 
 def _run(library: ctypes.CDLL, kernel: Kernel, blocks: int, order: int, seed: int, arguments: tuple) -> None:

@@ -8,7 +8,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
           const int* gaussians, const Stored* splats, float* color, float* transmittance, float* depth, float* normal,
           float* median_depth, float* borders, float* ends, int* reached) {
     constexpr int kFloats = ray_floats(kGeometry);
-    __shared__ Splat<float> batch[kThreads];
+    __shared__ Stored batch[kThreads];
     const int width = camera->width, height = camera->height, across = (width + kTile - 1) / kTile;
     const int tile = blockIdx.x, pixel = threadIdx.x;
     const int x = tile % across * kTile + pixel % kTile, y = tile / across * kTile + pixel / kTile;
@@ -26,7 +26,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
         // Also the barrier before the batch is written over.
         if (!__syncthreads_or(going)) break;
         const int size = min(kThreads, last - begin);
-        if (pixel < size) batch[pixel] = splats[gaussians[begin + pixel]].splat;
+        if (pixel < size) batch[pixel] = splats[gaussians[begin + pixel]];
         __syncthreads();
         for (int k = 0; going && k < size; ++k) {
             const int n = begin + k - first;
@@ -34,7 +34,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                 const long long at = bucket + n / kLanes;
                 store_ray<kGeometry>(borders + at * kFloats * kTilePixels, pixel, ray);
             }
-            const Splat<float> s = batch[k];
+            const Splat<float> s = batch[k].splat;
             const Seen seen = seen_of(s, center_x, center_y);
             const float alpha = lesser(seen.alpha, kMostAlpha);
             if (!(kLeastAlpha <= alpha)) continue;

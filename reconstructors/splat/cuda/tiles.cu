@@ -5,7 +5,7 @@ constexpr int kTilePixels = kTile * kTile;
 constexpr float kMostExtent = 1e8f;  // pixels: what is larger has no image that could be told
 
 // A splat as it is stored.
-struct Stored {
+struct alignas(16) Stored {
     Splat<float> splat;
     float reach;  // u^2 + v^2 at its ellipse's edge
 };
