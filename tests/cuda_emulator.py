@@ -21,7 +21,7 @@ ORDERS = (("forward", 0), ("reverse", 0), ("random", 1), ("random", 2))
 _ORDER_NUMBERS = {"forward": 0, "reverse": 1, "random": 2}
 _HEADER = Path(__file__).with_name("cuda_emulator.h")
 _BUILD = Path(__file__).parents[1] / "build" / "cuda_emulator"
-_FLAGS = ("-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-w")
+_FLAGS = ("-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-fno-gnu-unique", "-w")
 _LETTERS = {torch.float32: "f", torch.int32: "i", torch.int64: "l", torch.int16: "s"}
 _SCALARS = {ctypes.c_int32: "I", ctypes.c_int64: "L", ctypes.c_float: "F"}
 
