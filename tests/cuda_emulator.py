@@ -56,8 +56,8 @@ class EmulatedCuda:
         order, seed: as of the emulator.
     """
 
-    def __init__(self, order: str = "forward", seed: int = 0) -> None:
-        self.emulator = Emulator(order, seed)
+    def __init__(self, order: str = "forward", seed: int = 0, emulator: type[Emulator] = Emulator) -> None:
+        self.emulator = emulator(order, seed)
 
     def Rasterizer(self) -> cuda.Rasterizer:
         return cuda.Rasterizer(self.emulator)

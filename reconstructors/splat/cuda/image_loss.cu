@@ -56,5 +56,5 @@ extern "C" __global__ void __launch_bounds__(kThreads)
             totals[1][thread] = totals[1][thread] + totals[1][thread + half];
         }
     }
-    if (thread < 2) sums[2 * blockIdx.x + thread] = totals[thread][0];
+    if (thread == 0) sums[2 * blockIdx.x] = totals[0][0], sums[2 * blockIdx.x + 1] = totals[1][0];
 }
