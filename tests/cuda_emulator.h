@@ -1,8 +1,9 @@
-// Runs a CUDA kernel on the CPU, from the same source that a GPU's compiler gets: each thread of a block is a fiber, and
-// the blocks follow one another. Barriers and what the lanes of a warp do together hand control back until all who take
-// part have come. Threads and blocks run forwards, backwards or in an order drawn anew each time: a result that differs
-// between orders shows a missing barrier. What no machine could run well-defined ends the launch with a message: threads
-// of a block at different barriers, a lane that others wait for and that has ended, or that does something else.
+// Runs a CUDA kernel on the CPU, from the same source that a GPU's compiler gets: each thread of a block is a fiber,
+// and the blocks follow one another. Barriers and what the lanes of a warp do together hand control back until all who
+// take part have come. Threads and blocks run forwards, backwards or in an order drawn anew each time: a result that
+// differs between orders shows a missing barrier. What no machine could run well-defined ends the launch with a
+// message: threads of a block at different barriers, a lane that others wait for and that has ended, or that does
+// something else.
 //
 // It shows neither the memory model nor what lanes in lockstep would do, neither registers nor speed.
 #pragma once
@@ -169,7 +170,8 @@ inline uint64_t block_barrier(uint64_t value, int line) {
 inline uint64_t together(Together kind, unsigned mask, uint64_t value, unsigned source, int line) {
     Thread& thread = machine.threads[machine.running];
     const unsigned lane = machine.running % kWarpSize;
-    if ((mask >> lane & 1u) == 0) fail("thread %u is not in the mask %08x that it names (line %d)", machine.running, mask, line);
+    if ((mask >> lane & 1u) == 0)
+        fail("thread %u is not in the mask %08x that it names (line %d)", machine.running, mask, line);
     thread.state = State::kAtWarp;
     thread.line = line;
     thread.kind = kind;
@@ -205,8 +207,10 @@ inline void release_warp(unsigned number) {
         if ((asked.mask >> lane & 1u) == 0) continue;
         Thread& mine = lanes[lane];
         if (mine.kind == Together::kShuffle) {
-            const unsigned source = mine.source < count && (mine.mask >> mine.source & 1u) != 0 ? mine.source : kWarpSize;
-            if (source == kWarpSize) return fail("thread %u reads a lane that takes no part (line %d)", first + lane, mine.line);
+            const unsigned source =
+                mine.source < count && (mine.mask >> mine.source & 1u) != 0 ? mine.source : kWarpSize;
+            if (source == kWarpSize)
+                return fail("thread %u reads a lane that takes no part (line %d)", first + lane, mine.line);
             mine.answer = lanes[source].value;
         } else if (mine.kind == Together::kBallot) {
             mine.answer = ballot;
@@ -245,7 +249,8 @@ inline void fail_stuck() {
     while (threads[waiting].state == State::kEnded) ++waiting;
     while (other < machine.count && threads[other].state == threads[waiting].state) ++other;
     const char* names[] = {"ready", "at a barrier of the block", "at a barrier of its warp", "ended"};
-    if (other == machine.count) return fail("divergent barrier: thread %u waits (line %d)", waiting, threads[waiting].line);
+    if (other == machine.count)
+        return fail("divergent barrier: thread %u waits (line %d)", waiting, threads[waiting].line);
     fail("divergent barrier: thread %u is %s (line %d), thread %u %s (line %d)", waiting,
          names[static_cast<int>(threads[waiting].state)], threads[waiting].line, other,
          names[static_cast<int>(threads[other].state)], threads[other].line);
@@ -282,7 +287,8 @@ extern "C" char __start_emulated_shared[] __attribute__((weak, visibility("hidde
 extern "C" char __stop_emulated_shared[] __attribute__((weak, visibility("hidden")));
 inline void spoil_shared() {
     if (__start_emulated_shared != nullptr)
-        std::memset(__start_emulated_shared, 0xff, static_cast<size_t>(__stop_emulated_shared - __start_emulated_shared));
+        std::memset(__start_emulated_shared, 0xff,
+                    static_cast<size_t>(__stop_emulated_shared - __start_emulated_shared));
 }
 #else
 inline void spoil_shared() {}
@@ -313,7 +319,8 @@ inline void run_block(Shuffler& shuffler) {
         if (threads[i].state != State::kEnded) return fail_stuck();
 }
 
-inline int run(void (*call)(), unsigned blocks, unsigned threads, int order, uint64_t seed, char* message, size_t room) {
+inline int run(void (*call)(), unsigned blocks, unsigned threads, int order, uint64_t seed, char* message,
+               size_t room) {
     if (threads > kMostThreads) std::abort();
     char* stacks = static_cast<char*>(std::malloc(kStack * threads));
     unsigned* numbers = static_cast<unsigned*>(std::malloc(sizeof(unsigned) * blocks));
@@ -391,12 +398,12 @@ inline unsigned lane() { return machine.running % kWarpSize; }
 
 }  // namespace emulator
 
-#define EMULATED_KERNEL(name)                                                                                          \
-    extern "C" const char* emulated_signature() { return emulator::Call<&name>::signature(); }                         \
-    extern "C" int emulated_run(void** arguments, unsigned blocks, unsigned threads, int order, uint64_t seed,         \
-                                char* message, size_t room) {                                                          \
-        emulator::passed = arguments;                                                                                  \
-        return emulator::run(emulator::Call<&name>::run, blocks, threads, order, seed, message, room);                 \
+#define EMULATED_KERNEL(name)                                                                                  \
+    extern "C" const char* emulated_signature() { return emulator::Call<&name>::signature(); }                 \
+    extern "C" int emulated_run(void** arguments, unsigned blocks, unsigned threads, int order, uint64_t seed, \
+                                char* message, size_t room) {                                                  \
+        emulator::passed = arguments;                                                                          \
+        return emulator::run(emulator::Call<&name>::run, blocks, threads, order, seed, message, room);         \
     }
 
 // ---- what CUDA gives a kernel
@@ -416,7 +423,9 @@ inline void __syncthreads(int line = __builtin_LINE()) { emulator::block_barrier
 inline int __syncthreads_count(int yes, int line = __builtin_LINE()) {
     return static_cast<int>(emulator::block_barrier(yes != 0, line));
 }
-inline int __syncthreads_or(int yes, int line = __builtin_LINE()) { return emulator::block_barrier(yes != 0, line) != 0; }
+inline int __syncthreads_or(int yes, int line = __builtin_LINE()) {
+    return emulator::block_barrier(yes != 0, line) != 0;
+}
 inline int __syncthreads_and(int yes, int line = __builtin_LINE()) {
     return emulator::block_barrier(yes != 0, line) == blockDim.x;
 }
@@ -444,7 +453,9 @@ T __shfl_xor_sync(unsigned mask, T value, int by, int line = __builtin_LINE()) {
 inline unsigned __ballot_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
     return static_cast<unsigned>(emulator::together(emulator::Together::kBallot, mask, yes != 0, 0, line));
 }
-inline int __any_sync(unsigned mask, int yes, int line = __builtin_LINE()) { return __ballot_sync(mask, yes, line) != 0; }
+inline int __any_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
+    return __ballot_sync(mask, yes, line) != 0;
+}
 inline int __all_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
     return __ballot_sync(mask, yes, line) == mask;
 }
@@ -453,7 +464,8 @@ inline unsigned __reduce_add_sync(unsigned mask, unsigned value, int line = __bu
 }
 template <class T>
 unsigned __match_any_sync(unsigned mask, T value, int line = __builtin_LINE()) {
-    return static_cast<unsigned>(emulator::together(emulator::Together::kMatch, mask, emulator::packed(value), 0, line));
+    return static_cast<unsigned>(
+        emulator::together(emulator::Together::kMatch, mask, emulator::packed(value), 0, line));
 }
 // One thread runs at a time.
 template <class T>

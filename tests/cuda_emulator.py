@@ -113,7 +113,9 @@ def built(kernel: Kernel, extra: tuple[str, ...] = ()) -> Path:
     if not library.exists():
         _BUILD.mkdir(parents=True, exist_ok=True)
         scratch = library.with_suffix(f".{os.getpid()}.tmp")
-        done = subprocess.run(["g++", *flags, "-x", "c++", "-", "-o", scratch], input=text, text=True, capture_output=True)
+        done = subprocess.run(
+            ["g++", *flags, "-x", "c++", "-", "-o", scratch], input=text, text=True, capture_output=True
+        )
         assert done.returncode == 0, done.stderr
         scratch.replace(library)
     return library

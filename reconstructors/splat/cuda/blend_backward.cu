@@ -1,6 +1,6 @@
-// A warp a bucket, a lane a splat: the pixels of the tile go through the lanes one after the other, so that lane n meets
-// a pixel a step after lane n - 1, takes from it how far the ray has come, and adds what the pixel says to sums that it
-// alone holds. So nothing is added to the same place by two, and the order of each sum is that of the pixels.
+// A warp a bucket, a lane a splat: the pixels of the tile go through the lanes one after the other, so that lane n
+// meets a pixel a step after lane n - 1, takes from it how far the ray has come, and adds what the pixel says to sums
+// that it alone holds. So nothing is added to the same place by two, and the order of each sum is that of the pixels.
 //
 // `emission` says where among the Gaussian's own instances each sorted instance was written, and so is its record.
 // Where no derivative (of `by_`...) or error is given its pointer is null.
@@ -11,7 +11,7 @@ constexpr int kRing = 2 * kLanes;  // pixels at hand: those that are in the lane
 
 // What a pixel brings along. It is read by every lane in turn.
 struct Pixels {
-    float limit[kRing];  // how many of the bucket's splats it sees, the last one counted
+    float limit[kRing];                // how many of the bucket's splats it sees, the last one counted
     float left[kRing], behind[kRing];  // at the bucket's beginning
     float color[3][kRing], error[kRing];
     float depth[kGeometry ? kRing : 1], normal[3][kGeometry ? kRing : 1];
@@ -73,7 +73,8 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                 if (kGeometry) {
                     const float depth = by_depth != nullptr ? by_depth[at] : 0.0f;
                     Vec<float> normal = {0.0f, 0.0f, 0.0f};
-                    if (by_normal != nullptr) normal = {by_normal[3 * at], by_normal[3 * at + 1], by_normal[3 * at + 2]};
+                    if (by_normal != nullptr)
+                        normal = {by_normal[3 * at], by_normal[3 * at + 1], by_normal[3 * at + 2]};
                     ahead = fused(end.depth - now.depth, depth, ahead + dot(end.normal - now.normal, normal));
                     ring.depth[slot] = depth;
                     ring.normal[0][slot] = normal.x, ring.normal[1][slot] = normal.y, ring.normal[2][slot] = normal.z;

@@ -19,7 +19,9 @@ def launcher_of(tensor: Tensor) -> Launcher:
         MissingExtra: cuda-core or NVRTC is not installed.
     """
     if not tensor.is_cuda:
-        raise InputError(f"expected tensors on a CUDA device, got {tensor.device}: use reconstructors.splat.cpu for them")
+        raise InputError(
+            f"expected tensors on a CUDA device, got {tensor.device}: use reconstructors.splat.cpu for them"
+        )
     from reconstructors.splat.cuda.nvrtc import gpu
 
     return gpu(tensor.get_device())

@@ -6,9 +6,9 @@ constexpr int kMoments = kGeometry ? 17 : 11;
 extern "C" __global__ void __launch_bounds__(kThreads)
     project_backward(const Pinhole* camera, int count, const long long* ids, const int* firsts, const int* tiles,
                      const float* means, const float* quaternions, const float* scales, const float* opacities,
-                     const float* coefficients, const Stored* splats, const float* records, float* by_means, float* by_quaternions,
-                     float* by_scales, float* by_opacities, float* by_coefficients, float* by_screen, float* weights,
-                     float* errors) {
+                     const float* coefficients, const Stored* splats, const float* records, float* by_means,
+                     float* by_quaternions, float* by_scales, float* by_opacities, float* by_coefficients,
+                     float* by_screen, float* weights, float* errors) {
     const int row = blockIdx.x * kThreads + threadIdx.x;
     if (row >= count) return;
     const Pinhole at = *camera;
@@ -43,7 +43,8 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     float* by_c = by_coefficients + 3LL * kHarmonics * row;
     for (int k = 0; k < kHarmonics; ++k) {
         by_basis[k] = dot(Vec<float>{c[3 * k], c[3 * k + 1], c[3 * k + 2]}, by_color);
-        by_c[3 * k] = basis[k] * by_color.x, by_c[3 * k + 1] = basis[k] * by_color.y, by_c[3 * k + 2] = basis[k] * by_color.z;
+        by_c[3 * k] = basis[k] * by_color.x, by_c[3 * k + 1] = basis[k] * by_color.y,
+                 by_c[3 * k + 2] = basis[k] * by_color.z;
     }
     out.mean = out.mean + unit_gradient(f.offset, harmonics_gradient(direction, kHarmonics, by_basis));
 

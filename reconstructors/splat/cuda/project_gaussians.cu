@@ -6,9 +6,9 @@ __device__ inline int held(float x, int low, int high) {
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads)
-    project_gaussians(const Pinhole* camera, int count, const float* means, const float* quaternions, const float* scales,
-                      const float* opacities, const float* coefficients, Stored* splats, Box* boxes, float* depths,
-                      int* tiles) {
+    project_gaussians(const Pinhole* camera, int count, const float* means, const float* quaternions,
+                      const float* scales, const float* opacities, const float* coefficients, Stored* splats,
+                      Box* boxes, float* depths, int* tiles) {
     const Pinhole at = *camera;
     const int i = blockIdx.x * kThreads + threadIdx.x;
     Stored s = {};
@@ -40,7 +40,8 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     harmonics(unit(f.offset), kHarmonics, basis);
     const float* c = coefficients + 3LL * kHarmonics * i;
     Vec<float> color = {0.5f, 0.5f, 0.5f};
-    for (int k = 0; k < kHarmonics; ++k) color = fused(basis[k], Vec<float>{c[3 * k], c[3 * k + 1], c[3 * k + 2]}, color);
+    for (int k = 0; k < kHarmonics; ++k)
+        color = fused(basis[k], Vec<float>{c[3 * k], c[3 * k + 1], c[3 * k + 2]}, color);
     s.splat.color = {greater(color.x, 0.0f), greater(color.y, 0.0f), greater(color.z, 0.0f)};
     splats[i] = s;
     boxes[i] = box;

@@ -1,10 +1,10 @@
 """The rasterizer on a GPU: which kernels run one after the other, and what they hand on.
 
 Forward: each Gaussian is projected and its tiles are counted; those that touch a tile are numbered on and sorted by
-depth; each writes an instance for each of its tiles, and the instances are sorted by tile, stably, so that within a tile
-they lie by depth. Two sorts instead of one by a 64-bit key of tile and depth: the first sorts Gaussians, of which there
-are several times fewer than instances, and the second needs only as many bits as there are tiles, mostly 16. A radix
-sort's time is the number of keys times their bits.
+depth; each writes an instance for each of its tiles, and the instances are sorted by tile, stably, so that within a
+tile they lie by depth. Two sorts instead of one by a 64-bit key of tile and depth: the first sorts Gaussians, of which
+there are several times fewer than instances, and the second needs only as many bits as there are tiles, mostly 16. A
+radix sort's time is the number of keys times their bits.
 
 Backward (Mallick et al. 2024, Taming 3DGS): a warp takes 32 splats of a tile and lets the tile's pixels go through its
 lanes, so that each splat's sums are held by one lane. It starts from how far the rays had come where its splats begin,
@@ -121,7 +121,8 @@ class Rasterizer:
         drawn, instances = torch.stack(totals).tolist()  # the one wait
         if instances > _MOST_INT:
             raise InputError(
-                f"expected at most {_MOST_INT} Gaussians in tiles of 16 x 16 pixels, got {instances}: draw a smaller image"
+                f"expected at most {_MOST_INT} pairs of a Gaussian and a tile of 16 x 16 pixels, got {instances}: "
+                "draw a smaller image"
             )
 
         ids, drawn_depths = new(drawn, dtype=int64), new(drawn)
@@ -159,8 +160,8 @@ class Rasterizer:
         )  # fmt: skip
         if borders is not None and ends is not None and reached is not None:
             self._pass = _Pass(
-                given, geometry, camera, background, splats, tiles, ids, firsts, starts, bucket_ends, buckets, gaussians,
-                emission, borders, ends, reached,
+                given, geometry, camera, background, splats, tiles, ids, firsts, starts, bucket_ends, buckets,
+                gaussians, emission, borders, ends, reached,
             )  # fmt: skip
         return Drawn(color, transmittance, depth, normal, median_depth)
 
@@ -191,7 +192,9 @@ class Rasterizer:
         if drawn == 0:
             return pulled
         records = new(instances, 17 if held.geometry else 11)
-        given = [None if image is None else image.contiguous() for image in (color, transmittance, depth, normal, error)]
+        given = [
+            None if image is None else image.contiguous() for image in (color, transmittance, depth, normal, error)
+        ]
         kernel = kernels.blend_backward(held.geometry)
         launch(
             kernel, blocks_of(held.buckets * _BUCKET, kernel),

@@ -21,8 +21,10 @@ __device__ inline int tiles_across(const Pinhole& at) { return (at.width + kTile
 // outside.
 __device__ inline bool touches(const Pinhole& at, const Stored& s, int column, int row) {
     const int right = min(column * kTile + kTile, at.width) - 1, bottom = min(row * kTile + kTile, at.height) - 1;
-    const float x0 = static_cast<float>(column * kTile) + 0.5f - s.splat.x, x1 = static_cast<float>(right) + 0.5f - s.splat.x;
-    const float y0 = static_cast<float>(row * kTile) + 0.5f - s.splat.y, y1 = static_cast<float>(bottom) + 0.5f - s.splat.y;
+    const float x0 = static_cast<float>(column * kTile) + 0.5f - s.splat.x,
+                x1 = static_cast<float>(right) + 0.5f - s.splat.x;
+    const float y0 = static_cast<float>(row * kTile) + 0.5f - s.splat.y,
+                y1 = static_cast<float>(bottom) + 0.5f - s.splat.y;
     return least_square(s.splat.uu, s.splat.uv, s.splat.vv, x0, x1, y0, y1) <= s.reach * 1.0001f + 1e-3f;
 }
 
@@ -37,13 +39,14 @@ __device__ inline int for_each_tile(const Pinhole& at, const Stored& mine, const
     int count = 0;
     for (unsigned left = __ballot_sync(kWarp, any); left != 0; left &= left - 1) {
         const int owner = __ffs(static_cast<int>(left)) - 1;
-        const auto of_owner = [owner](auto value) { return __shfl_sync(kWarp, value, owner); };
         Stored s;
-        s.splat.x = of_owner(mine.splat.x), s.splat.y = of_owner(mine.splat.y);
-        s.splat.uu = of_owner(mine.splat.uu), s.splat.uv = of_owner(mine.splat.uv), s.splat.vv = of_owner(mine.splat.vv);
-        s.reach = of_owner(mine.reach);
-        const int first_column = of_owner(static_cast<int>(box.left)), first_row = of_owner(static_cast<int>(box.top));
-        const int columns = of_owner(box.right - box.left + 1), tiles = columns * of_owner(box.bottom - box.top + 1);
+        s.splat.x = __shfl_sync(kWarp, mine.splat.x, owner), s.splat.y = __shfl_sync(kWarp, mine.splat.y, owner);
+        s.splat.uu = __shfl_sync(kWarp, mine.splat.uu, owner), s.splat.uv = __shfl_sync(kWarp, mine.splat.uv, owner);
+        s.splat.vv = __shfl_sync(kWarp, mine.splat.vv, owner), s.reach = __shfl_sync(kWarp, mine.reach, owner);
+        const int first_column = __shfl_sync(kWarp, static_cast<int>(box.left), owner);
+        const int first_row = __shfl_sync(kWarp, static_cast<int>(box.top), owner);
+        const int columns = __shfl_sync(kWarp, box.right - box.left + 1, owner);
+        const int tiles = __shfl_sync(kWarp, box.bottom - box.top + 1, owner) * columns;
         int found = 0;
         for (int base = 0; base < tiles; base += kLanes) {
             const int k = base + lane;

@@ -22,8 +22,8 @@ def image_loss(image: Tensor, target: Tensor, ssim_weight: float, launcher: Laun
     """(1 - w) mean |x - y| + w (1 - SSIM) of images (H, W, 3), with its derivative by the first (Wang et al. 2004).
 
     SSIM has a Gaussian window of 11 pixels and standard deviation 1.5, zeros beyond the border, C1 = 0.01^2 and
-    C2 = 0.03^2, and is taken by channels. Memory: four images beside the two. Nothing waits for the GPU: l1 and ssim are
-    tensors.
+    C2 = 0.03^2, and is taken by channels. Memory: four images beside the two. Nothing waits for the GPU: l1 and ssim
+    are tensors.
 
     Raises:
         InputError: tensors that are not on a CUDA device.

@@ -55,7 +55,9 @@ ORDERED = [
     pytest.param(make(opaque), id="opaque"),
     pytest.param(make(crowd), id="crowd", marks=pytest.mark.slow),
     pytest.param(
-        scattered(np.random.default_rng(5), count=600, width=64, height=64, degree=2), id="large", marks=pytest.mark.slow
+        scattered(np.random.default_rng(5), count=600, width=64, height=64, degree=2),
+        id="large",
+        marks=pytest.mark.slow,
     ),
 ]
 
@@ -137,7 +139,9 @@ def test_without_a_derivative_to_come_nothing_is_kept_for_it():
     scene = make(scattered)
     engine = emulated("forward", 0)
     rasterizer = engine.kernels.Rasterizer()
-    rasterizer.forward = lambda *given, forward=rasterizer.forward, **options: forward(*given, **options, gradient=False)
+    rasterizer.forward = lambda *given, forward=rasterizer.forward, **options: forward(
+        *given, **options, gradient=False
+    )
     assert_same_bits(run_pass(engine, scene, None, rasterizer).images, run_pass(engine, scene).images, "")
     with pytest.raises(AssertionError, match="forward pass"):
         rasterizer.backward(torch.zeros(22, 37, 3), None, None, None, None)
