@@ -66,7 +66,7 @@ def every(names: Sequence[str], n: int = 8) -> Split:
             f"expected images for training and for testing, got {len(names)} of which every {n}th is for testing"
         )
     test = names[::n]
-    return Split(_without(names, test), tuple((name,) for name in test), f"every {n}th image")
+    return Split(_without(names, test), tuple((name,) for name in test), f"one image in {n}")
 
 
 def in_blocks(
