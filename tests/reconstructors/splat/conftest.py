@@ -16,6 +16,14 @@ def on_cpu():
     return Engine(cpu, "cpu")
 
 
+def on_emulated_cuda():
+    """The CUDA kernels and all that runs around them, on the CPU."""
+    pytest.importorskip("torch")
+    from cuda_emulator import EmulatedCuda
+
+    return Engine(EmulatedCuda(), "cpu")
+
+
 def on_cuda():
     torch = pytest.importorskip("torch")
     if not torch.cuda.is_available():
@@ -25,7 +33,7 @@ def on_cuda():
     return Engine(cuda, "cuda")
 
 
-@pytest.fixture(scope="session", params=[on_cpu, pytest.param(on_cuda, marks=pytest.mark.gpu)])
+@pytest.fixture(scope="session", params=[on_cpu, on_emulated_cuda, pytest.param(on_cuda, marks=pytest.mark.gpu)])
 def engine(request):
     """Each device's kernels; `pytest -m gpu` runs those of CUDA."""
     pytest.importorskip("torch")

@@ -1,0 +1,102 @@
+"""Photographs to train on and to judge by: undistorted, at several sizes, in the frame of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.scenes.decode import decode_image, decode_mask
+from reconstructors.mvs.views import IMAGE, MASK
+from reconstructors.splat.model import LocalFrame
+from reconstructors.splat.view import View
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_NEAREST = 1e-3  # depth up to which nothing is drawn, in units of the cameras' spread
+_LEAST_SIDE = 64  # pixels: no smaller size is made
+
+
+class Photograph(NamedTuple):
+    """One photograph at one size.
+
+    Attributes:
+        name: of its image.
+        view: the pinhole in the frame of the model.
+        color: (H, W, 3) uint8.
+        valid: (H, W) bool, False where a mask hides it; None for nowhere.
+    """
+
+    name: str
+    view: View
+    color: Tensor
+    valid: Tensor | None
+
+    def target(self) -> Tensor:
+        """(H, W, 3) float32 from 0 to 1, 0 where a mask hides it."""
+        color = self.color.float() / 255
+        return color if self.valid is None else color * self.valid[..., None]
+
+
+Pyramid = list[Photograph]  # of one photograph: the full size first, each next one half as large
+
+
+def read_photographs(
+    folders: Mapping[str, Path], cameras: Mapping[str, Camera], frame: LocalFrame, levels: int
+) -> list[Pyramid]:
+    """The photographs of view stages (`reconstructors.mvs.views.view_stage`) and their pinholes in the world.
+
+    Args:
+        levels: sizes, at most.
+    """
+    import torch
+
+    pyramids = []
+    for name, folder in folders.items():
+        camera = frame.camera(cameras[name])
+        size = (camera.intrinsics.width, camera.intrinsics.height)
+        color = decode_image(folder / IMAGE, size)
+        valid = decode_mask(folder / MASK, size) if (folder / MASK).is_file() else None
+        pyramid = []
+        for level in range(levels):
+            if level > 0:
+                if min(color.shape[:2]) < 2 * _LEAST_SIDE:
+                    break
+                color, valid = _halved(color), None if valid is None else _whole(valid)
+                camera = replace(camera, intrinsics=_of_blocks(camera.intrinsics))
+            pyramid.append(
+                Photograph(
+                    name,
+                    View.of(camera, _NEAREST),
+                    torch.from_numpy(color),
+                    None if valid is None else torch.from_numpy(valid),
+                )
+            )
+        pyramids.append(pyramid)
+    return pyramids
+
+
+def _of_blocks(k: Intrinsics) -> Intrinsics:
+    """Of an image of whole 2 x 2 blocks: a last odd row or column is left out."""
+    return replace(k, width=k.width // 2, height=k.height // 2, fx=k.fx / 2, fy=k.fy / 2, cx=k.cx / 2, cy=k.cy / 2)
+
+
+def _blocks(image: NDArray[Any]) -> NDArray[Any]:
+    height, width = image.shape[0] // 2, image.shape[1] // 2
+    return image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, *image.shape[2:])
+
+
+def _halved(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Means of 2 x 2 blocks."""
+    return np.asarray((_blocks(color).astype(np.uint16).sum(axis=(1, 3)) + 2) // 4, dtype=np.uint8)
+
+
+def _whole(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where all of a block is shown."""
+    return np.asarray(_blocks(valid).all(axis=(1, 3)))

@@ -1,0 +1,488 @@
+// Runs a CUDA kernel on the CPU, from the same source that a GPU's compiler gets: each thread of a block is a fiber,
+// and the blocks follow one another. Barriers and what the lanes of a warp do together hand control back until all who
+// take part have come. Threads and blocks run forwards, backwards or in an order drawn anew each time: a result that
+// differs between orders shows a missing barrier. What no machine could run well-defined ends the launch with a
+// message: threads of a block at different barriers, a lane that others wait for and that has ended, or that does
+// something else.
+//
+// It shows neither the memory model nor what lanes in lockstep would do, neither registers nor speed.
+#pragma once
+
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <type_traits>
+#include <utility>
+
+#if defined(__SANITIZE_ADDRESS__)
+#include <sanitizer/asan_interface.h>
+#include <sanitizer/common_interface_defs.h>
+#endif
+#if !defined(__x86_64__)
+#include <ucontext.h>
+#endif
+
+struct dim3 {
+    unsigned x = 1, y = 1, z = 1;
+};
+static dim3 threadIdx, blockIdx, blockDim, gridDim;
+
+namespace emulator {
+
+constexpr unsigned kWarpSize = 32;
+constexpr size_t kStack = 1 << 18;
+constexpr unsigned kMostThreads = 1024;  // of a block
+
+// ---- fibers
+
+#if defined(__x86_64__)
+using Context = void*;
+extern "C" void emulator_switch(Context* from, Context to);
+asm(R"(
+.text
+.type emulator_switch, @function
+.local emulator_switch
+emulator_switch:
+    pushq %rbp
+    pushq %rbx
+    pushq %r12
+    pushq %r13
+    pushq %r14
+    pushq %r15
+    movq %rsp, (%rdi)
+    movq %rsi, %rsp
+    popq %r15
+    popq %r14
+    popq %r13
+    popq %r12
+    popq %rbx
+    popq %rbp
+    ret
+)");
+inline void switch_context(Context& from, Context& to) { emulator_switch(&from, to); }
+inline void make_context(Context& context, char* stack, void (*run)()) {
+    void** top = reinterpret_cast<void**>(reinterpret_cast<uintptr_t>(stack + kStack) & ~uintptr_t{15});
+    *--top = nullptr;  // keeps the stack aligned as after a call
+    *--top = reinterpret_cast<void*>(run);
+    for (int saved = 0; saved < 6; ++saved) *--top = nullptr;
+    context = top;
+}
+#else
+using Context = ucontext_t;
+inline void switch_context(Context& from, Context& to) { swapcontext(&from, &to); }
+inline void make_context(Context& context, char* stack, void (*run)()) {
+    getcontext(&context);
+    context.uc_stack.ss_sp = stack;
+    context.uc_stack.ss_size = kStack;
+    context.uc_link = nullptr;
+    makecontext(&context, run, 0);
+}
+#endif
+
+// ---- threads
+
+enum class State { kReady, kAtBlock, kAtWarp, kEnded };
+enum class Together { kSync, kShuffle, kBallot, kAdd, kMatch };
+
+struct Thread {
+    Context context;
+    char* stack = nullptr;
+    void* fake_stack = nullptr;
+    State state = State::kReady;
+    int line = 0;  // of the barrier at which it waits
+    // What it does together with its warp: as asked, and the answer.
+    Together kind = Together::kSync;
+    unsigned mask = 0, source = 0;
+    uint64_t value = 0, answer = 0;
+};
+
+struct Machine {
+    Thread threads[kMostThreads];
+    unsigned count = 0;  // of them
+    Context scheduler;
+    void* fake_stack = nullptr;
+    const void* bottom = nullptr;  // of the scheduler's stack
+    size_t size = 0;
+    unsigned running = 0;
+    void (*call)() = nullptr;
+    char* message = nullptr;
+    size_t room = 0;
+    bool failed = false;
+};
+static Machine machine;
+
+template <class... Parts>
+void fail(const char* format, Parts... parts) {
+    if (!machine.failed) {
+        const int length = std::snprintf(machine.message, machine.room, "block %u: ", blockIdx.x);
+        std::snprintf(machine.message + length, machine.room - static_cast<size_t>(length), format, parts...);
+    }
+    machine.failed = true;
+}
+
+inline void to_scheduler(bool for_ever) {
+    Thread& thread = machine.threads[machine.running];
+#if defined(__SANITIZE_ADDRESS__)
+    __sanitizer_start_switch_fiber(for_ever ? nullptr : &thread.fake_stack, machine.bottom, machine.size);
+#endif
+    (void)for_ever;
+    switch_context(thread.context, machine.scheduler);
+#if defined(__SANITIZE_ADDRESS__)
+    __sanitizer_finish_switch_fiber(thread.fake_stack, &machine.bottom, &machine.size);
+#endif
+}
+
+inline void run_thread() {
+#if defined(__SANITIZE_ADDRESS__)
+    __sanitizer_finish_switch_fiber(nullptr, &machine.bottom, &machine.size);
+#endif
+    machine.call();
+    machine.threads[machine.running].state = State::kEnded;
+    to_scheduler(true);
+    std::abort();
+}
+
+inline void resume(unsigned number) {
+    Thread& thread = machine.threads[number];
+    machine.running = number;
+    threadIdx.x = number;
+#if defined(__SANITIZE_ADDRESS__)
+    __sanitizer_start_switch_fiber(&machine.fake_stack, thread.stack, kStack);
+#endif
+    switch_context(machine.scheduler, thread.context);
+#if defined(__SANITIZE_ADDRESS__)
+    __sanitizer_finish_switch_fiber(machine.fake_stack, nullptr, nullptr);
+#endif
+}
+
+// ---- barriers
+
+inline uint64_t block_barrier(uint64_t value, int line) {
+    Thread& thread = machine.threads[machine.running];
+    thread.state = State::kAtBlock;
+    thread.line = line;
+    thread.value = value;
+    to_scheduler(false);
+    return thread.answer;
+}
+
+inline uint64_t together(Together kind, unsigned mask, uint64_t value, unsigned source, int line) {
+    Thread& thread = machine.threads[machine.running];
+    const unsigned lane = machine.running % kWarpSize;
+    if ((mask >> lane & 1u) == 0)
+        fail("thread %u is not in the mask %08x that it names (line %d)", machine.running, mask, line);
+    thread.state = State::kAtWarp;
+    thread.line = line;
+    thread.kind = kind;
+    thread.mask = mask;
+    thread.value = value;
+    thread.source = source;
+    to_scheduler(false);
+    return thread.answer;
+}
+
+// Lets a warp go on whose lanes have all come to where `thread` waits.
+inline void release_warp(unsigned number) {
+    const Thread& asked = machine.threads[number];
+    if (asked.state != State::kAtWarp) return;
+    const unsigned first = number - number % kWarpSize;
+    Thread* lanes = &machine.threads[first];
+    const unsigned count = machine.count - first < kWarpSize ? machine.count - first : kWarpSize;
+    unsigned ballot = 0;
+    uint64_t sum = 0;
+    for (unsigned lane = 0; lane < count; ++lane) {
+        if ((asked.mask >> lane & 1u) == 0) continue;
+        const Thread& other = lanes[lane];
+        if (other.state == State::kEnded)
+            return fail("thread %u waits for lane %u of its warp, which has ended (line %d)", number, lane, asked.line);
+        if (other.state != State::kAtWarp) return;
+        if (other.mask != asked.mask || other.kind != asked.kind || other.line != asked.line)
+            return fail("divergent warp: thread %u is at line %d with mask %08x, thread %u at line %d with mask %08x",
+                        number, asked.line, asked.mask, first + lane, other.line, other.mask);
+        if (other.value != 0) ballot |= 1u << lane;
+        sum += other.value;
+    }
+    for (unsigned lane = 0; lane < count; ++lane) {
+        if ((asked.mask >> lane & 1u) == 0) continue;
+        Thread& mine = lanes[lane];
+        if (mine.kind == Together::kShuffle) {
+            const unsigned source =
+                mine.source < count && (mine.mask >> mine.source & 1u) != 0 ? mine.source : kWarpSize;
+            if (source == kWarpSize)
+                return fail("thread %u reads a lane that takes no part (line %d)", first + lane, mine.line);
+            mine.answer = lanes[source].value;
+        } else if (mine.kind == Together::kBallot) {
+            mine.answer = ballot;
+        } else if (mine.kind == Together::kAdd) {
+            mine.answer = sum;
+        } else if (mine.kind == Together::kMatch) {
+            mine.answer = 0;
+            for (unsigned other = 0; other < count; ++other)
+                if ((mine.mask >> other & 1u) != 0 && lanes[other].value == mine.value) mine.answer |= 1u << other;
+        }
+    }
+    for (unsigned lane = 0; lane < count; ++lane)
+        if ((asked.mask >> lane & 1u) != 0) lanes[lane].state = State::kReady;
+}
+
+// Lets a block go on whose threads have all come to one barrier.
+inline void release_block() {
+    const Thread& first = machine.threads[0];
+    uint64_t count = 0;
+    for (unsigned i = 0; i < machine.count; ++i) {
+        if (machine.threads[i].state != State::kAtBlock) return;
+        count += machine.threads[i].value;
+    }
+    for (unsigned i = 0; i < machine.count; ++i)
+        if (machine.threads[i].line != first.line)
+            return fail("divergent barrier: thread 0 is at line %d, thread %u at line %d", first.line, i,
+                        machine.threads[i].line);
+    for (unsigned i = 0; i < machine.count; ++i)
+        machine.threads[i].answer = count, machine.threads[i].state = State::kReady;
+}
+
+// Nobody can go on: who waits where.
+inline void fail_stuck() {
+    unsigned waiting = 0, other = 0;
+    const auto& threads = machine.threads;
+    while (threads[waiting].state == State::kEnded) ++waiting;
+    while (other < machine.count && threads[other].state == threads[waiting].state) ++other;
+    const char* names[] = {"ready", "at a barrier of the block", "at a barrier of its warp", "ended"};
+    if (other == machine.count)
+        return fail("divergent barrier: thread %u waits (line %d)", waiting, threads[waiting].line);
+    fail("divergent barrier: thread %u is %s (line %d), thread %u %s (line %d)", waiting,
+         names[static_cast<int>(threads[waiting].state)], threads[waiting].line, other,
+         names[static_cast<int>(threads[other].state)], threads[other].line);
+}
+
+// ---- orders
+
+enum Order { kForward = 0, kReverse = 1, kRandom = 2 };
+
+struct Shuffler {
+    int order;
+    uint64_t seed;
+    uint64_t draw() {  // splitmix64
+        uint64_t z = seed += 0x9e3779b97f4a7c15ULL;
+        z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ULL;
+        z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
+        return z ^ (z >> 31);
+    }
+    void arrange(unsigned* numbers, unsigned count) {
+        for (unsigned i = 0; i < count; ++i) numbers[i] = order == kReverse ? count - 1 - i : i;
+        if (order != kRandom) return;
+        for (unsigned i = count; i > 1; --i) {
+            const unsigned other = static_cast<unsigned>(draw() % i), last = numbers[i - 1];
+            numbers[i - 1] = numbers[other];
+            numbers[other] = last;
+        }
+    }
+};
+
+// What blocks share is a static in a section of its own, which is spoilt before each block: floats are no numbers,
+// whole numbers -1. Sanitizers want plain statics, to guard their ends.
+#if !defined(__SANITIZE_ADDRESS__)
+extern "C" char __start_emulated_shared[] __attribute__((weak, visibility("hidden")));
+extern "C" char __stop_emulated_shared[] __attribute__((weak, visibility("hidden")));
+inline void spoil_shared() {
+    if (__start_emulated_shared != nullptr)
+        std::memset(__start_emulated_shared, 0xff,
+                    static_cast<size_t>(__stop_emulated_shared - __start_emulated_shared));
+}
+#else
+inline void spoil_shared() {}
+#endif
+
+inline void run_block(Shuffler& shuffler) {
+    spoil_shared();
+    Thread* threads = machine.threads;
+    for (unsigned i = 0; i < machine.count; ++i) {
+        threads[i].state = State::kReady;
+        make_context(threads[i].context, threads[i].stack, run_thread);
+    }
+    unsigned numbers[kMostThreads];
+    for (bool moved = true; moved && !machine.failed;) {
+        moved = false;
+        shuffler.arrange(numbers, machine.count);
+        for (unsigned i = 0; i < machine.count; ++i) {
+            const unsigned number = numbers[i];
+            if (threads[number].state != State::kReady) continue;
+            resume(number);
+            moved = true;
+            if (!machine.failed) release_warp(number);
+            if (machine.failed) return;
+            if (threads[number].state == State::kAtBlock) release_block();
+        }
+    }
+    for (unsigned i = 0; i < machine.count; ++i)
+        if (threads[i].state != State::kEnded) return fail_stuck();
+}
+
+inline int run(void (*call)(), unsigned blocks, unsigned threads, int order, uint64_t seed, char* message,
+               size_t room) {
+    if (threads > kMostThreads) std::abort();
+    char* stacks = static_cast<char*>(std::malloc(kStack * threads));
+    unsigned* numbers = static_cast<unsigned*>(std::malloc(sizeof(unsigned) * blocks));
+    for (unsigned i = 0; i < threads; ++i) machine.threads[i].stack = stacks + kStack * i;
+    machine.count = threads;
+    machine.call = call;
+    machine.message = message;
+    machine.room = room;
+    machine.failed = false;
+    gridDim.x = blocks, blockDim.x = threads;
+    Shuffler shuffler{order, seed};
+    shuffler.arrange(numbers, blocks);
+    for (unsigned i = 0; i < blocks && !machine.failed; ++i) {
+        blockIdx.x = numbers[i];
+        run_block(shuffler);
+    }
+    std::free(numbers);
+    std::free(stacks);
+    return machine.failed ? 1 : 0;
+}
+
+// ---- calls by name
+
+// A letter for each parameter: f, i, l, s for a pointer to float, int, long long and short (or to a struct that begins
+// with one), F, I, L for a float, an int and a long long.
+template <class T>
+constexpr char letter() {
+    if (std::is_pointer_v<T>) {
+        using Plain = std::remove_cv_t<std::remove_pointer_t<T>>;
+        if (std::is_same_v<Plain, int>) return 'i';
+        if (std::is_same_v<Plain, long long>) return 'l';
+        if (std::is_same_v<Plain, float>) return 'f';
+        return alignof(Plain) == 2 ? 's' : 'f';
+    }
+    return std::is_same_v<T, int> ? 'I' : std::is_same_v<T, long long> ? 'L' : std::is_same_v<T, float> ? 'F' : '?';
+}
+
+static void** passed;
+
+template <auto kKernel>
+struct Call;
+template <class... A, void (*kKernel)(A...)>
+struct Call<kKernel> {
+    static void run() { with(std::index_sequence_for<A...>{}); }
+    template <size_t... I>
+    static void with(std::index_sequence<I...>) {
+        kKernel(*static_cast<std::remove_reference_t<A>*>(passed[I])...);
+    }
+    static const char* signature() {
+        static const char letters[] = {letter<A>()..., '\0'};
+        return letters;
+    }
+};
+
+// ---- what the lanes of a warp pass on
+
+template <class T>
+uint64_t packed(T value) {
+    static_assert(sizeof(T) <= 8);
+    uint64_t bits = 0;
+    std::memcpy(&bits, &value, sizeof value);
+    return bits;
+}
+template <class T>
+T unpacked(uint64_t bits) {
+    T value;
+    std::memcpy(&value, &bits, sizeof value);
+    return value;
+}
+template <class T>
+T shuffled(unsigned mask, T value, unsigned source, int line) {
+    return unpacked<T>(together(Together::kShuffle, mask, packed(value), source, line));
+}
+inline unsigned lane() { return machine.running % kWarpSize; }
+
+}  // namespace emulator
+
+#define EMULATED_KERNEL(name)                                                                                  \
+    extern "C" const char* emulated_signature() { return emulator::Call<&name>::signature(); }                 \
+    extern "C" int emulated_run(void** arguments, unsigned blocks, unsigned threads, int order, uint64_t seed, \
+                                char* message, size_t room) {                                                  \
+        emulator::passed = arguments;                                                                          \
+        return emulator::run(emulator::Call<&name>::run, blocks, threads, order, seed, message, room);         \
+    }
+
+// ---- what CUDA gives a kernel
+
+#define __global__
+#define __device__
+#define __host__
+#define __forceinline__ inline
+#define __launch_bounds__(...)
+#if defined(__SANITIZE_ADDRESS__)
+#define __shared__ static
+#else
+#define __shared__ static __attribute__((section("emulated_shared")))
+#endif
+
+inline void __syncthreads(int line = __builtin_LINE()) { emulator::block_barrier(0, line); }
+inline int __syncthreads_count(int yes, int line = __builtin_LINE()) {
+    return static_cast<int>(emulator::block_barrier(yes != 0, line));
+}
+inline int __syncthreads_or(int yes, int line = __builtin_LINE()) {
+    return emulator::block_barrier(yes != 0, line) != 0;
+}
+inline int __syncthreads_and(int yes, int line = __builtin_LINE()) {
+    return emulator::block_barrier(yes != 0, line) == blockDim.x;
+}
+inline void __syncwarp(unsigned mask = 0xffffffffu, int line = __builtin_LINE()) {
+    emulator::together(emulator::Together::kSync, mask, 0, 0, line);
+}
+template <class T>
+T __shfl_sync(unsigned mask, T value, int source, int line = __builtin_LINE()) {
+    return emulator::shuffled(mask, value, static_cast<unsigned>(source) % emulator::kWarpSize, line);
+}
+template <class T>
+T __shfl_up_sync(unsigned mask, T value, unsigned by, int line = __builtin_LINE()) {
+    const unsigned lane = emulator::lane();
+    return emulator::shuffled(mask, value, lane < by ? lane : lane - by, line);
+}
+template <class T>
+T __shfl_down_sync(unsigned mask, T value, unsigned by, int line = __builtin_LINE()) {
+    const unsigned lane = emulator::lane();
+    return emulator::shuffled(mask, value, lane + by < emulator::kWarpSize ? lane + by : lane, line);
+}
+template <class T>
+T __shfl_xor_sync(unsigned mask, T value, int by, int line = __builtin_LINE()) {
+    return emulator::shuffled(mask, value, emulator::lane() ^ static_cast<unsigned>(by), line);
+}
+inline unsigned __ballot_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
+    return static_cast<unsigned>(emulator::together(emulator::Together::kBallot, mask, yes != 0, 0, line));
+}
+inline int __any_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
+    return __ballot_sync(mask, yes, line) != 0;
+}
+inline int __all_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
+    return __ballot_sync(mask, yes, line) == mask;
+}
+inline unsigned __reduce_add_sync(unsigned mask, unsigned value, int line = __builtin_LINE()) {
+    return static_cast<unsigned>(emulator::together(emulator::Together::kAdd, mask, value, 0, line));
+}
+template <class T>
+unsigned __match_any_sync(unsigned mask, T value, int line = __builtin_LINE()) {
+    return static_cast<unsigned>(
+        emulator::together(emulator::Together::kMatch, mask, emulator::packed(value), 0, line));
+}
+// One thread runs at a time.
+template <class T>
+T atomicAdd(T* to, T value) {
+    const T before = *to;
+    *to = before + value;
+    return before;
+}
+
+inline float __fmaf_rn(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+inline float __fsqrt_rn(float x) { return __builtin_sqrtf(x); }
+inline float ceilf(float x) { return __builtin_ceilf(x); }
+inline float floorf(float x) { return __builtin_floorf(x); }
+inline float fabsf(float x) { return __builtin_fabsf(x); }
+inline int __float_as_int(float x) { return emulator::unpacked<int>(emulator::packed(x)); }
+inline float __int_as_float(int x) { return emulator::unpacked<float>(emulator::packed(x)); }
+inline int __popc(unsigned x) { return __builtin_popcount(x); }
+inline int __ffs(int x) { return __builtin_ffs(x); }
+inline int min(int a, int b) { return a < b ? a : b; }
+inline int max(int a, int b) { return a < b ? b : a; }

@@ -1,0 +1,132 @@
+"""A launcher that runs CUDA kernels on the CPU: `cuda_emulator.h` says how, and what it cannot show."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+import torch
+
+from reconstructors.splat import cuda
+from reconstructors.splat.cuda.kernels import Kernel, Scalar
+from reconstructors.splat.interface import ImageLoss
+
+ORDERS = (("forward", 0), ("reverse", 0), ("random", 1), ("random", 2))
+_ORDER_NUMBERS = {"forward": 0, "reverse": 1, "random": 2}
+_HEADER = Path(__file__).with_name("cuda_emulator.h")
+_BUILD = Path(__file__).parents[1] / "build" / "cuda_emulator"
+_FLAGS = ("-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-fno-gnu-unique", "-w")
+_LETTERS = {torch.float32: "f", torch.int32: "i", torch.int64: "l", torch.int16: "s"}
+_SCALARS = {ctypes.c_int32: "I", ctypes.c_int64: "L", ctypes.c_float: "F"}
+
+
+class EmulationError(Exception):
+    """A kernel did what no GPU could run well-defined."""
+
+
+class Emulator:
+    """Stands in for a GPU, on tensors of the CPU.
+
+    Args:
+        order: of threads and blocks: forward, reverse or random.
+        seed: of the random order.
+    """
+
+    def __init__(self, order: str = "forward", seed: int = 0) -> None:
+        self._order = _ORDER_NUMBERS[order]
+        self._seed = seed
+        self.launched: list[str] = []  # the names of all kernels, in order
+
+    def launch(self, kernel: Kernel, blocks: int, *arguments: torch.Tensor | Scalar | None) -> None:
+        self.launched.append(kernel.name)
+        assert blocks > 0, f"{kernel.name}: a GPU refuses {blocks} blocks"
+        _run(_library(kernel), kernel, blocks, self._order, self._seed, arguments)
+
+
+class EmulatedCuda:
+    """The module of kernels `reconstructors.splat.cuda`, on an emulator.
+
+    Args:
+        order, seed: as of the emulator.
+    """
+
+    def __init__(self, order: str = "forward", seed: int = 0, emulator: type[Emulator] = Emulator) -> None:
+        self.emulator = emulator(order, seed)
+
+    def Rasterizer(self) -> cuda.Rasterizer:
+        return cuda.Rasterizer(self.emulator)
+
+    def image_loss(self, *arguments) -> ImageLoss:
+        return cuda.image_loss(*arguments, launcher=self.emulator)
+
+    def adam(self, *arguments) -> None:
+        cuda.adam(*arguments, launcher=self.emulator)
+
+    def morton_order(self, means: torch.Tensor) -> torch.Tensor:
+        return cuda.morton_order(means, self.emulator)
+
+
+def _run(library: ctypes.CDLL, kernel: Kernel, blocks: int, order: int, seed: int, arguments: tuple) -> None:
+    library.emulated_signature.restype = ctypes.c_char_p
+    signature = library.emulated_signature().decode()
+    assert len(signature) == len(arguments), f"{kernel.name} takes {len(signature)} arguments, not {len(arguments)}"
+    holders = [_held(kernel, letter, argument) for letter, argument in zip(signature, arguments, strict=True)]
+    pointers = (ctypes.c_void_p * len(holders))(*(ctypes.addressof(holder) for holder in holders))
+    message = ctypes.create_string_buffer(500)
+    status = library.emulated_run(
+        pointers, blocks, kernel.threads, order, ctypes.c_uint64(seed), message, ctypes.c_size_t(len(message))
+    )
+    if status:
+        raise EmulationError(f"{kernel.name}: {message.value.decode()}")
+
+
+def _held(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -> ctypes._SimpleCData:
+    """The argument as memory of its own, after a check that the kernel wants just that."""
+    if argument is None:
+        assert letter.islower(), kernel.name
+        return ctypes.c_void_p(None)
+    if isinstance(argument, torch.Tensor):
+        assert argument.is_contiguous(), kernel.name
+        assert _LETTERS[argument.dtype] == letter, f"{kernel.name}: {argument.dtype} for {letter}"
+        return ctypes.c_void_p(argument.data_ptr())
+    assert _SCALARS[type(argument)] == letter, f"{kernel.name}: {type(argument)} for {letter}"
+    return argument
+
+
+@cache
+def _library(kernel: Kernel) -> ctypes.CDLL:
+    return ctypes.CDLL(str(built(kernel)))
+
+
+def built(kernel: Kernel, extra: tuple[str, ...] = ()) -> Path:
+    """The kernel as a library for this machine, in build/cuda_emulator under a name made of all that it depends on."""
+    flags = (*_FLAGS, *extra, *os.environ.get("EMULATOR_FLAGS", "").split())
+    text = f'#include "{_HEADER}"\n#line 1 "{kernel.name}"\n{kernel.source}\nEMULATED_KERNEL({kernel.name})\n'
+    name = hashlib.sha256(repr((text, _HEADER.read_text(), flags)).encode()).hexdigest()[:24]
+    library = _BUILD / f"{kernel.name}-{name}.so"
+    if not library.exists():
+        _BUILD.mkdir(parents=True, exist_ok=True)
+        scratch = library.with_suffix(f".{os.getpid()}.tmp")
+        done = subprocess.run(
+            ["g++", *flags, "-x", "c++", "-", "-o", scratch], input=text, text=True, capture_output=True
+        )
+        assert done.returncode == 0, done.stderr
+        scratch.replace(library)
+    return library
+
+
+@contextmanager
+def spoilt_memory() -> Iterator[None]:
+    """New tensors hold no numbers while this lasts: what is read before it was written shows."""
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(True)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before)

@@ -1,0 +1,173 @@
+"""The CUDA kernels, emulated: the same bits in every order of threads and blocks, and as the CPU's kernels.
+
+That they are right is tested with the other devices' (test_twins.py, where the emulator is one of them).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from splat_passes import Engine, random_wanted, run_pass
+from splat_scenes import SCENES, crowd, huge, make, opaque, scattered
+
+torch = pytest.importorskip("torch")
+
+from cuda_emulator import ORDERS, EmulatedCuda, Emulator, spoilt_memory  # noqa: E402
+
+from reconstructors.splat import cpu  # noqa: E402
+from reconstructors.splat.cuda import kernels  # noqa: E402
+
+
+def training_step(engine, scene):
+    """All that an engine computes, in arrays by name: with geometry and without, the loss, Adam, and a new order."""
+    wanted = random_wanted(scene)
+    full = run_pass(engine, scene, wanted)
+    plain = run_pass(engine, scene, wanted._replace(depth=None, normal=None), geometry=False)
+    k = scene.camera.intrinsics
+    image = torch.from_numpy(plain.images["color"].reshape(k.height, k.width, 3)).float()
+    loss = engine.kernels.image_loss(image, image.flip(1).contiguous(), 0.2)
+    ids = torch.arange(0, len(scene.means), 2)
+    parameters, first, second = (torch.from_numpy(scene.means.copy()) for _ in range(3))
+    engine.kernels.adam(parameters, first, second.abs_(), parameters[ids] + 1, ids, 0.01, 3)
+    return {
+        **{f"full {name}": array for name, array in full.arrays().items()},
+        **{f"plain {name}": array for name, array in plain.arrays().items()},
+        "drawn": full.drawn,
+        **{name: torch.as_tensor(value).numpy() for name, value in loss._asdict().items()},
+        "parameters": parameters.numpy(),
+        "first": first.numpy(),
+        "second": second.numpy(),
+    }
+
+
+def emulated(order, seed, emulator=Emulator):
+    return Engine(EmulatedCuda(order, seed, emulator), "cpu")
+
+
+def assert_same_bits(ours, theirs, context):
+    for name, array in theirs.items():
+        np.testing.assert_array_equal(ours[name], array, err_msg=f"{context} {name}")
+
+
+# More than one batch of splats a tile, rays that end, splats all over the image, and an image of several tiles.
+ORDERED = [
+    pytest.param(make(huge), id="huge"),
+    pytest.param(make(opaque), id="opaque"),
+    pytest.param(make(crowd), id="crowd", marks=pytest.mark.slow),
+    pytest.param(
+        scattered(np.random.default_rng(5), count=600, width=64, height=64, degree=2),
+        id="large",
+        marks=pytest.mark.slow,
+    ),
+]
+
+
+@pytest.mark.parametrize("scene", ORDERED)
+def test_every_order_gives_the_same_bits(scene):
+    """And nothing is read before it was written, on the device or in what blocks share: it would not be a number."""
+    with spoilt_memory():
+        results = [training_step(emulated(*order), scene) for order in ORDERS]
+    for order, result in zip(ORDERS[1:], results[1:], strict=True):
+        assert_same_bits(result, results[0], order)
+    assert all(np.isfinite(array).all() for array in results[0].values())
+
+
+def test_all_kernels_are_run():
+    engine = emulated("forward", 0)
+    training_step(engine, make(huge))
+    engine.kernels.morton_order(torch.zeros(3, 3))
+    assert set(engine.kernels.emulator.launched) == {kernel.name for kernel in kernels.every_kernel()}
+
+
+class Mutant(Emulator):
+    """Runs one kernel without one of its barriers."""
+
+    kernel, barrier = "", 0
+
+    def launch(self, kernel, blocks, *arguments):
+        if kernel.name == self.kernel:
+            parts = kernel.source.split("__syncthreads();")
+            kept = "__syncthreads();".join(parts[: self.barrier + 1])
+            source = kept + "__syncthreads();".join(parts[self.barrier + 1 :])
+            kernel = Source(kernel.name, kernel.threads, source)
+        super().launch(kernel, blocks, *arguments)
+
+
+class Source(tuple):
+    """A kernel of which the source is given."""
+
+    def __new__(cls, name, threads, source):
+        return super().__new__(cls, (name, threads, source))
+
+    name = property(lambda self: self[0])
+    threads = property(lambda self: self[1])
+    source = property(lambda self: self[2])
+
+
+@pytest.mark.parametrize(
+    "kernel, barrier",
+    [("blend", 0), *(("image_loss", n) for n in range(3)), *(("image_loss_backward", n) for n in range(2))],
+)
+def test_a_missing_barrier_would_show(kernel, barrier):
+    mutant = type("Mutant", (Mutant,), {"kernel": kernel, "barrier": barrier})
+    image = torch.rand(20, 24, 3, generator=torch.Generator().manual_seed(2))
+    results = []
+    for order in ORDERS:
+        with spoilt_memory():
+            engine = emulated(*order, mutant)
+            if kernel == "blend":
+                results.append(run_pass(engine, make(scattered)).images["color"])
+            else:
+                l1, ssim, gradient = engine.kernels.image_loss(image, image.flip(0).contiguous(), 0.2)
+                results.append(np.r_[float(l1), float(ssim), gradient.numpy().ravel()])
+    assert not all(np.array_equal(result, results[0]) for result in results[1:])
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_images_are_bit_for_bit_those_of_the_cpu(kind):
+    """One header of mathematics, rounded alike; derivatives are sums in another order."""
+    scene = make(kind)
+    wanted = random_wanted(scene)
+    ours, theirs = run_pass(emulated("forward", 0), scene, wanted), run_pass(Engine(cpu, "cpu"), scene, wanted)
+    assert_same_bits(ours.images, theirs.images, kind.__name__)
+    for name, array in theirs.pulled.items():
+        size = np.abs(array).max(initial=0)
+        np.testing.assert_allclose(ours.pulled[name], array, rtol=1e-3, atol=1e-5 * size, err_msg=name)
+
+
+def test_without_a_derivative_to_come_nothing_is_kept_for_it():
+    scene = make(scattered)
+    engine = emulated("forward", 0)
+    rasterizer = engine.kernels.Rasterizer()
+    rasterizer.forward = lambda *given, forward=rasterizer.forward, **options: forward(
+        *given, **options, gradient=False
+    )
+    assert_same_bits(run_pass(engine, scene, None, rasterizer).images, run_pass(engine, scene).images, "")
+    with pytest.raises(AssertionError, match="forward pass"):
+        rasterizer.backward(torch.zeros(22, 37, 3), None, None, None, None)
+
+
+def test_the_order_of_the_points_is_that_of_interleaved_bits():
+    rng = np.random.default_rng(7)
+    points = rng.normal(size=(200, 3)).astype(np.float32)
+    points[50:60] = points[40:50]
+    least, size = points.min(axis=0), (points.max(axis=0) - points.min(axis=0)).max()
+    cells = np.minimum((points - least) * (np.float32(2**21) / size), np.float32(2**21 - 1)).astype(np.int64)
+    bits = (cells[:, :, None] >> np.arange(21)) & 1
+    codes = (bits << (3 * np.arange(21) + np.arange(3)[:, None])).sum(axis=(1, 2))
+    order = emulated("forward", 0).kernels.morton_order(torch.from_numpy(points)).numpy()
+    np.testing.assert_array_equal(order, np.argsort(codes, kind="stable"))
+
+
+def test_the_order_of_points_at_one_place_and_of_none():
+    kernels_of = emulated("forward", 0).kernels
+    assert kernels_of.morton_order(torch.ones(5, 3)).tolist() == [0, 1, 2, 3, 4]
+    assert kernels_of.morton_order(torch.zeros(0, 3)).tolist() == []
+    line = [[3.0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    assert kernels_of.morton_order(torch.tensor(line)).tolist() == [1, 2, 0]
+
+
+def test_constants_are_part_of_the_source():
+    kernel = kernels.blend(True, False)
+    assert "constexpr int kGeometry = 1;" in kernel.source and "#include" not in kernel.source
+    assert replace(kernel, constants=(("kGeometry", 0),)).source != kernel.source

@@ -1,0 +1,162 @@
+"""The emulator that runs CUDA kernels on the CPU: it computes what a GPU would, and sees what no GPU could run."""
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+cuda_emulator = pytest.importorskip("cuda_emulator")
+
+
+@dataclass(frozen=True)
+class Text:
+    """A kernel given as source, of 64 threads a block unless it says otherwise."""
+
+    source: str
+    threads: int = 64
+    name: str = "kernel"
+
+
+def run(text, *arguments, blocks=1, order="forward", seed=0):
+    cuda_emulator.Emulator(order, seed).launch(text, blocks, *arguments)
+
+
+def in_all_orders(text, make_arguments, blocks=1):
+    """The first argument after the kernel has run, for each order of threads and blocks."""
+    results = []
+    for order, seed in cuda_emulator.ORDERS:
+        arguments = make_arguments()
+        run(text, *arguments, blocks=blocks, order=order, seed=seed)
+        results.append(arguments[0].clone())
+    return results
+
+
+SUM = """
+extern "C" __global__ void kernel(int* out, const int* values) {
+    __shared__ int warps[2];
+    int value = values[blockIdx.x * 64 + threadIdx.x];
+    for (int by = 16; by > 0; by /= 2) value += __shfl_down_sync(0xffffffffu, value, by);
+    if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32] = value;
+    BARRIER
+    if (threadIdx.x == 0) atomicAdd(out, warps[0] + warps[1]);
+}
+"""
+
+
+def test_a_sum_over_blocks_is_right_in_every_order():
+    values = torch.randint(0, 1000, (5 * 64,), dtype=torch.int32, generator=torch.Generator().manual_seed(1))
+    text = Text(SUM.replace("BARRIER", "__syncthreads();"))
+    results = in_all_orders(text, lambda: (torch.zeros(1, dtype=torch.int32), values), blocks=5)
+    assert [int(result) for result in results] == [int(values.sum())] * 4
+
+
+def test_without_the_barrier_the_order_shows():
+    """One run alone may be right: the result differs between orders, and shared memory is spoilt before each block."""
+    values = torch.ones(64, dtype=torch.int32)
+    text = Text(SUM.replace("BARRIER", ""))
+    results = in_all_orders(text, lambda: (torch.zeros(1, dtype=torch.int32), values))
+    assert len({int(result) for result in results}) > 1
+
+
+def test_shared_memory_does_not_survive_a_block():
+    text = Text("""
+    extern "C" __global__ void kernel(float* out) {
+        __shared__ float kept;
+        if (blockIdx.x == 0) kept = 1.0f;
+        __syncthreads();
+        if (threadIdx.x == 0) out[blockIdx.x] = kept;
+    }""")
+    out = torch.zeros(2)
+    run(text, out, blocks=2)
+    assert out[0] == 1 and torch.isnan(out[1])
+
+
+LANES = np.tile(np.arange(32), 2)
+
+
+TOGETHER = [
+    ("__shfl_sync(0xffffffffu, lane * lane, 5)", np.full(64, 25)),
+    ("__shfl_sync(0xffffffffu, lane * lane, (lane + 1) % 32)", ((LANES + 1) % 32) ** 2),
+    ("__shfl_up_sync(0xffffffffu, lane, 3)", np.where(LANES < 3, LANES, LANES - 3)),
+    ("__shfl_down_sync(0xffffffffu, lane, 3)", np.where(LANES > 28, LANES, LANES + 3)),
+    ("__shfl_xor_sync(0xffffffffu, lane, 8)", LANES ^ 8),
+    ("__float_as_int(__shfl_xor_sync(0xffffffffu, 1.0f * lane, 1))", (LANES ^ 1).astype(np.float32).view(np.int32)),
+    ("__popc(__ballot_sync(0xffffffffu, lane < 7))", np.full(64, 7)),
+    ("__any_sync(0xffffffffu, threadIdx.x == 40)", np.repeat([0, 1], 32)),
+    ("__all_sync(0xffffffffu, threadIdx.x != 40)", np.repeat([1, 0], 32)),
+    ("__reduce_add_sync(0xffffffffu, threadIdx.x)", np.repeat([496, 1520], 32)),
+    ("__popc(__match_any_sync(0xffffffffu, lane / 5))", np.where(LANES < 30, 5, 2)),
+    ("__syncthreads_count(lane < 3)", np.full(64, 6)),
+    ("__syncthreads_or(threadIdx.x == 40)", np.ones(64)),
+    ("__syncthreads_and(threadIdx.x != 40)", np.zeros(64)),
+    # The halves of a warp each by themselves, the upper one twice.
+    (
+        "lane < 16 ? __shfl_sync(0xffffu, lane, 3)"
+        " : __shfl_sync(0xffff0000u, __shfl_sync(0xffff0000u, lane, 20) + lane, 17)",
+        np.where(LANES < 16, 3, 37),
+    ),
+    # 1 where it is rounded once, else 0.
+    ("__fmaf_rn(16777215.0f, 16777215.0f, -281474943156224.0f)", np.ones(64)),
+]
+
+
+def test_what_threads_do_together():
+    lines = (f"out[{64 * n} + threadIdx.x] = {expression};" for n, (expression, _) in enumerate(TOGETHER))
+    body = "const int lane = threadIdx.x % 32;\n" + "\n".join(lines)
+    text = Text('extern "C" __global__ void kernel(int* out) {' + body + "}")
+    for result in in_all_orders(text, lambda: (torch.full((len(TOGETHER), 64), -9, dtype=torch.int32),)):
+        for row, (expression, expected) in zip(result, TOGETHER, strict=True):
+            np.testing.assert_array_equal(row.numpy(), expected, err_msg=expression)
+
+
+IMPOSSIBLE = [
+    ("if (threadIdx.x < 32) __syncthreads();", "ended"),
+    ("if (threadIdx.x == 3) return; __syncthreads();", "ended"),
+    ("if (threadIdx.x < 32)\n __syncthreads();\n else\n __syncthreads();", "divergent barrier"),
+    ("if (threadIdx.x % 2)\n __syncthreads();\n else\n __syncwarp(0x55555555u);", "divergent barrier|ended"),
+    ("if (threadIdx.x != 3) __syncwarp();", "has ended|divergent barrier"),
+    ("if (threadIdx.x % 2)\n __syncwarp();\n else\n __any_sync(0xffffffffu, 1);", "divergent warp"),
+    ("__syncwarp(0xffff0000u);", "not in the mask"),
+    ("if (threadIdx.x % 32 < 16) __shfl_sync(0x0000ffffu, 1, 20);", "takes no part"),
+]
+
+
+@pytest.mark.parametrize("which", range(len(IMPOSSIBLE)))
+def test_what_no_gpu_could_run_ends_the_launch(which):
+    bodies = "\n".join(f"if (which == {n}) {{ {body} }}" for n, (body, _) in enumerate(IMPOSSIBLE))
+    text = Text('extern "C" __global__ void kernel(int which) {' + bodies + "}")
+    for order, seed in cuda_emulator.ORDERS:
+        with pytest.raises(cuda_emulator.EmulationError, match=f"kernel: block [0-9]+: .*({IMPOSSIBLE[which][1]})"):
+            run(text, ctypes.c_int32(which), blocks=2, order=order, seed=seed)
+    run(text, ctypes.c_int32(-1))  # a failure leaves nothing behind
+
+
+def test_arguments_of_other_types_are_refused():
+    text = Text('extern "C" __global__ void kernel(float* a, const long long* b, int c, float d) {}')
+    whole, floats = torch.zeros(3, dtype=torch.int64), torch.zeros(3)
+    good = (floats, whole, ctypes.c_int32(1), ctypes.c_float(1))
+    run(text, *good)
+    run(text, None, *good[1:])
+    for at, wrong in enumerate([whole, whole.int(), ctypes.c_int64(1), ctypes.c_int32(1)]):
+        with pytest.raises(AssertionError):
+            run(text, *good[:at], wrong, *good[at + 1 :])
+    with pytest.raises(AssertionError):
+        run(text, *good[:3])
+    with pytest.raises(AssertionError):
+        run(text, torch.zeros(3, 2).T, *good[1:])
+
+
+def test_seeds_are_orders():
+    """The order in which threads write is forwards, backwards, or by the seed."""
+    text = Text("""extern "C" __global__ void kernel(int* out, int* next) { out[(*next)++] = threadIdx.x; }""")
+
+    def order(name, seed=0):
+        out = torch.zeros(64, dtype=torch.int32)
+        run(text, out, torch.zeros(1, dtype=torch.int32), order=name, seed=seed)
+        return out.tolist()
+
+    assert order("forward") == [*range(64)] and order("reverse") == [*range(63, -1, -1)]
+    assert order("random", 1) == order("random", 1) != order("random", 2)
+    assert sorted(order("random", 1)) == [*range(64)]
