@@ -11,7 +11,7 @@ from repository import TESTS
 from textured_planes import Photographed, plane_scene
 
 from pcbench.errors import InputError
-from reconstructors.mvs.patchmatch import MAX_SOURCES, _State, match, noise_variance, refine
+from reconstructors.mvs.patchmatch import MAX_SIDE, MAX_SOURCES, _State, match, noise_variance, refine
 
 
 def in_pixels(scene: Photographed, depth):
@@ -123,6 +123,9 @@ def test_what_cannot_be_searched_is_refused(slanted):
         match(scene.views[0], [scene.views[1]] * (MAX_SOURCES + 1), (5.0, 20.0))
     with pytest.raises(InputError, match="positive depths"):
         match(scene.views[0], scene.views[1:], (0.0, 20.0))
+    wide = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE + 1), np.uint8))
+    with pytest.raises(InputError, match="at most 32000 pixels a side, got 32001"):
+        match(scene.views[0], [wide], (5.0, 20.0))
 
 
 ANSWER = """
@@ -132,7 +135,7 @@ from textured_planes import plane_scene
 from reconstructors.mvs.native import _patchmatch
 from reconstructors.mvs.patchmatch import match, refine
 
-scene = plane_scene(normal=(0.35, -0.2, -1.0), width=150)
+scene = plane_scene(normal=(0.35, -0.2, -1.0), width=151)
 found = match(scene.views[0], scene.views[1:], (5.0, 20.0), iterations=2)
 found = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0), iterations=1)
 digest = hashlib.sha256()
