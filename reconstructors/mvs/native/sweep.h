@@ -7,8 +7,6 @@
 
 namespace pcbench::mvs::PCB_ISA {
 
-constexpr int kRounds = 5;
-
 // Numbers that depend on what they are for alone, not on the order of the work.
 class Random {
 public:
