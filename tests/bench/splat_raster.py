@@ -79,9 +79,8 @@ def measure(options: dict[str, Any]) -> None:
             name: {
                 # On a GPU the CPU only asks for the work.
                 "parts": [statistics.median(parts[i][0 if on_gpu else 1] for parts in runs) for i in range(len(PARTS))],
-                "cpu": statistics.median(sum(part.cpu for part in parts) for parts in runs),
-                "wall": statistics.median(sum(part.wall for part in parts) for parts in runs),
-                "best": min(sum(part.wall for part in parts) for parts in runs),
+                "cpu": [pick(sum(part.cpu for part in parts) for parts in runs) for pick in (statistics.median, min)],
+                "wall": [pick(sum(part.wall for part in parts) for parts in runs) for pick in (statistics.median, min)],
                 "off": float((contestants[name].image.clamp(max=1) - image).abs().mean()),
             }
             for name, runs in samples.items()
@@ -129,8 +128,8 @@ def main() -> None:
         return measure(json.loads(options.child))
     clock = "CPU" if options.device == "cpu" else "wall"
     print(f"{setting()}; {options.device}; medians of {options.runs} alternating runs")
-    print(f"milliseconds; the parts are of {clock} time, the ratio is of that of the step")
-    head = "".join(f"{name:>10}" for name in (*PARTS, "step CPU", "step wall", "best wall", "ratio"))
+    print(f"milliseconds: {clock} time for parts and ratio; for the whole step CPU and wall time, median and least")
+    head = "".join(f"{name:>9}" for name in (*PARTS, "CPU", "least", "wall", "least", "ratio"))
     print(f"{'threads':>7} {'loops':10}{'method':18}{head}{'image off':>11}")
     isas, every_threads = options.isas.split(","), [int(number) for number in options.threads.split(",")]
     for size, count in itertools.product(options.sizes.split(","), map(int, options.counts.split(","))):
@@ -143,11 +142,11 @@ def main() -> None:
                 print("\n" + describe(found, size, count))
             own = found["rows"]["pcbench"]
             for name, row in found["rows"].items():
-                times = (*row["parts"], row["cpu"], row["wall"], row["best"])
+                times = (*row["parts"], *row["cpu"], *row["wall"])
                 ratio = sum(row["parts"]) / sum(own["parts"])
                 print(
-                    f"{threads:7} {isa or 'widest':10}{name:18}{''.join(f'{1e3 * each:10.1f}' for each in times)}"
-                    f"{ratio:10.1f}{row['off']:11.1e}",
+                    f"{threads:7} {isa or 'widest':10}{name:18}{''.join(f'{1e3 * each:9.1f}' for each in times)}"
+                    f"{ratio:9.1f}{row['off']:11.1e}",
                     flush=True,
                 )
 

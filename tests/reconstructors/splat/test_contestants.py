@@ -65,7 +65,7 @@ def test_the_bench_prints_a_row_for_each_contestant():
         r"^48x32, 300 Gaussians: \d+ drawn, [\d,]+ times in a tile, \d+ at a pixel, alpha 0\.\d\d; ", printed, re.M
     )
     rows = re.findall(
-        r"^ +1 widest +(pcbench|pcbench, geometry|plain torch) +((?: +\d+\.\d){8}) +(\S+)$", printed, re.M
+        r"^ +1 widest +(pcbench|pcbench, geometry|plain torch) +((?: +\d+\.\d){9}) +(\S+)$", printed, re.M
     )
     assert [name for name, *_ in rows] == ["pcbench", "pcbench, geometry", "plain torch"]
     assert all(float(off) < 1e-6 for *_, off in rows)
