@@ -58,7 +58,7 @@ def measure(options: dict[str, Any]) -> None:
     if options["peers"]:
         if instances * 256 < BUSY:
             contestants["plain torch"] = PlainTorch(picture)
-        if options["opensplat"]:
+        if options["opensplat"] and not on_gpu:
             contestants["OpenSplat"] = OpenSplat(picture, build_opensplat(Path(options["opensplat"])))
         if on_gpu and importlib.util.find_spec("gsplat"):
             contestants["gsplat"] = Gsplat(picture)
