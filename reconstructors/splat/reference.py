@@ -11,6 +11,7 @@ order and thresholds); Zhang et al. 2024, RaDe-GS (depth as a plane); Wang et al
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -90,13 +91,19 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
             real, imaginary = torch.ones_like(x), torch.zeros_like(x)
             for _ in range(m):
                 real, imaginary = x * real - y * imaginary, x * imaginary + y * real
-            coefficients = Legendre.basis(degree).deriv(m).convert(kind=Polynomial).coef
-            legendre = sum(float(c) * z**power for power, c in enumerate(coefficients))
+            legendre = sum(c * z**power for power, c in enumerate(_legendre(degree, m)))
             norm = math.sqrt((2 * degree + 1) / (4 * math.pi) * math.factorial(degree - m) / math.factorial(degree + m))
             if m:
                 norm *= math.sqrt(2) * (-1) ** m
             values.append(norm * legendre * (imaginary if order < 0 else real))
     return torch.stack(values, dim=1)
+
+
+@cache
+def _legendre(degree: int, order: int) -> list[float]:
+    """The coefficients, by rising power, of the derivative of this order of a Legendre polynomial."""
+    coefficients: list[float] = Legendre.basis(degree).deriv(order).convert(kind=Polynomial).coef.tolist()
+    return coefficients
 
 
 def project(gaussians: Gaussians, view: View) -> Projection:

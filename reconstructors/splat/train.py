@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from reconstructors.splat.density import Density
     from reconstructors.splat.interface import Pulled
+    from reconstructors.splat.view import View
 
 
 @dataclass(frozen=True)
@@ -175,11 +176,12 @@ class Training:
         self.seen.add(pulled, photograph.view.width, photograph.view.height)
         self.psnr[which] = _psnr(float((difference**2).mean()))
 
-    def save(self, path: Path) -> None:
-        """Write all that a run needs to go on."""
+    def save(self, path: Path, key: str) -> None:
+        """Write all that a run with the same `key` needs to go on."""
         import torch
 
         held = {
+            "key": key,
             "step": self.step,
             "psnr": self.psnr,
             "seen": tuple(self.seen),
@@ -188,27 +190,33 @@ class Training:
         with atomic_write(path) as file:
             torch.save(held, file)
 
-    def load(self, path: Path) -> None:
-        """Go on from what `save` wrote."""
+    def load(self, path: Path, key: str) -> bool:
+        """Go on from what `save` wrote; False where that was for another key."""
         import torch
 
         held: dict[str, Any] = torch.load(path, weights_only=True)
+        if held["key"] != key:
+            return False
         self.step, self.psnr, self.seen = held["step"], held["psnr"], Seen(*held["seen"])
         self.model, first, second = (Gaussians(*part) for part in held["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
+        return True
+
+
+def render(model: Gaussians, view: View) -> Tensor:
+    """The image (H, W, 3) of a view, 0 to 1."""
+    import torch
+
+    rasterizer = kernels_of(model.means.device).Rasterizer()
+    numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
+    return rasterizer.forward(*numbers, view, torch.zeros(3), geometry=False).color.clamp(0, 1)
 
 
 def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:
     """PSNR of each photograph (dB), over what its mask shows."""
-    import torch
-
-    rasterizer = kernels_of(model.means.device).Rasterizer()
-    scales, opacities, scores = model.scales, model.opacities, []
+    scores = []
     for photograph in photographs:
-        drawn = rasterizer.forward(
-            model.means, model.quats, scales, opacities, model.sh, photograph.view, torch.zeros(3), geometry=False
-        )
-        square = (drawn.color.clamp(0, 1) - photograph.color.float() / 255) ** 2
+        square = (render(model, photograph.view) - photograph.color.float() / 255) ** 2
         shown = square if photograph.valid is None else square[photograph.valid]
         scores.append(_psnr(float(shown.double().mean())))
     return scores

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import weakref
 from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -18,8 +19,16 @@ torch = pytest.importorskip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
 
 
-def given(engine, scene, dtype=torch.float32):
-    return [engine.tensor(array).to(dtype).requires_grad_() for array in scene.arrays]
+@pytest.fixture
+def device(engine, monkeypatch):
+    """`rasterize` itself takes the device's kernels; those that are emulated are put in their place."""
+    if not isinstance(engine.kernels, ModuleType):
+        monkeypatch.setattr(sys.modules[rasterize.__module__], "kernels_of", lambda _: engine.kernels)
+    return engine
+
+
+def given(device, scene, dtype=torch.float32):
+    return [device.tensor(array).to(dtype).requires_grad_() for array in scene.arrays]
 
 
 def some_loss(rendering, seed=5):
@@ -29,11 +38,11 @@ def some_loss(rendering, seed=5):
     return sum((image * torch.from_numpy(rng.normal(size=image.shape)).to(image)).sum() for image in images)
 
 
-def test_images_and_derivatives_are_those_of_the_plain_rasterizer(engine):
+def test_images_and_derivatives_are_those_of_the_plain_rasterizer(device):
     """Depth is the mean, which has a derivative through alpha too; the background has one."""
     scene = make(scattered)
-    background = engine.tensor(scene.background).requires_grad_()
-    tensors = given(engine, scene)
+    background = device.tensor(scene.background).requires_grad_()
+    tensors = given(device, scene)
     ours = rasterize(*tensors, scene.camera, background=background)
     some_loss(ours).backward()
 
@@ -60,7 +69,7 @@ def test_images_and_derivatives_are_those_of_the_plain_rasterizer(engine):
         np.testing.assert_allclose(ours_by.grad.cpu().numpy(), theirs_by.grad.numpy(), rtol=1e-3, atol=3e-5 * scale)
 
 
-def test_a_scene_far_from_the_origin_is_drawn_alike(engine):
+def test_a_scene_far_from_the_origin_is_drawn_alike(device):
     """In UTM-sized coordinates of float64 a float32 would be off by half a metre."""
     scene = make(scattered)
     far = np.array([654_321.0, 5_432_109.0, 512.0])
@@ -68,9 +77,9 @@ def test_a_scene_far_from_the_origin_is_drawn_alike(engine):
     moved = replace(
         scene.camera, cam_from_world=Similarity(motion.rotation, motion.translation - motion.rotation @ far)
     )
-    means, *others = given(engine, scene, torch.float64)
+    means, *others = given(device, scene, torch.float64)
     near, there = rasterize(means, *others, scene.camera), None
-    far_means = (means.detach() + engine.tensor(far)).requires_grad_()
+    far_means = (means.detach() + device.tensor(far)).requires_grad_()
     there = rasterize(far_means, *others, moved)
     for ours, theirs in zip(there, near, strict=True):
         # 1e-9 of the coordinates is left; a pixel may change sides at a threshold of 1/255.
@@ -82,9 +91,9 @@ def test_a_scene_far_from_the_origin_is_drawn_alike(engine):
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
-def test_other_types_are_drawn_in_float32(engine, dtype):
+def test_other_types_are_drawn_in_float32(device, dtype):
     scene = make(scattered)
-    tensors = given(engine, scene, dtype)
+    tensors = given(device, scene, dtype)
     rendering = rasterize(*tensors, scene.camera)
     some_loss(rendering).backward()
     again = [tensor.detach().float().requires_grad_() for tensor in tensors]
@@ -96,9 +105,9 @@ def test_other_types_are_drawn_in_float32(engine, dtype):
         assert torch.equal(ours.grad, theirs.grad.to(dtype))
 
 
-def test_rows_that_are_not_contiguous(engine):
+def test_rows_that_are_not_contiguous(device):
     scene = make(scattered)
-    tensors = given(engine, scene)
+    tensors = given(device, scene)
     spread = [torch.stack([tensor.detach()] * 2, dim=-1)[..., 0].requires_grad_() for tensor in tensors]
     assert not any(tensor.is_contiguous() for tensor in spread)
     for each in (tensors, spread):
@@ -107,15 +116,15 @@ def test_rows_that_are_not_contiguous(engine):
         assert torch.equal(ours.grad, theirs.grad)
 
 
-def test_two_renderings_at_once(engine):
+def test_two_renderings_at_once(device):
     """Each keeps what its own derivative needs, in whatever order these are taken, and twice if that is asked for."""
     scenes = make(scattered), make(scattered, seed=1)
     apart = []
     for scene in scenes:
-        tensors = given(engine, scene)
+        tensors = given(device, scene)
         some_loss(rasterize(*tensors, scene.camera)).backward()
         apart.append([tensor.grad for tensor in tensors])
-    tensors = [given(engine, scene) for scene in scenes]
+    tensors = [given(device, scene) for scene in scenes]
     losses = [some_loss(rasterize(*each, scene.camera)) for each, scene in zip(tensors, scenes, strict=True)]
     (losses[0] + losses[1]).backward(retain_graph=True)
     losses[0].backward()
@@ -125,25 +134,25 @@ def test_two_renderings_at_once(engine):
         assert torch.equal(tensor.grad, grad)
 
 
-def test_what_was_overwritten_has_no_derivative(engine):
+def test_what_was_overwritten_has_no_derivative(device):
     """Torch refuses it, whether a parameter has been stepped or an image been painted over."""
     scene = make(scattered)
-    tensors = given(engine, scene)
+    tensors = given(device, scene)
     loss = some_loss(rasterize(*tensors, scene.camera))
     with torch.no_grad():
         tensors[2] *= 0.5
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
-    rendering = rasterize(*given(engine, scene), scene.camera)
+    rendering = rasterize(*given(device, scene), scene.camera)
     loss = some_loss(rendering._replace(color=rendering.color.clamp_(0, 1)))
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
 
 
-def test_a_rendering_that_is_let_go_is_gone(engine):
+def test_a_rendering_that_is_let_go_is_gone(device):
     """With all its memory, at once: nothing holds it in a circle."""
     scene = make(scattered)
-    rendering = rasterize(*given(engine, scene), scene.camera)
+    rendering = rasterize(*given(device, scene), scene.camera)
     node = rendering.color.grad_fn
     held = weakref.ref(node.rasterizer)
     assert held() is not None
@@ -151,13 +160,13 @@ def test_a_rendering_that_is_let_go_is_gone(engine):
     assert held() is None
 
 
-def test_without_gradients_and_without_gaussians(engine):
+def test_without_gradients_and_without_gaussians(device):
     scene = make(scattered)
     with torch.no_grad():
-        rendering = rasterize(*given(engine, scene), scene.camera)
+        rendering = rasterize(*given(device, scene), scene.camera)
     assert not rendering.color.requires_grad
     empty, background = make(nothing), [0.1, 0.2, 0.3]
-    tensors = given(engine, empty)
+    tensors = given(device, empty)
     rendering = rasterize(*tensors, empty.camera, background=background)
     assert torch.equal(rendering.color.cpu(), torch.tensor(background).expand(22, 37, 3))
     assert not any(image.any() for image in rendering[1:])

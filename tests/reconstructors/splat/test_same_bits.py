@@ -60,10 +60,10 @@ def baseline_answers():
     return digests
 
 
-@pytest.mark.parametrize("isa, threads", [("baseline", "2"), ("avx2", "2"), ("avx512", "3")])
+@pytest.mark.parametrize("isa, threads", [("avx2", "2"), ("avx512", "3")])
 def test_the_same_bits_from_any_threads_and_instructions(baseline_answers, isa, threads):
-    """As from one thread of the baseline."""
+    """As from one thread of the baseline; where there are no such instructions, of several threads of the baseline."""
     done = answers_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
     if "PCBENCH_ISA: expected one that this machine runs" in done.stderr:
-        pytest.skip(f"this machine has no {isa}: there is nothing to compare with the baseline")
+        isa, done = "baseline", answers_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)
     assert json.loads(done.stdout) == [isa, baseline_answers], done.stderr

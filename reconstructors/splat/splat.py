@@ -1,0 +1,244 @@
+"""Gaussian splatting as a reconstructor: Gaussians trained to look like the photographs, and the surface they show.
+
+Kerbl et al. 2023, with which Gao et al. make their densified clouds; they take the Gaussians' centres for points.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from pcbench.errors import InputError, ReconstructionError
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.voxels import robust_bounds, robust_extent, voxel_downsample_to
+from pcbench.plugins import Reconstruction
+from pcbench.plugins.progress import counted, progress
+from pcbench.plugins.stages import library_versions, stage
+from pcbench.scenes import Scene
+from pcbench.scenes.splits import HoldOut, Split, hold_out
+from pcbench.scenes.views import Pictures, write_views
+from reconstructors.mvs.mvs import DenseMvs
+from reconstructors.mvs.views import pinhole, view_stage
+from reconstructors.sfm.sfm import ColmapSfm
+from reconstructors.splat import extract
+from reconstructors.splat.density import GAO2025, Classic, Density, Unchanged
+from reconstructors.splat.model import Gaussians, LocalFrame
+from reconstructors.splat.photographs import Pyramid, read_photographs
+from reconstructors.splat.ply import write_model
+from reconstructors.splat.resume import load_model, save_model, trained
+from reconstructors.splat.train import Schedule, Training, render
+
+MODEL = "point_cloud.ply"  # in the stage `model`
+NUMBERS = "model.pt"  # beside it, in the frame of training
+VIEWS = "rendered"  # in the workspace: what `pcbench views` reads
+
+_LEVELS = 3  # sizes of the photographs
+_FEWEST = 3  # images: a surface is what as many agree on
+_BYTES = 1000  # a Gaussian: its numbers, their derivatives and moments, its places in the tiles of an image
+_PIXEL_BYTES = 4  # of a photograph, with its smaller sizes
+_GIGA = 1e9
+
+
+@dataclass(frozen=True)
+class GaussianSplatting:
+    """The surface that Gaussians show which were trained to look like the photographs.
+
+    poses: `given` takes the scene's cameras as they are, `solve` finds them, as `sfm` does; `auto` is given where there
+    are some.
+    start: from what training begins: the cloud of `mvs`, thinned to `gaussians`, the sparse points of `sfm`, or places
+    at `random` in their box.
+    density: `fixed` leaves their number as it is; `classic` adds and removes by the rules of Kerbl et al. 2023,
+    `gao2025` by those of Gao et al.
+    cloud: the `surface` that at least three images agree on, or the `means` of all Gaussians, as Gao et al. take them;
+    min_opacity: of those.
+    steps: of training. gaussians: at most. sh_degree: 0 to 3, of their colours. image_side: pixels of the longer side
+    of the photographs, at most. hold_out: images that are not trained on: `every` 8th, or 8 `blocks`; renderings of all
+    images are then left in the workspace for `pcbench views`. memory: gigabytes that training may take.
+    The workspace keeps the model (model/point_cloud.ply), which viewers open.
+    """
+
+    poses: Literal["auto", "given", "solve"] = "auto"
+    start: Literal["mvs", "sfm", "random"] = "mvs"
+    density: Literal["fixed", "classic", "gao2025"] = "fixed"
+    cloud: Literal["surface", "means"] = "surface"
+    min_opacity: float = 0.0
+    steps: int = 3000
+    gaussians: int = 50_000
+    sh_degree: int = 2
+    image_side: int = 640
+    hold_out: HoldOut = "none"
+    memory: float = 4.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_opacity <= 1:
+            raise ValueError(f"expected a least opacity from 0 to 1, got {self.min_opacity}")
+        if self.steps < 1:
+            raise ValueError(f"expected at least one step, got {self.steps}")
+        if self.gaussians < 2:
+            raise ValueError(f"expected at least 2 Gaussians, got {self.gaussians}")
+        if not 0 <= self.sh_degree <= 3:
+            raise ValueError(f"expected spherical harmonics of degree 0 to 3, got {self.sh_degree}")
+        if self.image_side < 16:
+            raise ValueError(f"expected photographs of at least 16 pixels, got image_side={self.image_side}")
+        if not (np.isfinite(self.memory) and self.memory > 0):
+            raise ValueError(f"expected memory in gigabytes, got {self.memory}")
+        if not 0 <= self.seed < 2**31:
+            raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {self.seed}")
+
+    @classmethod
+    def missing(cls) -> str | None:
+        absent = [name for name in ("torch", "pycolmap") if not find_spec(name)]
+        return f"{' and '.join(absent)} not installed: pip install 'pcbench[splat,mvs]'" if absent else None
+
+    def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
+        try:
+            return self._reconstruct(scene, workspace)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise ReconstructionError(
+                    f"the disk of {workspace} is full: make room and run it again; what is finished is kept"
+                ) from error
+            raise
+
+    def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
+        if len(scene) < _FEWEST:
+            raise InputError(f"expected at least {_FEWEST} images, got {len(scene)}")
+        begun = self._begun(scene, workspace)
+        cameras = begun.cameras
+        split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
+        frame = LocalFrame.of(list(cameras.values()))
+        pinholes = {name: pinhole(camera, self._scale(camera)) for name, camera in cameras.items()}
+        self._check_memory(pinholes)
+        folders = {
+            name: view_stage(scene, cameras[name], camera, workspace)
+            for name, camera in counted(list(pinholes.items()), "undistorting")
+        }
+        photographs = read_photographs(folders, pinholes, frame, _LEVELS)
+        notes = [f"{len(split.test)} of {len(cameras)} images held out: {split.words}"] if split.test else []
+
+        inputs = {
+            "versions": library_versions(),
+            "settings": repr(self._of_training()),
+            "scene": scene.fingerprint(),
+            "train": list(split.train),
+        }
+        made = stage(
+            workspace, "model", inputs, lambda folder: self._train(folder, photographs, split, begun, frame, workspace)
+        )
+        model = load_model(made / NUMBERS)
+        notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after {self.steps:,} steps")
+        if split.test:
+            self._write_views(workspace / VIEWS, scene, split, model, photographs)
+            notes.append(f"renderings: pcbench views {workspace / VIEWS}")
+        cloud = self._extracted(model, frame, pinholes)
+        return Reconstruction(
+            Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=begun.cloud.unit),
+            begun.gauge,
+            cameras,
+            [*begun.notes, *notes],
+        )
+
+    def _of_training(self) -> tuple[object, ...]:
+        """The settings on which the model depends."""
+        return (
+            self.poses,
+            self.start,
+            self.density,
+            self.steps,
+            self.gaussians,
+            self.sh_degree,
+            self.image_side,
+            self.seed,
+        )
+
+    def _begun(self, scene: Scene, workspace: Path) -> Reconstruction:
+        """Cameras, and the points that Gaussians begin at."""
+        folder = workspace / self.start
+        folder.mkdir(exist_ok=True)
+        if self.start == "mvs":
+            return DenseMvs(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+        return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+
+    def _scale(self, camera: Camera) -> float:
+        """Of a photograph, so that its longer side has at most `image_side` pixels."""
+        return min(1.0, self.image_side / max(camera.intrinsics.width, camera.intrinsics.height))
+
+    def _check_memory(self, pinholes: Mapping[str, Camera]) -> None:
+        pixels = sum(c.intrinsics.width * c.intrinsics.height for c in pinholes.values())
+        needed = (_BYTES * self.gaussians + _PIXEL_BYTES * pixels) / _GIGA
+        if needed > self.memory:
+            raise InputError(
+                f"{self.gaussians:,} Gaussians and {len(pinholes)} photographs of {self.image_side} pixels take some"
+                f" {needed:.1f} GB, memory={self.memory:g} allows less: set fewer gaussians, a smaller image_side, or"
+                " more memory"
+            )
+
+    def _first_model(self, begun: Reconstruction, frame: LocalFrame) -> Gaussians:
+        points, colors = begun.cloud.points, begun.cloud.colors
+        if self.start == "random":
+            lower, upper = robust_bounds(points)
+            rng = np.random.default_rng([self.seed, 2])
+            points = rng.uniform(lower, upper, size=(self.gaussians, 3))
+            colors = None
+        elif len(points) > self.gaussians:
+            which = voxel_downsample_to(points, self.gaussians, robust_extent(points) / self.gaussians)[
+                : self.gaussians
+            ]
+            points, colors = points[which], None if colors is None else colors[which]
+        if len(points) < 2:
+            raise ReconstructionError(
+                f"expected points to begin with, got {len(points)}: begin at random (start=random)"
+            )
+        shades = np.full((len(points), 3), 0.5) if colors is None else colors / 255
+        return Gaussians.at_points(points, shades, frame)
+
+    def _density(self) -> Density:
+        rules = {"fixed": Unchanged(), "classic": Classic(), "gao2025": GAO2025}[self.density]
+        return replace(rules, most=self.gaussians) if isinstance(rules, Classic) else rules
+
+    def _train(
+        self,
+        folder: Path,
+        photographs: list[Pyramid],
+        split: Split,
+        begun: Reconstruction,
+        frame: LocalFrame,
+        workspace: Path,
+    ) -> None:
+        progress("placing Gaussians")
+        held_out = set(split.test)
+        training = Training(
+            self._first_model(begun, frame),
+            [pyramid for pyramid in photographs if pyramid[0].name not in held_out],
+            Schedule(steps=self.steps, sh_degree=self.sh_degree, seed=self.seed),
+            self._density(),
+        )
+        model = trained(training, workspace / "checkpoint.pt", repr((self._of_training(), split.train)))
+        save_model(folder / NUMBERS, model)
+        write_model(folder / MODEL, model, frame)
+
+    def _write_views(
+        self, folder: Path, scene: Scene, split: Split, model: Gaussians, photographs: list[Pyramid]
+    ) -> None:
+        full = {pyramid[0].name: pyramid[0] for pyramid in photographs}
+
+        def pictures(name: str) -> Pictures:
+            photograph = full[name]
+            valid = None if photograph.valid is None else photograph.valid.numpy()
+            return Pictures(name, render(model, photograph.view).numpy(), photograph.color.numpy(), valid)
+
+        progress("rendering the views")
+        write_views(folder, scene.folder.name, "splat", split, pictures)
+
+    def _extracted(self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera]) -> Cloud:
+        if self.cloud == "means":
+            return extract.means(model, frame, min_opacity=self.min_opacity or None)
+        return extract.surface(model, frame, pinholes)
