@@ -116,6 +116,7 @@ def write_views(folder: Path, scene: str, method: str, split: Split, render: Cal
         OSError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / DOCUMENT).unlink(missing_ok=True)  # of other pictures
     blocks = {name: number for number, block in enumerate(split.blocks) for name in block}
     rows = []
     for name in (*split.train, *split.test):

@@ -59,7 +59,7 @@ def test_a_workspace_leads_to_its_views(folder, tmp_path):
     assert read_views(work).folder == work / "plugin" / "rendered"
 
 
-def test_a_folder_without_its_document_is_no_folder_of_views(tmp_path):
+def test_a_folder_that_is_not_written_whole_is_no_folder_of_views(tmp_path):
     def fails(name):
         if name == "ring/0.jpg":
             raise KeyboardInterrupt
@@ -68,6 +68,11 @@ def test_a_folder_without_its_document_is_no_folder_of_views(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write_views(tmp_path, "city", "splat", every(NAMES, 3), fails)
     assert (tmp_path / "renderings" / "ring" / "1.png.png").is_file()
+    assert find_views(tmp_path) is None
+    write_views(tmp_path, "city", "splat", every(NAMES, 3), pictures)
+    assert find_views(tmp_path) == tmp_path
+    with pytest.raises(KeyboardInterrupt):
+        write_views(tmp_path, "city", "splat", every(NAMES, 3), fails)
     assert find_views(tmp_path) is None
 
 
