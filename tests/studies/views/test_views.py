@@ -207,6 +207,10 @@ def test_the_command(tmp_path, run, monkeypatch):
     assert [line.split()[0] for line in lines[1:4]] == ["near", "far", "mean"]
     assert lines[-1] == "views: out"
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"scores.json", "scores.csv", "views.md", "runs"}
+    pytest.importorskip("matplotlib")
+    code, said, _ = run("plot", "out", "near_splat", "--range", "20")
+    assert (code, said) == (0, "out/figures/near_splat.png\n")
+    assert Image.open("out/figures/near_splat.png").width > 1000
     for words in (("nowhere", "--out", "other"), ("a", "--out", "b")):
         code, _, err = run("views", *words)
         assert code == 2
