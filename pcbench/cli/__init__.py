@@ -29,7 +29,7 @@ for _command in (
     *(clouds.info, clouds.crop, clouds.register, clouds.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),
-    *(studies.demo, studies.bench, studies.experiment),
+    *(studies.demo, studies.bench, studies.views, studies.experiment),
 ):
     app.add_command(_command)
 

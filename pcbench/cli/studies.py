@@ -1,4 +1,4 @@
-"""Commands that run many things to answer one question: demo, bench, experiment bend."""
+"""Commands that run many things to answer one question: demo, bench, views, experiment bend."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from pcbench.cli.options import (
     cameras_option,
     crop_option,
     given,
+    image_scale_option,
     image_size,
+    key_value,
     masks_option,
     no_figures_option,
     quiet_option,
@@ -184,6 +186,66 @@ def _bench_and_print(job: BenchJob, out: Path, *, figures: bool, quiet: bool) ->
         warn(without)
     if not any(row["status"] == "ok" for row in doc["rows"]):
         raise ReconstructionError(f"{out}: none of {len(doc['rows'])} runs could be measured: see the messages there")
+
+
+@click.command(short_help="Measure rendered views of scenes against their photographs.")
+@click.argument("scenes", nargs=-1, required=True, type=FILE, metavar="SCENE...")
+@click.option("--out", type=FILE, required=True, help="Folder for scores and pictures; what is in it is used again.")
+@click.option("--method", default="splat", show_default=True, metavar="NAME", help="What makes views of a scene.")
+@click.option(
+    "--hold-out",
+    default="every",
+    show_default=True,
+    type=click.Choice(["every", "blocks"]),
+    help="Images that are not trained on: every 8th, or 8 runs of images.",
+)
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="A setting of the method.")
+@cameras_option()
+@image_scale_option
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop the work on a scene after this.")
+@no_figures_option()
+@quiet_option
+def views(
+    scenes: tuple[Path, ...],
+    out: Path,
+    method: str,
+    hold_out: str,
+    settings: tuple[str, ...],
+    cameras: str,
+    image_scale: float,
+    time_limit: float | None,
+    no_figures: bool,
+    quiet: bool,
+) -> None:
+    """Print how like their photographs rendered views are: PSNR, SSIM, and LPIPS and FLIP where their packages are
+    installed, of images that were trained on and of those that were held out, a row a SCENE. A SCENE is a folder of
+    photographs, of which the method makes views first, or a folder of rendered views, or a workspace that has one
+    (OUT.work of `pcbench reconstruct`). The worst, the median and the best view of each are drawn.
+
+    \b
+    Example: pcbench views city_a/ city_b/ cloud.work/ --out views/
+    """
+    from pcbench.report import print_columns
+    from pcbench.report.plot import draw_if_possible
+    from pcbench.studies.views.pictures import PICTURES
+    from pcbench.studies.views.runs import ViewsJob, run_views
+    from pcbench.studies.views.table import sentences, table
+
+    values = {"hold_out": hold_out, **dict(key_value(text) for text in settings)}
+    job = ViewsJob(scenes, method, values, cameras, image_scale, time_limit)
+    with steps(quiet) as step:
+        study = run_views(job, out, step)
+        without = None
+        if not no_figures:
+            step("drawing the pictures")
+            without = draw_if_possible(out, PICTURES)
+    if not quiet:
+        print_columns(table(study))
+        for sentence in sentences(study):
+            click.echo(sentence)
+        click.echo(f"views: {out}")
+    if without:
+        warn(without)
 
 
 @click.group(short_help="Questions answered on scenes whose truth is known.")

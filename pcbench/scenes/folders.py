@@ -46,6 +46,13 @@ def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
     raise InputError(f"{path}: expected a folder with images (.jpg, .jpeg, .png), directly or in one of {inner}")
 
 
+def scene_name(folder: Path) -> str:
+    """What people call the scene whose images are in a folder: its name, or that of the folder above `images/` and the
+    like."""
+    path = folder.resolve()
+    return (path.parent if path.name in _IMAGES else path).name
+
+
 def find_cameras(path: Path) -> Path | None:
     """The cameras that belong to a scene's folder: the first of the known formats that is there.
 

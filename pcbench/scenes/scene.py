@@ -20,6 +20,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.earth_studio import wgs84_from_sphere
 from pcbench.io.files import digest
 from pcbench.scenes.decode import Size, decode_image, decode_mask, resize_image
+from pcbench.scenes.folders import scene_name
 from pcbench.scenes.splits import Split, every, in_blocks
 
 
@@ -65,6 +66,11 @@ class Scene:
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @property
+    def name(self) -> str:
+        """What people call it: its folder's name, without `images/` and the like."""
+        return scene_name(self.folder)
 
     def size(self, name: str) -> Size:
         """Width and height at which an image is worked with, in pixels."""

@@ -25,6 +25,7 @@ from pcbench.scenes.splits import Split
 
 SCHEMA = "pcbench.views/1"
 DOCUMENT = "views.json"
+RENDERED = "rendered"  # the folder's name in a reconstructor's workspace
 
 
 class Pictures(NamedTuple):
@@ -115,6 +116,7 @@ def write_views(folder: Path, scene: str, method: str, split: Split, render: Cal
         OSError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / DOCUMENT).unlink(missing_ok=True)  # of other pictures
     blocks = {name: number for number, block in enumerate(split.blocks) for name in block}
     rows = []
     for name in (*split.train, *split.test):
@@ -162,7 +164,7 @@ def read_views(folder: Path) -> RenderedViews:
 
 def find_views(folder: Path) -> Path | None:
     """The folder of rendered views that this is, or that is in it as in a workspace of a reconstructor."""
-    places = (folder, folder / "views", folder / "plugin" / "views")
+    places = (folder, folder / RENDERED, folder / "plugin" / RENDERED)
     return next((place for place in places if (place / DOCUMENT).is_file()), None)
 
 

@@ -6,6 +6,7 @@ Kerbl et al. 2023, with which Gao et al. make their densified clouds; they take 
 from __future__ import annotations
 
 import errno
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -23,7 +24,7 @@ from pcbench.plugins.progress import counted, progress
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out
-from pcbench.scenes.views import Pictures, write_views
+from pcbench.scenes.views import RENDERED, Pictures, write_views
 from reconstructors.mvs.mvs import DenseMvs
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
@@ -37,7 +38,6 @@ from reconstructors.splat.train import Schedule, Training, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
 NUMBERS = "model.pt"  # beside it, in the frame of training
-VIEWS = "rendered"  # in the workspace: what `pcbench views` reads
 
 _LEVELS = 3  # sizes of the photographs
 _FEWEST = 3  # images: a surface is what as many agree on
@@ -136,8 +136,10 @@ class GaussianSplatting:
         model = load_model(made / NUMBERS)
         notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after {self.steps:,} steps")
         if split.test:
-            self._write_views(workspace / VIEWS, scene, split, model, photographs)
-            notes.append(f"renderings: pcbench views {workspace / VIEWS}")
+            self._write_views(workspace / RENDERED, scene, split, model, photographs)
+            notes.append(f"renderings: pcbench views {workspace / RENDERED}")
+        else:
+            shutil.rmtree(workspace / RENDERED, ignore_errors=True)  # of another model
         cloud = self._extracted(model, frame, pinholes)
         return Reconstruction(
             Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=begun.cloud.unit),
@@ -236,7 +238,7 @@ class GaussianSplatting:
             return Pictures(name, render(model, photograph.view).numpy(), photograph.color.numpy(), valid)
 
         progress("rendering the views")
-        write_views(folder, scene.folder.name, "splat", split, pictures)
+        write_views(folder, scene.name, "splat", split, pictures)
 
     def _extracted(self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera]) -> Cloud:
         if self.cloud == "means":

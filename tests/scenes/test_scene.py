@@ -73,6 +73,13 @@ def test_image_scale_scales_cameras_and_pictures(photographs, tmp_path):
     np.testing.assert_array_equal(written.read_image("0.png"), half.read_image("0.png"))
 
 
+def test_a_scene_is_called_as_its_folder(photographs, tmp_path):
+    assert read_scene(photographs).name == photographs.name
+    assert read_scene(photographs / "images").name == photographs.name
+    picture(tmp_path / "plain" / "0.png")
+    assert read_scene(tmp_path / "plain").name == "plain"
+
+
 def test_splits(photographs):
     write_colmap_model(photographs / "sparse/0", orbit(NAMES))
     scene = read_scene(photographs)

@@ -23,8 +23,8 @@ def pictures(name):
 
 @pytest.fixture
 def folder(tmp_path):
-    write_views(tmp_path / "views", "city", "splat", every(NAMES, 3), pictures)
-    return tmp_path / "views"
+    write_views(tmp_path / "rendered", "city", "splat", every(NAMES, 3), pictures)
+    return tmp_path / "rendered"
 
 
 def test_what_is_written_is_read(folder):
@@ -55,11 +55,11 @@ def test_a_workspace_leads_to_its_views(folder, tmp_path):
     with pytest.raises(InputError, match=r"expected a folder of rendered views \(with views.json\)"):
         read_views(work)
     (work / "plugin").mkdir()
-    folder.rename(work / "plugin" / "views")
-    assert read_views(work).folder == work / "plugin" / "views"
+    folder.rename(work / "plugin" / "rendered")
+    assert read_views(work).folder == work / "plugin" / "rendered"
 
 
-def test_a_folder_without_its_document_is_no_folder_of_views(tmp_path):
+def test_a_folder_that_is_not_written_whole_is_no_folder_of_views(tmp_path):
     def fails(name):
         if name == "ring/0.jpg":
             raise KeyboardInterrupt
@@ -68,6 +68,11 @@ def test_a_folder_without_its_document_is_no_folder_of_views(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write_views(tmp_path, "city", "splat", every(NAMES, 3), fails)
     assert (tmp_path / "renderings" / "ring" / "1.png.png").is_file()
+    assert find_views(tmp_path) is None
+    write_views(tmp_path, "city", "splat", every(NAMES, 3), pictures)
+    assert find_views(tmp_path) == tmp_path
+    with pytest.raises(KeyboardInterrupt):
+        write_views(tmp_path, "city", "splat", every(NAMES, 3), fails)
     assert find_views(tmp_path) is None
 
 
@@ -84,7 +89,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     refused("finite", rendering=np.full((7, 9, 3), np.nan), mask=None)
     with pytest.raises(InputError, match="names of files in"):
         away = every(("b", "../../../a", "c"), 2)
-        write_views(tmp_path / "views", "city", "splat", away, lambda name: pictures("2.jpg"))
+        write_views(tmp_path / "rendered", "city", "splat", away, lambda name: pictures("2.jpg"))
     assert not list(tmp_path.parent.glob("a*"))
 
 

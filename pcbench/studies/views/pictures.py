@@ -1,0 +1,192 @@
+"""Pictures of new views: photograph, rendering and error beside each other, a row a view."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.images import ViewScores, absolute_error
+from pcbench.report.colors import SEQUENTIAL, Range, largest_but_strays
+from pcbench.report.figures import Figures, ink
+from pcbench.report.plot import Drawer, Picture
+from pcbench.report.plot.panels import DPI, save
+from pcbench.scenes.views import Pictures, RenderedView
+from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
+
+# Draws the pictures of a folder with scores.
+PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
+
+# All in inches.
+_WIDE, _HIGH = 4.4, 4.4  # of one picture at most
+_GAP, _CAPTION, _ABOVE, _BELOW, _RIGHT = 0.12, 0.34, 0.72, 0.14, 0.95
+_BAR = 0.16
+_GREY = (150, 150, 150)
+_LEAST = 1.0  # level: errors of less are rounding
+
+
+class _Row(NamedTuple):
+    caption: str
+    pictures: Pictures
+    error: FloatArray
+
+
+def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
+    """The pictures of a folder that `pcbench views` wrote: of each scene the worst, the median and the best view."""
+    study = read_scores(folder)
+    return {name: _picture(scene, look) for name, scene in _named(study.scenes).items()}
+
+
+def _picture(scene: ScoredScene, look: Figures) -> Picture:
+    def draw(path: Path) -> bool:
+        of = "views that were held out" if scene.of(test=True) else "views, all of them trained on"
+        title = f"{scene.views.scene}, {scene.views.method}: worst, median and best by PSNR of {len(_pool(scene))} {of}"
+        draw_views(chosen(scene), title, path, look)
+        return True
+
+    return Picture(draw)
+
+
+def chosen(scene: ScoredScene) -> dict[str, ScoredView]:
+    """Worst, median and best by PSNR of the views that were held out, or of all where none was; fewer where there are
+    not three."""
+    ranked = sorted(_pool(scene), key=lambda scored: (scored.scores.psnr, scored.view.name))
+    words = {0: "worst", (len(ranked) - 1) // 2: "median", len(ranked) - 1: "best"}
+    if len(ranked) == 1:
+        return {"only": ranked[0]}
+    return {words[k]: ranked[k] for k in sorted(words)}
+
+
+def _pool(scene: ScoredScene) -> tuple[ScoredView, ...]:
+    return scene.of(test=True) or scene.of(test=False)
+
+
+def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Figures) -> None:
+    """Draw views, a row each, with one colour bar for all errors: it ends at the largest of the 95th percentiles.
+
+    Args:
+        views: by what is said of each, such as "worst".
+        path: with the ending of its format.
+    """
+    rows = [_row(word, scored) for word, scored in views.items()]
+    strays = [largest_but_strays(row.error[np.isfinite(row.error)]) for row in rows]
+    found = Range(0.0, max(*strays, _LEAST), "up to the largest 95th percentile")
+    scale = found if look.range is None else Range(0.0, look.range, "range as given")
+    figure, axis, color, height = _canvas(rows, look)
+    width = 3 * _WIDE + 2 * _GAP
+    axis.text(0, height - 0.22, title, color=color, fontsize=13, ha="left", va="center")
+    for column, word in enumerate(("photograph", "rendering", "absolute error")):
+        middle = column * (_WIDE + _GAP) + _WIDE / 2
+        axis.text(middle, height - 0.54, word, color=color, fontsize=11, ha="center", va="center")
+    top = height - _ABOVE
+    for row in rows:
+        wide, high_ = _size(row)
+        top -= _CAPTION
+        axis.text(0, top + 0.13, row.caption, color=color, fontsize=10, ha="left", va="center")
+        shown = (row.pictures.photograph, row.pictures.rendering, _colors(row.error, scale))
+        for column, image in enumerate(shown):
+            left = column * (_WIDE + _GAP) + 0.5 * (_WIDE - wide)
+            _place(axis, image, left, top - high_, wide, high_)
+        top -= high_ + _GAP
+    _bar(axis, width + 0.16, 0.5 * (height - _ABOVE - _CAPTION + _BELOW), scale, color, rows)
+    save(figure, path)
+
+
+def _row(word: str, scored: ScoredView) -> _Row:
+    found = scored.view.read()
+    error = absolute_error(found.rendering, found.photograph)
+    if found.mask is not None:
+        error[~found.mask] = np.nan
+    return _Row(f"{word}: {_short(scored.view)}, {_said(scored.scores)}", found, error)
+
+
+def _short(view: RenderedView) -> str:
+    return view.name if len(view.name) <= 60 else f"…{view.name[-59:]}"
+
+
+def _said(scores: ViewScores) -> str:
+    words = [f"PSNR {scores.psnr:.2f} dB", f"SSIM {scores.ssim:.3f}"]
+    more = (("LPIPS", scores.lpips), ("FLIP", scores.flip))
+    return ", ".join([*words, *(f"{name} {value:.3f}" for name, value in more if value is not None)])
+
+
+def _size(row: _Row) -> tuple[float, float]:
+    """Width and height of a picture, as large as fits."""
+    height, width = row.error.shape
+    scale = min(_WIDE / width, _HIGH / height)
+    return width * scale, height * scale
+
+
+def _canvas(rows: Sequence[_Row], look: Figures) -> tuple[Any, Any, str, float]:
+    """A figure, axes over all of it in inches, the colour of words, and the height above the lower margin."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    ground = look.ground("white")
+    height = _ABOVE + _BELOW + sum(_CAPTION + _size(row)[1] + _GAP for row in rows)
+    margin = 0.2
+    size = 3 * _WIDE + 2 * _GAP + _RIGHT + 2 * margin, height
+    figure = Figure(figsize=size, dpi=DPI, facecolor=ground)
+    FigureCanvasAgg(figure)
+    axis = figure.add_axes((0, 0, 1, 1))
+    axis.set_axis_off()
+    axis.set(xlim=(-margin, size[0] - margin), ylim=(0, height))
+    return figure, axis, ink(ground), height
+
+
+def _place(axis: Any, image: NDArray[np.uint8], left: float, bottom: float, wide: float, high: float) -> None:
+    axis.set_autoscale_on(False)
+    smaller = wide * DPI < image.shape[1]
+    extent = (left, left + wide, bottom, bottom + high)
+    axis.imshow(image, extent=extent, aspect="auto", interpolation="antialiased" if smaller else "nearest")
+
+
+def _colors(error: FloatArray, scale: Range) -> NDArray[np.uint8]:
+    """RGB of errors (H, W); grey where a pixel does not count."""
+    counts = np.isfinite(error)
+    image = np.empty((*error.shape, 3), dtype=np.uint8)
+    image[:] = _GREY
+    image[counts] = scale.colors(error[counts])
+    return image
+
+
+def _bar(axis: Any, left: float, middle: float, scale: Range, color: str, rows: Sequence[_Row]) -> None:
+    """With an arrow at the upper end, beyond which errors have its colour."""
+    from matplotlib.patches import Polygon
+    from matplotlib.ticker import MaxNLocator
+
+    high = min(3.6, 0.8 * sum(_size(row)[1] for row in rows))
+    low, top, right = middle - high / 2, middle + high / 2, left + _BAR
+    steps = scale.colors(np.linspace(scale.high, scale.low, 256))[:, None]
+    axis.imshow(steps, extent=(left, right, low, top), aspect="auto", interpolation="nearest")
+    tip = [(right, top), ((left + right) / 2, top + 0.14), (left, top)]
+    axis.add_patch(Polygon(tip, facecolor=SEQUENTIAL[-1] / 255, edgecolor="none"))
+    axis.add_patch(Polygon([(right, low), *tip, (left, low)], fill=False, edgecolor=color, linewidth=0.8))
+    for tick in MaxNLocator(5, steps=(1, 2, 5, 10)).tick_values(scale.low, scale.high):
+        if scale.low <= tick <= scale.high:
+            y = low + high * (tick - scale.low) / (scale.high - scale.low)
+            axis.plot([right, right + 0.05], [y, y], color=color, linewidth=0.8)
+            axis.text(right + 0.09, y, f"{tick:g}", color=color, fontsize=9.5, va="center")
+    masked = any(row.pictures.mask is not None for row in rows)
+    label = "|difference|, mean of the channels [levels of 255]\n" + scale.note + ("; grey: not counted" * masked)
+    axis.text(right + 0.42, middle, label, color=color, fontsize=9.5, rotation=90, ha="left", va="center")
+
+
+def _named(scenes: Sequence[ScoredScene]) -> dict[str, ScoredScene]:
+    """By names that files can have, numbered where several are alike."""
+    named: dict[str, ScoredScene] = {}
+    for scene in scenes:
+        words = f"{scene.views.scene}_{scene.views.method}"
+        stem = re.sub(r"[^\w.-]+", "_", words).strip("._") or "scene"
+        number = 1
+        name = stem
+        while name in named:
+            number += 1
+            name = f"{stem}_{number}"
+        named[name] = scene
+    return named

@@ -1,0 +1,95 @@
+"""The table of new views: a row a scene, means over views that were trained on and over those that were held out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from pcbench.measure.images import ViewScores
+from pcbench.studies.views.scores import ScoredScene, ViewStudy, mean_scores
+
+_NONE = "–"
+
+
+class _Metric(NamedTuple):
+    field: str
+    header: str
+    decimals: int
+
+
+_METRICS = (
+    _Metric("psnr", "PSNR", 2),
+    _Metric("ssim", "SSIM", 3),
+    _Metric("lpips", "LPIPS", 3),
+    _Metric("flip", "FLIP", 3),
+)
+
+
+def table(study: ViewStudy) -> list[list[str]]:
+    """Cells, the header first. A metric that nothing here measures has no column; scenes of one study are averaged in a
+    last row where there are several."""
+    means = [(scene.mean(test=False), scene.mean(test=True)) for scene in study.scenes]
+    known = [
+        metric
+        for metric in _METRICS
+        if any(mean is not None and getattr(mean, metric.field) is not None for pair in means for mean in pair)
+    ]
+    several = len({scene.views.method for scene in study.scenes}) > 1
+    head = ["scene", *(["method"] if several else []), "held out"]
+    names = [f"{kind} {metric.header}" for kind in ("train", "test") for metric in known]
+    rows = [[*head, "views", *names]]
+    for scene, pair in zip(study.scenes, means, strict=True):
+        counts = " + ".join(str(len(scene.of(test=test))) for test in (False, True))
+        method = [scene.views.method] if several else []
+        rows.append([scene.views.scene, *method, scene.views.split, counts, *_cells(pair, known, scene)])
+    if len(study.scenes) > 1:
+        over = [_over([pair[k] for pair in means]) for k in (0, 1)]
+        blank = [""] * (len(head) - 1)
+        rows.append([f"mean of {len(study.scenes)}", *blank, "", *_cells(over, known)])
+    return rows
+
+
+def sentences(study: ViewStudy) -> list[str]:
+    """What is to be known beside the table."""
+    perceptual = any(s.lpips is not None or s.flip is not None for scene in study.scenes for s in scene.scores)
+    lines = [
+        "means over views; PSNR in dB and SSIM: more is better" + ("; LPIPS and FLIP: less is better" * perceptual),
+    ]
+    if any(scene.standard_error() is not None for scene in study.scenes):
+        lines.append("±: one standard error, over the blocks of held-out views")
+    if bare := [scene.views.scene for scene in study.scenes if not scene.of(test=True)]:
+        lines.append(f"no view was held out of {', '.join(bare)}: views that were trained on say little of new ones")
+    return [*lines, *(f"note: {note.text}" for note in study.notes)]
+
+
+def markdown(study: ViewStudy) -> str:
+    """The table and its sentences as Markdown."""
+    header, *rows = table(study)
+    first = header.index("views")
+    rule = ["---"] * first + ["---:"] * (len(header) - first)
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, rule, *rows)]
+    return "\n".join([*lines, "", *(f"- {sentence}" for sentence in sentences(study))]) + "\n"
+
+
+def _cells(
+    means: Sequence[ViewScores | None], known: Sequence[_Metric], scene: ScoredScene | None = None
+) -> Iterator[str]:
+    error = None if scene is None else scene.standard_error()
+    for number, mean in enumerate(means):
+        for metric in known:
+            value = None if mean is None else getattr(mean, metric.field)
+            of_error = error is not None and number == 1 and metric.field == "psnr"
+            yield _text(value, metric) + (f" ± {error:.2f}" if of_error else "")
+
+
+def _text(value: float | None, metric: _Metric) -> str:
+    if value is None or math.isnan(value):
+        return _NONE
+    return "∞" if math.isinf(value) else f"{value:.{metric.decimals}f}"
+
+
+def _over(means: Sequence[ViewScores | None]) -> ViewScores | None:
+    """Mean over scenes, where all of them have views of the kind."""
+    there = [mean for mean in means if mean is not None]
+    return mean_scores(there) if len(there) == len(means) else None

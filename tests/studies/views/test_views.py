@@ -1,0 +1,225 @@
+"""Rendered views of scenes: scores of each, means over blocks and scenes, the table, the pictures, the command."""
+
+import csv
+import json
+import math
+import textwrap
+
+import numpy as np
+import pytest
+from command_line import one_line
+from scene_folders import orbit, ten_pictures
+from view_folders import photograph, psnr_of, views_of
+
+from pcbench.errors import InputError
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.measure.images import ssim
+from pcbench.measure.perceptual import Perceptual
+from pcbench.report.figures import Figures
+from pcbench.scenes.splits import every
+from pcbench.scenes.views import Pictures, write_views
+from pcbench.studies.views.pictures import chosen, draw_views
+from pcbench.studies.views.runs import ViewsJob, run_views
+from pcbench.studies.views.scores import read_scores, score_views, write_scores
+from pcbench.studies.views.table import markdown, sentences, table
+
+Image = pytest.importorskip("PIL.Image")
+
+PLAIN = Perceptual(None, None)
+NINE = every([f"{k}.png" for k in range(9)])
+
+# A reconstructor as anybody may write one: it paints all views in one grey.
+PAINTER = textwrap.dedent(
+    """
+    from dataclasses import dataclass
+    import numpy as np
+    from pcbench.geometry.cloud import Cloud
+    from pcbench.plugins import Reconstruction
+    from pcbench.scenes.splits import hold_out
+    from pcbench.scenes.views import Pictures, write_views
+
+    @dataclass(frozen=True)
+    class Painter:
+        "Grey."
+        hold_out: str = "none"
+        grey: float = 0.5
+
+        def reconstruct(self, scene, workspace):
+            split = hold_out(scene.images, self.hold_out)
+
+            def render(name):
+                photograph = scene.read_image(name)
+                return Pictures(name, np.full(photograph.shape, self.grey), photograph)
+
+            write_views(workspace / "rendered", scene.name, "painter", split, render)
+            return Reconstruction(Cloud(np.zeros((4, 3))), "arbitrary")
+
+    @dataclass(frozen=True)
+    class Silent:
+        "No views."
+        hold_out: str = "none"
+
+        def reconstruct(self, scene, workspace):
+            return Reconstruction(Cloud(np.zeros((4, 3))), "arbitrary")
+    """
+)
+
+
+def test_scores_of_views_and_their_means(tmp_path):
+    (scene,) = score_views([views_of(tmp_path)], perceptual=PLAIN).scenes
+    test, train = (0, 8, 16), [k for k in range(18) if k % 8]
+    for scored in (*scene.of(test=True), *scene.of(test=False)):
+        number = int(scored.view.name.removesuffix(".png"))
+        truth = photograph(number)
+        assert scored.scores.psnr == pytest.approx(psnr_of(number))
+        assert scored.scores.ssim == ssim(truth + np.uint8(8 + number), truth)
+    assert scene.mean(test=True).psnr == pytest.approx(np.mean([psnr_of(k) for k in test]))
+    assert scene.mean(test=False).psnr == pytest.approx(np.mean([psnr_of(k) for k in train]))
+    assert scene.mean(test=True).lpips is None
+    assert scene.standard_error() == pytest.approx(np.std([psnr_of(k) for k in test], ddof=1) / math.sqrt(3))
+
+
+def test_a_block_counts_once_in_the_standard_error(tmp_path):
+    (scene,) = score_views([views_of(tmp_path, count=40, blocks=2)], perceptual=PLAIN).scenes
+    found = {}
+    for scored in scene.of(test=True):
+        found.setdefault(scored.view.block, []).append(int(scored.view.name[:-4]))
+    means = [np.mean([psnr_of(k) for k in block]) for block in found.values()]
+    assert [len(block) for block in found.values()] == [2, 2]
+    assert scene.standard_error() == pytest.approx(np.std(means, ddof=1) / math.sqrt(2))
+
+
+def test_files_are_read_as_they_were_written(tmp_path):
+    nothing = np.zeros((48, 64), dtype=bool)
+    folders = [views_of(tmp_path / "a"), views_of(tmp_path / "b", "masked", 9, mask=nothing)]
+    write_views(tmp_path / "c", "same", "splat", NINE, lambda name: Pictures(name, photograph(1), photograph(1)))
+    study = score_views([*folders, tmp_path / "c"], perceptual=PLAIN)
+    write_scores(tmp_path, study)
+    again = read_scores(tmp_path)
+    assert again.notes == study.notes
+    assert [note.code for note in study.notes] == ["masked-views"]
+    for scene, other in zip(study.scenes, again.scenes, strict=True):
+        assert other.views == scene.views
+        np.testing.assert_array_equal(np.array(scene.scores, dtype=float), np.array(other.scores, dtype=float))
+    rows = list(csv.DictReader((tmp_path / "scores.csv").open()))
+    assert len(rows) == 18 + 9 + 9
+    assert float(rows[0]["psnr"]) == study.scenes[0].scores[0].psnr
+    assert [row["set"] for row in rows[:18]] == ["train"] * 15 + ["test"] * 3
+    document = json.loads((tmp_path / "scores.json").read_text())
+    assert document["scenes"][0]["test"]["psnr"] == pytest.approx(study.scenes[0].mean(test=True).psnr)
+    assert document["scenes"][2]["test"]["psnr"] == "inf"
+    views_of(tmp_path / "a", count=20)
+    with pytest.raises(InputError, match="has other views by now"):
+        read_scores(tmp_path)
+
+
+def test_the_table_has_a_row_a_scene_and_their_mean(tmp_path):
+    study = score_views([views_of(tmp_path / "a", "near", 9), views_of(tmp_path / "b", "far", 18)], perceptual=PLAIN)
+    header, near, far, mean = table(study)
+    assert header == ["scene", "held out", "views", "train PSNR", "train SSIM", "test PSNR", "test SSIM"]
+    assert near[:3] == ["near", "one image in 8", "7 + 2"]
+    error = study.scenes[0].standard_error()
+    assert near[5] == f"{(psnr_of(0) + psnr_of(8)) / 2:.2f} ± {error:.2f}"
+    assert far[3] == f"{np.mean([psnr_of(k) for k in range(18) if k % 8]):.2f}"
+    of = [scene.mean(test=True).psnr for scene in study.scenes]
+    assert mean[0] == "mean of 2"
+    assert mean[5] == f"{np.mean(of):.2f}"
+    assert markdown(study).count("\n| ") == 4
+    assert any("standard error" in sentence for sentence in sentences(study))
+    several = score_views([tmp_path / "a", views_of(tmp_path / "c", "near", 9, method="mine")], perceptual=PLAIN)
+    assert [row[1] for row in table(several)[:3]] == ["method", "splat", "mine"]
+
+
+def test_metrics_that_are_there_have_columns(tmp_path):
+    measured = Perceptual(lambda *_: 0.25, None)
+    study = score_views([views_of(tmp_path, count=9)], perceptual=measured)
+    header, row = table(study)
+    assert row[header.index("test LPIPS")] == "0.250"
+    assert not any("FLIP" in name for name in header)
+
+
+def test_worst_median_and_best_are_chosen(tmp_path):
+    (scene,) = score_views([views_of(tmp_path / "a", count=40)], perceptual=PLAIN).scenes
+    assert {word: s.view.name for word, s in chosen(scene).items()} == {
+        "worst": "32.png",
+        "median": "16.png",
+        "best": "0.png",
+    }
+    (scene,) = score_views([views_of(tmp_path / "b", count=9)], perceptual=PLAIN).scenes
+    assert {word: s.view.name for word, s in chosen(scene).items()} == {"median": "8.png", "best": "0.png"}
+
+
+def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
+    """Colours are those of the errors: a patch that is off by more than all else is yellow, the rest is dark."""
+    pytest.importorskip("matplotlib")
+    truth = np.full((48, 64, 3), (90, 60, 30), dtype=np.uint8)
+    image = truth + np.uint8(6)
+    image[10:14, 20:24] += 100
+    mask = np.ones((48, 64), dtype=bool)
+    mask[30:, :20] = False
+    split = NINE
+    write_views(tmp_path / "v", "city", "splat", split, lambda name: Pictures(name, image, truth, mask))
+    (scene,) = score_views([tmp_path / "v"], perceptual=PLAIN).scenes
+    path = tmp_path / "p.png"
+    draw_views({"best": scene.of(test=True)[0]}, "a title", path, Figures(range=50.0))
+    drawn = np.array(Image.open(path).convert("RGB")).astype(int)
+
+    def share(color):
+        return float((np.abs(drawn - color).max(axis=2) <= 2).mean() * drawn.shape[0] * drawn.shape[1])
+
+    panel = share((90, 60, 30))  # pixels of the photograph
+    assert panel > 1e5
+    assert share((196, 166, 136)) / panel == pytest.approx(16 / (48 * 64), rel=0.1)
+    assert share((253, 231, 37)) / panel == pytest.approx(16 / (48 * 64), rel=0.6)  # and a piece of the bar
+    assert share((150, 150, 150)) / panel == pytest.approx(18 * 20 / (48 * 64), rel=0.1)
+
+
+def test_views_are_made_where_there_are_none(tmp_path, monkeypatch):
+    plugin = tmp_path / "painter.py"
+    plugin.write_text(PAINTER)
+    scenes = [ten_pictures(tmp_path / name) for name in ("one", "two")]
+    for scene in scenes:
+        write_colmap_model(scene / "sparse/0", orbit([f"{k}.png" for k in range(10)]))
+    there = views_of(tmp_path / "three" / "plugin" / "rendered", "three", 9).parent.parent
+    (tmp_path / "empty").mkdir()
+    out = tmp_path / "out"
+    job = ViewsJob((*scenes, there, tmp_path / "empty"), f"{plugin}:Painter", {"hold_out": "every", "grey": "0.25"})
+    study = run_views(job, out)
+    assert [scene.views.scene for scene in study.scenes] == ["one", "two", "three"]
+    assert [len(scene.of(test=True)) for scene in study.scenes] == [2, 2, 2]
+    assert study.notes[0].code == "no-views"
+    assert "empty" in study.notes[0].text
+    first = study.scenes[0].of(test=True)[0]
+    assert (first.view.read().rendering == 64).all()
+    assert (out / "views.md").read_text().count("\n| ") == 5
+    with pytest.raises(InputError, match="the folder is not empty"):
+        run_views(job, tmp_path / "one")
+
+
+def test_the_command(tmp_path, run, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    views_of(tmp_path / "a", "near", 9)
+    views_of(tmp_path / "b", "far", 18)
+    code, said, _ = run("views", "a", "b", "--out", "out", "--no-figures")
+    lines = said.splitlines()
+    assert code == 0
+    assert lines[0].split()[:2] == ["scene", "held"]
+    assert [line.split()[0] for line in lines[1:4]] == ["near", "far", "mean"]
+    assert lines[-1] == "views: out"
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scores.json", "scores.csv", "views.md", "runs"}
+    pytest.importorskip("matplotlib")
+    code, said, _ = run("plot", "out", "near_splat", "--range", "20")
+    assert (code, said) == (0, "out/figures/near_splat.png\n")
+    assert Image.open("out/figures/near_splat.png").width > 1000
+    for words in (("nowhere", "--out", "other"), ("a", "--out", "b")):
+        code, _, err = run("views", *words)
+        assert code == 2
+        assert one_line(err)
+
+
+@pytest.mark.parametrize("name", ["Silent", "Nobody"])
+def test_a_method_without_views_is_said(tmp_path, name):
+    (tmp_path / "painter.py").write_text(PAINTER)
+    scene = ten_pictures(tmp_path / "one")
+    with pytest.raises(Exception, match=r"no scene has rendered views: .*(made a cloud but no|there is no 'Nobody')"):
+        run_views(ViewsJob((scene,), f"{tmp_path}/painter.py:{name}"), tmp_path / "out")
