@@ -1,4 +1,4 @@
-"""A launcher that runs CUDA kernels on the CPU: `cuda_emulator.h` says how, and what it cannot show."""
+"""A launcher that runs CUDA kernels on the CPU: `cuda_emulation/machine.h` says how, and what it cannot show."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from reconstructors.splat.interface import ImageLoss
 
 ORDERS = (("forward", 0), ("reverse", 0), ("random", 1), ("random", 2))
 _ORDER_NUMBERS = {"forward": 0, "reverse": 1, "random": 2}
-_HEADER = Path(__file__).with_name("cuda_emulator.h")
+_HEADERS = Path(__file__).with_name("cuda_emulation")
 _BUILD = Path(__file__).parents[1] / "build" / "cuda_emulator"
 _FLAGS = ("-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-fno-gnu-unique", "-w")
 _LETTERS = {torch.float32: "f", torch.int32: "i", torch.int64: "l", torch.int16: "s"}
@@ -104,11 +104,21 @@ def _library(kernel: Kernel) -> ctypes.CDLL:
     return ctypes.CDLL(str(built(kernel)))
 
 
-def built(kernel: Kernel, extra: tuple[str, ...] = ()) -> Path:
-    """The kernel as a library for this machine, in build/cuda_emulator under a name made of all that it depends on."""
-    flags = (*_FLAGS, *extra, *os.environ.get("EMULATOR_FLAGS", "").split())
-    text = f'#include "{_HEADER}"\n#line 1 "{kernel.name}"\n{kernel.source}\nEMULATED_KERNEL({kernel.name})\n'
-    name = hashlib.sha256(repr((text, _HEADER.read_text(), flags)).encode()).hexdigest()[:24]
+def built(kernel: Kernel) -> Path:
+    """The kernel as a library for this machine, in build/cuda_emulator under a name made of all that it depends on.
+
+    EMULATOR_FLAGS of the environment are the compiler's, too.
+    """
+    flags = (*_FLAGS, *os.environ.get("EMULATOR_FLAGS", "").split())
+    lines = (
+        f'#include "{_HEADERS}/cuda.h"',
+        f'#line 1 "{kernel.name}"',
+        kernel.source,
+        f"EMULATED_KERNEL({kernel.name})",
+    )
+    text = "\n".join((*lines, ""))
+    headers = [file.read_text() for file in sorted(_HEADERS.glob("*.h"))]
+    name = hashlib.sha256(repr((text, headers, flags)).encode()).hexdigest()[:24]
     library = _BUILD / f"{kernel.name}-{name}.so"
     if not library.exists():
         _BUILD.mkdir(parents=True, exist_ok=True)
