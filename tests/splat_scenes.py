@@ -63,10 +63,10 @@ def on_the_border(rng):
 
 
 def needles(rng):
-    """Axes of ratios up to 10,000."""
+    """Axes of ratios up to a million."""
     scene = scattered(rng, 60)
-    scene.scales[:] = 10 ** rng.uniform(-4, 0, size=(60, 3))
-    scene.scales[np.arange(60), rng.integers(0, 3, 60)] = 1
+    scene.scales[:] = 10 ** rng.uniform(-6, 0, size=(60, 3))
+    scene.scales[np.arange(60), rng.integers(0, 3, 60)] = 10 ** rng.uniform(-1, 0.5, size=60)
     return scene
 
 

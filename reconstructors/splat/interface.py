@@ -112,7 +112,8 @@ class ImageLoss(NamedTuple):
 class Adam(Protocol):
     """One step of Adam, in place, on the rows `ids` (V,) of parameters (N, D) and their moments; other rows stay.
 
-    `gradient` (V, D) is of those rows; `step` counts from 1, of all rows alike.
+    `gradient` (V, D) is of those rows; `learning_rate` of all columns, or of each (D,); `step` counts from 1, of all
+    rows alike.
     """
 
     def __call__(
@@ -122,7 +123,7 @@ class Adam(Protocol):
         second: Tensor,
         gradient: Tensor,
         ids: Tensor,
-        learning_rate: float,
+        learning_rate: float | Tensor,
         step: int,
         betas: tuple[float, float] = ...,
         eps: float = ...,

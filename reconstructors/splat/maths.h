@@ -163,6 +163,7 @@ struct Footprint {
     Vec<F> normal_xy;       // row_x x row_y
     F xx, xy, yy;           // the dilated covariance in pixels
     F determinant;
+    F depth_across;
     F depth_x, depth_y;     // the covariances of depth with pixels across and down
     F shortest_0, shortest_1;  // 1 where axis 0 (1) is the shortest, else 0; axis 2 where both are 0
     F facing;               // 1 or -1, which turns the shortest axis to the camera
@@ -212,6 +213,8 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     drawn = drawn & (f.determinant < F(kMostDeterminant));  // which is not so of NaN
     f.depth_x = dot(f.row_z, f.row_x);
     f.depth_y = dot(f.row_z, f.row_y);
+    // depth_x - lean depth_y, whose terms all but cancel for a needle: times yy, by the identity of Binet and Cauchy.
+    f.depth_across = fused(F(kDilation), f.depth_x, dot(cross(f.row_z, f.row_y), f.normal_xy)) / f.yy;
 
     Splat<F> s;
     s.x = fused(F(at.fx), x, F(at.cx));
@@ -223,7 +226,7 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     s.level = log2_of(select(drawn, opacity, one));
     s.depth = z;
     // The mean depth at a pixel given that the Gaussian is seen there: linear regression on (u, v).
-    s.depth_u = F(1.0f / kWhitening) * (steep * (f.depth_x - lean * f.depth_y));
+    s.depth_u = F(1.0f / kWhitening) * (steep * f.depth_across);
     s.depth_v = F(1.0f / kWhitening) * (flat * f.depth_y);
 
     const auto first = (scale.x < scale.y) & (scale.x < scale.z);
@@ -349,7 +352,7 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     // uu = k steep, uv = -uu lean, vv = k flat; depth_u = steep (depth_x - lean depth_y) / k, depth_v = flat depth_y / k.
     const F steep = F(1.0f / kWhitening) * s.uu, flat = F(1.0f / kWhitening) * s.vv, lean = f.xy / f.yy;
     const F g_du = F(1.0f / kWhitening) * m.depth_u, g_dv = F(1.0f / kWhitening) * m.depth_v;
-    const F g_steep = F(kWhitening) * (g_uu - lean * g_uv) + (f.depth_x - lean * f.depth_y) * g_du;
+    const F g_steep = F(kWhitening) * (g_uu - lean * g_uv) + f.depth_across * g_du;
     const F g_flat = F(kWhitening) * g_vv + f.depth_y * g_dv;
     const F g_lean = -(s.uu * g_uv + steep * f.depth_y * g_du);
     const F g_depth_x = steep * g_du;

@@ -62,7 +62,10 @@ def rasterize(
     What would show with less than 1/255 at a pixel is skipped there; alpha is at most 0.99; a ray ends before less
     than 1e-4 of the background would be left.
 
-    Memory beside the tensors given and returned, until the derivative has been taken: MEMORY
+    Memory beside the tensors given, until the derivative has been taken: 44 bytes a pixel, most of them returned; 36
+    bytes a Gaussian for its mean about the camera, and a copy in float32 of what is of another type; and what the
+    device's rasterizer holds, on the CPU some 100 bytes a Gaussian and 32 for each Gaussian in each tile of 16 x 16
+    pixels that it touches, which the derivative makes 100.
 
     Args:
         means: (N, 3) in the world.

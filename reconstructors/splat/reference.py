@@ -294,7 +294,7 @@ def adam(
     second: Tensor,
     gradient: Tensor,
     ids: Tensor,
-    learning_rate: float,
+    learning_rate: float | Tensor,
     step: int,
     betas: tuple[float, float] = (0.9, 0.999),
     eps: float = 1e-15,

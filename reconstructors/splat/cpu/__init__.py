@@ -51,7 +51,10 @@ class Rasterizer:
             np.array(view.limits, dtype=np.float32),
             view.near,
             background.detach().numpy(),
-            *(None if image is None else image.numpy() for image in (color, transmittance, depth, normal, median_depth)),
+            *(
+                None if image is None else image.numpy()
+                for image in (color, transmittance, depth, normal, median_depth)
+            ),
         )
         self._shape = tuple(sh.shape)
         return Drawn(color, transmittance, depth, normal, median_depth)
@@ -68,7 +71,16 @@ class Rasterizer:
         import torch
 
         count = self._compiled.drawn
-        shapes = [(count, 3), (count, 4), (count, 3), (count,), (count, *self._shape[1:]), (count, 2), (count,), (count,)]
+        shapes = [
+            (count, 3),
+            (count, 4),
+            (count, 3),
+            (count,),
+            (count, *self._shape[1:]),
+            (count, 2),
+            (count,),
+            (count,),
+        ]
         pulled = Pulled(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
         self._compiled.backward(
             *(None if image is None else image.numpy() for image in (color, transmittance, depth, normal, error)),
@@ -92,12 +104,19 @@ def adam(
     second: Tensor,
     gradient: Tensor,
     ids: Tensor,
-    learning_rate: float,
+    learning_rate: float | Tensor,
     step: int,
     betas: tuple[float, float] = (0.9, 0.999),
     eps: float = 1e-15,
 ) -> None:
-    """One step of Adam, in place, on the rows `ids` (rising) of parameters (N, D) and their moments; other rows stay."""
+    """One step of Adam, in place, on the rows `ids` (rising) of parameters (N, D) and their moments; other rows stay.
+
+    Args:
+        learning_rate: of all columns, or of each (D,).
+    """
+    import torch
+
+    rates = torch.as_tensor(learning_rate, dtype=torch.float32).expand(parameters.shape[1]).contiguous()
     _rasterizer.adam(
-        *(tensor.numpy() for tensor in (parameters, first, second, gradient, ids)), learning_rate, step, *betas, eps
+        *(tensor.numpy() for tensor in (parameters, first, second, gradient, ids, rates)), step, *betas, eps
     )

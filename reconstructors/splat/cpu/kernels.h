@@ -34,7 +34,7 @@ struct Kernels {
 
     // One step of Adam on some rows: see adam.h.
     void (*adam)(float* parameters, float* first, float* second, const float* gradient, const int64_t* rows,
-                 int64_t begin, int64_t end, int columns, float rate, float beta1, float beta2, float epsilon);
+                 int64_t begin, int64_t end, int columns, const float* rates, float beta1, float beta2, float epsilon);
 };
 
 namespace baseline {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <optional>
 #include <tuple>
+#include <vector>
 
 #include "common/arrays.h"
 #include "rasterizer.h"
@@ -144,13 +145,14 @@ private:
 };
 
 void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first, Out<float, nb::ndim<2>> second,
-               In<float, nb::ndim<2>> gradient, In<int64_t, nb::shape<-1>> rows, double rate, int64_t step,
+               In<float, nb::ndim<2>> gradient, In<int64_t, nb::shape<-1>> rows, In<float, nb::shape<-1>> rates, int64_t step,
                double beta1, double beta2, double epsilon) {
     const size_t columns = parameters.shape(1);
     const auto same = [&](const auto& array) { return array.shape(1) == columns; };
     check(same(first) && same(second) && same(gradient) && first.shape(0) == parameters.shape(0) &&
               second.shape(0) == parameters.shape(0) && gradient.shape(0) == rows.shape(0),
           "expected moments of the parameters' shape and a gradient with a row for each of rows");
+    check(rates.shape(0) == columns, "expected a learning rate for each column");
     check(step >= 1, "expected step >= 1");
     const int64_t count = static_cast<int64_t>(rows.shape(0)), limit = static_cast<int64_t>(parameters.shape(0));
     int64_t previous = -1;
@@ -159,13 +161,15 @@ void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first
         previous = rows.data()[i];
     }
     const double corrected = std::sqrt(1 - std::pow(beta2, static_cast<double>(step)));
-    const double scaled = rate * corrected / (1 - std::pow(beta1, static_cast<double>(step)));
+    const double correction = corrected / (1 - std::pow(beta1, static_cast<double>(step)));
+    std::vector<float> scaled(columns);
+    for (size_t k = 0; k < columns; ++k) scaled[k] = static_cast<float>(rates.data()[k] * correction);
     constexpr int64_t kRows = 1024;
     nb::gil_scoped_release release;
 #pragma omp parallel for schedule(static)
     for (int64_t begin = 0; begin < count; begin += kRows)
         kernels().adam(parameters.data(), first.data(), second.data(), gradient.data(), rows.data(), begin,
-                       std::min(begin + kRows, count), static_cast<int>(columns), static_cast<float>(scaled),
+                       std::min(begin + kRows, count), static_cast<int>(columns), scaled.data(),
                        static_cast<float>(beta1), static_cast<float>(beta2), static_cast<float>(epsilon * corrected));
 }
 
@@ -203,7 +207,7 @@ NB_MODULE(_rasterizer, m) {
              "Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).");
 
     m.def("adam", &adam_step, nb::arg("parameters").noconvert(), nb::arg("first").noconvert(),
-          nb::arg("second").noconvert(), nb::arg("gradient").noconvert(), nb::arg("rows").noconvert(), nb::arg("rate"),
+          nb::arg("second").noconvert(), nb::arg("gradient").noconvert(), nb::arg("rows").noconvert(), nb::arg("rates").noconvert(),
           nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
           "One step of Adam on the given rows, in place.");
 }

@@ -4,6 +4,12 @@ import pytest
 from splat_passes import Engine
 
 
+def plain():
+    from reconstructors.splat import reference
+
+    return Engine(reference, "cpu")
+
+
 def on_cpu():
     from reconstructors.splat import cpu
 
@@ -30,5 +36,12 @@ def on_cuda():
 @pytest.fixture(scope="session", params=[on_cpu, on_emulated_cuda, pytest.param(on_cuda, marks=pytest.mark.gpu)])
 def engine(request):
     """Each device's kernels; `pytest -m gpu` runs those of CUDA."""
+    pytest.importorskip("torch")
+    return request.param()
+
+
+@pytest.fixture(scope="session", params=[plain, on_cpu, pytest.param(on_cuda, marks=pytest.mark.gpu)])
+def any_engine(request):
+    """The plain rasterizer as well: what is known in closed form it has to know too."""
     pytest.importorskip("torch")
     return request.param()

@@ -19,11 +19,11 @@ def in_double(scene):
 
 @pytest.mark.parametrize("kind", [scattered, on_the_border])
 def test_gradients_are_finite_differences(kind):
-    """By every number of eight Gaussians, of a random sum of all that 40 pixels show: none is near a threshold here."""
+    """By every number of five Gaussians, of a random sum of all that 40 pixels show: none is near a threshold here."""
     scene = kind(np.random.default_rng(2))
     k = scene.camera.intrinsics.resized(8, 5)
     view = View.of(type(scene.camera)("", k, scene.camera.cam_from_world))
-    gaussians = [tensor[:8, :4] if tensor.ndim == 3 else tensor[:8] for tensor in in_double(scene)]
+    gaussians = [tensor[-5:, :4] if tensor.ndim == 3 else tensor[-5:] for tensor in in_double(scene)]
     background = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
 
     def images(*tensors):
@@ -34,7 +34,7 @@ def test_gradients_are_finite_differences(kind):
         return sum((image * torch.from_numpy(rng.normal(size=image.shape))).sum() for image in images(*tensors))
 
     inputs = [tensor.contiguous().requires_grad_() for tensor in (*gaussians, background)]
-    assert (images(*inputs)[1] < 0.9).float().mean() > 0.2
+    assert (images(*inputs)[1] < 0.99).float().mean() > 0.2
     assert torch.autograd.gradcheck(loss, inputs, eps=1e-6, atol=1e-6, rtol=1e-6)
 
 

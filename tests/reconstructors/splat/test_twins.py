@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from splat_passes import Engine, random_wanted, run_pass
-from splat_scenes import SCENES, crowd, huge, make, nothing, one_pixel, scattered, tall, whole_tiles
+from splat_scenes import SCENES, crowd, huge, make, needles, nothing, one_pixel, scattered, tall, whole_tiles
 
 torch = pytest.importorskip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
@@ -36,6 +36,15 @@ def test_images_and_gradients_are_those_of_the_plain_rasterizer(engine, kind):
     assert all(np.isfinite(array).all() for array in ours.arrays().values())
     if kind is not nothing:
         assert all(array.any() for array in theirs.arrays().values())
+
+
+def test_planes_of_long_needles(engine):
+    """A hundred times as long as they are far, a thousandth as wide: depth grows along them and not across."""
+    scene = make(needles)
+    scene.scales[np.arange(60), scene.scales.argmax(axis=1)] = 300
+    ours, theirs = run_pass(engine, scene).images, run_pass(PLAIN, scene).images
+    for name, image in theirs.items():
+        assert disagreeing(ours[name], image, 0, 1e-5) <= 1e-3, name
 
 
 @pytest.mark.parametrize("kind", [scattered, tall])
@@ -91,8 +100,8 @@ def photographs(rng, height, width):
 @pytest.mark.parametrize("height, width", [(1, 1), (3, 7), (11, 5), (16, 32), (37, 50)])
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
 def test_loss_of_an_image(engine, height, width, weight):
-    """Squares of values about 1 are subtracted from each other in float32: 1e-7 of them is 1e-4 of the constant 9e-4 that
-    they are added to."""
+    """Squares of values about 1 are subtracted from each other in float32: 1e-7 of them is 1e-4 of the constant 9e-4 to
+    which they are added."""
     image, target = (engine.tensor(array) for array in photographs(np.random.default_rng(4), height, width))
     ours, theirs = engine.kernels.image_loss(image, target, weight), reference.image_loss(image, target, weight)
     assert float(ours.l1) == pytest.approx(float(theirs.l1), rel=1e-6)

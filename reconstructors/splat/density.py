@@ -1,0 +1,125 @@
+"""Density control: where Gaussians are added and taken away during training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from reconstructors.splat.model import Gaussians
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from reconstructors.splat.train import Training
+
+
+class Density(Protocol):
+    """Called after every step; may change the model through `Training.keep` and `Training.add`."""
+
+    def control(self, training: Training) -> None: ...
+
+
+@dataclass(frozen=True)
+class Unchanged:
+    """As many Gaussians as there were at the start."""
+
+    def control(self, training: Training) -> None:
+        return
+
+
+@dataclass(frozen=True)
+class Classic:
+    """The rules of Kerbl et al. 2023: what is pulled across the image hard is cloned if it is small, else split.
+
+    Args:
+        first, last: steps between which Gaussians are added, last as a share of all steps.
+        every: steps between two times.
+        gradient: mean over the views of the derivative by the projected mean, in units in which the image is 2 wide
+            and high, above which a Gaussian is cloned or split.
+        small: the largest axis up to which it is cloned, in units of the cameras' spread.
+        shrink: what the axes of a split one are divided by.
+        faint: opacity under which a Gaussian is taken away.
+        large: axis over which it is, once opacities were reset.
+        reset: steps between two times at which opacities are held at `reset_opacity`; 0 for never.
+        most: Gaussians.
+    """
+
+    first: int = 500
+    last: float = 0.5
+    every: int = 100
+    gradient: float = 2e-4
+    small: float = 0.01
+    shrink: float = 1.6
+    faint: float = 5e-3
+    large: float = 0.1
+    reset: int = 3000
+    reset_opacity: float = 0.01
+    most: int = 1_000_000
+
+    def control(self, training: Training) -> None:
+        import torch
+
+        step = training.step
+        if step > self.last * training.schedule.steps:
+            return
+        if step >= self.first and step % self.every == 0:
+            self._densify(training)
+            model = training.model
+            kept = model.opacities >= self.faint
+            if self.reset and step > self.reset:
+                kept &= model.scales.amax(dim=1) <= self.large
+            if not kept.all():
+                training.keep(kept)
+        if self.reset and step % self.reset == 0:
+            held = float(np.log(self.reset_opacity / (1 - self.reset_opacity)))
+            torch.clamp_(training.model.logits, max=held)
+            training.optimizer.forget("logits")
+
+    def _densify(self, training: Training) -> None:
+        model, seen = training.model, training.seen
+        pulled = seen.gradient / seen.views.clamp(min=1)
+        wanted = pulled > self.gradient
+        room = max(0, self.most - len(model))
+        if int(wanted.sum()) > room:
+            wanted = _strongest(pulled, room) & wanted
+        small = model.scales.amax(dim=1) <= self.small
+        clones, splits = wanted & small, wanted & ~small
+        added = model.select(clones).joined(split(model.select(splits), self.shrink, training.rng()))
+        training.add(added)
+        if splits.any():
+            kept = ~splits.new_zeros(len(training.model))
+            kept[: len(splits)] = ~splits
+            training.keep(kept)
+
+
+# The figures of Gao et al.; what they leave out is as Kerbl et al. have it.
+GAO2025 = Classic(first=1000)
+
+
+def split(model: Gaussians, shrink: float, rng: np.random.Generator) -> Gaussians:
+    """Two for each, at places drawn from it, with axes divided by `shrink`."""
+    import torch
+
+    from reconstructors.splat.rotations import rotated
+
+    drawn = torch.from_numpy(rng.standard_normal((2, len(model), 3)).astype(np.float32)).to(model.means.device)
+    halves = [
+        replace(
+            model,
+            means=model.means + rotated(model.quats, noise * model.scales),
+            log_scales=model.log_scales - float(np.log(shrink)),
+        )
+        for noise in drawn
+    ]
+    return halves[0].joined(halves[1])
+
+
+def _strongest(values: Tensor, count: int) -> Tensor:
+    """Truth (N,) of the `count` largest."""
+    import torch
+
+    chosen = torch.zeros_like(values, dtype=torch.bool)
+    chosen[torch.argsort(values, descending=True, stable=True)[:count]] = True
+    return chosen

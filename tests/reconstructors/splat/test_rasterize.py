@@ -1,0 +1,239 @@
+"""`rasterize` as torch sees it: derivatives, types, far coordinates, and what it says of wrong input."""
+
+import subprocess
+import sys
+import weakref
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from splat_scenes import make, nothing, scattered
+
+from pcbench.errors import InputError, MissingExtra
+from pcbench.geometry.transform import Similarity
+from reconstructors.splat import rasterize
+from reconstructors.splat.view import View
+
+torch = pytest.importorskip("torch")
+reference = pytest.importorskip("reconstructors.splat.reference")
+
+
+def given(engine, scene, dtype=torch.float32):
+    return [engine.tensor(array).to(dtype).requires_grad_() for array in scene.arrays]
+
+
+def some_loss(rendering, seed=5):
+    """A random sum of all that has a derivative, as a tensor, in the rendering's type."""
+    rng = np.random.default_rng(seed)
+    images = (rendering.color, rendering.alpha, rendering.depth, rendering.normal)
+    return sum((image * torch.from_numpy(rng.normal(size=image.shape)).to(image)).sum() for image in images)
+
+
+def test_images_and_derivatives_are_those_of_the_plain_rasterizer(engine):
+    """Depth is the mean, which has a derivative through alpha too; the background has one."""
+    scene = make(scattered)
+    background = engine.tensor(scene.background).requires_grad_()
+    tensors = given(engine, scene)
+    ours = rasterize(*tensors, scene.camera, background=background)
+    some_loss(ours).backward()
+
+    exact = [torch.from_numpy(array).double().requires_grad_() for array in (*scene.arrays, scene.background)]
+    drawn = reference.draw(reference.Gaussians(*exact[:5]), View.of(scene.camera), exact[5])
+    alpha = 1 - drawn.transmittance
+    theirs = ours._replace(
+        color=drawn.color,
+        alpha=alpha,
+        depth=drawn.depth / torch.where(alpha > 0, alpha, 1),
+        normal=drawn.normal,
+        median_depth=drawn.median_depth,
+    )
+    some_loss(theirs).backward()
+    assert (theirs.alpha == 0).any() and (ours.depth[ours.alpha == 0] == 0).all()
+    for name, image in ours._asdict().items():
+        assert image.dtype == torch.float32 and image.requires_grad == (name != "median_depth")
+        wanted = getattr(theirs, name).detach().numpy()
+        # Where alpha is a few thousandths its rounding is 1e-5 of it, and of the depth.
+        np.testing.assert_allclose(image.detach().cpu().numpy(), wanted, rtol=0, atol=1e-4, err_msg=name)
+    for ours_by, theirs_by in zip([*tensors, background], exact, strict=True):
+        scale = theirs_by.grad.abs().max().item()
+        # Of depth divided by such an alpha, too.
+        np.testing.assert_allclose(ours_by.grad.cpu().numpy(), theirs_by.grad.numpy(), rtol=1e-3, atol=3e-5 * scale)
+
+
+def test_a_scene_far_from_the_origin_is_drawn_alike(engine):
+    """In UTM-sized coordinates of float64 a float32 would be off by half a metre."""
+    scene = make(scattered)
+    far = np.array([654_321.0, 5_432_109.0, 512.0])
+    motion = scene.camera.cam_from_world
+    moved = replace(
+        scene.camera, cam_from_world=Similarity(motion.rotation, motion.translation - motion.rotation @ far)
+    )
+    means, *others = given(engine, scene, torch.float64)
+    near, there = rasterize(means, *others, scene.camera), None
+    far_means = (means.detach() + engine.tensor(far)).requires_grad_()
+    there = rasterize(far_means, *others, moved)
+    for ours, theirs in zip(there, near, strict=True):
+        # 1e-9 of the coordinates is left; a pixel may change sides at a threshold of 1/255.
+        assert (ours - theirs).abs().max() < 5e-3 and ((ours - theirs).abs() > 1e-5).float().mean() < 1e-3
+    some_loss(near).backward()
+    some_loss(there).backward()
+    assert means.grad.dtype == torch.float64
+    assert torch.allclose(far_means.grad, means.grad, rtol=1e-3, atol=1e-4 * means.grad.abs().max().item())
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
+def test_other_types_are_drawn_in_float32(engine, dtype):
+    scene = make(scattered)
+    tensors = given(engine, scene, dtype)
+    rendering = rasterize(*tensors, scene.camera)
+    some_loss(rendering).backward()
+    again = [tensor.detach().float().requires_grad_() for tensor in tensors]
+    wanted = rasterize(*again, scene.camera)
+    some_loss(wanted).backward()
+    assert rendering.color.dtype == torch.float32 and torch.equal(rendering.color, wanted.color)
+    for ours, theirs in zip(tensors, again, strict=True):
+        assert ours.grad.dtype == dtype
+        assert torch.equal(ours.grad, theirs.grad.to(dtype))
+
+
+def test_rows_that_are_not_contiguous(engine):
+    scene = make(scattered)
+    tensors = given(engine, scene)
+    spread = [torch.stack([tensor.detach()] * 2, dim=-1)[..., 0].requires_grad_() for tensor in tensors]
+    assert not any(tensor.is_contiguous() for tensor in spread)
+    for each in (tensors, spread):
+        some_loss(rasterize(*each, scene.camera)).backward()
+    for ours, theirs in zip(spread, tensors, strict=True):
+        assert torch.equal(ours.grad, theirs.grad)
+
+
+def test_two_renderings_at_once(engine):
+    """Each keeps what its own derivative needs, in whatever order these are taken, and twice if that is asked for."""
+    scenes = make(scattered), make(scattered, seed=1)
+    apart = []
+    for scene in scenes:
+        tensors = given(engine, scene)
+        some_loss(rasterize(*tensors, scene.camera)).backward()
+        apart.append([tensor.grad for tensor in tensors])
+    tensors = [given(engine, scene) for scene in scenes]
+    losses = [some_loss(rasterize(*each, scene.camera)) for each, scene in zip(tensors, scenes, strict=True)]
+    (losses[0] + losses[1]).backward(retain_graph=True)
+    losses[0].backward()
+    for tensor, grad in zip(tensors[0], apart[0], strict=True):
+        assert torch.equal(tensor.grad, grad + grad)
+    for tensor, grad in zip(tensors[1], apart[1], strict=True):
+        assert torch.equal(tensor.grad, grad)
+
+
+def test_what_was_overwritten_has_no_derivative(engine):
+    """Torch refuses it, whether a parameter has been stepped or an image been painted over."""
+    scene = make(scattered)
+    tensors = given(engine, scene)
+    loss = some_loss(rasterize(*tensors, scene.camera))
+    with torch.no_grad():
+        tensors[2] *= 0.5
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+    rendering = rasterize(*given(engine, scene), scene.camera)
+    loss = some_loss(rendering._replace(color=rendering.color.clamp_(0, 1)))
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
+def test_a_rendering_that_is_let_go_is_gone(engine):
+    """With all its memory, at once: nothing holds it in a circle."""
+    scene = make(scattered)
+    rendering = rasterize(*given(engine, scene), scene.camera)
+    node = rendering.color.grad_fn
+    held = weakref.ref(node.rasterizer)
+    assert held() is not None
+    del rendering, node
+    assert held() is None
+
+
+def test_without_gradients_and_without_gaussians(engine):
+    scene = make(scattered)
+    with torch.no_grad():
+        rendering = rasterize(*given(engine, scene), scene.camera)
+    assert not rendering.color.requires_grad
+    empty, background = make(nothing), [0.1, 0.2, 0.3]
+    tensors = given(engine, empty)
+    rendering = rasterize(*tensors, empty.camera, background=background)
+    assert torch.equal(rendering.color.cpu(), torch.tensor(background).expand(22, 37, 3))
+    assert not any(image.any() for image in rendering[1:])
+    some_loss(rendering).backward()
+    assert [tensor.grad.shape for tensor in tensors] == [tensor.shape for tensor in tensors]
+
+
+def refusal(change, **options):
+    """What is said of a scene of five Gaussians after `change` of its tensors by name."""
+    scene = scattered(np.random.default_rng(0), 5)
+    names = ("means", "quats", "scales", "opacities", "sh")
+    tensors = {name: torch.from_numpy(array) for name, array in zip(names, scene.arrays, strict=True)}
+    changed = tensors | {name: tensor(tensors[name]) for name, tensor in change.items()}
+    with pytest.raises(InputError) as caught:
+        rasterize(*changed.values(), **{"camera": scene.camera, **options})
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def with_one(value):
+    def change(tensor):
+        tensor = tensor.clone()
+        tensor.view(len(tensor), -1)[3, 0] = value
+        return tensor
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"means": lambda t: t.numpy()}, "expected means as a torch tensor, got ndarray"),
+        ({"means": lambda t: t[:, :2]}, "expected means of shape (N, 3), got (5, 2)"),
+        ({"means": lambda t: t[0, 0]}, "expected means of shape (N, 3), got ()"),
+        ({"quats": lambda t: t[:4]}, "expected quats of shape (5, 4), got (4, 4)"),
+        ({"scales": lambda t: t[:, :2]}, "expected scales of shape (5, 3), got (5, 2)"),
+        ({"opacities": lambda t: t[:, None]}, "expected opacities of shape (5,), got (5, 1)"),
+        ({"sh": lambda t: t[:, :5]}, "expected sh of shape (5, K, 3) with K = 1, 4, 9 or 16, got (5, 5, 3)"),
+        ({"sh": lambda t: t[:, 0]}, "expected sh of shape (5, K, 3) with K = 1, 4, 9 or 16, got (5, 3)"),
+        ({"quats": lambda t: t.int()}, "expected quats of a floating type, got torch.int32"),
+        ({"means": with_one(np.nan)}, "expected finite means, got NaN or Inf in 1 of 5, first 3"),
+        ({"means": lambda t: 1e39 * t.double()}, "expected finite means, got NaN or Inf in 5 of 5, first 0"),
+        ({"quats": with_one(np.inf)}, "expected finite quats, got NaN or Inf in 1 of 5, first 3"),
+        ({"sh": with_one(-np.inf)}, "expected finite sh, got NaN or Inf in 1 of 5, first 3"),
+        ({"scales": with_one(-2.5)}, "expected scales of 0 or more, got -2.5: take exp() of logarithms"),
+        ({"opacities": with_one(1.5)}, "to 1.5: take the sigmoid of logits"),
+        ({"opacities": with_one(-0.5)}, "expected opacities from 0 to 1, got -0.5 to"),
+        ({"scales": lambda t: t.to("meta")}, "expected tensors on one device: means are on cpu, scales on meta"),
+    ],
+)
+def test_wrong_tensors_are_named(change, message):
+    assert message in refusal(change)
+
+
+def test_other_wrong_input_is_named():
+    camera = make(scattered).camera
+    bent = replace(camera, intrinsics=replace(camera.intrinsics, distortion=(0.1, 0.0, 0.0, 0.0)))
+    assert "got a camera with distortion (0.1, 0.0, 0.0, 0.0): undistort its photograph first" in refusal(
+        {}, camera=bent
+    )
+    assert refusal({}, camera=View.of(camera)) == "expected a pcbench Camera, got View"
+    scaled = replace(camera, cam_from_world=Similarity(np.eye(3), np.zeros(3), 2.0))
+    assert refusal({}, camera=scaled) == "expected a rigid cam_from_world, got one of scale 2"
+    assert refusal({}, background=[1, 1]) == "expected a background of shape (3,), got (2,)"
+    assert refusal({}, background=[1, np.nan, 1]) == "expected finite background, got NaN or Inf in 1 of 3, first 1"
+    meta = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), lambda t: t.to("meta"))
+    assert (
+        refusal(meta) == "expected tensors on the CPU or on a CUDA device, got meta: move them with .cpu() or .cuda()"
+    )
+
+
+def test_torch_is_imported_when_it_is_used(monkeypatch):
+    script = "import sys; import reconstructors.splat; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "False\n", done.stderr
+    scene = make(scattered)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtra, match=r"torch is needed for this .*: pip install 'pcbench\[splat\]'"):
+        rasterize(*scene.arrays, scene.camera)

@@ -1,0 +1,69 @@
+"""The CPU's rasterizer, loss and optimizer give the same bits at any number of threads and on every instruction set."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from repository import TESTS
+
+pytest.importorskip("torch")
+
+ANSWERS = """
+import hashlib, json, sys
+import numpy as np, torch
+sys.path[:0] = {path!r}
+from splat_passes import Engine, random_wanted, run_pass
+from splat_scenes import SCENES, make, scattered
+from reconstructors.splat import cpu
+from reconstructors.splat.cpu import _rasterizer
+
+digests = {{}}
+def note(name, *arrays):
+    digests[name] = hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
+
+engine, rng = Engine(cpu, "cpu"), np.random.default_rng(1)
+for kind in SCENES:
+    scene = make(kind)
+    note(kind.__name__, *run_pass(engine, scene, random_wanted(scene)).arrays().values())
+    wanted = random_wanted(scene)._replace(depth=None, normal=None)
+    note(kind.__name__ + " plain", *run_pass(engine, scene, wanted, geometry=False).arrays().values())
+# Enough Gaussians and tiles for several threads at once.
+many = scattered(rng, 3000, 210, 130, size=0.06)
+note("many", *run_pass(engine, many, random_wanted(many)).arrays().values())
+image, target = (torch.from_numpy(rng.random((131, 207, 3), np.float32)) for _ in range(2))
+loss = cpu.image_loss(image, target, 0.2)
+note("loss", float(loss.l1), float(loss.ssim), loss.gradient.numpy())
+rows = [torch.from_numpy(rng.random((5000, 48), np.float32)) for _ in range(3)]
+ids = np.flatnonzero(rng.random(5000) < 0.7)
+cpu.adam(*rows, torch.from_numpy(rng.normal(size=(len(ids), 48)).astype(np.float32)), torch.from_numpy(ids), 0.01, 3)
+note("adam", *(row.numpy() for row in rows))
+print(json.dumps([_rasterizer.isa(), digests]))
+"""
+
+
+def answers_with(**environment):
+    """Digests from a fresh process."""
+    script = ANSWERS.format(path=[str(TESTS)])
+    return subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
+    )
+
+
+@pytest.fixture(scope="module")
+def baseline_answers():
+    done = answers_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
+    assert done.returncode == 0, done.stderr
+    isa, digests = json.loads(done.stdout)
+    assert isa == "baseline"
+    return digests
+
+
+@pytest.mark.parametrize("isa, threads", [("baseline", "2"), ("avx2", "2"), ("avx512", "3")])
+def test_the_same_bits_from_any_threads_and_instructions(baseline_answers, isa, threads):
+    """As from one thread of the baseline."""
+    done = answers_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
+    if "PCBENCH_ISA: expected one that this machine runs" in done.stderr:
+        pytest.skip(f"this machine has no {isa}: there is nothing to compare with the baseline")
+    assert json.loads(done.stdout) == [isa, baseline_answers], done.stderr
