@@ -90,17 +90,19 @@ def test_the_loss_is_that_of_the_cpu_and_of_the_emulator(gpu, cpu, emulated, hei
     assert torch.equal(ours.gradient.cpu(), same.gradient)
 
 
-def test_adam_is_that_of_the_cpu(gpu, cpu):
+@pytest.mark.parametrize("rates", [0.01, torch.linspace(0.001, 0.1, 48)], ids=["one", "each"])
+def test_adam_is_that_of_the_cpu(gpu, cpu, rates):
+    """Bit for bit. Rates that are on the host are brought to the device."""
     rng = np.random.default_rng(6)
     ids, gradient = np.flatnonzero(rng.random(5000) < 0.5), rng.normal(size=(5000, 48)).astype(np.float32)
     results = []
     for engine in (gpu, cpu):
         tensors = [engine.tensor(np.full((5000, 48), value, np.float32)) for value in (1, 0, 0)]
         for step in (1, 2, 3):
-            engine.kernels.adam(*tensors, engine.tensor(gradient[ids] / step), engine.tensor(ids), 0.01, step)
+            engine.kernels.adam(*tensors, engine.tensor(gradient[ids] / step), engine.tensor(ids), rates, step)
         results.append([tensor.cpu() for tensor in tensors])
     for ours, theirs in zip(*results, strict=True):
-        torch.testing.assert_close(ours, theirs, rtol=1e-6, atol=1e-9)
+        assert torch.equal(ours, theirs)
 
 
 def test_the_morton_order_is_that_of_the_emulator(gpu, emulated):
