@@ -61,8 +61,9 @@ class _Pass:
 class Rasterizer:
     """Draws a view of Gaussians and goes back from the image's derivative to theirs.
 
-    Beside its results a pass holds about 100 bytes a Gaussian, 24 an instance (a Gaussian in a tile) and, for the
-    derivative, 128 more an instance and 5 KB a tile, twice that with geometry.
+    Beside its results a pass holds some 100 bytes a Gaussian and 12 an instance (a Gaussian in a tile of 16 x 16
+    pixels), and for the derivative 128 more an instance (256 with geometry) and 9 KB a tile (17 KB). While they are
+    sorted instances take some 40 bytes, while the derivative is taken 44 (68).
 
     Args:
         launcher: what runs the kernels; the GPU that holds the tensors where it is None.
