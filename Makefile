@@ -7,7 +7,8 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 # Constraints in the environment reach the isolated build too.
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/native/*.cpp pcbench/native/*/*.cpp pcbench/native/*/*.h \
-  reconstructors/*/native/*.cpp reconstructors/*/native/*.h)
+  reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
+  reconstructors/splat/cpu/*.h)
 
 .PHONY: demo test lint types docs slow sanitize compilers bench gallery clean
 
@@ -43,7 +44,7 @@ other_core = CXX=$(1) $(PIP) --no-deps --upgrade --target build/$(2)/site . $(pa
 # So are the CUDA kernels, emulated.
 CORE_TESTS := tests/geometry/test_neighbors.py tests/geometry/test_normals.py $(wildcard tests/geometry/test_mesh*.py) \
   tests/native/test_instruction_sets.py tests/reconstructors/mvs/test_patchmatch.py \
-  tests/reconstructors/splat/test_cuda_emulated.py
+  tests/reconstructors/splat/test_twins.py
 sanitize: $(VENV)/.all
 	$(call other_core,g++,sanitize,'PCB_SANITIZE=address;undefined')
 	LD_PRELOAD="$$(g++ -print-file-name=libasan.so) $$(g++ -print-file-name=libstdc++.so)" \

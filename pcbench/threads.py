@@ -22,8 +22,7 @@ def fit_threads() -> None:
     Raises:
         InputError: OMP_NUM_THREADS is too large.
     """
-    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    most = max(_MAX_THREADS, cpus)
+    most = max(_MAX_THREADS, cpus())
     asked = {name: _first(os.environ.get(name, "")) for name in _COUNTS}
     if (count := asked["OMP_NUM_THREADS"]) is not None and count > most:
         raise InputError(f"OMP_NUM_THREADS={count}: expected at most {most} threads: give fewer, or unset it")
@@ -31,8 +30,13 @@ def fit_threads() -> None:
     if memory != resource.RLIM_INFINITY:
         room = max(1, memory // _MEMORY)
         for name, count in asked.items():
-            if (count or cpus) > room:
+            if (count or cpus()) > room:
                 os.environ[name] = str(room)
+
+
+def cpus() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _first(text: str) -> int | None:

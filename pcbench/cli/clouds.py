@@ -35,15 +35,22 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     from pcbench.errors import InputError
     from pcbench.io import read_cloud, write_cloud
     from pcbench.io.crop import crop as crop_cloud
-    from pcbench.io.files import check_output, named_file
+    from pcbench.io.files import check_output, named_file, reading_seconds
+    from pcbench.progress import Plan
 
     check_output(out, [cloud, *filter(None, [named_file(crop)])])
-    data = read_cloud(cloud, on_warning=warn_unless(quiet))
-    try:
-        inside = crop_cloud(data, crop)
-    except InputError as error:
-        raise InputError(f"{cloud}: {error}") from error
-    write_cloud(out, inside)
+    with steps(quiet) as tell:
+        reading = reading_seconds(cloud)
+        step = Plan(tell, [reading, 0.5 * reading, reading])
+        step(f"reading {cloud}")
+        data = read_cloud(cloud, on_warning=warn_unless(quiet))
+        step("cropping")
+        try:
+            inside = crop_cloud(data, crop)
+        except InputError as error:
+            raise InputError(f"{cloud}: {error}") from error
+        step(f"writing {out}")
+        write_cloud(out, inside)
     if not quiet:
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")
 
@@ -145,8 +152,9 @@ def convert(
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
     from pcbench.io import check_cloud_output, read_cloud, write_cloud
-    from pcbench.io.files import check_output
+    from pcbench.io.files import check_output, reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
+    from pcbench.progress import Plan
 
     check_output(out, (cloud,))
     check_cloud_output(out)
@@ -158,14 +166,20 @@ def convert(
     }
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample draws points on a mesh, and this is none")
-    if sample is not None or is_mesh_alone(cloud):
-        if any(value is not None for value in filters.values()):
-            raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
-        mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
-        data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
-    else:
-        data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
-    write_cloud(out, data)
+    of_mesh = sample is not None or is_mesh_alone(cloud)
+    if of_mesh and any(value is not None for value in filters.values()):
+        raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
+    with steps(quiet) as tell:
+        reading = reading_seconds(cloud)
+        step = Plan(tell, [reading, reading])
+        step(f"reading {cloud}")
+        if of_mesh:
+            mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
+            data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+        else:
+            data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
+        step(f"writing {out}")
+        write_cloud(out, data)
     if not quiet:
         click.echo(f"{out}: {len(data):,} points")
 
@@ -180,21 +194,30 @@ def info(clouds: tuple[Path, ...]) -> None:
     from pcbench.geometry.neighbors import Index, median_spacing
     from pcbench.geometry.splats import is_of_splats, splat_model, spread
     from pcbench.io import read_cloud
+    from pcbench.io.files import reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
+    from pcbench.progress import Plan
 
     for path in clouds:
-        mesh = None
-        if is_mesh_alone(path):
-            mesh = read_mesh(path, on_warning=warn)
-            cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
-        else:
-            cloud = read_cloud(path, on_warning=warn)
-            if holds_mesh(path):
-                try:
-                    mesh = read_mesh(path, on_warning=warn)
-                except InputError as error:  # its points are there all the same
-                    warn(error)
-        lower, upper = cloud.bounds
+        mesh = spacing = None
+        with steps(quiet=False) as tell:
+            step = Plan(tell, [reading_seconds(path), 10 * reading_seconds(path)])
+            step(f"reading {path}")
+            if is_mesh_alone(path):
+                mesh = read_mesh(path, on_warning=warn)
+                cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+            else:
+                cloud = read_cloud(path, on_warning=warn)
+                if holds_mesh(path):
+                    try:
+                        mesh = read_mesh(path, on_warning=warn)
+                    except InputError as error:  # its points are there all the same
+                        warn(error)
+            lower, upper = cloud.bounds
+            if len(cloud) > 1:
+                step("measuring the spacing")
+                index = Index(cloud.points - lower)  # small numbers search more exactly
+                spacing = median_spacing(index, index.nearest_other())  # of all points, as a comparison says it
         click.echo(f"{path}: {len(cloud):,} {'vertices' if mesh is not None else 'points'}")
         if mesh is not None:
             click.echo(
@@ -203,9 +226,7 @@ def info(clouds: tuple[Path, ...]) -> None:
         click.echo(f"  from   {_triple(lower)}")
         click.echo(f"  to     {_triple(upper)}")
         click.echo(f"  size   {_triple(upper - lower)} {cloud.unit or ''}".rstrip())
-        if len(cloud) > 1:
-            index = Index(cloud.points - lower)  # small numbers search more exactly
-            spacing = median_spacing(index, index.nearest_other())  # of all points, as a comparison says it
+        if spacing is not None:
             click.echo(f"  median distance to the nearest other point {spacing:.4g}")
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)

@@ -97,13 +97,16 @@ def no_figures_option(what: str = "pictures") -> Callable[[_Command], _Command]:
     return click.option("--no-figures", is_flag=True, help=f"Leave the {what} out.")
 
 
+format_option = click.option("--format", "figure_format", metavar="KIND", help="Of pictures: png, svg or pdf.")
+background_option = click.option("--background", metavar="COLOUR", help="Of pictures: dark, white, black or #rrggbb.")
+
+
 def figure_options(command: _Command) -> _Command:
     """How pictures look: the fields of `pcbench.report.Figures`."""
-    command = click.option("--format", "figure_format", metavar="KIND", help="Of pictures: png, svg or pdf.")(command)
     command = click.option(
         "--range", "color_range", type=POSITIVE, metavar="LENGTH", help="Of distances: where colours end."
-    )(command)
-    return click.option("--background", metavar="COLOUR", help="Of pictures: dark, white, black or #rrggbb.")(command)
+    )(format_option(command))
+    return background_option(command)
 
 
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")

@@ -12,8 +12,10 @@ import click
 from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import (
     FILE,
+    background_option,
     crop_option,
     figure_options,
+    format_option,
     given,
     las_options,
     las_returns,
@@ -150,6 +152,8 @@ def compare_and_print(
 @crop_option
 @no_figures_option()
 @seed_option("Of the bootstrap.")
+@background_option
+@format_option
 @quiet_option
 def deform(
     reference: Path,
@@ -159,6 +163,8 @@ def deform(
     crop: str,
     no_figures: bool,
     seed: int,
+    background: str | None,
+    figure_format: str | None,
     quiet: bool,
 ) -> None:
     """Register CANDIDATE to REFERENCE and say whether it is bent beyond that, by how much, and where.
@@ -168,9 +174,13 @@ def deform(
     """
     _multiply_on_one_thread()
     from pcbench.report.deform_files import deform_files
+    from pcbench.report.figures import Figures
 
+    look = Figures().changed(background, None, figure_format)
     with steps(quiet) as step:
-        outcome = deform_files(reference, candidate, register, crop, seed, out, figures=not no_figures, step=step)
+        outcome = deform_files(
+            reference, candidate, register, crop, seed, out, figures=None if no_figures else look, step=step
+        )
     found = outcome.deformation
     if not quiet:
         for warning in outcome.warnings:

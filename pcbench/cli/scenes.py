@@ -56,18 +56,22 @@ def scene(
         check_cameras_kept(write_cameras, scene, None if cameras in ("auto", "none") else Path(cameras))
     say = warn_unless(quiet)
     told = (lambda text: None if "--wgs84" in text else say(text)) if wgs84 else say
-    data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=told)
-    if wgs84:
-        data = data.in_wgs84()
-    if figure is not None:
-        from pcbench.report.plot.cameras import draw_cameras
+    with steps(quiet) as step:
+        step(f"reading {scene}")
+        data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=told)
+        if wgs84:
+            data = data.in_wgs84()
+        if figure is not None:
+            from pcbench.report.plot.cameras import draw_cameras
 
-        check_output(figure, [*(data.folder / name for name in data.images), *data.masks.values()])
-        draw_cameras(data, figure)
-    if write_cameras is not None:
-        from pcbench.scenes import write_cameras as write
+            check_output(figure, [*(data.folder / name for name in data.images), *data.masks.values()])
+            step(f"drawing {figure}")
+            draw_cameras(data, figure)
+        if write_cameras is not None:
+            from pcbench.scenes import write_cameras as write
 
-        write(write_cameras, data.cameras, data.folder, data.points)
+            step(f"writing {write_cameras}")
+            write(write_cameras, data.cameras, data.folder, data.points)
     if not quiet:
         for line in data.describe():
             click.echo(line)

@@ -16,7 +16,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.splats import filter_splats
 from pcbench.io.colmap import model_file
-from pcbench.io.files import Warn, check_output, finite_cloud, read_named
+from pcbench.io.files import Warn, as_path, check_output, finite_cloud, read_named
 from pcbench.io.formats import CLOUDS, CloudFormat
 
 __all__ = ["FILTERED", "CloudLike", "check_cloud_output", "is_path", "read_cloud", "to_cloud", "write_cloud"]
@@ -59,7 +59,7 @@ def read_cloud(
             raise InputError(f"classes and returns are known in {', '.join(FILTERED)} only")
         return filter_splats(finite_cloud(form.read(path, warn, **filters), warn), min_opacity, max_axis)
 
-    return read_named(model_file(Path(path)), read, on_warning)
+    return read_named(model_file(as_path(path)), read, on_warning)
 
 
 def is_path(given: object) -> TypeGuard[str | os.PathLike[str]]:
@@ -84,10 +84,10 @@ def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:
         cloud: a cloud, its points (N, 3), or the path of a file with one.
 
     Raises:
-        InputError: the extension is unknown, or the format cannot hold the cloud; or it is none.
+        InputError: the extension is unknown, or the format cannot hold the cloud; or one of both is none.
         OSError: the file cannot be written.
     """
-    path = Path(path)
+    path = as_path(path)
     write = _writer(path)
     write(path, to_cloud(cloud))
 

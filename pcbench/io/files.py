@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import stat
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -96,6 +97,17 @@ def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
     if dropped:
         warn(f"dropped {dropped} of {count} points with NaN or Inf coordinates")
     return cloud
+
+
+def as_path(given: object) -> Path:
+    """A path as a `Path`.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    raise InputError(f"expected the path of a file, got {type(given).__name__}")
 
 
 def check_readable(path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import Warn, check_readable, read_named
+from pcbench.io.files import Warn, as_path, check_readable, read_named
 from pcbench.io.formats import CLOUDS, MESHES
 from pcbench.io.ply import holds_faces
 
@@ -27,7 +27,7 @@ def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | 
         InputError: the file cannot be read or is not what its extension says; the message starts with the path.
         MissingExtra: the format needs trimesh, which is not installed.
     """
-    return read_named(Path(path), _read, on_warning)
+    return read_named(as_path(path), _read, on_warning)
 
 
 def holds_mesh(path: str | os.PathLike[str]) -> bool:

@@ -59,7 +59,14 @@ class Fit(NamedTuple):
 
 
 def assess(
-    target: Target, sample: Index, T: Similarity, *, plane: bool, with_scale: bool, hint: IntArray | None = None
+    target: Target,
+    sample: Index,
+    T: Similarity,
+    *,
+    plane: bool,
+    with_scale: bool,
+    hint: IntArray | None = None,
+    given: bool = False,
 ) -> Quality:
     """Residual, overlap and what the geometry fixes, at a pose that is taken as it is.
 
@@ -70,6 +77,7 @@ def assess(
         plane: whether the RMSE is of distances to tangent planes, or to points.
         with_scale: whether the scale is one of the motions that the geometry has to fix.
         hint: the reference's points that the sample's were nearest to last, where the search starts.
+        given: whether the pose is from elsewhere, so that a blurred cloud explains as much as a wrong pose.
     """
     surface, spacing = target.surface, target.spacing
     moved, nearest = surface.index.nearest_of_moved(sample, T.matrix, hint)
@@ -108,9 +116,10 @@ def assess(
         with_scale=with_scale,
     )
     if sharp is not None and sharp.share < LEAST:
+        what = "the given pose may be wrong, or the cloud is blurred" if given else "the pose may be wrong"
         text = (
-            f"the pose may be wrong: moving the candidate away from it costs {max(sharp.share, 0):.0%} of what moving"
-            " the reference away from itself costs"
+            f"{what}: moving the candidate away from it costs {max(sharp.share, 0):.0%} of what moving the reference"
+            " away from itself costs"
         )
         warnings.append(Notice(DOUBTFUL_POSE, text))
     # A round body fits turned about its axis. What would tell the turn, such as its handle, then meets nothing.
@@ -176,7 +185,7 @@ def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin
             f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)}):"
             f" {COARSELY}"
         )
-    return Fit(T_local, assess(target, sample, T_local, plane=True, with_scale=T_local.scale != 1))
+    return Fit(T_local, assess(target, sample, T_local, plane=True, with_scale=T_local.scale != 1, given=True))
 
 
 def _mad(values: FloatArray) -> float:

@@ -134,9 +134,10 @@ class _Writer:
         how = found.method.partition(":")[0]
         given = {"none": "Taken in the pose as it is", "matrix": "Taken in the given pose"}
         pose = given.get(how, f"Registered by {'control points' if how == 'points' else how}")
-        text = f"{pose}: {found.overlap:.1%} of it lies on the reference"
+        parts = [] if self._partly(candidate) else [f"{found.overlap:.1%} of it lies on the reference"]  # said before
         if found.weakest_sigma is not None and found.weakest_sigma > least and how not in given:
-            text += f", and the pose is known to {self.length(found.weakest_sigma)} (one sigma, weakest direction)"
+            parts.append(f"the pose is known to {self.length(found.weakest_sigma)} (one sigma, weakest direction)")
+        text = f"{pose}: {', and '.join(parts)}" if parts else pose
         value, floor, *_ = candidate.metrics.mean_distance.accuracy
         if value is not None and floor is not None and least < value <= _NEAR_FLOOR * floor:
             text += "; distances to points say how dense the clouds are, those to the surface how wrong"

@@ -13,6 +13,7 @@ from pcbench.io import read_cloud
 from pcbench.io.files import named_file, reading_seconds
 from pcbench.progress import Plan
 from pcbench.registration import Registration
+from pcbench.report.figures import Figures, record_figures
 from pcbench.report.folder import report_folder, write_deformation
 from pcbench.report.plot import draw_if_possible, drawing_seconds
 
@@ -36,10 +37,13 @@ def deform_files(
     seed: int,
     out: Path | None,
     *,
-    figures: bool,
+    figures: Figures | None,
     step: Callable[[str], None],
 ) -> DeformationOutcome:
     """`deform` from files to a folder: deformation.json, the field, the aligned candidate (downsampled) and pictures.
+
+    Args:
+        figures: how pictures look, which settings.json holds; None: there are none.
 
     Raises:
         PcbenchError, OSError: an input or the output is not usable; nothing was written then.
@@ -68,9 +72,10 @@ def deform_files(
             transform = found.T_reference_candidate
             aligned = Cloud(transform.apply(cloud.points[rows]), crs=reference_cloud.crs, unit=reference_cloud.unit)
             write_deformation(folder, deformation, aligned, transform, reference_cloud.crs, reference_cloud.unit)
-            if figures:
+            if figures is not None:
+                record_figures(folder / "settings.json", figures)
                 plan("drawing the pictures")
-                without_figures = draw_if_possible(folder)
+                without_figures = draw_if_possible(folder, figures=figures)
     return DeformationOutcome(
         found,
         deformation,

@@ -71,6 +71,11 @@ def recorded_figures(settings_file: Path) -> Figures:
         return Figures()
 
 
+def record_figures(settings_file: Path, figures: Figures) -> None:
+    """A settings.json that holds nothing else."""
+    settings_file.write_text(json.dumps({"figures": figures.plain()}, indent=2) + "\n", encoding="utf-8")
+
+
 def ink(ground: str) -> str:
     """The colour of words and lines that are read on a background #rrggbb."""
     red, green, blue = (int(ground[k : k + 2], 16) / 255 for k in (1, 3, 5))

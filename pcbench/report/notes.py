@@ -64,9 +64,9 @@ def _of_candidate(comparison: Comparison, candidate: Candidate) -> Iterator[str]
     if overlaps_little(comparison, candidate):
         unit = comparison.reference.unit
         yield (
-            f"only {registration.overlap:.0%} of it lies on the reference (within 5 of its spacings,"
-            f" {length(5 * comparison.reference.spacing_median, unit)}), and the distances are those of all of it:"
-            " --crop reference measures what is inside the reference's bounding box, --crop polygon:FILE any part"
+            "the distances are those of all of it, and much lies farther than 5 spacings of the reference"
+            f" ({length(5 * comparison.reference.spacing_median, unit)}) from it: --crop reference measures what is"
+            " inside the reference's bounding box, --crop polygon:FILE any part"
         )
     yield from map(str, candidate.deformation.further_warnings)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.earth_studio import wgs84_from_sphere
 from pcbench.io.files import digest
 from pcbench.scenes.decode import Size, decode_image, decode_mask, resize_image
+from pcbench.scenes.splits import Split, every, in_blocks
 
 
 def cameras_in_wgs84(cameras: Mapping[str, Camera], origin: Gps) -> dict[str, Camera]:
@@ -161,29 +162,26 @@ class Scene:
         )
 
     def split_every(self, n: int = 8) -> tuple[Scene, Scene]:
-        """Train and test: every n-th image, from the first, is for testing. Test views have near neighbours.
+        """Train and test by `pcbench.scenes.splits.every`: every n-th image is for testing. Test views have near
+        neighbours.
 
         Raises:
-            InputError: one of the two would be empty.
+            InputError: there are too few images.
         """
-        return self._split(lambda index: index % n == 0 if n > 1 else True, f"every {n}")
+        return self._parts(every(self.images, n))
 
-    def split_blocks(self, n: int = 8, blocks: int = 2) -> tuple[Scene, Scene]:
-        """Train and test: an n-th of the images, as contiguous runs in the middles of `blocks` equal parts. Test views
-        have no near neighbours, which is harder than `split_every`.
+    def split_blocks(self, n: int = 8, blocks: int = 8) -> tuple[Scene, Scene]:
+        """Train and test by `pcbench.scenes.splits.in_blocks`: an n-th of the images is for testing, as runs in the
+        middles of equal parts. Test views have no near neighbours, which is harder than `split_every`.
 
         Raises:
-            InputError: one of the two would be empty.
+            InputError: there are too few images.
         """
-        length = len(self) / blocks
-        low, high = (0.5 - 0.5 / n) * length, (0.5 + 0.5 / n) * length
-        return self._split(lambda index: low <= (index + 0.5) % length < high, f"{blocks} blocks of 1/{n}")
+        positions = {name: camera.position for name, camera in self.cameras.items()}
+        return self._parts(in_blocks(self.images, blocks, 1 / n, positions))
 
-    def _split(self, is_test: Callable[[int], bool], how: str) -> tuple[Scene, Scene]:
-        test = [name for index, name in enumerate(self.images) if is_test(index)]
-        if not 0 < len(test) < len(self):
-            raise InputError(f"expected images for training and for testing, got {len(self)} images split by {how}")
-        return self.select(set(self.images) - set(test)), self.select(test)
+    def _parts(self, split: Split) -> tuple[Scene, Scene]:
+        return self.select(split.train), self.select(split.test)
 
     @cached_property
     def _digests(self) -> dict[str, tuple[str, str]]:

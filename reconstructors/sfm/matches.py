@@ -3,40 +3,82 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from pcbench.children import run_module
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
+from pcbench.threads import cpus
 from reconstructors.sfm.features import DATABASE, Shared, shared_intrinsics
+from reconstructors.sfm.match_child import match
 
 _MIN_INLIERS = 15  # of a pair that is used: COLMAP's default
+_PAIRS_A_PROCESS = 25  # at least: a process takes 0.3 s to start, a pair 0.01 to 0.2 s
+_MAX_PROCESSES = 8  # each has a copy of the database: about 1.3 MB an image
 
 
 def match_pairs(features: Path, pairs: Sequence[tuple[str, str]], workspace: Path) -> Path:
-    """The stage with the matches of pairs of images, in a copy of the database of `features`."""
-    import pycolmap
+    """The stage with the matches of pairs of images, in a copy of the database of `features`.
+
+    Raises:
+        ReconstructionError: a process that matches breaks down.
+    """
 
     def make(folder: Path) -> None:
         shutil.copyfile(features / DATABASE, folder / DATABASE)
         names = _rename(folder / DATABASE, {})
         numbers = {name: number for number, name in names.items()}
-        # COLMAP's list of pairs is cut at spaces: it gets the images' numbers for names.
-        lines = [f"{numbers[a]} {numbers[b]}\n" for a, b in pairs]
-        (folder / "pairs.txt").write_text("".join(lines), encoding="utf-8")
-        pairing = pycolmap.ImportedPairingOptions()
-        pairing.match_list_path = str(folder / "pairs.txt")
-        options = pycolmap.FeatureMatchingOptions()
-        options.skip_geometric_verification = True
-        pycolmap.match_image_pairs(
-            folder / DATABASE, matching_options=options, pairing_options=pairing, device=pycolmap.Device.cpu
-        )
+        numbered = [(numbers[a], numbers[b]) for a, b in pairs]
+        processes = max(1, min(cpus(), _MAX_PROCESSES, len(pairs) // _PAIRS_A_PROCESS))
+        if processes == 1:
+            match(folder / DATABASE, _write_list(folder / "pairs", numbered))
+        else:
+            # Neighbours in the list share an image: a process that gets them builds fewer indices.
+            ends = [len(pairs) * k // processes for k in range(processes + 1)]
+            _match_apart(folder, [numbered[start:end] for start, end in pairwise(ends)])
         _rename(folder / DATABASE, names)
 
     return stage(workspace, "matches", {"features": stage_key(features), "pairs": pairs}, make)
+
+
+def _match_apart(folder: Path, parts: Sequence[Sequence[tuple[int, int]]]) -> None:
+    """Match each part in a process of its own, on a copy of the database, and collect what they found."""
+    import pycolmap
+
+    def matched(number: int) -> Path:
+        copy = folder / f"part-{number}.db"
+        shutil.copyfile(folder / DATABASE, copy)
+        listed = _write_list(folder / f"pairs-{number}", parts[number])
+        ended = run_module("reconstructors.sfm.match_child", str(copy), str(listed))
+        if ended.code != 0:
+            print(ended.errors, file=sys.stderr)  # into the run's log: its last line is one of a stack
+            raise ReconstructionError(f"COLMAP's matching broke down: code {ended.code}")
+        return copy
+
+    with ThreadPoolExecutor(len(parts)) as threads:
+        copies = list(threads.map(matched, range(len(parts))))
+    database = pycolmap.Database.open(folder / DATABASE)
+    for copy, part in zip(copies, parts, strict=True):
+        found = pycolmap.Database.open(copy)
+        for a, b in part:
+            if found.exists_matches(a, b):
+                database.write_matches(a, b, found.read_matches(a, b))
+        found.close()
+        copy.unlink()
+    database.close()
+
+
+def _write_list(file: Path, pairs: Sequence[tuple[int, int]]) -> Path:
+    """A list of pairs as COLMAP reads it: it is cut at spaces, so the images' numbers stand for their names."""
+    file.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
+    return file
 
 
 def verify_matches(matches: Path, scene: Scene, workspace: Path, seed: int) -> Path:

@@ -1,7 +1,7 @@
 """Sparse structure from motion by COLMAP, through pycolmap (Schonberger and Frahm 2016; Pan et al. 2024, global).
 
 The same input gives the same cloud: images get their numbers in the order of their names, pairs are listed, every
-random choice has a seed, and what is not associative in floating point runs on one thread.
+random choice has a seed, and what is not associative in floating point, or not safe in COLMAP, runs on one thread.
 """
 
 from __future__ import annotations

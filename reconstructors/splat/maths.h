@@ -1,10 +1,10 @@
 // The mathematics of Gaussian splatting, one copy for every device: the CPU's loops include it once for each
 // instruction set, with F a SIMD vector or a float; NVRTC reads it before the CUDA kernels, with F a float.
 //
-// It includes nothing. Whoever includes it reads pinhole.h before, and defines PCB_FN (what precedes a function) and, for each F beside + - * / < and
-// the conversion from a float: fused(a, b, c) = a * b + c rounded once, root, lesser, greater, select(mask, yes, no),
-// add_exponent(x, n), which multiplies x by 2^n, and exponent(x, mantissa), which splits x > 0 into 2^n * mantissa in
-// [1, 2). Not one of them depends on the device, so that both sum and round alike.
+// It includes nothing. Whoever includes it reads pinhole.h before, and defines PCB_FN (what precedes a function) and,
+// for each F beside + - * / < and the conversion from a float: fused(a, b, c) = a * b + c rounded once, root, lesser,
+// greater, select(mask, yes, no), add_exponent(x, n), which multiplies x by 2^n, and exponent(x, mantissa), which
+// splits x > 0 into 2^n * mantissa in [1, 2). Not one of them depends on the device, so that both sum and round alike.
 //
 // Conventions: the camera looks along +z, x to the right, y down; pixel (i, j) has its centre at (i + 0.5, j + 0.5);
 // quaternions are wxyz. Papers: Zwicker et al. 2001, EWA volume splatting; Kerbl et al. 2023, 3D Gaussian splatting;
@@ -22,7 +22,7 @@ constexpr float kDilation = 0.3f;             // square pixels added to the proj
 constexpr float kLn2 = 0.693147181f;
 constexpr float kWhitening = 0.849321800f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = 2^-(kWhitening x)^2
 constexpr float kLeastQuaternion = 1e-24f;  // squared length below which a rotation is undefined
-constexpr float kMostDeterminant = 1e36f;  // of a covariance in pixels: a float has no room for the squares of more
+constexpr float kMostDeterminant = 1e36f;   // of a covariance in pixels: a float has no room for the squares of more
 constexpr int kMaxHarmonics = 16;           // of spherical harmonics up to degree 3
 
 // ---- numbers
@@ -152,23 +152,23 @@ struct Splat {
 // A Gaussian's projection with all that its derivative asks for again.
 template <class F>
 struct Footprint {
-    Vec<F> offset;          // from the camera, in the world
-    Vec<F> center;          // in the camera's frame
-    Quaternion<F> turn;     // of unit length
-    F turn_length;          // of the quaternion as given
-    Vec<F> direction[3];    // of the axes, in the camera's frame
-    Vec<F> axis[3];         // the same times the scale
-    F slope_x, slope_y;     // x / z and y / z where the affine approximation is taken
+    Vec<F> offset;               // from the camera, in the world
+    Vec<F> center;               // in the camera's frame
+    Quaternion<F> turn;          // of unit length
+    F turn_length;               // of the quaternion as given
+    Vec<F> direction[3];         // of the axes, in the camera's frame
+    Vec<F> axis[3];              // the same times the scale
+    F slope_x, slope_y;          // x / z and y / z where the affine approximation is taken
     Vec<F> row_x, row_y, row_z;  // the axes in pixels across, in pixels down and in depth, each a vector of three axes
-    Vec<F> normal_xy;       // row_x x row_y
-    F xx, xy, yy;           // the dilated covariance in pixels
+    Vec<F> normal_xy;            // row_x x row_y
+    F xx, xy, yy;                // the dilated covariance in pixels
     F determinant;
     F depth_across;
-    F depth_x, depth_y;     // the covariances of depth with pixels across and down
+    F depth_x, depth_y;        // the covariances of depth with pixels across and down
     F shortest_0, shortest_1;  // 1 where axis 0 (1) is the shortest, else 0; axis 2 where both are 0
-    F facing;               // 1 or -1, which turns the shortest axis to the camera
-    F reach;                // u^2 + v^2 at the ellipse's edge, where alpha is kLeastAlpha; negative where it is fainter
-    F extent_x, extent_y;   // half the ellipse's box, pixels
+    F facing;                  // 1 or -1, which turns the shortest axis to the camera
+    F reach;               // u^2 + v^2 at the ellipse's edge, where alpha is kLeastAlpha; negative where it is fainter
+    F extent_x, extent_y;  // half the ellipse's box, pixels
 };
 
 // Returns the splat but for its colour. It is not to be drawn where the mask `drawn` is false: behind `nearest`, too
@@ -179,9 +179,9 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     const F zero = F(0.0f), one = F(1.0f);
     f.offset = {mean.x - F(at.position[0]), mean.y - F(at.position[1]), mean.z - F(at.position[2])};
     f.center = to_camera(at, f.offset);
-    const F square = fused(quaternion.w, quaternion.w,
-                           fused(quaternion.x, quaternion.x,
-                                 fused(quaternion.y, quaternion.y, quaternion.z * quaternion.z)));
+    const F square =
+        fused(quaternion.w, quaternion.w,
+              fused(quaternion.x, quaternion.x, fused(quaternion.y, quaternion.y, quaternion.z * quaternion.z)));
     drawn = (F(at.nearest) < f.center.z) & (F(kLeastAlpha) < opacity) & (F(kLeastQuaternion) < square);
     // Where nothing is drawn the numbers below are those of some Gaussian that could be: nothing divides by zero.
     const F z = select(drawn, f.center.z, one);
@@ -208,7 +208,8 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     f.xx = xx + F(kDilation);
     f.yy = yy + F(kDilation);
     f.xy = dot(f.row_x, f.row_y);
-    // The determinant of a needle's covariance is small beside its terms: Lagrange's identity has no difference of them.
+    // The determinant of a needle's covariance is small beside its terms: Lagrange's identity has no difference of
+    // them.
     f.determinant = dot(f.normal_xy, f.normal_xy) + fused(F(kDilation), xx + yy, F(kDilation * kDilation));
     drawn = drawn & (f.determinant < F(kMostDeterminant));  // which is not so of NaN
     f.depth_x = dot(f.row_z, f.row_x);
@@ -232,8 +233,7 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     const auto first = (scale.x < scale.y) & (scale.x < scale.z);
     f.shortest_0 = select(first, one, zero);
     f.shortest_1 = select(first, zero, select(scale.y < scale.z, one, zero));
-    const Vec<F> shortest =
-        select(first, f.direction[0], select(scale.y < scale.z, f.direction[1], f.direction[2]));
+    const Vec<F> shortest = select(first, f.direction[0], select(scale.y < scale.z, f.direction[1], f.direction[2]));
     f.facing = select(zero < dot(shortest, f.center), F(-1.0f), one);
     s.normal = f.facing * shortest;
 
@@ -244,8 +244,8 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     return s;
 }
 
-// The least u^2 + v^2 within a box of offsets from the mean: where it exceeds the reach, no pixel of the box is touched.
-// The least of a convex function over a box without its centre lies on an edge that faces the centre.
+// The least u^2 + v^2 within a box of offsets from the mean: where it exceeds the reach, no pixel of the box is
+// touched. The least of a convex function over a box without its centre lies on an edge that faces the centre.
 template <class F>
 PCB_FN F least_square(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
     const F zero = F(0.0f);
@@ -279,13 +279,13 @@ template <class F>
 struct Moments {
     F h, hu, hv, huu, huv, hvv;
     Vec<F> color;
-    F weight, error;             // the weights with which it is blended; the same times the error seen at each pixel
-    F depth, depth_u, depth_v;   // the weighted derivative by depth, times 1, u, v
+    F weight, error;            // the weights with which it is blended; the same times the error seen at each pixel
+    F depth, depth_u, depth_v;  // the weighted derivative by depth, times 1, u, v
     Vec<F> normal;
 };
 
-// Adds one pixel's part. `alpha` is 0 where the splat is skipped, at most kMostAlpha elsewhere; `free` is 0 where it was
-// held at that most, else 1; `transmittance` is what is left in front of the splat, and `behind` the part of the
+// Adds one pixel's part. `alpha` is 0 where the splat is skipped, at most kMostAlpha elsewhere; `free` is 0 where it
+// was held at that most, else 1; `transmittance` is what is left in front of the splat, and `behind` the part of the
 // derivative that is still to come: the sum over this and all later splats of weight times `seen`, and what the
 // background adds. The loss's derivative by alpha is transmittance * seen - behind / (1 - alpha), behind then being
 // without this splat's part.
@@ -349,7 +349,8 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     // By the whitening. An offset is dy = v / vv, dx = (u - uv dy) / uu.
     const F g_uv = by_u_v / s.vv, g_vv = by_v_v / s.vv, g_uu = (by_u_u - s.uv * g_uv) / s.uu;
 
-    // uu = k steep, uv = -uu lean, vv = k flat; depth_u = steep (depth_x - lean depth_y) / k, depth_v = flat depth_y / k.
+    // uu = k steep, uv = -uu lean, vv = k flat; depth_u = steep (depth_x - lean depth_y) / k, depth_v = flat depth_y /
+    // k.
     const F steep = F(1.0f / kWhitening) * s.uu, flat = F(1.0f / kWhitening) * s.vv, lean = f.xy / f.yy;
     const F g_du = F(1.0f / kWhitening) * m.depth_u, g_dv = F(1.0f / kWhitening) * m.depth_v;
     const F g_steep = F(kWhitening) * (g_uu - lean * g_uv) + f.depth_across * g_du;
@@ -454,8 +455,8 @@ PCB_FN Vec<F> harmonics_gradient(Vec<F> d, int count, const F* g) {
                    a13 * (F(4.0f) * zz - three * xx - yy) + a14 * (two * xz) + a15 * (three * (xx - yy));
     const F by_y = a9 * (three * (xx - yy)) + a10 * xz + a11 * (F(4.0f) * zz - xx - three * yy) - a12 * (six * yz) -
                    a13 * (two * xy) - a14 * (two * yz) - a15 * (six * xy);
-    const F by_z = a10 * xy + a11 * (eight * yz) + a12 * (six * zz - three * (xx + yy)) + a13 * (eight * xz) +
-                   a14 * (xx - yy);
+    const F by_z =
+        a10 * xy + a11 * (eight * yz) + a12 * (six * zz - three * (xx + yy)) + a13 * (eight * xz) + a14 * (xx - yy);
     return out + Vec<F>{by_x, by_y, by_z};
 }
 

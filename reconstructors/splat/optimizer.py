@@ -70,8 +70,10 @@ class Optimizer:
             "sh": sh_rates,
         }
         for name, gradient in by.items():
-            rows = [getattr(part, name).view(len(model), -1) for part in (model, self.first, self.second)]
-            self._adam(*rows, gradient, ids, learning[name], count)
+            parameters, first, second = (
+                getattr(part, name).view(len(model), gradient.shape[1]) for part in (model, self.first, self.second)
+            )
+            self._adam(parameters, first, second, gradient, ids, learning[name], count)
 
     def select(self, rows: Tensor) -> None:
         """Keep the moments of some Gaussians."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.scenes.decode import decode_image, decode_mask
 from reconstructors.mvs.views import IMAGE, MASK
 from reconstructors.splat.model import LocalFrame
@@ -68,8 +69,7 @@ def read_photographs(
                 if min(color.shape[:2]) < 2 * _LEAST_SIDE:
                     break
                 color, valid = _halved(color), None if valid is None else _whole(valid)
-                width, height = color.shape[1], color.shape[0]
-                camera = replace(camera, intrinsics=_halved_camera(camera, width, height))
+                camera = replace(camera, intrinsics=_of_blocks(camera.intrinsics))
             pyramid.append(
                 Photograph(
                     name,
@@ -82,23 +82,21 @@ def read_photographs(
     return pyramids
 
 
-def _halved_camera(camera: Camera, width: int, height: int):  # type: ignore[no-untyped-def]
-    """The pinhole of an image of whole 2 x 2 blocks: a last odd row or column is left out."""
-    k = camera.intrinsics
-    return replace(k, width=width, height=height, fx=k.fx / 2, fy=k.fy / 2, cx=k.cx / 2, cy=k.cy / 2)
+def _of_blocks(k: Intrinsics) -> Intrinsics:
+    """Of an image of whole 2 x 2 blocks: a last odd row or column is left out."""
+    return replace(k, width=k.width // 2, height=k.height // 2, fx=k.fx / 2, fy=k.fy / 2, cx=k.cx / 2, cy=k.cy / 2)
 
 
-def _blocks(image: np.ndarray) -> np.ndarray:
-    height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
-    cut = image[:height, :width]
-    return cut.reshape(height // 2, 2, width // 2, 2, *image.shape[2:])
+def _blocks(image: NDArray[Any]) -> NDArray[Any]:
+    height, width = image.shape[0] // 2, image.shape[1] // 2
+    return image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, *image.shape[2:])
 
 
-def _halved(color: np.ndarray) -> np.ndarray:
-    """Means of 2 x 2 blocks, uint8."""
-    return ((_blocks(color).astype(np.uint16).sum(axis=(1, 3)) + 2) // 4).astype(np.uint8)
+def _halved(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Means of 2 x 2 blocks."""
+    return np.asarray((_blocks(color).astype(np.uint16).sum(axis=(1, 3)) + 2) // 4, dtype=np.uint8)
 
 
-def _whole(valid: np.ndarray) -> np.ndarray:
+def _whole(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Where all of a block is shown."""
-    return _blocks(valid).all(axis=(1, 3))
+    return np.asarray(_blocks(valid).all(axis=(1, 3)))

@@ -1,12 +1,14 @@
 """`pcbench info`, `crop`, `register` and `convert`."""
 
 import json
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from command_line import one_line
 
 from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.cli import clouds
 from pcbench.geometry.transform import read_matrix
 
 
@@ -110,3 +112,27 @@ def test_convert(files, run):
     code, _, err = run("convert", "c.ply", "c.xyz", "--classes", "2")
     assert code == 2
     assert one_line(err)
+
+
+@pytest.mark.parametrize(
+    ("command", "steps"),
+    [
+        (("info", "ref.ply"), ["reading ref.ply", "measuring the spacing"]),
+        (
+            ("crop", "ref.ply", "o.ply", "--crop", "box:0,0,-99,99,99,99"),
+            ["reading ref.ply", "cropping", "writing o.ply"],
+        ),
+        (("convert", "ref.ply", "o.xyz"), ["reading ref.ply", "writing o.xyz"]),
+    ],
+)
+def test_a_terminal_is_told_what_is_being_done(files, monkeypatch, command, steps):
+    told = []
+
+    @contextmanager
+    def recorded(quiet):
+        yield told.append
+
+    monkeypatch.setattr(clouds, "steps", recorded)
+    getattr(clouds, command[0]).main(command[1:], standalone_mode=False)
+    assert told == steps
+    assert all(step.expected > 0 for step in told)

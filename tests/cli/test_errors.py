@@ -163,3 +163,13 @@ def test_a_poor_terminal_and_a_terminated_run(files):
     )
     assert subprocess.run([sys.executable, "-c", stop], capture_output=True, check=False).returncode == 143
     assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
+
+
+def test_a_name_too_long_for_the_reports_files_is_refused_before_anything_is_read(files, run):
+    """Files have names of 255 bytes at most, and the report's go on after the candidate's."""
+    write_cloud("a" * 220 + ".ply", read_cloud("a.ply"))
+    assert run("compare", "ref.ply", "a" * 220 + ".ply", "--no-figures", "--out", "kept", "-q")[0] == 0
+    code, _, err = run("compare", "no.ply", "é" * 111 + ".ply", "--out", "report")
+    assert code == 2
+    assert one_line(err)
+    assert "name of at most 220 bytes" in err

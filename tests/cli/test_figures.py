@@ -70,3 +70,17 @@ def test_wrong_options_are_refused_before_anything_is_measured(files, run, optio
     assert not out
     assert option in err or one_line(err)
     assert not Path("one").exists()
+
+
+def test_deform_draws_as_asked_and_plot_as_deform_did(files, run):
+    pytest.importorskip("matplotlib")
+    options = ("--background", "#fafafa", "--format", "svg")
+    assert run("deform", "ref.ply", "a.ply", *options, "--out", "bend", "-q")[0] == 0
+    assert recorded_figures(Path("bend/settings.json")) == Figures("#fafafa", None, "svg")
+    (drawn,) = Path("bend/figures").glob("deformation.*")
+    assert drawn.suffix == ".svg"
+    assert "#fafafa" in drawn.read_text()
+    assert run("plot", "bend", "deformation")[1] == "bend/figures/deformation.svg\n"
+    code, _, err = run("deform", "ref.ply", "a.ply", "--format", "gif", "--out", "other")
+    assert code == 2
+    assert one_line(err)

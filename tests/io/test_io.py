@@ -16,6 +16,7 @@ import pcbench
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import files, read_cloud, write_cloud
+from pcbench.io.meshes import read_mesh
 
 NAN = float("nan")
 HEAD = "ply\nformat binary_little_endian 1.0\n"
@@ -279,3 +280,10 @@ def test_full_disk_leaves_nothing_behind(tmp_path, name):
     subprocess.run([sys.executable, "-c", FULL_DISK, str(tmp_path / name)], check=True, timeout=60)
     assert (tmp_path / name).read_bytes() == old
     assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("call", [read_cloud, lambda path: write_cloud(path, np.zeros((1, 3))), read_mesh])
+@pytest.mark.parametrize("path", [None, 3, b"a.ply"])
+def test_what_is_no_path_is_refused(call, path):
+    with pytest.raises(InputError, match=f"expected the path of a file, got {type(path).__name__}"):
+        call(path)

@@ -14,20 +14,36 @@ NATIVE = ROOT / "pcbench" / "native"
 # These, and -fno-exceptions, as in CMakeLists.txt.
 FLAGS = {
     "baseline": [],
-    "avx2": ["-mavx2", "-mbmi", "-mbmi2", "-mpopcnt"],
+    "avx2": ["-mavx2", "-mfma", "-mbmi", "-mbmi2", "-mpopcnt"],
     "avx512": ["-mavx512f", "-mavx512dq", "-mavx512vl", "-mbmi", "-mbmi2", "-mpopcnt"],
 }
 COMPILER = shutil.which(os.environ.get("CXX", "c++"))
 
 
-LOOPS = [NATIVE / "points", ROOT / "reconstructors" / "mvs" / "native"]
-of_all_loops = pytest.mark.parametrize("folder", LOOPS, ids=["points", "patchmatch"])
+GUESTS = ROOT / "reconstructors"
+# Folders, and the namespaces of their loops.
+LOOPS = {
+    NATIVE / "points": "pcbench",
+    GUESTS / "mvs" / "native": "pcbench::mvs",
+    GUESTS / "splat" / "cpu": "pcbench::splat",
+}
+of_all_loops = pytest.mark.parametrize("folder", LOOPS, ids=["points", "patchmatch", "rasterizer"])
 
 
 def compile_unit(folder, isa, *flags, out: Path):
     return subprocess.run(
-        [COMPILER, "-std=c++17", "-fPIC", "-fopenmp", "-fno-exceptions", "-w", f"-I{NATIVE}", f"-I{folder}", *flags]
-        + ["-c", str(folder / f"kernels_{isa}.cpp"), "-o", str(out)],
+        [
+            COMPILER,
+            "-std=c++17",
+            "-fPIC",
+            "-fopenmp",
+            "-fno-exceptions",
+            "-w",
+            f"-I{NATIVE}",
+            f"-I{folder}",
+            f"-I{folder.parent}",
+        ]
+        + [*flags, "-c", str(folder / f"kernels_{isa}.cpp"), "-o", str(out)],
         capture_output=True,
         text=True,
     )
@@ -52,7 +68,7 @@ def test_no_symbol_of_an_instruction_set_can_be_taken_for_that_of_another(folder
     assert listed.returncode == 0, listed.stderr
     symbols = [line.split(maxsplit=2)[1:] for line in listed.stdout.splitlines()]
     weak = [name for kind, name in symbols if kind == "W"]  # functions; data are the same for all
-    own = f"pcbench::{isa}::" if folder.parent == NATIVE else f"pcbench::mvs::{isa}::"
+    own = f"{LOOPS[folder]}::{isa}::"
     assert any(own in name for name in weak)  # else nothing was looked at
     assert [name for name in weak if own not in name] == []
 
@@ -74,7 +90,7 @@ def cpu_flags():
     return set(lines[0].split(":")[1].split()) if lines else set()
 
 
-@pytest.mark.parametrize("isa, needs", [("avx2", {"avx2"}), ("avx512", {"avx512f", "avx512dq", "avx512vl"})])
+@pytest.mark.parametrize("isa, needs", [("avx2", {"avx2", "fma"}), ("avx512", {"avx512f", "avx512dq", "avx512vl"})])
 def test_what_this_machine_can_do_is_used(isa, needs):
     if not needs | {"bmi1", "bmi2", "popcnt"} <= cpu_flags():
         pytest.skip(f"this machine has no {isa}")

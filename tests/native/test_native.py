@@ -8,9 +8,10 @@ from repository import ROOT
 
 from pcbench.native import _core
 from reconstructors.mvs.native import _patchmatch
+from reconstructors.splat.cpu import _rasterizer
 
 
-@pytest.mark.parametrize("module", [_core, _patchmatch], ids=["core", "patchmatch"])
+@pytest.mark.parametrize("module", [_core, _patchmatch, _rasterizer], ids=["core", "patchmatch", "rasterizer"])
 def test_committed_stub_is_current(module, tmp_path):
     out = tmp_path / "module.pyi"
     subprocess.run(

@@ -60,6 +60,8 @@ def test_a_slide_in_a_wood_is_doubtful(shift):
     assert found.overlap > 0.55
     assert DOUBTFUL_POSE in codes(found)
     assert found.contrast < 0.6
+    (text,) = (notice.text for notice in found.warnings if notice.code == DOUBTFUL_POSE)
+    assert text.startswith("the given pose may be wrong, or the cloud is blurred: ")
 
 
 def test_a_mirror_image_is_doubtful():

@@ -170,10 +170,14 @@ def test_no_bend_is_claimed_where_the_geometry_leaves_the_pose_open(measured):
 
 def test_a_small_overlap_is_said_and_names_the_crop(measured):
     little = with_registration(some(measured, "a"), "a", result.LOW_OVERLAP, overlap=0.42)
-    (said,) = [text for text in warnings(little) if text.startswith("a: only 42% of it lies on the reference")]
+    (said,) = [text for text in warnings(little) if text.startswith("a: the distances are those of all of it")]
     assert "--crop reference" in said
     assert "low-overlap said" not in " ".join(warnings(little))  # once is enough
     assert answer(little)[0].startswith("Only 42% of a lies on the reference, and all of it lies ")
+    assert " ".join([*answer(little), *warnings(little)]).count("42") == 1  # the share too
+    assert answer(little)[-1].startswith("Taken in the pose as it is; ")
+    by_icp = with_registration(little, "a", overlap=0.42, method="icp", weakest_sigma=0.1)
+    assert answer(by_icp)[-1].startswith("Registered by icp: the pose is known to 0.1")
     cropped = replace(little, settings=replace(GIVEN, crop="reference"))  # what it asks for was done
     assert "a: low-overlap said" in warnings(cropped)
     assert "--crop reference" not in " ".join(warnings(cropped))

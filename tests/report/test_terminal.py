@@ -130,7 +130,7 @@ def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
 def test_a_small_overlap_stands_above_the_numbers(printed):
     above, _, _, _ = printed("beyond")
     said = " ".join(" ".join(above).split())
-    assert "of it lies on the reference (within 5 of its spacings" in said
+    assert "lies farther than 5 spacings of the reference" in said
     assert "--crop reference measures" in said
     cropped, *_ = printed("beyond", options=["--crop", "reference"])
     assert "--crop reference" not in " ".join(cropped)

@@ -55,8 +55,8 @@ inline Floats select(Mask m, Floats yes, Floats no) { return _mm512_mask_blend_p
 inline Floats add_exponent(Floats x, Floats whole) { return _mm512_scalef_ps(x.v, whole.v); }
 inline Floats exponent(Floats x, Floats& mantissa) {
     const __m512i all = _mm512_castps_si512(x.v);
-    mantissa = _mm512_castsi512_ps(_mm512_or_epi32(_mm512_and_epi32(all, _mm512_set1_epi32(0x007fffff)),
-                                                   _mm512_set1_epi32(0x3f800000)));
+    mantissa = _mm512_castsi512_ps(
+        _mm512_or_epi32(_mm512_and_epi32(all, _mm512_set1_epi32(0x007fffff)), _mm512_set1_epi32(0x3f800000)));
     return _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_srli_epi32(all, 23), _mm512_set1_epi32(127)));
 }
 // The sums of the lanes of sixteen vectors, halves folded onto each other: lane i with i + 8, with i + 4, i + 2, i + 1.
@@ -131,14 +131,12 @@ inline __m256 add_exponent(__m256 x, __m256 whole) {
 }
 inline __m256 exponent(__m256 x, __m256& mantissa) {
     const __m256i all = _mm256_castps_si256(x);
-    mantissa = _mm256_castsi256_ps(_mm256_or_si256(_mm256_and_si256(all, _mm256_set1_epi32(0x007fffff)),
-                                                   _mm256_set1_epi32(0x3f800000)));
+    mantissa = _mm256_castsi256_ps(
+        _mm256_or_si256(_mm256_and_si256(all, _mm256_set1_epi32(0x007fffff)), _mm256_set1_epi32(0x3f800000)));
     return _mm256_cvtepi32_ps(_mm256_sub_epi32(_mm256_srli_epi32(all, 23), _mm256_set1_epi32(127)));
 }
 inline Floats add_exponent(Floats x, Floats whole) { return {add_exponent(x.a, whole.a), add_exponent(x.b, whole.b)}; }
-inline Floats exponent(Floats x, Floats& mantissa) {
-    return {exponent(x.a, mantissa.a), exponent(x.b, mantissa.b)};
-}
+inline Floats exponent(Floats x, Floats& mantissa) { return {exponent(x.a, mantissa.a), exponent(x.b, mantissa.b)}; }
 inline Floats sums(const Floats* from) {
     const auto eight = [](const Floats* some) {
         const auto folded = [](Floats x, Floats y) {

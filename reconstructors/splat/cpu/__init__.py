@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,17 +44,22 @@ class Rasterizer:
             (means.new_empty(size), means.new_empty((*size, 3)), means.new_empty(size)) if geometry else (None,) * 3
         )
         self._compiled.forward(
-            *(tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)),
+            _array(means),
+            _array(quats),
+            _array(scales),
+            _array(opacities),
+            _array(sh),
             np.ascontiguousarray(view.rotation, dtype=np.float32),
             view.position.astype(np.float32),
             np.array([view.fx, view.fy, view.cx, view.cy], dtype=np.float32),
             np.array(view.limits, dtype=np.float32),
             view.near,
-            background.detach().numpy(),
-            *(
-                None if image is None else image.numpy()
-                for image in (color, transmittance, depth, normal, median_depth)
-            ),
+            _array(background),
+            _array(color),
+            _array(transmittance),
+            _array(depth),
+            _array(normal),
+            _array(median_depth),
         )
         self._shape = tuple(sh.shape)
         return Drawn(color, transmittance, depth, normal, median_depth)
@@ -71,20 +76,10 @@ class Rasterizer:
         import torch
 
         count = self._compiled.drawn
-        shapes = [
-            (count, 3),
-            (count, 4),
-            (count, 3),
-            (count,),
-            (count, *self._shape[1:]),
-            (count, 2),
-            (count,),
-            (count,),
-        ]
+        shapes = [(count, *rest) for rest in ((3,), (4,), (3,), (), self._shape[1:], (2,), (), ())]
         pulled = Pulled(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
         self._compiled.backward(
-            *(None if image is None else image.numpy() for image in (color, transmittance, depth, normal, error)),
-            *(tensor.numpy() for tensor in pulled),
+            *map(_array, (color, transmittance, depth, normal, error)), *(_array(tensor) for tensor in pulled)
         )
         return pulled
 
@@ -94,7 +89,7 @@ def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
     import torch
 
     gradient = torch.empty_like(image)
-    l1, ssim = _rasterizer.ImageLoss()(image.detach().numpy(), target.numpy(), ssim_weight, gradient.numpy())
+    l1, ssim = _rasterizer.ImageLoss()(_array(image), _array(target), ssim_weight, _array(gradient))
     return ImageLoss(l1, ssim, gradient)
 
 
@@ -118,5 +113,19 @@ def adam(
 
     rates = torch.as_tensor(learning_rate, dtype=torch.float32).expand(parameters.shape[1]).contiguous()
     _rasterizer.adam(
-        *(tensor.numpy() for tensor in (parameters, first, second, gradient, ids, rates)), step, *betas, eps
+        _array(parameters),
+        _array(first),
+        _array(second),
+        _array(gradient),
+        _array(ids),
+        _array(rates),
+        step,
+        betas[0],
+        betas[1],
+        eps,
     )
+
+
+def _array(tensor: Tensor | None) -> Any:
+    """The same memory as numpy sees it."""
+    return None if tensor is None else tensor.detach().numpy()

@@ -16,8 +16,16 @@ inline Floats pixels_down() {
 
 // A splat as it is stored, the same in every lane.
 inline Splat<Floats> splat_at(const float* s) {
-    return {Floats(s[0]), Floats(s[1]), Floats(s[2]), Floats(s[3]), Floats(s[4]), Floats(s[5]),
-            {Floats(s[6]), Floats(s[7]), Floats(s[8])}, Floats(s[9]), Floats(s[10]), Floats(s[11]),
+    return {Floats(s[0]),
+            Floats(s[1]),
+            Floats(s[2]),
+            Floats(s[3]),
+            Floats(s[4]),
+            Floats(s[5]),
+            {Floats(s[6]), Floats(s[7]), Floats(s[8])},
+            Floats(s[9]),
+            Floats(s[10]),
+            Floats(s[11]),
             {Floats(s[12]), Floats(s[13]), Floats(s[14])}};
 }
 
@@ -168,8 +176,8 @@ inline Rays rays_of(const Frame& frame, const PictureGradients& by, const Place&
     r.left = load(inside);
     r.by.color = read_vector(by.color);
     r.error = read(by.error, 1, 0);
-    r.behind = fused(read(shown.transmittance, 1, 0), read(by.transmittance, 1, 0),
-                     dot(read_vector(shown.color), r.by.color));
+    r.behind =
+        fused(read(shown.transmittance, 1, 0), read(by.transmittance, 1, 0), dot(read_vector(shown.color), r.by.color));
     r.by.depth = zero;
     r.by.normal = {zero, zero, zero};
     if (kGeometry) {
@@ -198,8 +206,8 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
         const Instance& instance = frame.instances[n];
         fetch_ahead(frame, &instance);
         const Splat<Floats> s = splat_at(frame.splats + kSplatFloats * static_cast<size_t>(instance.slot));
-        Moments<Floats> m = {zero, zero, zero, zero, zero, zero, {zero, zero, zero}, zero, zero,
-                             zero, zero, zero, {zero, zero, zero}};
+        Moments<Floats> m = {
+            zero, zero, zero, zero, zero, zero, {zero, zero, zero}, zero, zero, zero, zero, zero, {zero, zero, zero}};
         for (unsigned blocks = instance.blocks & going; blocks != 0; blocks &= blocks - 1) {
             const int block = __builtin_ctz(blocks);
             Rays& r = rays[block];
@@ -216,8 +224,9 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
             if (bits(zero < r.left) == 0) going &= ~(1u << block);
         }
         float* out = moments + static_cast<size_t>(kWidth) * instance.emission;
-        const Floats columns[kLanes] = {m.h,       m.hu,     m.hv,    m.huu,   m.huv,     m.hvv,     m.color.x,  m.color.y,
-                                        m.color.z, m.weight, m.error, m.depth, m.depth_u, m.depth_v, m.normal.x, m.normal.y};
+        const Floats columns[kLanes] = {m.h,       m.hu,      m.hv,       m.huu,     m.huv,   m.hvv,
+                                        m.color.x, m.color.y, m.color.z,  m.weight,  m.error, m.depth,
+                                        m.depth_u, m.depth_v, m.normal.x, m.normal.y};
         if (kGeometry) {
             store(out, sums(columns));
             out[kLanes] = sum(m.normal.z);

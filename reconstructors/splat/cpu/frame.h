@@ -8,13 +8,13 @@
 
 namespace pcbench::splat {
 
-constexpr int kTile = 16;             // pixels along a side of a tile
-constexpr int kBlock = 4;             // pixels along a side of a block, which is one SIMD vector
+constexpr int kTile = 16;  // pixels along a side of a tile
+constexpr int kBlock = 4;  // pixels along a side of a block, which is one SIMD vector
 constexpr int kBlocksAcross = kTile / kBlock;
 constexpr int kTileBlocks = kBlocksAcross * kBlocksAcross;
 constexpr int kTilePixels = kTile * kTile;
-constexpr int kGroup = 256;           // Gaussians that are projected at once
-constexpr int kSplatFloats = 16;      // a splat in memory: a cache line
+constexpr int kGroup = 256;             // Gaussians that are projected at once
+constexpr int kSplatFloats = 16;        // a splat in memory: a cache line
 constexpr int kPlainMomentFloats = 11;  // the sums over pixels of one Gaussian in one tile
 constexpr int kMomentFloats = 17;       // the same with geometry
 

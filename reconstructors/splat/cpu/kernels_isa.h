@@ -20,7 +20,7 @@ namespace pcbench::splat::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), project_group, cover,         blend_tile, blend_tile_gradient,
-                                project_group_gradient, similarity, loss_gradient, adam};
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA),     project_group, cover,         blend_tile, blend_tile_gradient,
+                                project_group_gradient, similarity,    loss_gradient, adam};
 
 }  // namespace pcbench::splat::PCB_ISA

@@ -6,9 +6,9 @@
 
 namespace PCB_SPACE {
 
-constexpr int kReach = 5;     // pixels from the window's centre
+constexpr int kReach = 5;  // pixels from the window's centre
 constexpr int kChannels = 3;
-constexpr float kWindow[kReach + 1] = {0.266011721f, 0.213005528f, 0.109360688f,  // exp(-k^2 / 2 / 1.5^2), sum 1
+constexpr float kWindow[kReach + 1] = {0.266011721f,  0.213005528f,   0.109360688f,  // exp(-k^2 / 2 / 1.5^2), sum 1
                                        0.0360007733f, 0.00759875821f, 0.00102838012f};
 constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 constexpr int kMargin = kReach * kChannels + 1;  // floats before and behind a row of sums; one more, so that 16 remain
@@ -90,9 +90,8 @@ inline void similarity(const float* x, const float* y, int height, int length, i
     sums[0] = sum(differences), sums[1] = sum(similarities);
 }
 
-inline void loss_gradient(const float* x, const float* y, int height, int length, int row, float weight,
-                          float* scratch, const float* by_mean, const float* by_square, const float* by_product,
-                          float* out) {
+inline void loss_gradient(const float* x, const float* y, int height, int length, int row, float weight, float* scratch,
+                          const float* by_mean, const float* by_square, const float* by_product, float* out) {
     const int size = padded(length);
     const float* maps[3] = {by_mean, by_square, by_product};
     clear_margins(scratch, length, 3);

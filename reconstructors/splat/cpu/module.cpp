@@ -64,8 +64,13 @@ public:
               "expected pictures of one size");
         // The derivative reads them again.
         kept_ = {means, quaternions, scales, opacities, harmonics, color, transmittance, depth, normal};
-        const Model model = {static_cast<int64_t>(count), means.data(), quaternions.data(), scales.data(),
-                             opacities.data(), harmonics.data(), static_cast<int>(bands)};
+        const Model model = {static_cast<int64_t>(count),
+                             means.data(),
+                             quaternions.data(),
+                             scales.data(),
+                             opacities.data(),
+                             harmonics.data(),
+                             static_cast<int>(bands)};
         const Pictures pictures = {color.data(), transmittance.data(), data(depth), data(normal), data(median_depth)};
         geometry_ = geometry, bands_ = bands;
         ready_ = false;
@@ -77,8 +82,8 @@ public:
     }
 
     void backward(InColorPicture color, std::optional<InPicture> transmittance, std::optional<InPicture> depth,
-                  std::optional<InColorPicture> normal, std::optional<InPicture> error,
-                  Out<int64_t, nb::shape<-1>> ids, Rows3 means, Rows4 quaternions, Rows3 scales, Values opacities,
+                  std::optional<InColorPicture> normal, std::optional<InPicture> error, Out<int64_t, nb::shape<-1>> ids,
+                  Rows3 means, Rows4 quaternions, Rows3 scales, Values opacities,
                   Out<float, nb::shape<-1, -1, 3>> harmonics, Rows2 screen, Values weight, Values error_seen) {
         check(ready_, "expected a forward pass before backward");
         check(geometry_ || (!depth && !normal), "expected a forward pass with geometry before its derivative");
@@ -145,8 +150,8 @@ private:
 };
 
 void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first, Out<float, nb::ndim<2>> second,
-               In<float, nb::ndim<2>> gradient, In<int64_t, nb::shape<-1>> rows, In<float, nb::shape<-1>> rates, int64_t step,
-               double beta1, double beta2, double epsilon) {
+               In<float, nb::ndim<2>> gradient, In<int64_t, nb::shape<-1>> rows, In<float, nb::shape<-1>> rates,
+               int64_t step, double beta1, double beta2, double epsilon) {
     const size_t columns = parameters.shape(1);
     const auto same = [&](const auto& array) { return array.shape(1) == columns; };
     check(same(first) && same(second) && same(gradient) && first.shape(0) == parameters.shape(0) &&
@@ -207,7 +212,7 @@ NB_MODULE(_rasterizer, m) {
              "Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).");
 
     m.def("adam", &adam_step, nb::arg("parameters").noconvert(), nb::arg("first").noconvert(),
-          nb::arg("second").noconvert(), nb::arg("gradient").noconvert(), nb::arg("rows").noconvert(), nb::arg("rates").noconvert(),
-          nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
+          nb::arg("second").noconvert(), nb::arg("gradient").noconvert(), nb::arg("rows").noconvert(),
+          nb::arg("rates").noconvert(), nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
           "One step of Adam on the given rows, in place.");
 }

@@ -32,7 +32,8 @@ struct Gaussians {
 };
 inline Gaussians gaussians_of(const Rows& rows) {
     const float* q = rows.quaternions;
-    return {vector_of(rows.means), vector_of(rows.scales),
+    return {vector_of(rows.means),
+            vector_of(rows.scales),
             {load_strided(q, 4), load_strided(q + 1, 4), load_strided(q + 2, 4), load_strided(q + 3, 4)},
             load(rows.opacities)};
 }
@@ -63,7 +64,8 @@ inline void color_group(const Frame& frame, int64_t begin, int drawn) {
         float means[3 * kLanes];
         for (int i = 0; i < kLanes; ++i)
             for (int k = 0; k < 3; ++k)
-                means[3 * i + k] = frame.model.means[3 * static_cast<size_t>(frame.ids[slot + (i < count ? i : 0)]) + k];
+                means[3 * i + k] =
+                    frame.model.means[3 * static_cast<size_t>(frame.ids[slot + (i < count ? i : 0)]) + k];
         Floats basis[kMaxHarmonics];
         harmonics(unit(offset_of(frame.pinhole, vector_of(means))), bands, basis);
         Vec<Floats> columns[kMaxHarmonics];
@@ -97,10 +99,9 @@ inline int project_group(const Frame& frame, int64_t group) {
     for (int64_t at = begin; at < end; at += kLanes) {
         const int count = end - at < kLanes ? static_cast<int>(end - at) : kLanes;
         RowCopies copies;
-        const Rows rows_of = count == kLanes
-                                 ? Rows{model.means + 3 * at, model.quaternions + 4 * at, model.scales + 3 * at,
-                                        model.opacities + at}
-                                 : copied(model, count, [&](int i) { return at + i; }, copies);
+        const Rows rows_of = count == kLanes ? Rows{model.means + 3 * at, model.quaternions + 4 * at,
+                                                    model.scales + 3 * at, model.opacities + at}
+                                             : copied(model, count, [&](int i) { return at + i; }, copies);
         const Gaussians g = gaussians_of(rows_of);
         Footprint<Floats> f;
         Mask drawn;

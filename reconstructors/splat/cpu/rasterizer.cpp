@@ -4,8 +4,8 @@
 
 #include <algorithm>
 #include <cstring>
-#include <utility>
 #include <stdexcept>
+#include <utility>
 
 #include "common/choose_kernels.h"
 
@@ -124,7 +124,8 @@ void Rasterizer::distribute() {
     }
     size_t total = 0;
     for (const Part& part : parts_) total += part.count;
-    if (total > UINT32_MAX) throw std::length_error("more than 2^32 pairs of a Gaussian and a tile: use fewer Gaussians");
+    if (total > UINT32_MAX)
+        throw std::length_error("more than 2^32 pairs of a Gaussian and a tile: use fewer Gaussians");
     starts_.resize(tiles + 1);
     uint32_t before = 0;
     for (int tile = 0; tile < tiles; ++tile) {

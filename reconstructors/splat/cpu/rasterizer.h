@@ -34,13 +34,13 @@ private:
     std::vector<Box> boxes_;
     std::vector<uint32_t> ids_, first_, count_;
     std::vector<int> drawn_;
-    std::vector<int64_t> rows_;     // drawn Gaussians before each group, and all of them
-    std::vector<uint32_t> order_;   // slots by depth
+    std::vector<int64_t> rows_;    // drawn Gaussians before each group, and all of them
+    std::vector<uint32_t> order_;  // slots by depth
     std::vector<uint64_t> keys_, sorted_;
     std::vector<Instance> instances_;
     std::vector<uint32_t> starts_;
     std::vector<float> moments_;
-    struct Part {                   // of the order of depth: its instances
+    struct Part {  // of the order of depth: its instances
         std::vector<uint32_t> slots, tiles, blocks;
         std::vector<uint32_t> next;  // by tile: how many, then where the next one goes
         size_t count = 0;

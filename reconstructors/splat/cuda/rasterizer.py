@@ -112,7 +112,7 @@ class Rasterizer:
                 launch(kernel, blocks_of(number, kernel), *arguments)
 
         camera = torch.from_numpy(_pinhole(view)).to(device, non_blocking=True)
-        background = background.detach().contiguous()
+        background = background.detach().to(device, non_blocking=True).contiguous()
         splats, depths = new(count, 16), new(count)
         boxes, tiles = new(count, 4, dtype=torch.int16), new(count, dtype=int32)
         number = ctypes.c_int32(count)

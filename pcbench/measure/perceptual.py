@@ -1,0 +1,113 @@
+"""Metrics that imitate how people see a difference, as far as the packages that define them are here: LPIPS and FLIP.
+
+They are learned or fitted to people's answers, so nothing but their authors' own code is the definition.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import Notice
+from pcbench.measure.images import ViewScores, psnr, ssim, unit_range
+
+_WEIGHTS = "vgg16-397923af.pth"  # torchvision's, of VGG-16 on ImageNet
+
+Metric = Callable[[NDArray[Any], NDArray[Any], "NDArray[np.bool_] | None"], float]
+
+
+@dataclass(frozen=True)
+class Perceptual:
+    """The metrics that can be measured here, and what is said of the others.
+
+    Attributes:
+        lpips: Zhang et al. 2018, "The unreasonable effectiveness of deep features", of the package `lpips`, on VGG as
+            papers on view synthesis report it, of values from -1 to 1 as the package expects them.
+        flip: Andersson et al. 2020, "FLIP: a difference evaluator for alternating images", of the package
+            `flip-evaluator`, at its 67 pixels per degree.
+        missing: a notice for each that is None.
+    """
+
+    lpips: Metric | None
+    flip: Metric | None
+    missing: tuple[Notice, ...] = ()
+
+    @classmethod
+    def here(cls) -> Perceptual:
+        """Nothing is downloaded: LPIPS without the weights of its network is missing."""
+        lpips, without_lpips = _find_lpips()
+        flip, without_flip = _find_flip()
+        return cls(lpips, flip, tuple(notice for notice in (without_lpips, without_flip) if notice is not None))
+
+    def scores(self, image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> ViewScores:
+        """All of a rendering against its photograph. What does not count is given the photograph's colours before LPIPS
+        and FLIP are measured, and the mean is over the pixels that count.
+
+        Args:
+            image, reference: (H, W, 3), uint8 or numbers from 0 to 1.
+            mask: (H, W), which pixels count; None: all.
+
+        Raises:
+            InputError: they are of different or other shapes, or neither uint8 nor floating-point numbers.
+        """
+        measured = psnr(image, reference, mask), ssim(image, reference, mask)
+        a, b = unit_range(image), unit_range(reference)
+        if mask is not None:
+            a = np.where(mask[..., None], a, b)
+        lpips, flip = (None if metric is None else metric(a, b, mask) for metric in (self.lpips, self.flip))
+        return ViewScores(*measured, lpips, flip)
+
+
+def _find_lpips() -> tuple[Metric | None, Notice | None]:
+    def missing(why: str) -> tuple[None, Notice]:
+        return None, Notice("no-lpips", f"LPIPS is not measured: {why}")
+
+    if find_spec("lpips") is None or find_spec("torch") is None:
+        return missing("the package lpips is not installed (pip install lpips)")
+    import torch
+
+    weights = Path(torch.hub.get_dir()) / "checkpoints" / _WEIGHTS
+    if not weights.is_file():
+        return missing(f"{weights} is not there, and nothing is downloaded (https://download.pytorch.org/models/)")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # lpips asks torchvision for weights in a way that it deprecates
+            import lpips
+
+            network = lpips.LPIPS(net="vgg", verbose=False)
+    except (ImportError, RuntimeError, OSError) as error:  # versions of torch and torchvision that do not fit
+        return missing(f"it does not load ({' '.join(str(error).split())})")
+
+    def measure(image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None) -> float:
+        tensors = (torch.from_numpy(2 * part.transpose(2, 0, 1)[None] - 1).float() for part in (image, reference))
+        with torch.no_grad():
+            whole = float(network(*tensors))
+        # Where the images are alike it is zero: the mean over all pixels becomes that over those that count.
+        share = 1.0 if mask is None else float(mask.mean())
+        return whole / share if share else float("nan")
+
+    return measure, None
+
+
+def _find_flip() -> tuple[Metric | None, Notice | None]:
+    if find_spec("flip_evaluator") is None:
+        why = "the package flip-evaluator is not installed (pip install flip-evaluator)"
+        return None, Notice("no-flip", f"FLIP is not measured: {why}")
+
+    def measure(image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None) -> float:
+        from flip_evaluator import evaluate
+
+        parts = (np.ascontiguousarray(part, dtype=np.float32) for part in (reference, image))
+        errors = np.asarray(evaluate(*parts, "LDR", applyMagma=False)[0], dtype=np.float64)
+        errors = errors.reshape(image.shape[:2])
+        counted = errors if mask is None else errors[mask]
+        return float(counted.mean()) if counted.size else float("nan")
+
+    return measure, None

@@ -1,0 +1,177 @@
+"""PSNR and SSIM are scikit-image's, over what counts; LPIPS and FLIP are their packages', or said to be missing."""
+
+import builtins
+import importlib.util
+
+import numpy as np
+import pytest
+
+from pcbench.errors import InputError
+from pcbench.measure import perceptual
+from pcbench.measure.images import absolute_error, psnr, ssim
+from pcbench.measure.perceptual import Perceptual
+
+
+def photograph(seed, height=48, width=67):
+    """Blobs, an edge and grain, uint8."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[:height, :width] / 10
+    waves = [np.sin(rng.uniform(0.2, 2) * u + rng.uniform(0.2, 2) * v + rng.uniform(0, 6)) for _ in range(3)]
+    image = 120 + 60 * np.stack(waves, axis=2) + 5 * rng.standard_normal((height, width, 3))
+    image[:, width // 2 :] += 40 * rng.uniform(-1, 1, 3)
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def spoilt(image, seed, noise=12.0):
+    rng = np.random.default_rng(seed + 1000)
+    blurred = (image.astype(float) + np.roll(image, 1, axis=1) + np.roll(image, 1, axis=0)) / 3
+    return np.clip(blurred + noise * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_both_are_those_of_scikit_image(seed):
+    skimage = pytest.importorskip("skimage.metrics")
+    truth = photograph(seed, 30 + 9 * seed, 83 - 7 * seed)
+    for image, noise in ((spoilt(truth, seed, noise), noise) for noise in (0, 3, 40)):
+        for a, b, largest in ((image, truth, 255), (image / 255, truth / 255, 1.0)):
+            theirs = skimage.structural_similarity(
+                a, b, data_range=largest, channel_axis=2, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+            )
+            assert ssim(a, b) == pytest.approx(theirs, abs=1e-12), noise
+            assert psnr(a, b) == pytest.approx(skimage.peak_signal_noise_ratio(b, a, data_range=largest), abs=1e-10)
+
+
+def test_psnr_of_differences_that_are_known():
+    black = np.zeros((4, 5, 3), dtype=np.uint8)
+    assert psnr(black, black) == np.inf
+    assert psnr(black, black + np.uint8(255)) == 0
+    assert psnr(np.full((4, 5, 3), 0.25), np.full((4, 5, 3), 0.35)) == pytest.approx(20)
+    one = black.copy()
+    one[0, 0, 0] = 255
+    assert psnr(one, black) == pytest.approx(10 * np.log10(60))
+
+
+def test_ssim_of_images_that_are_known():
+    truth = photograph(3)
+    assert ssim(truth, truth) == 1
+    dark, light = np.full((20, 20, 3), 0.25), np.full((20, 20, 3), 0.5)  # no structure: brightness alone is compared
+    assert ssim(dark, light) == pytest.approx((2 * 0.25 * 0.5 + 1e-4) / (0.25**2 + 0.5**2 + 1e-4))
+    assert ssim(truth, 255 - truth) < 0
+
+
+def test_only_pixels_that_count_are_measured():
+    truth = photograph(5)
+    mask = np.ones(truth.shape[:2], dtype=bool)
+    mask[10:20, 20:30] = False
+    image = spoilt(truth, 5)
+    nonsense = image.copy()
+    nonsense[~mask] = np.random.default_rng(0).integers(0, 256, nonsense[~mask].shape)
+    assert psnr(nonsense, truth, mask) == psnr(image, truth, mask) != psnr(image, truth)
+    assert ssim(nonsense, truth, mask) == ssim(image, truth, mask) != ssim(image, truth)
+    # A cut is the image without its margin.
+    border = np.zeros_like(mask)
+    border[3:-4, 6:-2] = True
+    cut = np.s_[3:-4, 6:-2]
+    assert ssim(image, truth, border) == pytest.approx(ssim(image[cut], truth[cut]), abs=1e-12)
+    assert psnr(image, truth, border) == pytest.approx(psnr(image[cut], truth[cut]), abs=1e-12)
+    assert ssim(image, truth, np.ones_like(mask)) == ssim(image, truth)
+
+
+def test_where_nothing_counts_there_is_no_score():
+    truth = photograph(1)
+    nothing = np.zeros(truth.shape[:2], dtype=bool)
+    assert np.isnan(psnr(truth, truth, nothing))
+    assert np.isnan(ssim(truth, truth, nothing))
+    assert np.isnan(ssim(truth[:10], truth[:10]))  # no window fits
+    assert ssim(truth[:11], truth[:11]) == 1
+
+
+def test_error_maps_are_in_levels():
+    truth = np.full((2, 3, 3), 100, dtype=np.uint8)
+    image = truth.copy()
+    image[1, 2] = 103, 88, 100
+    np.testing.assert_allclose(absolute_error(image, truth), [[0, 0, 0], [0, 0, 5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("metric", [psnr, ssim])
+def test_refusals(metric):
+    image = photograph(0)
+    with pytest.raises(InputError, match="67 x 48 and 67 x 47 pixels"):
+        metric(image, image[:-1])
+    with pytest.raises(InputError, match="shape"):
+        metric(image[..., 0], image[..., 0])
+    with pytest.raises(InputError, match="int64"):
+        metric(image.astype(int), image.astype(int))
+    with pytest.raises(InputError, match="mask"):
+        metric(image, image, np.ones((48, 67), dtype=np.uint8))
+
+
+def test_flip_is_that_of_its_package():
+    flip = pytest.importorskip("flip_evaluator")
+    truth = photograph(2)
+    image = spoilt(truth, 2)
+    measured = Perceptual.here()
+    a, b = (part.astype(np.float32) / 255 for part in (image, truth))
+    assert measured.scores(image, truth).flip == pytest.approx(flip.evaluate(b, a, "LDR")[1], abs=1e-6)
+    assert measured.scores(truth, truth).flip == 0
+    mask = np.zeros(truth.shape[:2], dtype=bool)
+    mask[:, :30] = True
+    half = image.copy()
+    half[:, 30:] = 0
+    assert measured.scores(half, truth, mask).flip == measured.scores(image, truth, mask).flip > 0
+
+
+def test_what_is_not_installed_is_said(monkeypatch):
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        perceptual, "find_spec", lambda name: None if name in ("lpips", "flip_evaluator") else found(name)
+    )
+    here = Perceptual.here()
+    assert [notice.code for notice in here.missing] == ["no-lpips", "no-flip"]
+    assert all("not installed (pip install" in notice.text for notice in here.missing)
+    scores = here.scores(photograph(0), photograph(1))
+    assert scores.lpips is None
+    assert scores.flip is None
+    assert np.isfinite(scores.psnr)
+
+
+def test_lpips_without_its_weights_downloads_nothing(monkeypatch, tmp_path):
+    torch = pytest.importorskip("torch")
+    found = importlib.util.find_spec
+    monkeypatch.setattr(perceptual, "find_spec", lambda name: found("json" if name == "lpips" else name))
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    imported = builtins.__import__
+    monkeypatch.setattr(
+        builtins, "__import__", lambda name, *rest: pytest.fail(name) if name == "lpips" else imported(name, *rest)
+    )
+    here = Perceptual.here()
+    assert here.lpips is None
+    assert "vgg16-397923af.pth is not there, and nothing is downloaded" in here.missing[0].text
+
+
+@pytest.mark.slow
+def test_lpips_is_that_of_its_package(monkeypatch, tmp_path):
+    """With weights drawn at random: what is tested is what the network is asked, not what it has learned."""
+    try:
+        import lpips
+        import torch
+        import torchvision
+    except (ImportError, RuntimeError) as error:  # a torchvision of another torch raises the latter
+        pytest.skip(str(error))
+    torch.manual_seed(0)
+    (tmp_path / "checkpoints").mkdir()
+    torch.save(torchvision.models.vgg16().state_dict(), tmp_path / "checkpoints" / "vgg16-397923af.pth")
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    truth = photograph(2, 64, 80)
+    image = spoilt(truth, 2)
+    theirs = lpips.LPIPS(net="vgg", verbose=False)
+    tensors = (lpips.im2tensor(part) for part in (image, truth))
+    here = Perceptual.here()
+    scores = here.scores(image, truth)
+    assert scores.lpips == pytest.approx(float(theirs(*tensors)), rel=1e-5)
+    assert scores.lpips > 0
+    left = np.zeros(truth.shape[:2], dtype=bool)
+    left[:, :40] = True
+    cut = image.copy()
+    cut[:, 40:] = 0
+    assert here.scores(cut, truth, left).lpips == here.scores(image, truth, left).lpips > 0

@@ -1,0 +1,100 @@
+"""Every image is trained on or held out, once; blocks follow the order in which images were taken."""
+
+from itertools import chain
+
+import numpy as np
+import pytest
+
+from pcbench.errors import InputError
+from pcbench.scenes.splits import capture_order, every, hold_out, in_blocks
+
+
+def named(count):
+    return tuple(f"{k}.jpg" for k in range(count))
+
+
+def along_a_way(count):
+    """Two rounds about a scene, the second higher."""
+    angles = np.linspace(0, 4 * np.pi, count, endpoint=False)
+    return np.stack([50 * np.cos(angles), 50 * np.sin(angles), 10.0 * (angles >= 2 * np.pi)], axis=1)
+
+
+@pytest.mark.parametrize("count", [9, 16, 17, 33, 64, 100, 257])
+@pytest.mark.parametrize("blocks", [1, 2, 5, 8, 11])
+def test_every_image_is_used_once(count, blocks):
+    names = named(count)
+    splits = [every(names), every(names, 3)]
+    if count >= 4 * blocks + count // 8 + blocks:
+        splits.append(in_blocks(names, blocks))
+    for split in splits:
+        assert sorted(chain(split.train, split.test)) == sorted(names)
+        assert len(split.train) >= len(split.test) > 0
+        assert list(split.train) == [name for name in names if name in set(split.train)]
+
+
+@pytest.mark.parametrize(("count", "blocks", "share"), [(32, 8, 1 / 8), (100, 8, 1 / 8), (61, 5, 0.3), (400, 8, 0.25)])
+def test_blocks_are_contiguous_apart_and_spread_evenly(count, blocks, share):
+    split = in_blocks(named(count), blocks, share)
+    places = [[int(name.removesuffix(".jpg")) for name in block] for block in split.blocks]
+    assert len(places) == blocks
+    length = max(2, round(share * count / blocks))
+    for block in places:
+        assert block == list(range(block[0], block[0] + length))
+    gaps = np.diff([block[0] for block in places])
+    assert (gaps > length).all()
+    assert np.ptp(gaps) <= 1
+    ends = places[0][0], count - 1 - places[-1][-1]
+    assert abs(ends[0] - ends[1]) <= 1
+    assert split.words == f"{blocks} blocks of {length} images"
+
+
+def test_every_eighth_begins_with_the_first():
+    split = every(named(17))
+    assert split.test == ("0.jpg", "8.jpg", "16.jpg")
+    assert split.blocks == (("0.jpg",), ("8.jpg",), ("16.jpg",))
+
+
+def test_settings_name_splits():
+    names = named(40)
+    assert hold_out(names, "none").train == names
+    assert hold_out(names, "none").test == ()
+    assert hold_out(names, "every") == every(names)
+    assert hold_out(names, "blocks") == in_blocks(names)
+
+
+def test_names_are_the_order_unless_the_cameras_say_that_they_carry_none():
+    places, names = along_a_way(60), named(60)
+    assert capture_order(names, dict(zip(names, places, strict=True))) == names
+    shuffled = np.random.default_rng(4).permutation(60)
+    found = capture_order(names, dict(zip(names, places[shuffled], strict=True)))
+    steps = np.linalg.norm(np.diff([places[shuffled][int(name[:-4])] for name in found], axis=0), axis=1)
+    assert sorted(found) == sorted(names)
+    assert found[0] == names[0]
+    assert np.median(steps) < 1.01 * np.linalg.norm(places[1] - places[0])
+    assert capture_order(names, dict(zip(names[1:], places[shuffled], strict=False))) == names  # one is unknown
+
+
+def test_blocks_of_unordered_names_are_of_neighbours():
+    names = named(64)
+    places = along_a_way(64)[np.random.default_rng(1).permutation(64)]
+    positions = dict(zip(names, places, strict=True))
+    spread = [
+        np.ptp([positions[n] for n in block], axis=0).max() for block in in_blocks(names, 4, 0.25, positions).blocks
+    ]
+    by_name = [np.ptp([positions[n] for n in block], axis=0).max() for block in in_blocks(names, 4, 0.25).blocks]
+    assert max(spread) < 0.5 * min(by_name)
+
+
+def test_one_place_for_all_keeps_the_names():
+    names = named(40)
+    assert capture_order(names, dict.fromkeys(names, np.zeros(3))) == names
+
+
+def test_too_few_images_are_refused():
+    for count, n in ((8, 8), (1, 8), (0, 8), (10, 1)):
+        with pytest.raises(InputError, match="for training and for testing"):
+            every(named(count), n)
+    with pytest.raises(InputError, match="8 blocks of 2 that are held out at least 32 images, got 31"):
+        in_blocks(named(31))
+    with pytest.raises(InputError, match="at least one block"):
+        in_blocks(named(40), 0)

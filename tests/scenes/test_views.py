@@ -1,0 +1,112 @@
+"""A folder of rendered views is read as it was written, and a damaged one is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pcbench.errors import InputError
+from pcbench.scenes.splits import every
+from pcbench.scenes.views import Pictures, find_views, read_views, write_views
+
+pytest.importorskip("PIL")
+
+NAMES = ("ring/0.jpg", "ring/1.png", "2.jpg", "3.jpg")
+
+
+def pictures(name):
+    rng = np.random.default_rng(NAMES.index(name))
+    shape = (6 + NAMES.index(name), 9, 3)
+    mask = None if name == "2.jpg" else rng.random(shape[:2]) < 0.5
+    return Pictures(name, rng.uniform(-0.2, 1.2, shape), rng.integers(0, 256, shape, dtype=np.uint8), mask)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_views(tmp_path / "views", "city", "splat", every(NAMES, 3), pictures)
+    return tmp_path / "views"
+
+
+def test_what_is_written_is_read(folder):
+    found = read_views(folder)
+    assert (found.scene, found.method, found.split) == ("city", "splat", "one image in 3")
+    assert [(view.name, view.block) for view in found.views] == [
+        ("ring/1.png", None),
+        ("2.jpg", None),
+        ("ring/0.jpg", 0),
+        ("3.jpg", 1),
+    ]
+    assert [view.is_test for view in found.views] == [False, False, True, True]
+    for view in found.views:
+        asked, got = pictures(view.name), view.read()
+        np.testing.assert_array_equal(got.photograph, asked.photograph)
+        np.testing.assert_array_equal(got.rendering, np.rint(255 * asked.rendering.clip(0, 1)))
+        if asked.mask is None:
+            assert got.mask is None
+        else:
+            np.testing.assert_array_equal(got.mask, asked.mask)
+
+
+def test_a_workspace_leads_to_its_views(folder, tmp_path):
+    assert find_views(folder) == find_views(tmp_path) == folder
+    work = tmp_path / "work"
+    work.mkdir()
+    assert find_views(work) is None
+    with pytest.raises(InputError, match=r"expected a folder of rendered views \(with views.json\)"):
+        read_views(work)
+    (work / "plugin").mkdir()
+    folder.rename(work / "plugin" / "views")
+    assert read_views(work).folder == work / "plugin" / "views"
+
+
+def test_a_folder_without_its_document_is_no_folder_of_views(tmp_path):
+    def fails(name):
+        if name == "ring/0.jpg":
+            raise KeyboardInterrupt
+        return pictures(name)
+
+    with pytest.raises(KeyboardInterrupt):
+        write_views(tmp_path, "city", "splat", every(NAMES, 3), fails)
+    assert (tmp_path / "renderings" / "ring" / "1.png.png").is_file()
+    assert find_views(tmp_path) is None
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    split = every(NAMES, 3)
+
+    def refused(match, **change):
+        with pytest.raises(InputError, match=match):
+            write_views(tmp_path, "city", "splat", split, lambda name: pictures(name)._replace(**change))
+
+    refused("one size", rendering=np.zeros((2, 2, 3)))
+    refused("one size", mask=np.ones((2, 2), dtype=bool))
+    refused("shape", rendering=np.zeros((7, 9)), mask=None)
+    refused("finite", rendering=np.full((7, 9, 3), np.nan), mask=None)
+    with pytest.raises(InputError, match="names of files in"):
+        away = every(("b", "../../../a", "c"), 2)
+        write_views(tmp_path / "views", "city", "splat", away, lambda name: pictures("2.jpg"))
+    assert not list(tmp_path.parent.glob("a*"))
+
+
+def test_damaged_folders_are_refused_in_one_line(folder):
+    whole = json.loads((folder / "views.json").read_text())
+
+    def refused(match, **change):
+        (folder / "views.json").write_text(json.dumps({**whole, **change}))
+        with pytest.raises(InputError, match=match) as raised:
+            for view in read_views(folder).views:
+                view.read()
+        assert "\n" not in str(raised.value)
+        assert str(folder) in str(raised.value)
+
+    view = whole["views"][0]
+    refused("schema", schema="pcbench.views/9")
+    refused("at least one view", views=[])
+    refused("KeyError", views=[{"name": "a"}])
+    refused("block", views=[{**view, "block": "one"}])
+    refused("names of files", views=[{**view, "rendering": "../../elsewhere.png"}])
+    refused("No such file|no such file|cannot be", views=[{**view, "rendering": "renderings/none.png"}])
+    refused("pixels as the photograph has", views=[{**view, "rendering": whole["views"][1]["rendering"]}])
+    (folder / "views.json").write_text("{")
+    with pytest.raises(InputError, match="expected JSON"):
+        read_views(folder)
