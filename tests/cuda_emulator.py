@@ -44,9 +44,21 @@ class Emulator:
         self.launched: list[str] = []  # the names of all kernels, in order
 
     def launch(self, kernel: Kernel, blocks: int, *arguments: torch.Tensor | Scalar | None) -> None:
+        signature = _library(kernel).emulated_signature().decode()
+        assert len(signature) == len(arguments), f"{kernel.name} takes {len(signature)} arguments, not {len(arguments)}"
+        holders = [_held(kernel, letter, argument) for letter, argument in zip(signature, arguments, strict=True)]
+        pointers = (ctypes.c_void_p * len(holders))(*(ctypes.addressof(holder) for holder in holders))
+        self.run(kernel, blocks, ctypes.addressof(pointers))
+
+    def run(self, kernel: Kernel, blocks: int, pointers: int) -> None:
+        """As the driver has it: `pointers` is the address of an array of pointers to the arguments."""
         self.launched.append(kernel.name)
         assert blocks > 0, f"{kernel.name}: a GPU refuses {blocks} blocks"
-        _run(_library(kernel), kernel, blocks, self._order, self._seed, arguments)
+        message = ctypes.create_string_buffer(500)
+        if _library(kernel).emulated_run(
+            pointers, blocks, kernel.threads, self._order, self._seed, message, len(message)
+        ):
+            raise EmulationError(f"{kernel.name}: {message.value.decode()}")
 
 
 class EmulatedCuda:
@@ -72,20 +84,6 @@ class EmulatedCuda:
         return cuda.morton_order(means, self.emulator)
 
 
-def _run(library: ctypes.CDLL, kernel: Kernel, blocks: int, order: int, seed: int, arguments: tuple) -> None:
-    library.emulated_signature.restype = ctypes.c_char_p
-    signature = library.emulated_signature().decode()
-    assert len(signature) == len(arguments), f"{kernel.name} takes {len(signature)} arguments, not {len(arguments)}"
-    holders = [_held(kernel, letter, argument) for letter, argument in zip(signature, arguments, strict=True)]
-    pointers = (ctypes.c_void_p * len(holders))(*(ctypes.addressof(holder) for holder in holders))
-    message = ctypes.create_string_buffer(500)
-    status = library.emulated_run(
-        pointers, blocks, kernel.threads, order, ctypes.c_uint64(seed), message, ctypes.c_size_t(len(message))
-    )
-    if status:
-        raise EmulationError(f"{kernel.name}: {message.value.decode()}")
-
-
 def _held(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -> ctypes._SimpleCData:
     """The argument as memory of its own, after a check that the kernel wants just that."""
     if argument is None:
@@ -101,7 +99,13 @@ def _held(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -
 
 @cache
 def _library(kernel: Kernel) -> ctypes.CDLL:
-    return ctypes.CDLL(str(built(kernel)))
+    library = ctypes.CDLL(str(built(kernel)))
+    library.emulated_signature.restype = ctypes.c_char_p
+    whole = ctypes.c_uint32
+    library.emulated_run.argtypes = [
+        ctypes.c_void_p, whole, whole, ctypes.c_int, ctypes.c_uint64, ctypes.c_char_p, ctypes.c_size_t
+    ]  # fmt: skip
+    return library
 
 
 def built(kernel: Kernel) -> Path:

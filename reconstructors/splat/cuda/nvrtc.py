@@ -57,7 +57,7 @@ class Gpu:
             return 0
         if not isinstance(argument, torch.Tensor):
             return argument
-        assert argument.is_contiguous() and argument.device == torch.device("cuda", self._index)
+        assert argument.is_contiguous() and argument.get_device() == self._index
         return int(argument.data_ptr())
 
 
