@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from reconstructors.splat.cuda import kernels
-from reconstructors.splat.cuda.device import blocks_of, launcher_of
+from reconstructors.splat.cuda.device import blocks_of, launcher_of, plain
 from reconstructors.splat.cuda.kernels import Launcher
 from reconstructors.splat.interface import ImageLoss
 
@@ -32,7 +32,7 @@ def image_loss(image: Tensor, target: Tensor, ssim_weight: float, launcher: Laun
     import torch
 
     launch = (launcher or launcher_of(image)).launch
-    image, target = image.detach().contiguous(), target.detach().contiguous()
+    image, target = plain(image), plain(target)
     height, width = image.shape[:2]
     blocks = 3 * -(-height // _TILE) * -(-width // _TILE)
     maps = [torch.empty_like(image) for _ in range(3)]
@@ -90,7 +90,7 @@ def adam(
     kernel = kernels.adam()
     launch(
         kernel, blocks_of(count, kernel),
-        ctypes.c_int64(count), ctypes.c_int32(columns), parameters, first, second, gradient.contiguous(), ids, rates,
+        ctypes.c_int64(count), ctypes.c_int32(columns), parameters, first, second, plain(gradient), ids, rates,
         *map(ctypes.c_float, numbers),
     )  # fmt: skip
 
@@ -108,7 +108,7 @@ def morton_order(means: Tensor, launcher: Launcher | None = None) -> Tensor:
     import torch
 
     launch = (launcher or launcher_of(means)).launch
-    means = means.detach().contiguous()
+    means = plain(means)
     codes = torch.empty(len(means), dtype=torch.int64, device=means.device)
     if len(means) == 0:
         return codes
