@@ -1,11 +1,11 @@
-"""Where the kernels of a tensor run."""
+"""Where the kernels of a tensor run, and on how many threads."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from pcbench.errors import InputError
-from reconstructors.splat.cuda.kernels import Kernel, Launcher
+from reconstructors.splat.cuda.kernels import Kernel, Launcher, Scalar
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -35,6 +35,7 @@ def plain(tensor: Tensor) -> Tensor:
     return tensor.detach().contiguous()
 
 
-def blocks_of(number: int, kernel: Kernel) -> int:
-    """How many blocks have a thread for each of a number of things."""
-    return -(-number // kernel.threads)
+def each(launcher: Launcher, kernel: Kernel, number: int, *arguments: Tensor | Scalar | None) -> None:
+    """Run a kernel with a thread for each of a number of things, which may be none."""
+    if number:
+        launcher.launch(kernel, -(-number // kernel.threads), *arguments)

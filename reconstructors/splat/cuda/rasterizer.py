@@ -22,8 +22,8 @@ import numpy as np
 
 from pcbench.errors import InputError
 from reconstructors.splat.cuda import kernels
-from reconstructors.splat.cuda.device import blocks_of, launcher_of, plain
-from reconstructors.splat.cuda.kernels import Kernel, Launcher, Scalar
+from reconstructors.splat.cuda.device import each, launcher_of, plain
+from reconstructors.splat.cuda.kernels import Launcher
 from reconstructors.splat.interface import Drawn, Pulled
 from reconstructors.splat.view import View
 
@@ -32,30 +32,55 @@ if TYPE_CHECKING:
 
 _TILE = 16  # pixels across and down
 _PIXELS = _TILE * _TILE
-_BUCKET = 32  # splats of a tile whose derivative one warp finds
+_BUCKET = 32  # splats of a tile: as many as a warp has lanes
+_MOMENTS, _GEOMETRY_MOMENTS = 11, 17  # numbers that blend_backward sums for each instance
 _MOST_SHORT, _MOST_INT = 2**15 - 1, 2**31 - 1
 
 
-@dataclass
+@dataclass(frozen=True)
+class _Projected:
+    """N Gaussians, of which V touch a tile, in I pairs of a Gaussian and a tile: the instances."""
+
+    given: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+    camera: Tensor  # struct Pinhole
+    splats: Tensor  # (N, 16), not written where nothing is touched
+    boxes: Tensor  # (N, 4)
+    tiles: Tensor  # (N,) how many each touches
+    ids: Tensor  # (V,) rising
+    depths: Tensor  # (V,)
+    instances: int
+
+
+@dataclass(frozen=True)
+class _Sorted:
+    """Instances by tile and depth; and of each tile buckets of 32 splats, whose derivative one warp finds."""
+
+    gaussians: Tensor  # (I,)
+    emission: Tensor  # (I,) where they were written: those of a Gaussian side by side
+    firsts: Tensor  # (V,) where those of a Gaussian begin
+    starts: Tensor  # (T + 1,) where those of a tile begin, sorted
+    bucket_ends: Tensor  # (T,)
+    buckets: int  # at most
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """How far the rays have come."""
+
+    borders: Tensor  # where each bucket begins
+    ends: Tensor
+    reached: Tensor  # (T, 256) how many of its tile's instances each pixel sees, up to the last
+
+
+@dataclass(frozen=True)
 class _Pass:
     """What `backward` needs of the forward pass."""
 
-    given: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
-    geometry: bool
-    camera: Tensor
+    projected: _Projected
+    sorted: _Sorted
+    rays: _Rays
     background: Tensor
-    splats: Tensor  # (N, 16)
-    tiles: Tensor  # (N,) how many each Gaussian touches
-    ids: Tensor  # (V,) of the drawn
-    firsts: Tensor  # (V,) where their instances begin, as they were written
-    starts: Tensor  # (T + 1,) where the tiles' instances begin, sorted
-    bucket_ends: Tensor  # (T,)
-    buckets: int  # at most
-    gaussians: Tensor  # (I,) of the sorted instances
-    emission: Tensor  # (I,) where they were written
-    borders: Tensor
-    ends: Tensor
-    reached: Tensor
+    geometry: bool
 
 
 class Rasterizer:
@@ -95,76 +120,16 @@ class Rasterizer:
             InputError: tensors that are not on a CUDA device, or more than 2^31 - 1 instances.
             MissingExtra: cuda-core or NVRTC is not installed.
         """
-        import torch
-
         self._pass = None
-        means, quats, scales, opacities, sh = map(plain, (means, quats, scales, opacities, sh))
-        given = (means, quats, scales, opacities, sh)
-        device, count, harmonics = means.device, len(means), sh.shape[1]
-        launch = (self._launcher or launcher_of(means)).launch
-        int32, int64 = torch.int32, torch.int64
-
-        def new(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-            return torch.empty(shape, dtype=dtype, device=device)
-
-        def each(kernel: Kernel, number: int, *arguments: Tensor | Scalar) -> None:
-            if number:
-                launch(kernel, blocks_of(number, kernel), *arguments)
-
-        camera = torch.from_numpy(_pinhole(view)).to(device, non_blocking=True)
-        background = plain(background.to(device, non_blocking=True))
-        splats, depths = new(count, 16), new(count)
-        boxes, tiles = new(count, 4, dtype=torch.int16), new(count, dtype=int32)
-        number = ctypes.c_int32(count)
-        each(kernels.project_gaussians(harmonics), count, camera, number, *given, splats, boxes, depths, tiles)
-        slots = torch.cumsum(tiles > 0, 0, dtype=int32)
-        totals = [slots[-1:].sum(), tiles.sum()]
-        drawn, instances = torch.stack(totals).tolist()  # the one wait
-        if instances > _MOST_INT:
-            raise InputError(
-                f"expected at most {_MOST_INT} pairs of a Gaussian and a tile of 16 x 16 pixels, got {instances}: "
-                "draw a smaller image"
-            )
-
-        ids, drawn_depths = new(drawn, dtype=int64), new(drawn)
-        each(kernels.compact(), count, number, tiles, slots, depths, ids, drawn_depths)
-        order = torch.sort(drawn_depths, stable=True).indices
-        counts = tiles[ids[order]]
-        begins = torch.cumsum(counts, 0, dtype=int64) - counts
-        firsts = new(drawn, dtype=int32)
-        tile_of, gaussian_of = new(instances, dtype=int32), new(instances, dtype=int32)
-        each(
-            kernels.instances(), drawn,
-            camera, ctypes.c_int32(drawn), order, begins, ids, splats, boxes, firsts, tile_of, gaussian_of,
-        )  # fmt: skip
-        tile_count = -(-view.width // _TILE) * -(-view.height // _TILE)
-        key = torch.int16 if tile_count <= _MOST_SHORT else int32
-        tile_of, emission = torch.sort(tile_of.to(key), stable=True)
-        gaussians = gaussian_of[emission]
-        numbers = torch.arange(tile_count + 1, dtype=key, device=device)
-        starts = torch.searchsorted(tile_of, numbers, out_int32=True)
-        bucket_ends = torch.cumsum((starts.diff() + (_BUCKET - 1)) // _BUCKET, 0, dtype=int32)
-        buckets = instances // _BUCKET + min(tile_count, instances)
-
-        size = (view.height, view.width)
-        color, transmittance = new(*size, 3), new(*size)
-        depth, normal, median_depth = (new(*size), new(*size, 3), new(*size)) if geometry else (None, None, None)
-        floats = 8 if geometry else 4
-        borders, ends, reached = None, None, None
-        if gradient:
-            borders, ends = new(buckets, floats, _PIXELS), new(tile_count, floats, _PIXELS)
-            reached = new(tile_count, _PIXELS, dtype=int32)
-        launch(
-            kernels.blend(geometry, gradient), tile_count,
-            camera, background, starts, bucket_ends, gaussians, splats,
-            color, transmittance, depth, normal, median_depth, borders, ends, reached,
-        )  # fmt: skip
-        if borders is not None and ends is not None and reached is not None:
-            self._pass = _Pass(
-                given, geometry, camera, background, splats, tiles, ids, firsts, starts, bucket_ends, buckets,
-                gaussians, emission, borders, ends, reached,
-            )  # fmt: skip
-        return Drawn(color, transmittance, depth, normal, median_depth)
+        given = (plain(means), plain(quats), plain(scales), plain(opacities), plain(sh))
+        launcher = self._launcher or launcher_of(means)
+        background = plain(background.to(means.device, non_blocking=True))
+        projected = _project(launcher, given, view)
+        ordered = _sort(launcher, projected, view)
+        drawn, rays = _blend(launcher, projected, ordered, view, background, geometry, gradient)
+        if rays is not None:
+            self._pass = _Pass(projected, ordered, rays, background, geometry)
+        return drawn
 
     def backward(
         self,
@@ -175,38 +140,106 @@ class Rasterizer:
         error: Tensor | None,
     ) -> Pulled:
         """The derivatives by the Gaussians; see `reconstructors.splat.interface.Rasterizer`. It waits for nothing."""
-        import torch
-
-        held = self._pass
-        assert held is not None, "there is no forward pass with a gradient to go back through"
-        means, sh = held.given[0], held.given[-1]
-        drawn, harmonics, instances = len(held.ids), sh.shape[1], len(held.emission)
-        launch = (self._launcher or launcher_of(means)).launch
-
-        def new(*shape: int) -> Tensor:
-            return torch.empty(shape, device=means.device)
-
-        pulled = Pulled(
-            held.ids, new(drawn, 3), new(drawn, 4), new(drawn, 3), new(drawn), new(drawn, harmonics, 3), new(drawn, 2),
-            new(drawn), new(drawn),
+        assert self._pass is not None, "there is no forward pass with a gradient to go back through"
+        projected, ordered, rays = self._pass.projected, self._pass.sorted, self._pass.rays
+        geometry, drawn, harmonics = self._pass.geometry, len(projected.ids), projected.given[-1].shape[1]
+        launcher = self._launcher or launcher_of(projected.splats)
+        shapes = [(drawn, 3), (drawn, 4), (drawn, 3), (drawn,), (drawn, harmonics, 3), (drawn, 2), (drawn,), (drawn,)]
+        pulled = Pulled(projected.ids, *(projected.splats.new_empty(shape) for shape in shapes))
+        records = projected.splats.new_empty(projected.instances, _GEOMETRY_MOMENTS if geometry else _MOMENTS)
+        images = [None if image is None else plain(image) for image in (color, transmittance, depth, normal, error)]
+        each(
+            launcher, kernels.blend_backward(geometry), ordered.buckets * _BUCKET,
+            projected.camera, self._pass.background, ordered.starts, ordered.bucket_ends,
+            ctypes.c_int32(len(ordered.bucket_ends)), ordered.gaussians, ordered.emission, projected.splats,
+            rays.borders, rays.ends, rays.reached, *images, records,
         )  # fmt: skip
-        if drawn == 0:
-            return pulled
-        records = new(instances, 17 if held.geometry else 11)
-        given = [None if image is None else plain(image) for image in (color, transmittance, depth, normal, error)]
-        kernel = kernels.blend_backward(held.geometry)
-        launch(
-            kernel, blocks_of(held.buckets * _BUCKET, kernel),
-            held.camera, held.background, held.starts, held.bucket_ends, ctypes.c_int32(len(held.bucket_ends)),
-            held.gaussians, held.emission, held.splats, held.borders, held.ends, held.reached, *given, records,
-        )  # fmt: skip
-        kernel = kernels.project_backward(harmonics, held.geometry)
-        launch(
-            kernel, blocks_of(drawn, kernel),
-            held.camera, ctypes.c_int32(drawn), held.ids, held.firsts, held.tiles, *held.given, held.splats, records,
-            *pulled[1:],
+        each(
+            launcher, kernels.project_backward(harmonics, geometry), drawn,
+            projected.camera, ctypes.c_int32(drawn), projected.ids, ordered.firsts, projected.tiles, *projected.given,
+            projected.splats, records, *pulled[1:],
         )  # fmt: skip
         return pulled
+
+
+def _project(launcher: Launcher, given: tuple[Tensor, Tensor, Tensor, Tensor, Tensor], view: View) -> _Projected:
+    """Splats, and which Gaussians have one that touches a tile. It waits for the GPU, to know how many there are."""
+    import torch
+
+    means, sh = given[0], given[-1]
+    camera = torch.from_numpy(_pinhole(view)).to(means.device, non_blocking=True)
+    number, count = ctypes.c_int32(len(means)), len(means)
+    splats, depths = means.new_empty(count, 16), means.new_empty(count)
+    boxes, tiles = means.new_empty(count, 4, dtype=torch.int16), means.new_empty(count, dtype=torch.int32)
+    kernel = kernels.project_gaussians(sh.shape[1])
+    each(launcher, kernel, count, camera, number, *given, splats, boxes, depths, tiles)
+    slots = torch.cumsum(tiles > 0, 0, dtype=torch.int32)
+    drawn, instances = torch.stack([slots[-1:].sum(), tiles.sum()]).tolist()
+    if instances > _MOST_INT:
+        raise InputError(
+            f"expected at most {_MOST_INT} pairs of a Gaussian and a tile of 16 x 16 pixels, got {instances}: "
+            "draw a smaller image"
+        )
+    ids, drawn_depths = means.new_empty(drawn, dtype=torch.int64), means.new_empty(drawn)
+    each(launcher, kernels.compact(), count, number, tiles, slots, depths, ids, drawn_depths)
+    return _Projected(given, camera, splats, boxes, tiles, ids, drawn_depths, instances)
+
+
+def _sort(launcher: Launcher, projected: _Projected, view: View) -> _Sorted:
+    """By depth, and then stably by tile."""
+    import torch
+
+    ids, instances, int32 = projected.ids, projected.instances, torch.int32
+    order = torch.sort(projected.depths, stable=True).indices
+    counts = projected.tiles[ids[order]]
+    begins = torch.cumsum(counts, 0, dtype=torch.int64) - counts
+    firsts = ids.new_empty(len(ids), dtype=int32)
+    tiles, gaussians = ids.new_empty(instances, dtype=int32), ids.new_empty(instances, dtype=int32)
+    each(
+        launcher, kernels.instances(), len(ids),
+        projected.camera, ctypes.c_int32(len(ids)), order, begins, ids, projected.splats, projected.boxes, firsts,
+        tiles, gaussians,
+    )  # fmt: skip
+    count = _tiles_of(view)
+    key = torch.int16 if count <= _MOST_SHORT else int32
+    tiles, emission = torch.sort(tiles.to(key), stable=True)
+    starts = torch.searchsorted(tiles, torch.arange(count + 1, dtype=key, device=tiles.device), out_int32=True)
+    bucket_ends = torch.cumsum((starts.diff() + (_BUCKET - 1)) // _BUCKET, 0, dtype=int32)
+    buckets = instances // _BUCKET + min(count, instances)
+    return _Sorted(gaussians[emission], emission, firsts, starts, bucket_ends, buckets)
+
+
+def _blend(
+    launcher: Launcher,
+    projected: _Projected,
+    ordered: _Sorted,
+    view: View,
+    background: Tensor,
+    geometry: bool,
+    gradient: bool,
+) -> tuple[Drawn, _Rays | None]:
+    """The image; and how far the rays have come, where a derivative is to follow."""
+    import torch
+
+    new, size = projected.splats.new_empty, (view.height, view.width)
+    maps = (new(size), new((*size, 3)), new(size)) if geometry else (None, None, None)
+    drawn = Drawn(new((*size, 3)), new(size), *maps)
+    count, floats = _tiles_of(view), 8 if geometry else 4
+    rays = None
+    if gradient:
+        reached = new(count, _PIXELS, dtype=torch.int32)
+        rays = _Rays(new(ordered.buckets, floats, _PIXELS), new(count, floats, _PIXELS), reached)
+    kept = (rays.borders, rays.ends, rays.reached) if rays is not None else (None, None, None)
+    launcher.launch(
+        kernels.blend(geometry, gradient), count,
+        projected.camera, background, ordered.starts, ordered.bucket_ends, ordered.gaussians, projected.splats, *drawn,
+        *kept,
+    )  # fmt: skip
+    return drawn, rays
+
+
+def _tiles_of(view: View) -> int:
+    return -(-view.width // _TILE) * -(-view.height // _TILE)
 
 
 def _pinhole(view: View) -> np.ndarray[tuple[int], np.dtype[np.float32]]:

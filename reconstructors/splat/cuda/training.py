@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from reconstructors.splat.cuda import kernels
-from reconstructors.splat.cuda.device import blocks_of, launcher_of, plain
+from reconstructors.splat.cuda.device import each, launcher_of, plain
 from reconstructors.splat.cuda.kernels import Launcher
 from reconstructors.splat.interface import ImageLoss
 
@@ -73,10 +73,8 @@ def adam(
     """
     import torch
 
-    launch = (launcher or launcher_of(parameters)).launch
+    launcher = launcher or launcher_of(parameters)
     columns, count = parameters.shape[1], gradient.numel()
-    if count == 0:
-        return
     unbias = math.sqrt(1.0 - betas[1] ** step)
     correction = unbias / (1.0 - betas[0] ** step)
     if isinstance(learning_rate, torch.Tensor):
@@ -87,9 +85,8 @@ def adam(
         rates = torch.full((columns,), rate, dtype=torch.float32, device=parameters.device)
     rests = (1.0 - ctypes.c_float(beta).value for beta in betas)  # of what the kernel multiplies by
     numbers = (eps * unbias, *betas, *rests)
-    kernel = kernels.adam()
-    launch(
-        kernel, blocks_of(count, kernel),
+    each(
+        launcher, kernels.adam(), count,
         ctypes.c_int64(count), ctypes.c_int32(columns), parameters, first, second, plain(gradient), ids, rates,
         *map(ctypes.c_float, numbers),
     )  # fmt: skip
@@ -107,14 +104,12 @@ def morton_order(means: Tensor, launcher: Launcher | None = None) -> Tensor:
     """
     import torch
 
-    launch = (launcher or launcher_of(means)).launch
-    means = plain(means)
+    launcher, means = launcher or launcher_of(means), plain(means)
     codes = torch.empty(len(means), dtype=torch.int64, device=means.device)
     if len(means) == 0:
         return codes
     least, most = means.amin(dim=0), means.amax(dim=0)
     cells = _CELLS / (most - least).amax().clamp(min=torch.finfo(torch.float32).tiny)
-    kernel = kernels.morton()
     box = torch.cat([least, cells[None]])
-    launch(kernel, blocks_of(len(means), kernel), ctypes.c_int32(len(means)), means, box, codes)
+    each(launcher, kernels.morton(), len(means), ctypes.c_int32(len(means)), means, box, codes)
     return torch.sort(codes, stable=True).indices
