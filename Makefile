@@ -41,6 +41,7 @@ other_core = CXX=$(1) $(PIP) --no-deps --upgrade --target build/$(2)/site . $(pa
 
 # The tests of the compiled core with every access and every operation checked. They run on the interpreter under the
 # virtual environment: inside it the editable install would be found first. Captured at Python's level, reports show.
+# So are the CUDA kernels, emulated.
 CORE_TESTS := tests/geometry/test_neighbors.py tests/geometry/test_normals.py $(wildcard tests/geometry/test_mesh*.py) \
   tests/native/test_instruction_sets.py tests/reconstructors/mvs/test_patchmatch.py \
   tests/reconstructors/splat/test_twins.py
@@ -48,6 +49,7 @@ sanitize: $(VENV)/.all
 	$(call other_core,g++,sanitize,'PCB_SANITIZE=address;undefined')
 	LD_PRELOAD="$$(g++ -print-file-name=libasan.so) $$(g++ -print-file-name=libstdc++.so)" \
 	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 OMP_NUM_THREADS=2 PYTHONSAFEPATH=1 \
+	  EMULATOR_FLAGS='-g -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all' \
 	  PYTHONPATH=$(CURDIR)/build/sanitize/site:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))') \
 	  $(realpath $(BIN)/python) -m pytest -p no:faulthandler --capture=sys $(CORE_TESTS)
 
@@ -59,7 +61,7 @@ compilers: $(VENV)/.all
 lint: $(VENV)/.all
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp')
+	$(BIN)/clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cu')
 	$(BIN)/lint-imports --no-logo
 
 types: $(VENV)/.all

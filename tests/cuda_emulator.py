@@ -1,4 +1,4 @@
-"""A launcher that runs CUDA kernels on the CPU: `cuda_emulator.h` says how, and what it cannot show."""
+"""A launcher that runs CUDA kernels on the CPU: `cuda_emulation/machine.h` says how, and what it cannot show."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from reconstructors.splat.interface import ImageLoss
 
 ORDERS = (("forward", 0), ("reverse", 0), ("random", 1), ("random", 2))
 _ORDER_NUMBERS = {"forward": 0, "reverse": 1, "random": 2}
-_HEADER = Path(__file__).with_name("cuda_emulator.h")
+_HEADERS = Path(__file__).with_name("cuda_emulation")
 _BUILD = Path(__file__).parents[1] / "build" / "cuda_emulator"
 _FLAGS = ("-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-fno-gnu-unique", "-w")
 _LETTERS = {torch.float32: "f", torch.int32: "i", torch.int64: "l", torch.int16: "s"}
@@ -44,9 +44,21 @@ class Emulator:
         self.launched: list[str] = []  # the names of all kernels, in order
 
     def launch(self, kernel: Kernel, blocks: int, *arguments: torch.Tensor | Scalar | None) -> None:
+        signature = _library(kernel).emulated_signature().decode()
+        assert len(signature) == len(arguments), f"{kernel.name} takes {len(signature)} arguments, not {len(arguments)}"
+        holders = [_held(kernel, letter, argument) for letter, argument in zip(signature, arguments, strict=True)]
+        pointers = (ctypes.c_void_p * len(holders))(*(ctypes.addressof(holder) for holder in holders))
+        self.run(kernel, blocks, ctypes.addressof(pointers))
+
+    def run(self, kernel: Kernel, blocks: int, pointers: int) -> None:
+        """As the driver has it: `pointers` is the address of an array of pointers to the arguments."""
         self.launched.append(kernel.name)
         assert blocks > 0, f"{kernel.name}: a GPU refuses {blocks} blocks"
-        _run(_library(kernel), kernel, blocks, self._order, self._seed, arguments)
+        message = ctypes.create_string_buffer(500)
+        if _library(kernel).emulated_run(
+            pointers, blocks, kernel.threads, self._order, self._seed, message, len(message)
+        ):
+            raise EmulationError(f"{kernel.name}: {message.value.decode()}")
 
 
 class EmulatedCuda:
@@ -72,20 +84,6 @@ class EmulatedCuda:
         return cuda.morton_order(means, self.emulator)
 
 
-def _run(library: ctypes.CDLL, kernel: Kernel, blocks: int, order: int, seed: int, arguments: tuple) -> None:
-    library.emulated_signature.restype = ctypes.c_char_p
-    signature = library.emulated_signature().decode()
-    assert len(signature) == len(arguments), f"{kernel.name} takes {len(signature)} arguments, not {len(arguments)}"
-    holders = [_held(kernel, letter, argument) for letter, argument in zip(signature, arguments, strict=True)]
-    pointers = (ctypes.c_void_p * len(holders))(*(ctypes.addressof(holder) for holder in holders))
-    message = ctypes.create_string_buffer(500)
-    status = library.emulated_run(
-        pointers, blocks, kernel.threads, order, ctypes.c_uint64(seed), message, ctypes.c_size_t(len(message))
-    )
-    if status:
-        raise EmulationError(f"{kernel.name}: {message.value.decode()}")
-
-
 def _held(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -> ctypes._SimpleCData:
     """The argument as memory of its own, after a check that the kernel wants just that."""
     if argument is None:
@@ -101,14 +99,30 @@ def _held(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -
 
 @cache
 def _library(kernel: Kernel) -> ctypes.CDLL:
-    return ctypes.CDLL(str(built(kernel)))
+    library = ctypes.CDLL(str(built(kernel)))
+    library.emulated_signature.restype = ctypes.c_char_p
+    whole = ctypes.c_uint32
+    library.emulated_run.argtypes = [
+        ctypes.c_void_p, whole, whole, ctypes.c_int, ctypes.c_uint64, ctypes.c_char_p, ctypes.c_size_t
+    ]  # fmt: skip
+    return library
 
 
-def built(kernel: Kernel, extra: tuple[str, ...] = ()) -> Path:
-    """The kernel as a library for this machine, in build/cuda_emulator under a name made of all that it depends on."""
-    flags = (*_FLAGS, *extra, *os.environ.get("EMULATOR_FLAGS", "").split())
-    text = f'#include "{_HEADER}"\n#line 1 "{kernel.name}"\n{kernel.source}\nEMULATED_KERNEL({kernel.name})\n'
-    name = hashlib.sha256(repr((text, _HEADER.read_text(), flags)).encode()).hexdigest()[:24]
+def built(kernel: Kernel) -> Path:
+    """The kernel as a library for this machine, in build/cuda_emulator under a name made of all that it depends on.
+
+    EMULATOR_FLAGS of the environment are the compiler's, too.
+    """
+    flags = (*_FLAGS, *os.environ.get("EMULATOR_FLAGS", "").split())
+    lines = (
+        f'#include "{_HEADERS}/cuda.h"',
+        f'#line 1 "{kernel.name}"',
+        kernel.source,
+        f"EMULATED_KERNEL({kernel.name})",
+    )
+    text = "\n".join((*lines, ""))
+    headers = [file.read_text() for file in sorted(_HEADERS.glob("*.h"))]
+    name = hashlib.sha256(repr((text, headers, flags)).encode()).hexdigest()[:24]
     library = _BUILD / f"{kernel.name}-{name}.so"
     if not library.exists():
         _BUILD.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,11 @@
 """The emulator that runs CUDA kernels on the CPU: it computes what a GPU would, and sees what no GPU could run."""
 
 import ctypes
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -160,3 +164,44 @@ def test_seeds_are_orders():
     assert order("forward") == [*range(64)] and order("reverse") == [*range(63, -1, -1)]
     assert order("random", 1) == order("random", 1) != order("random", 2)
     assert sorted(order("random", 1)) == [*range(64)]
+
+
+SANITIZED = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import torch
+from test_cuda_emulator import Text, run
+out = torch.zeros(64, dtype=torch.int32)
+head = 'extern "C" __global__ void kernel(int* out) { __shared__ int a[64]; const int n = threadIdx.x;'
+run(Text(head + sys.argv[2] + "}"), out)
+print(out.tolist() == [*range(64)])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "checks, body, complaint",
+    [
+        ("address,undefined", "a[63 - n] = 63 - n; __syncthreads(); out[n] = a[n];", None),
+        ("address", "a[n] = n; __syncthreads(); out[n + 1] = a[n];", "heap-buffer-overflow"),
+        ("address", "a[n] = n; __syncthreads(); out[n] = a[n + 1];", "global-buffer-overflow"),
+        ("address", "int own[4] = {n}; __syncthreads(); out[n] = own[n % 5];", "stack-buffer-overflow"),
+        ("undefined", "out[n] = n << (n + 1);", "left shift of 27"),
+    ],
+)
+def test_sanitizers_see_what_a_kernel_may_not_do(checks, body, complaint):
+    """On fibers as on plain stacks: `make sanitize` runs all kernels so."""
+    libraries = (f"$(g++ -print-file-name={name}.so)" for name in ("libasan", "libstdc++"))
+    environment = {
+        "EMULATOR_FLAGS": f"-g -fsanitize={checks} -fno-sanitize-recover=all",
+        "ASAN_OPTIONS": "detect_leaks=0",
+    }
+    command = f'LD_PRELOAD="{" ".join(libraries)}" exec "$0" "$@"'
+    arguments = [sys.executable, "-c", SANITIZED, str(Path(__file__).parent), body]
+    done = subprocess.run(
+        ["sh", "-c", command, *arguments], env=os.environ | environment, capture_output=True, text=True
+    )
+    if complaint is None:
+        assert (done.returncode, done.stdout.strip()) == (0, "True"), done.stderr
+    else:
+        assert done.returncode and complaint in done.stderr, done.stderr

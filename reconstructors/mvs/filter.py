@@ -31,14 +31,14 @@ class Criteria:
         views: images that have to agree, the reference counted.
         pixels: there and back, at most.
         depth: relative difference of the depths, at most.
-        normal_deg: between the normals, at most.
+        normal_deg: between the normals, at most. They are the least certain where surface is seen at a slant.
     """
 
     confidence: float = 0.3
     views: int = 3
-    pixels: float = 1.5
-    depth: float = 0.01
-    normal_deg: float = 30.0
+    pixels: float = 2.0
+    depth: float = 0.02
+    normal_deg: float = 60.0
 
 
 class Filtered(NamedTuple):

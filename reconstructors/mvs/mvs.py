@@ -76,8 +76,8 @@ class DenseMvs:
     poses: `given` takes the scene's cameras as they are, `solve` finds them, as `sfm` does; `auto` is given where there
     are some.
     spacing: of the points that are wanted, in the unit of the cameras: no more is done than it needs; by default what
-    images of up to 2000 pixels give. sources: images that each image is matched with; by default 4 to 8 by their
-    angles.
+    images of up to 2000 pixels give. sources: images that each image is matched with; by default 8, as far as they
+    overlap.
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` takes COLMAP's where it can.
     confidence: of a depth, from 0 to 1, at least. views: images that have to agree on a point.
     mesh: leave Poisson's mesh in the workspace too. The workspace keeps the depth and normal maps.

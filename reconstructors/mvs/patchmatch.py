@@ -20,6 +20,7 @@ from reconstructors.mvs.maps import DepthMap
 from reconstructors.mvs.native import _patchmatch
 
 MAX_SOURCES = 16
+MAX_SIDE = 32_000  # pixels, as coordinates in a source are held in fixed point
 _LEAST_SIDE = 32  # pixels: no coarser level has a shorter one
 _BLOCK = 16  # pixels along a side of the parts in which noise is looked for
 _TEXTURE = 2.5  # times the noise's variance: 1 patch of noise alone in 1000 has more
@@ -62,7 +63,7 @@ def match(
         mean correlation with the sources that count at a pixel, 0 where it is negative.
 
     Raises:
-        InputError: there are no sources or too many, or the range is empty.
+        InputError: there are no sources or too many, a photograph is too large, or the range is empty.
     """
     views = [reference, *sources]
     pyramid = [views]
@@ -141,6 +142,9 @@ class _State(NamedTuple):
         nearest, farthest = depth_range
         if not 1 <= len(sources) <= MAX_SOURCES:
             raise InputError(f"expected 1 to {MAX_SOURCES} sources, got {len(sources)}")
+        longest = max(max(view.gray.shape) for view in (reference, *sources))
+        if longest > MAX_SIDE:
+            raise InputError(f"expected photographs of at most {MAX_SIDE} pixels a side, got {longest}: halve them")
         if not 0 < nearest < farthest:
             raise InputError(f"expected a range of positive depths, got {nearest:g} to {farthest:g}")
         k = _matrix(reference.camera)

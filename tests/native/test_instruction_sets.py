@@ -15,7 +15,7 @@ NATIVE = ROOT / "pcbench" / "native"
 FLAGS = {
     "baseline": [],
     "avx2": ["-mavx2", "-mfma", "-mbmi", "-mbmi2", "-mpopcnt"],
-    "avx512": ["-mavx512f", "-mavx512dq", "-mavx512vl", "-mbmi", "-mbmi2", "-mpopcnt"],
+    "avx512": ["-mavx512f", "-mavx512dq", "-mavx512bw", "-mavx512vl", "-mbmi", "-mbmi2", "-mpopcnt"],
 }
 COMPILER = shutil.which(os.environ.get("CXX", "c++"))
 
@@ -90,7 +90,9 @@ def cpu_flags():
     return set(lines[0].split(":")[1].split()) if lines else set()
 
 
-@pytest.mark.parametrize("isa, needs", [("avx2", {"avx2", "fma"}), ("avx512", {"avx512f", "avx512dq", "avx512vl"})])
+@pytest.mark.parametrize(
+    "isa, needs", [("avx2", {"avx2", "fma"}), ("avx512", {"avx512f", "avx512dq", "avx512bw", "avx512vl"})]
+)
 def test_what_this_machine_can_do_is_used(isa, needs):
     if not needs | {"bmi1", "bmi2", "popcnt"} <= cpu_flags():
         pytest.skip(f"this machine has no {isa}")

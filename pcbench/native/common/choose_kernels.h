@@ -14,7 +14,7 @@ inline bool runs_here(const std::string& isa) {
         __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt");
     if (isa == "avx512")
         return bits && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-               __builtin_cpu_supports("avx512vl");
+               __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl");
     if (isa == "avx2") return bits && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
 #endif
     return isa == "baseline";

@@ -1,7 +1,8 @@
 // A SIMD vector of sixteen floats, on whatever registers this translation unit may use, with integers and a mask alike.
-// Every operation is one IEEE operation on each lane (no fused multiply-add, no reassociation), so each instruction set
-// gives the same bits. Roots and moduli are the compiler's own: of std::sqrt(float) the linker would keep one copy for
-// all instruction sets. Included once for each instruction set, inside its own namespace PCB_ISA: see kernels_isa.h.
+// Every operation is one IEEE operation on each lane (no fused multiply-add, no reassociation) or exact in integers, so
+// each instruction set gives the same bits. Roots and moduli are the compiler's own: of std::sqrt(float) the linker
+// would keep one copy for all instruction sets. Included once for each instruction set, inside its own namespace
+// PCB_ISA: see kernels_isa.h.
 #pragma once
 #include <cstdint>
 
@@ -13,7 +14,7 @@ namespace pcbench::mvs::PCB_ISA {
 
 constexpr int kLanes = 16;
 
-#if defined(__AVX512F__) && defined(__AVX512DQ__)
+#if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512BW__)
 
 struct Floats {
     __m512 v;
@@ -35,20 +36,44 @@ inline Floats min(Floats a, Floats b) { return {_mm512_min_ps(a.v, b.v)}; }
 inline Floats max(Floats a, Floats b) { return {_mm512_max_ps(a.v, b.v)}; }
 inline Floats sqrt(Floats a) { return {_mm512_sqrt_ps(a.v)}; }
 inline Mask operator<(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ)}; }
+inline Mask operator<=(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)}; }
 inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m)}; }
+inline Mask operator~(Mask a) { return {static_cast<__mmask16>(~a.m)}; }
+inline uint32_t bits(Mask a) { return a.m; }
 inline Floats select(Mask m, Floats yes, Floats no) { return {_mm512_mask_blend_ps(m.m, no.v, yes.v)}; }
+inline Floats permuted(Floats a, Ints lanes) { return {_mm512_permutexvar_ps(lanes.v, a.v)}; }
 inline Ints truncated(Floats a) { return {_mm512_cvttps_epi32(a.v)}; }
 inline Floats floats(Ints a) { return {_mm512_cvtepi32_ps(a.v)}; }
+inline Ints load(const int32_t* p) { return {_mm512_loadu_si512(p)}; }
+inline void store(int32_t* p, Ints a) { _mm512_storeu_si512(p, a.v); }
 inline Ints splat(int32_t s) { return {_mm512_set1_epi32(s)}; }
 inline Ints operator+(Ints a, Ints b) { return {_mm512_add_epi32(a.v, b.v)}; }
+inline Ints operator-(Ints a, Ints b) { return {_mm512_sub_epi32(a.v, b.v)}; }
 inline Ints operator*(Ints a, Ints b) { return {_mm512_mullo_epi32(a.v, b.v)}; }
 inline Ints operator&(Ints a, Ints b) { return {_mm512_and_si512(a.v, b.v)}; }
+inline Ints operator^(Ints a, Ints b) { return {_mm512_xor_si512(a.v, b.v)}; }
+inline Ints min(Ints a, Ints b) { return {_mm512_min_epi32(a.v, b.v)}; }
+inline Ints max(Ints a, Ints b) { return {_mm512_max_epi32(a.v, b.v)}; }
 template <int kBits>
 inline Ints shifted_right(Ints a) {
     return {_mm512_srli_epi32(a.v, kBits)};
 }
-inline Ints gather(const uint32_t* from, Ints at) { return {_mm512_i32gather_epi32(at.v, from, 4)}; }
+inline Ints gather(const int32_t* from, Ints at) { return {_mm512_i32gather_epi32(at.v, from, 4)}; }
 inline Floats gather(const float* from, Ints at) { return {_mm512_i32gather_ps(at.v, from, 4)}; }
+inline Ints element(Ints x, Ints y, int32_t width) {
+    const __m512i both = _mm512_mask_blend_epi16(0xaaaaaaaa, _mm512_srli_epi32(x.v, 16), y.v);
+    return {_mm512_madd_epi16(both, _mm512_set1_epi32(width << 16 | 1))};
+}
+inline Ints between(Ints quad, Ints x, Ints y) {
+    const __m512i across =
+        _mm512_xor_si512(_mm512_shuffle_epi8(x.v, _mm512_set4_epi32(0x0d0d0d0d, 0x09090909, 0x05050505, 0x01010101)),
+                         _mm512_set1_epi32(0x00ff00ff));
+    const __m512i down = _mm512_xor_si512(
+        _mm512_shuffle_epi8(y.v, _mm512_set4_epi32(static_cast<int>(0x800d800d), static_cast<int>(0x80098009),
+                                                   static_cast<int>(0x80058005), static_cast<int>(0x80018001))),
+        _mm512_set1_epi32(0xff));
+    return {_mm512_madd_epi16(_mm512_maddubs_epi16(across, quad.v), down)};
+}
 
 #elif defined(__AVX2__)
 
@@ -74,26 +99,71 @@ inline Floats sqrt(Floats x) { return {_mm256_sqrt_ps(x.a), _mm256_sqrt_ps(x.b)}
 inline Mask operator<(Floats x, Floats y) {
     return {_mm256_cmp_ps(x.a, y.a, _CMP_LT_OQ), _mm256_cmp_ps(x.b, y.b, _CMP_LT_OQ)};
 }
+inline Mask operator<=(Floats x, Floats y) {
+    return {_mm256_cmp_ps(x.a, y.a, _CMP_LE_OQ), _mm256_cmp_ps(x.b, y.b, _CMP_LE_OQ)};
+}
 inline Mask operator&(Mask x, Mask y) { return {_mm256_and_ps(x.a, y.a), _mm256_and_ps(x.b, y.b)}; }
+inline Mask operator~(Mask x) {
+    const __m256 all = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
+    return {_mm256_xor_ps(x.a, all), _mm256_xor_ps(x.b, all)};
+}
+inline uint32_t bits(Mask x) {
+    return static_cast<uint32_t>(_mm256_movemask_ps(x.a)) | static_cast<uint32_t>(_mm256_movemask_ps(x.b)) << 8;
+}
 inline Floats select(Mask m, Floats yes, Floats no) {
     return {_mm256_blendv_ps(no.a, yes.a, m.a), _mm256_blendv_ps(no.b, yes.b, m.b)};
 }
+inline __m256 permuted_half(Floats x, __m256i lanes) {
+    const __m256 upper = _mm256_castsi256_ps(_mm256_slli_epi32(lanes, 28));
+    return _mm256_blendv_ps(_mm256_permutevar8x32_ps(x.a, lanes), _mm256_permutevar8x32_ps(x.b, lanes), upper);
+}
+inline Floats permuted(Floats x, Ints lanes) { return {permuted_half(x, lanes.a), permuted_half(x, lanes.b)}; }
 inline Ints truncated(Floats x) { return {_mm256_cvttps_epi32(x.a), _mm256_cvttps_epi32(x.b)}; }
 inline Floats floats(Ints x) { return {_mm256_cvtepi32_ps(x.a), _mm256_cvtepi32_ps(x.b)}; }
+inline Ints load(const int32_t* p) {
+    const auto* q = reinterpret_cast<const __m256i*>(p);
+    return {_mm256_loadu_si256(q), _mm256_loadu_si256(q + 1)};
+}
+inline void store(int32_t* p, Ints x) {
+    auto* q = reinterpret_cast<__m256i*>(p);
+    _mm256_storeu_si256(q, x.a), _mm256_storeu_si256(q + 1, x.b);
+}
 inline Ints splat(int32_t s) { return {_mm256_set1_epi32(s), _mm256_set1_epi32(s)}; }
 inline Ints operator+(Ints x, Ints y) { return {_mm256_add_epi32(x.a, y.a), _mm256_add_epi32(x.b, y.b)}; }
+inline Ints operator-(Ints x, Ints y) { return {_mm256_sub_epi32(x.a, y.a), _mm256_sub_epi32(x.b, y.b)}; }
 inline Ints operator*(Ints x, Ints y) { return {_mm256_mullo_epi32(x.a, y.a), _mm256_mullo_epi32(x.b, y.b)}; }
 inline Ints operator&(Ints x, Ints y) { return {_mm256_and_si256(x.a, y.a), _mm256_and_si256(x.b, y.b)}; }
+inline Ints operator^(Ints x, Ints y) { return {_mm256_xor_si256(x.a, y.a), _mm256_xor_si256(x.b, y.b)}; }
+inline Ints min(Ints x, Ints y) { return {_mm256_min_epi32(x.a, y.a), _mm256_min_epi32(x.b, y.b)}; }
+inline Ints max(Ints x, Ints y) { return {_mm256_max_epi32(x.a, y.a), _mm256_max_epi32(x.b, y.b)}; }
 template <int kBits>
 inline Ints shifted_right(Ints x) {
     return {_mm256_srli_epi32(x.a, kBits), _mm256_srli_epi32(x.b, kBits)};
 }
-inline Ints gather(const uint32_t* from, Ints at) {
-    const int* p = reinterpret_cast<const int*>(from);
-    return {_mm256_i32gather_epi32(p, at.a, 4), _mm256_i32gather_epi32(p, at.b, 4)};
+inline Ints gather(const int32_t* from, Ints at) {
+    return {_mm256_i32gather_epi32(from, at.a, 4), _mm256_i32gather_epi32(from, at.b, 4)};
 }
 inline Floats gather(const float* from, Ints at) {
     return {_mm256_i32gather_ps(from, at.a, 4), _mm256_i32gather_ps(from, at.b, 4)};
+}
+inline __m256i element_half(__m256i x, __m256i y, int32_t width) {
+    const __m256i both = _mm256_blend_epi16(_mm256_srli_epi32(x, 16), y, 0xaa);
+    return _mm256_madd_epi16(both, _mm256_set1_epi32(width << 16 | 1));
+}
+inline Ints element(Ints x, Ints y, int32_t width) {
+    return {element_half(x.a, y.a, width), element_half(x.b, y.b, width)};
+}
+inline __m256i between_half(__m256i quad, __m256i x, __m256i y) {
+    const __m256i second = _mm256_setr_epi8(1, 1, 1, 1, 5, 5, 5, 5, 9, 9, 9, 9, 13, 13, 13, 13, 1, 1, 1, 1, 5, 5, 5, 5,
+                                            9, 9, 9, 9, 13, 13, 13, 13);
+    const __m256i words = _mm256_set1_epi16(0xff);
+    const __m256i across = _mm256_xor_si256(_mm256_shuffle_epi8(x, second), words);
+    const __m256i down =
+        _mm256_xor_si256(_mm256_and_si256(_mm256_shuffle_epi8(y, second), words), _mm256_set1_epi32(0xff));
+    return _mm256_madd_epi16(_mm256_maddubs_epi16(across, quad), down);
+}
+inline Ints between(Ints quad, Ints x, Ints y) {
+    return {between_half(quad.a, x.a, y.a), between_half(quad.b, x.b, y.b)};
 }
 
 #else
@@ -124,20 +194,55 @@ inline Floats min(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] < b.v[i] ? a.v[i
 inline Floats max(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
 inline Floats sqrt(Floats a) { PCB_EACH(Floats, __builtin_sqrtf(a.v[i])); }
 inline Mask operator<(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] < b.v[i])); }
+inline Mask operator<=(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] <= b.v[i])); }
 inline Mask operator&(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & b.v[i]); }
+inline Mask operator~(Mask a) { PCB_EACH(Mask, ~a.v[i]); }
+inline uint32_t bits(Mask a) {
+    uint32_t out = 0;
+    for (int i = 0; i < kLanes; ++i) out |= static_cast<uint32_t>(a.v[i] & 1) << i;
+    return out;
+}
 inline Floats select(Mask m, Floats yes, Floats no) { PCB_EACH(Floats, m.v[i] ? yes.v[i] : no.v[i]); }
+inline Floats permuted(Floats a, Ints lanes) { PCB_EACH(Floats, a.v[lanes.v[i]]); }
 inline Ints truncated(Floats a) { PCB_EACH(Ints, static_cast<int32_t>(a.v[i])); }
 inline Floats floats(Ints a) { PCB_EACH(Floats, static_cast<float>(a.v[i])); }
+inline Ints load(const int32_t* p) { PCB_EACH(Ints, p[i]); }
+inline void store(int32_t* p, Ints a) {
+    for (int i = 0; i < kLanes; ++i) p[i] = a.v[i];
+}
 inline Ints splat(int32_t s) { PCB_EACH(Ints, s); }
-inline Ints operator+(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] + b.v[i]); }
-inline Ints operator*(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] * b.v[i]); }
+// Sums and products of integers are taken modulo 2^32.
+inline Ints operator+(Ints a, Ints b) {
+    PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) + static_cast<uint32_t>(b.v[i])));
+}
+inline Ints operator-(Ints a, Ints b) {
+    PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) - static_cast<uint32_t>(b.v[i])));
+}
+inline Ints operator*(Ints a, Ints b) {
+    PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) * static_cast<uint32_t>(b.v[i])));
+}
 inline Ints operator&(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] & b.v[i]); }
+inline Ints operator^(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] ^ b.v[i]); }
+inline Ints min(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
+inline Ints max(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
 template <int kBits>
 inline Ints shifted_right(Ints a) {
     PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) >> kBits));
 }
-inline Ints gather(const uint32_t* from, Ints at) { PCB_EACH(Ints, static_cast<int32_t>(from[at.v[i]])); }
+inline Ints gather(const int32_t* from, Ints at) { PCB_EACH(Ints, from[at.v[i]]); }
 inline Floats gather(const float* from, Ints at) { PCB_EACH(Floats, from[at.v[i]]); }
+// Of 16.16 fixed-point coordinates, neither negative: which element of an image of that width they are in.
+inline Ints element(Ints x, Ints y, int32_t width) { PCB_EACH(Ints, (y.v[i] >> 16) * width + (x.v[i] >> 16)); }
+// 65025 times the value at such coordinates between the four signed bytes of a quad, of which each is that much of 255
+// further than the one before it as the first byte of the coordinate's fraction says.
+inline Ints between(Ints quad, Ints x, Ints y) {
+    const auto byte = [&](int i, int k) {
+        return static_cast<int32_t>(static_cast<int8_t>(static_cast<uint32_t>(quad.v[i]) >> 8 * k));
+    };
+    const auto part = [](int32_t at) { return at >> 8 & 255; };
+    const auto along = [&](int i, int k) { return (255 - part(x.v[i])) * byte(i, k) + part(x.v[i]) * byte(i, k + 1); };
+    PCB_EACH(Ints, (255 - part(y.v[i])) * along(i, 0) + part(y.v[i]) * along(i, 2));
+}
 #undef PCB_EACH
 
 #endif

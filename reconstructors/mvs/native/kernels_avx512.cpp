@@ -1,5 +1,5 @@
-#if !defined(__AVX512F__) || !defined(__AVX512DQ__)
-#error "kernels_avx512.cpp must be compiled with -mavx512f -mavx512dq: see CMakeLists.txt"
+#if !defined(__AVX512F__) || !defined(__AVX512DQ__) || !defined(__AVX512BW__)
+#error "kernels_avx512.cpp must be compiled with -mavx512f -mavx512dq -mavx512bw: see CMakeLists.txt"
 #endif
 #define PCB_ISA avx512
 #include "kernels_isa.h"

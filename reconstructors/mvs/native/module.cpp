@@ -31,16 +31,17 @@ const Kernels& kernels() {
     return chosen;
 }
 
-std::vector<uint32_t> quads(Gray image) {
+std::vector<int32_t> quads(Gray image) {
     const size_t height = image.shape(0), width = image.shape(1);
-    std::vector<uint32_t> out(width * height);
+    std::vector<int32_t> out(width * height);
     const uint8_t* from = image.data();
     for (size_t y = 0; y < height; ++y) {
         const uint8_t *line = from + y * width, *below = from + std::min(y + 1, height - 1) * width;
         for (size_t x = 0; x < width; ++x) {
             const size_t right = std::min(x + 1, width - 1);
-            out[y * width + x] = static_cast<uint32_t>(line[x]) | static_cast<uint32_t>(line[right]) << 8 |
-                                 static_cast<uint32_t>(below[x]) << 16 | static_cast<uint32_t>(below[right]) << 24;
+            const uint32_t quad = static_cast<uint32_t>(line[x]) | static_cast<uint32_t>(line[right]) << 8 |
+                                  static_cast<uint32_t>(below[x]) << 16 | static_cast<uint32_t>(below[right]) << 24;
+            out[y * width + x] = static_cast<int32_t>(quad ^ 0x80808080u);  // 128 less of each, with a sign
         }
     }
     return out;
@@ -62,7 +63,7 @@ public:
         problem_.gray = gray_.data();
         problem_.height = static_cast<int>(gray_.shape(0));
         problem_.width = static_cast<int>(gray_.shape(1));
-        check(problem_.height > 0 && problem_.width > 0, "expected a picture of at least one pixel");
+        check_size(gray);
         if (valid_) {
             check(valid_->shape(0) == gray_.shape(0) && valid_->shape(1) == gray_.shape(1),
                   "expected a mask of the picture's size");
@@ -77,13 +78,13 @@ public:
         check(least_variance > 0, "expected least_variance > 0");
         problem_.least_variance = static_cast<float>(least_variance);
         problem_.seed = seed;
-        int k = 0;
-        for (int j = -2; j <= 2; ++j)
-            for (int i = -2; i <= 2; ++i, ++k)
-                for (int step = 0; step < 256; ++step)
-                    problem_.patch_weights[k][step] =
-                        static_cast<float>(std::exp(-(4.0 * (i * i + j * j)) / (2 * kSpaceSigma * kSpaceSigma) -
-                                                    step * step / (2 * kGraySigma * kGraySigma)));
+        for (int k = 0; k < 25; ++k) {
+            const double i = k % 5 - 2, j = k / 5 - 2;
+            problem_.space_weights[k] =
+                static_cast<float>(std::exp(-4.0 * (i * i + j * j) / (2 * kSpaceSigma * kSpaceSigma)));
+        }
+        for (int step = 0; step < 256; ++step)
+            problem_.gray_weights[step] = static_cast<float>(std::exp(-step * step / (2 * kGraySigma * kGraySigma)));
     }
 
     void add_source(Gray gray, Matrix motion, std::optional<Map> depth, Matrix back, std::optional<Map> shown) {
@@ -91,7 +92,7 @@ public:
         Source& source = problem_.sources[problem_.source_count++];
         source.height = static_cast<int>(gray.shape(0));
         source.width = static_cast<int>(gray.shape(1));
-        check(source.height > 0 && source.width > 0, "expected a picture of at least one pixel");
+        check_size(gray);
         quads_.push_back(quads(gray));
         source.quads = quads_.back().data();
         split(motion, source.turn, source.shift);
@@ -118,7 +119,9 @@ public:
         check(sized(planes) && sized(cost) && sized(view_costs), "expected maps of the picture's size");
         check(view_costs.shape(2) == static_cast<size_t>(problem_.source_count), "expected a cost for each source");
         check(problem_.source_count > 0, "expected at least one source");
-        State state{planes.data(), cost.data(), view_costs.data()};
+        const int64_t columns = (problem_.width + 1) / 2 + pcbench::mvs::kBesideLeft + pcbench::mvs::kBesideRight;
+        std::vector<float> beside(columns * (problem_.height + 2 * pcbench::mvs::kBesideAbove));
+        State state{planes.data(), cost.data(), view_costs.data(), beside.data(), columns};
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             if (!kernels().begin(problem_, state, interrupt)) return;
             for (int i = 0; i < sweeps; ++i)
@@ -127,12 +130,17 @@ public:
     }
 
 private:
+    static void check_size(Gray gray) {
+        const auto fits = [](size_t side) { return side > 0 && side <= pcbench::mvs::kMostSide; };
+        check(fits(gray.shape(0)) && fits(gray.shape(1)), "expected a picture of 1 to 32,000 pixels along each side");
+    }
+
     static constexpr double kSpaceSigma = 4.0, kGraySigma = 25.0;
 
     Problem problem_;
     Gray gray_;
     std::optional<Gray> valid_;
-    std::vector<std::vector<uint32_t>> quads_;
+    std::vector<std::vector<int32_t>> quads_;
     std::vector<Map> depths_, shown_;
 };
 

@@ -8,11 +8,12 @@
 namespace pcbench::mvs {
 
 constexpr int kMaxSources = 16;
-constexpr float kWorst = 2.0f;  // the cost of what cannot be compared: one less the smallest correlation
+constexpr int kMostSide = 32000;  // pixels: coordinates in a source are 16.16 fixed-point numbers
+constexpr float kWorst = 2.0f;    // the cost of what cannot be compared: one less the smallest correlation
 
 struct Source {
-    const uint32_t* quads =
-        nullptr;  // of each pixel: itself, that to its right, that below, that below right, a byte each
+    const int32_t* quads = nullptr;  // of each pixel: itself, that to its right, that below, that below right, a signed
+                                     // byte each: its grey level less 128
     int width = 0, height = 0;
     float turn[9] = {};            // K' R K^-1, from the reference's pixels to those of the source, of what is far away
     float shift[3] = {};           // K' t
@@ -33,7 +34,8 @@ struct Problem {
                                  // changes by one
     float least_variance = 1;    // in grey levels squared: of a patch that shows texture, not noise
     uint32_t seed = 0;
-    float patch_weights[25][256] = {};  // of a texel of the patch that differs so much in grey level
+    float space_weights[25] = {};  // of the patch's texels
+    float gray_weights[256] = {};  // of texels that differ so much in grey level from the patch's middle
 };
 
 // A row for each pixel, row by row. A depth of 0 is none.
@@ -41,6 +43,13 @@ struct State {
     float* plane = nullptr;  // of each the depth and the normal's x, y, z
     float* cost = nullptr;
     float* view_costs = nullptr;  // source_count of each
+    float* beside = nullptr;      // room for the costs of one colour
+    int64_t beside_columns = 0;   // of that
 };
+
+// Beside: of the pixels of one colour of a chessboard, in each row those of every second column next to each other,
+// with a border as wide as pixels and groups of them reach. What lies at the same distance from pixels of the other
+// colour is then side by side too.
+constexpr int kBesideAbove = 25, kBesideLeft = 13, kBesideRight = 29;
 
 }  // namespace pcbench::mvs

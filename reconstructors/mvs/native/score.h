@@ -9,83 +9,95 @@ namespace pcbench::mvs::PCB_ISA {
 
 constexpr int kReach = 2, kStep = 2, kSide = 2 * kReach + 1, kTexels = kSide * kSide;
 
-// Sixteen pixels, every second one of a row, and what their patches need in each comparison. The pixels beyond the row
-// repeat its last one.
-struct Group {
-    int y = 0, count = 0;
-    int x[kLanes];
-    int64_t pixel[kLanes];
-    float ray_x[kLanes], ray_y[kLanes];
-    float weight[kTexels][kLanes];   // of sum one
-    float product[kTexels][kLanes];  // weight times the deviation from the weighted mean
-    float variance[kLanes];
+// What the patches of sixteen pixels need in each comparison.
+struct Patches {
+    Floats weight[kTexels];   // of sum one
+    Floats product[kTexels];  // weight times the deviation from the weighted mean
+    Floats variance, x, y, ray_x, ray_y;
 
-    Group(const Problem& problem, int row, int first) : y(row) {
+    Patches permuted(Ints lanes) const {
+        using PCB_ISA::permuted;
+        Patches out;
+        for (int k = 0; k < kTexels; ++k) {
+            out.weight[k] = permuted(weight[k], lanes);
+            out.product[k] = permuted(product[k], lanes);
+        }
+        out.variance = permuted(variance, lanes);
+        out.x = permuted(x, lanes), out.y = permuted(y, lanes);
+        out.ray_x = permuted(ray_x, lanes), out.ray_y = permuted(ray_y, lanes);
+        return out;
+    }
+};
+
+// Sixteen pixels, every second one of a row from the first. Those beyond the row repeat its last one and do not count.
+struct Group {
+    int first, y, count = 0;  // of those within the row
+    int32_t pixel[kLanes];
+    Mask valid;
+    Patches patches;
+
+    Group(const Problem& problem, int row, int start) : first(start), y(row) {
+        float x[kLanes], counts[kLanes];
         for (int l = 0; l < kLanes; ++l) {
             const int at = first + 2 * l;
-            if (at < problem.width) count = l + 1;
-            x[l] = at < problem.width ? at : x[l - 1];
-            pixel[l] = static_cast<int64_t>(y) * problem.width + x[l];
-            ray_x[l] = (static_cast<float>(x[l]) - problem.cx) / problem.fx;
-            ray_y[l] = (static_cast<float>(y) - problem.cy) / problem.fy;
+            const bool inside = at < problem.width;
+            count += inside;
+            const int column = inside ? at : problem.width - 1 - (problem.width - 1 - first) % 2;
+            x[l] = static_cast<float>(column);
+            pixel[l] = y * problem.width + column;
+            counts[l] = inside && (problem.valid == nullptr || problem.valid[pixel[l]] != 0) ? 1.0f : 0.0f;
         }
-        float gray[kTexels][kLanes];
+        valid = splat(0.5f) < load(counts);
+        patches.x = load(x);
+        patches.y = splat(static_cast<float>(y));
+        patches.ray_x = (patches.x - splat(problem.cx)) / splat(problem.fx);
+        patches.ray_y = (patches.y - splat(problem.cy)) / splat(problem.fy);
+        weigh(problem);
+    }
+
+private:
+    void weigh(const Problem& problem) {
+        Floats gray[kTexels];
         int k = 0;
-        for (int j = -kReach; j <= kReach; ++j)
-            for (int i = -kReach; i <= kReach; ++i, ++k) {
-                const uint8_t* line =
-                    problem.gray + static_cast<int64_t>(clamped(y + kStep * j, problem.height)) * problem.width;
-                for (int l = 0; l < kLanes; ++l) {
-                    const int here = problem.gray[pixel[l]], there = line[clamped(x[l] + kStep * i, problem.width)];
-                    gray[k][l] = static_cast<float>(there);
-                    weight[k][l] = problem.patch_weights[k][here < there ? there - here : here - there];
-                }
-            }
-        Floats total = splat(0.0f), mean = splat(0.0f), spread = splat(0.0f);
-        for (k = 0; k < kTexels; ++k) total = total + load(weight[k]);
+        for (int j = -kReach; j <= kReach; ++j) {
+            const uint8_t* line =
+                problem.gray + static_cast<int64_t>(clamped(y + kStep * j, problem.height)) * problem.width;
+            float values[kLanes + kSide - 1];
+            for (int m = 0; m < kLanes + kSide - 1; ++m)
+                values[m] = static_cast<float>(line[clamped(first + kStep * (m - kReach), problem.width)]);
+            for (int i = 0; i < kSide; ++i) gray[k++] = load(values + i);
+        }
+        const Floats zero = splat(0.0f);
+        Floats total = zero, mean = zero, spread = zero;
         for (k = 0; k < kTexels; ++k) {
-            store(weight[k], load(weight[k]) / total);
-            mean = mean + load(weight[k]) * load(gray[k]);
+            const Floats step = gray[k] - gray[kTexels / 2];
+            patches.weight[k] =
+                splat(problem.space_weights[k]) * gather(problem.gray_weights, truncated(max(step, zero - step)));
+            total = total + patches.weight[k];
         }
         for (k = 0; k < kTexels; ++k) {
-            const Floats deviation = load(gray[k]) - mean;
-            store(product[k], load(weight[k]) * deviation);
-            spread = spread + load(product[k]) * deviation;
+            patches.weight[k] = patches.weight[k] / total;
+            mean = mean + patches.weight[k] * gray[k];
         }
-        store(variance, spread);
+        for (k = 0; k < kTexels; ++k) {
+            const Floats deviation = gray[k] - mean;
+            patches.product[k] = patches.weight[k] * deviation;
+            spread = spread + patches.product[k] * deviation;
+        }
+        patches.variance = spread;
     }
 
     static int clamped(int at, int size) { return at < 0 ? 0 : at < size ? at : size - 1; }
 };
 
-// Planes to compare, each through a pixel of the group.
+// Sixteen planes, each through a pixel.
 struct Planes {
-    int count = 0;
-    int lane[kLanes];
-    float depth[kLanes], nx[kLanes], ny[kLanes], nz[kLanes];
+    Floats depth, nx, ny, nz;
 };
 
-// The patches of the planes' pixels, lane by lane.
-struct Patches {
-    float weight[kTexels][kLanes], product[kTexels][kLanes];
-    float variance[kLanes], x[kLanes], y[kLanes], ray_x[kLanes], ray_y[kLanes];
-
-    Patches(const Group& group, const Planes& planes) {
-        for (int k = 0; k < kTexels; ++k)
-            for (int l = 0; l < kLanes; ++l) {
-                weight[k][l] = group.weight[k][planes.lane[l]];
-                product[k][l] = group.product[k][planes.lane[l]];
-            }
-        for (int l = 0; l < kLanes; ++l) {
-            const int from = planes.lane[l];
-            variance[l] = group.variance[from];
-            x[l] = static_cast<float>(group.x[from]);
-            y[l] = static_cast<float>(group.y);
-            ray_x[l] = group.ray_x[from];
-            ray_y[l] = group.ray_y[from];
-        }
-    }
-};
+inline Floats dot(const Planes& planes, Floats ray_x, Floats ray_y) {
+    return (planes.nx * ray_x + planes.ny * ray_y) + planes.nz;
+}
 
 struct Warp {
     Floats x, y;            // where the pixel's point is seen
@@ -93,51 +105,80 @@ struct Warp {
     Mask seen;
 };
 
-// The homography of each plane, to first order about its pixel: over a patch the rest is a hundredth of a pixel.
+constexpr float kMostStretched = 16.0f;  // pixels of a source for one of the reference
+
+// The homography of each plane, to first order about its pixel: over a patch the rest is a hundredth of a pixel. What
+// cannot be compared is put into the first pixel.
 inline Warp warp(const Problem& problem, const Source& source, const Patches& at, const Planes& planes) {
-    const Floats px = load(at.x), py = load(at.y), nx = load(planes.nx), ny = load(planes.ny), nz = load(planes.nz);
-    const Floats inverse = splat(1.0f) / load(planes.depth);
+    const Floats inverse = splat(1.0f) / planes.depth;
     const float *m = source.turn, *v = source.shift;
     const auto row = [&](int r) {
-        return ((splat(m[3 * r]) * px + splat(m[3 * r + 1]) * py) + splat(m[3 * r + 2])) + splat(v[r]) * inverse;
+        return ((splat(m[3 * r]) * at.x + splat(m[3 * r + 1]) * at.y) + splat(m[3 * r + 2])) + splat(v[r]) * inverse;
     };
     const Floats hx = row(0), hy = row(1), hz = row(2);
     const Floats scale = splat(1.0f) / hz;
     const Floats u = hx * scale, w = hy * scale;
     // n K^-1 / d, with d = depth * (n . ray).
-    const Floats facing = (nx * load(at.ray_x) + ny * load(at.ray_y)) + nz;
-    const Floats slope = inverse / facing;
-    const Floats sx = nx * slope * splat(1.0f / problem.fx), sy = ny * slope * splat(1.0f / problem.fy);
+    const Floats slope = inverse / dot(planes, at.ray_x, at.ray_y);
+    const Floats sx = planes.nx * slope * splat(1.0f / problem.fx), sy = planes.ny * slope * splat(1.0f / problem.fy);
     const auto entry = [&](int r, int column, Floats s) { return splat(m[3 * r + column]) + splat(v[r]) * s; };
     const Floats hzx = entry(2, 0, sx), hzy = entry(2, 1, sy);
-    Warp out;
-    out.x = u;
-    out.y = w;
-    out.ax = (entry(0, 0, sx) - u * hzx) * scale;
-    out.ay = (entry(1, 0, sx) - w * hzx) * scale;
-    out.bx = (entry(0, 1, sy) - u * hzy) * scale;
-    out.by = (entry(1, 1, sy) - w * hzy) * scale;
+    const Floats ax = (entry(0, 0, sx) - u * hzx) * scale, ay = (entry(1, 0, sx) - w * hzx) * scale;
+    const Floats bx = (entry(0, 1, sy) - u * hzy) * scale, by = (entry(1, 1, sy) - w * hzy) * scale;
     // A patch that is seen from behind, or at another scale by far, cannot be compared.
-    const Floats area = out.ax * out.by - out.ay * out.bx;
+    const Floats zero = splat(0.0f), area = ax * by - ay * bx;
+    const auto length = [&](Floats a) { return max(a, zero - a); };
+    const Floats stretched = max(max(length(ax), length(ay)), max(length(bx), length(by)));
     const Floats low = splat(-0.5f), right = splat(static_cast<float>(source.width) - 0.5f),
                  bottom = splat(static_cast<float>(source.height) - 0.5f);
-    out.seen = (splat(0.0f) < hz) & (splat(0.05f) < area) & (area < splat(20.0f)) & (low < u) & (u < right) &
-               (low < w) & (w < bottom);
-    return out;
+    const Mask seen = (zero < hz) & (splat(0.05f) < area) & (area < splat(20.0f)) &
+                      (stretched < splat(kMostStretched)) & (low < u) & (u < right) & (low < w) & (w < bottom);
+    const auto kept = [&](Floats a) { return select(seen, a, zero); };
+    return {kept(u), kept(w), kept(ax), kept(ay), kept(bx), kept(by), seen};
 }
 
-inline Floats bilinear(const Source& source, Floats x, Floats y) {
-    const Floats zero = splat(0.0f);
-    x = max(min(x, splat(static_cast<float>(source.width - 1))), zero);
-    y = max(min(y, splat(static_cast<float>(source.height - 1))), zero);
-    const Ints column = truncated(x), line = truncated(y);
-    const Ints quad = gather(source.quads, line * splat(static_cast<int32_t>(source.width)) + column);
-    const Floats fx = x - floats(column), fy = y - floats(line);
-    const Ints byte = splat(static_cast<int32_t>(255));
-    const Floats p00 = floats(quad & byte), p10 = floats(shifted_right<8>(quad) & byte);
-    const Floats p01 = floats(shifted_right<16>(quad) & byte), p11 = floats(shifted_right<24>(quad));
-    const Floats upper = p00 + fx * (p10 - p00), lower = p01 + fx * (p11 - p01);
-    return upper + fy * (lower - upper);
+// The weighted sums over a patch of the source's values, their squares, and their products with the reference's; values
+// are in parts of a grey level.
+constexpr float kParts = 65025.0f;
+struct Sums {
+    Floats values, squares, products;
+};
+
+template <bool kWhole>
+inline Sums summed(const Source& source, const Patches& patches, const Warp& at) {
+    const auto fixed = [](Floats a) { return truncated(a * splat(65536.0f)); };
+    const Ints two = splat(int32_t{kStep}), none = splat(int32_t{0});
+    const Ints ax = fixed(at.ax) * two, ay = fixed(at.ay) * two, bx = fixed(at.bx) * two, by = fixed(at.by) * two;
+    const Ints right = splat((source.width - 1) << 16), bottom = splat((source.height - 1) << 16);
+    Ints line_x = fixed(at.x), line_y = fixed(at.y);
+    for (int j = 0; j < kReach; ++j) line_x = line_x - ax - bx, line_y = line_y - ay - by;
+    Floats values = splat(0.0f), squares = values, products = values;
+    for (int k = 0; k < kTexels; line_x = line_x + bx, line_y = line_y + by) {
+        Ints x = line_x, y = line_y;
+        for (int i = 0; i < kSide; ++i, ++k, x = x + ax, y = y + ay) {
+            Ints column = x, line = y;
+            if (!kWhole) column = max(min(x, right), none), line = max(min(y, bottom), none);
+            const Ints quad = gather(source.quads, element(column, line, source.width));
+            const Floats value = floats(between(quad, column, line));
+            const Floats weighted = patches.weight[k] * value;
+            values = values + weighted;
+            squares = squares + weighted * value;
+            products = products + patches.product[k] * value;
+        }
+    }
+    return {values, squares, products};
+}
+
+// Whether all patches lie within the source, by more than the coordinates are rounded.
+inline bool whole(const Source& source, const Warp& at) {
+    const Floats zero = splat(0.0f), margin = splat(0.01f), most = splat(static_cast<float>(kStep * kReach));
+    const auto length = [&](Floats a) { return max(a, zero - a); };
+    const Floats reach_x = (length(at.ax) + length(at.bx)) * most + margin;
+    const Floats reach_y = (length(at.ay) + length(at.by)) * most + margin;
+    const Floats right = splat(static_cast<float>(source.width - 1));
+    const Floats bottom = splat(static_cast<float>(source.height - 1));
+    const Mask inside = (reach_x < at.x) & (at.x + reach_x < right) & (reach_y < at.y) & (at.y + reach_y < bottom);
+    return bits(at.seen & ~inside) == 0;
 }
 
 // The value of the pixel whose centre is nearest; x and y are taken to the border first.
@@ -154,47 +195,31 @@ inline Floats disagreement(const Source& source, const Patches& at, Floats x, Fl
         return ((splat(m[3 * r]) * x + splat(m[3 * r + 1]) * y) + splat(m[3 * r + 2])) * depth + splat(v[r]);
     };
     const Floats zero = splat(0.0f), hz = row(2);
-    const Floats dx = row(0) / hz - load(at.x), dy = row(1) / hz - load(at.y);
+    const Floats dx = row(0) / hz - at.x, dy = row(1) / hz - at.y;
     const Floats distance = min(sqrt(dx * dx + dy * dy), splat(3.0f));
     return select((zero < depth) & (zero < hz), distance, splat(3.0f));
 }
 
 constexpr float kPerPixelOff = 0.2f;  // the cost of a pixel of disagreement (Xu and Tao 2019, sec. 4.2)
 
-// costs[s][l]: of plane l in source s.
-inline void score(const Problem& problem, const Group& group, const Planes& planes, float (*costs)[kLanes]) {
-    const Patches patches(group, planes);
-    const Floats variance = load(patches.variance);
-    for (int s = 0; s < problem.source_count; ++s) {
-        const Source& source = problem.sources[s];
-        const Warp at = warp(problem, source, patches, planes);
-        Floats sum = splat(0.0f), squares = splat(0.0f), covariance = splat(0.0f);
-        int k = 0;
-        for (int j = -kReach; j <= kReach; ++j) {
-            const Floats dy = splat(static_cast<float>(kStep * j));
-            const Floats x0 = at.x + at.bx * dy, y0 = at.y + at.by * dy;
-            for (int i = -kReach; i <= kReach; ++i, ++k) {
-                const Floats dx = splat(static_cast<float>(kStep * i));
-                const Floats value = bilinear(source, x0 + at.ax * dx, y0 + at.ay * dx);
-                const Floats weighted = load(patches.weight[k]) * value;
-                sum = sum + weighted;
-                squares = squares + weighted * value;
-                covariance = covariance + load(patches.product[k]) * value;
-            }
-        }
-        const Floats spread = squares - sum * sum, least = splat(problem.least_variance);
-        const Mask textured = (least < spread) & (least < variance);
-        const Floats correlation = select(textured, covariance / sqrt(max(variance * spread, least)), splat(0.0f));
-        Floats cost = max(splat(1.0f) - correlation, splat(0.0f));
-        Mask seen = at.seen;
-        if (source.depth != nullptr || source.shown != nullptr) {
-            const Floats x = max(min(at.x, splat(static_cast<float>(source.width - 1))), splat(0.0f));
-            const Floats y = max(min(at.y, splat(static_cast<float>(source.height - 1))), splat(0.0f));
-            if (source.depth != nullptr) cost = cost + splat(kPerPixelOff) * disagreement(source, patches, x, y);
-            if (source.shown != nullptr) seen = seen & (splat(0.5f) < nearest(source, source.shown, x, y));
-        }
-        store(costs[s], select(seen, min(cost, splat(kWorst)), splat(kWorst)));
+// Of each plane in one source.
+inline Floats score(const Problem& problem, const Source& source, const Patches& patches, const Planes& planes) {
+    const Warp at = warp(problem, source, patches, planes);
+    const Sums sums = whole(source, at) ? summed<true>(source, patches, at) : summed<false>(source, patches, at);
+    const Floats spread = sums.squares - sums.values * sums.values;
+    const Floats least = splat(problem.least_variance), least_parts = least * splat(kParts * kParts);
+    const Mask textured = (least_parts < spread) & (least < patches.variance);
+    const Floats correlation =
+        select(textured, sums.products / sqrt(max(patches.variance * spread, least_parts)), splat(0.0f));
+    Floats cost = max(splat(1.0f) - correlation, splat(0.0f));
+    Mask seen = at.seen;
+    if (source.depth != nullptr || source.shown != nullptr) {
+        const Floats x = max(min(at.x, splat(static_cast<float>(source.width - 1))), splat(0.0f));
+        const Floats y = max(min(at.y, splat(static_cast<float>(source.height - 1))), splat(0.0f));
+        if (source.depth != nullptr) cost = cost + splat(kPerPixelOff) * disagreement(source, patches, x, y);
+        if (source.shown != nullptr) seen = seen & (splat(0.5f) < nearest(source, source.shown, x, y));
     }
+    return select(seen, min(cost, splat(kWorst)), splat(kWorst));
 }
 
 }  // namespace pcbench::mvs::PCB_ISA

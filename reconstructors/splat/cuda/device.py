@@ -27,6 +27,14 @@ def launcher_of(tensor: Tensor) -> Launcher:
     return gpu(tensor.get_device())
 
 
+def plain(tensor: Tensor) -> Tensor:
+    """As the kernels read it: float32, side by side, and without a history of derivatives."""
+    import torch
+
+    assert tensor.dtype == torch.float32, f"expected a tensor of float32, got {tensor.dtype}"
+    return tensor.detach().contiguous()
+
+
 def blocks_of(number: int, kernel: Kernel) -> int:
     """How many blocks have a thread for each of a number of things."""
     return -(-number // kernel.threads)

@@ -31,11 +31,9 @@ class Gpu:
     """
 
     def __init__(self, index: int) -> None:
-        core = _core()
-        self._core = core
+        self._core = _core()
         self._index = index
-        self._device = core.Device(index)
-        major, minor = self._device.compute_capability
+        major, minor = self._core.Device(index).compute_capability
         self._architecture = f"sm_{major}{minor}"
         self._loaded: dict[Kernel, Any] = {}
 
@@ -43,7 +41,7 @@ class Gpu:
         import torch
 
         with torch.cuda.device(self._index):
-            self._device.set_current()
+            self._core.Device(self._index).set_current()  # of this thread: derivatives are taken on one of torch's
             if kernel not in self._loaded:
                 module = self._core.ObjectCode.from_cubin(compiled(kernel, self._architecture))
                 self._loaded[kernel] = module.get_kernel(kernel.name)
@@ -59,7 +57,7 @@ class Gpu:
             return 0
         if not isinstance(argument, torch.Tensor):
             return argument
-        assert argument.is_contiguous() and argument.device == torch.device("cuda", self._index)
+        assert argument.is_contiguous() and argument.get_device() == self._index
         return int(argument.data_ptr())
 
 

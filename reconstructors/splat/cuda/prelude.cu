@@ -10,7 +10,7 @@ __device__ inline float lesser(float a, float b) { return a < b ? a : b; }
 __device__ inline float greater(float a, float b) { return b < a ? a : b; }
 __device__ inline float select(bool mask, float yes, float no) { return mask ? yes : no; }
 __device__ inline float add_exponent(float x, float n) {
-    return __int_as_float(__float_as_int(x) + (static_cast<int>(n) << 23));
+    return __int_as_float(__float_as_int(x) + static_cast<int>(n) * 0x00800000);
 }
 __device__ inline float exponent(float x, float& mantissa) {
     const int bits = __float_as_int(x);

@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from reconstructors.splat.cuda import kernels
-from reconstructors.splat.cuda.device import blocks_of, launcher_of
+from reconstructors.splat.cuda.device import blocks_of, launcher_of, plain
 from reconstructors.splat.cuda.kernels import Launcher
 from reconstructors.splat.interface import ImageLoss
 
@@ -32,7 +32,7 @@ def image_loss(image: Tensor, target: Tensor, ssim_weight: float, launcher: Laun
     import torch
 
     launch = (launcher or launcher_of(image)).launch
-    image, target = image.detach().contiguous(), target.detach().contiguous()
+    image, target = plain(image), plain(target)
     height, width = image.shape[:2]
     blocks = 3 * -(-height // _TILE) * -(-width // _TILE)
     maps = [torch.empty_like(image) for _ in range(3)]
@@ -53,7 +53,7 @@ def adam(
     second: Tensor,
     gradient: Tensor,
     ids: Tensor,
-    learning_rate: float,
+    learning_rate: float | Tensor,
     step: int,
     betas: tuple[float, float] = (0.9, 0.999),
     eps: float = 1e-15,
@@ -64,24 +64,33 @@ def adam(
     Args:
         gradient: (V, D) of those rows.
         ids: (V,) int64, none twice. Other rows keep their parameters and their moments.
+        learning_rate: of all columns, or of each (D,).
         step: from 1, of all rows alike.
 
     Raises:
         InputError: tensors that are not on a CUDA device.
         MissingExtra: cuda-core or NVRTC is not installed.
     """
+    import torch
+
     launch = (launcher or launcher_of(parameters)).launch
-    assert parameters.is_contiguous() and first.is_contiguous() and second.is_contiguous()
-    count = gradient.numel()
+    columns, count = parameters.shape[1], gradient.numel()
     if count == 0:
         return
     unbias = math.sqrt(1.0 - betas[1] ** step)
-    rate = learning_rate * unbias / (1.0 - betas[0] ** step)
-    numbers = (rate, eps * unbias, *betas, *(1.0 - beta for beta in betas))
+    correction = unbias / (1.0 - betas[0] ** step)
+    if isinstance(learning_rate, torch.Tensor):
+        scaled = (learning_rate.float().double() * correction).float()
+        rates = scaled.to(parameters.device, non_blocking=True).contiguous()
+    else:  # a tensor made of a number of the host would wait for the GPU; this does not
+        rate = ctypes.c_float(learning_rate).value * correction
+        rates = torch.full((columns,), rate, dtype=torch.float32, device=parameters.device)
+    rests = (1.0 - ctypes.c_float(beta).value for beta in betas)  # of what the kernel multiplies by
+    numbers = (eps * unbias, *betas, *rests)
     kernel = kernels.adam()
     launch(
         kernel, blocks_of(count, kernel),
-        ctypes.c_int64(count), ctypes.c_int32(count // len(ids)), parameters, first, second, gradient.contiguous(), ids,
+        ctypes.c_int64(count), ctypes.c_int32(columns), parameters, first, second, plain(gradient), ids, rates,
         *map(ctypes.c_float, numbers),
     )  # fmt: skip
 
@@ -99,7 +108,7 @@ def morton_order(means: Tensor, launcher: Launcher | None = None) -> Tensor:
     import torch
 
     launch = (launcher or launcher_of(means)).launch
-    means = means.detach().contiguous()
+    means = plain(means)
     codes = torch.empty(len(means), dtype=torch.int64, device=means.device)
     if len(means) == 0:
         return codes

@@ -58,13 +58,14 @@ def spoiled(made, depth=1.0, turn_deg=0.0):
 @pytest.mark.parametrize(
     ("change", "criteria", "stays"),
     [
-        ({"depth": 1.005}, {}, True),
-        ({"depth": 1.02}, {}, False),
-        ({"depth": 1.02}, {"depth": 0.03, "pixels": 9.0}, True),
+        ({"depth": 1.01}, {}, True),
+        ({"depth": 1.03}, {}, False),
+        ({"depth": 1.03}, {"depth": 0.04, "pixels": 9.0}, True),
         # 0.6 from one camera to the next at a distance of 5: 0.5 % of the depth are 0.09 pixels of 150.
         ({"depth": 1.005}, {"pixels": 0.05}, False),
-        ({"turn_deg": 25.0}, {}, True),
-        ({"turn_deg": 40.0}, {}, False),
+        ({"turn_deg": 50.0}, {}, True),
+        ({"turn_deg": 70.0}, {}, False),
+        ({"turn_deg": 50.0}, {"normal_deg": 30.0}, False),
     ],
 )
 def test_what_others_contradict_is_not(change, criteria, stays):

@@ -11,7 +11,7 @@ from repository import TESTS
 from textured_planes import Photographed, plane_scene
 
 from pcbench.errors import InputError
-from reconstructors.mvs.patchmatch import MAX_SOURCES, _State, match, noise_variance, refine
+from reconstructors.mvs.patchmatch import MAX_SIDE, MAX_SOURCES, _State, match, noise_variance, refine
 
 
 def in_pixels(scene: Photographed, depth):
@@ -60,7 +60,8 @@ def correlation(scene: Photographed, x, y, normal, source):
     rays = np.column_stack([(at + 0.5 - [k.cx, k.cy]) / [k.fx, k.fy], np.ones(len(at))])
     points = rays * (scene.depths[0][y, x] * (normal @ ray) / (rays @ normal))[:, None]
     world = reference.camera.cam_from_world.inverse().apply(points)
-    pixels = other.camera.project(world)[0] - 0.5
+    height, width = other.gray.shape
+    pixels = np.clip(other.camera.project(world)[0] - 0.5, 0, [width - 1.001, height - 1.001])  # to its border
     here = reference.gray[at[:, 1], at[:, 0]].astype(float)
     column, row = np.floor(pixels).astype(int).T
     fx, fy = (pixels - np.floor(pixels)).T
@@ -85,10 +86,19 @@ def test_costs_are_those_of_the_correlation_in_float64():
     state = _State.of(planes.copy(), len(scene.views) - 1)
     state.improve(scene.views[0], scene.views[1:], None, (5.0, 20.0), 0, 0, 0)
     off = scene._replace(depths=[1.01 * scene.depths[0]])
-    for x, y in np.random.default_rng(1).integers((80, 60), (width - 80, height - 60), (40, 2)):
-        for source in range(1, len(scene.views)):
-            expected = 1 - correlation(off, x, y, normal, source)
-            assert state.view_costs[y, x, source - 1] == pytest.approx(expected, abs=3e-3)
+    rng = np.random.default_rng(1)
+    for source in range(1, len(scene.views)):
+        rows, columns = np.indices((height, width)).reshape(2, -1)
+        k, camera = scene.views[0].camera.intrinsics, scene.views[source].camera
+        points = k.directions(np.stack([columns + 0.5, rows + 0.5], axis=1)) * off.depths[0].reshape(-1, 1)
+        seen = camera.project(scene.views[0].camera.cam_from_world.inverse().apply(points))[0] - 0.5
+        inside = np.minimum(seen, np.array([width - 1, height - 1]) - seen).min(axis=1)
+        own = np.minimum(np.minimum(columns, width - 1 - columns), np.minimum(rows, height - 1 - rows)) >= 4
+        # Wholly inside the source, and hanging over its border.
+        for which in (own & (inside > 8), own & (inside > 0) & (inside < 3)):
+            for at in rng.choice(np.flatnonzero(which), 10, replace=False):
+                expected = 1 - correlation(off, columns[at], rows[at], normal, source)
+                assert state.view_costs[rows[at], columns[at], source - 1] == pytest.approx(expected, abs=3e-3)
 
 
 def test_a_plane_without_texture_is_not_believed():
@@ -123,6 +133,9 @@ def test_what_cannot_be_searched_is_refused(slanted):
         match(scene.views[0], [scene.views[1]] * (MAX_SOURCES + 1), (5.0, 20.0))
     with pytest.raises(InputError, match="positive depths"):
         match(scene.views[0], scene.views[1:], (0.0, 20.0))
+    wide = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE + 1), np.uint8))
+    with pytest.raises(InputError, match="at most 32000 pixels a side, got 32001"):
+        match(scene.views[0], [wide], (5.0, 20.0))
 
 
 ANSWER = """
@@ -132,7 +145,7 @@ from textured_planes import plane_scene
 from reconstructors.mvs.native import _patchmatch
 from reconstructors.mvs.patchmatch import match, refine
 
-scene = plane_scene(normal=(0.35, -0.2, -1.0), width=150)
+scene = plane_scene(normal=(0.35, -0.2, -1.0), width=151)
 found = match(scene.views[0], scene.views[1:], (5.0, 20.0), iterations=2)
 found = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0), iterations=1)
 digest = hashlib.sha256()

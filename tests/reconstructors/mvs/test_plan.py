@@ -37,18 +37,13 @@ def test_a_spacing_decides_the_size():
     assert coarser.levels < plan.levels == 3
 
 
-def test_narrow_angles_ask_for_more_sources():
-    counts = [make_plan(replace(USUAL, angle_deg=angle), None, None).sources for angle in (40.0, 20.0, 14.0, 5.0)]
-    assert counts[0] == 4
-    assert counts == sorted(counts)
-    assert counts[-1] == 8
-    # A pair at 14 degrees has 0.3 / tan(14) = 1.2 pixels in depth; half a pixel takes (1.2 / 0.5)^2 of them.
-    assert counts[2] == 6
-    few = make_plan(replace(USUAL, angle_deg=5.0, overlap=3), None, None)
-    assert few.sources == 3
-    assert "no more overlap" in few.reasons[1]
-    assert make_plan(USUAL, None, 7).sources == 7
-    assert "as asked for" in make_plan(USUAL, None, 7).reasons[1]
+def test_as_many_sources_as_overlap_up_to_eight():
+    counts = [make_plan(replace(USUAL, overlap=overlap), None, None).sources for overlap in (0.5, 3, 7.5, 8, 12)]
+    assert counts == [1, 3, 7, 8, 8]
+    assert "at 20 degrees (median), and no more overlap" in make_plan(replace(USUAL, overlap=3), None, None).reasons[1]
+    assert "no more overlap" not in make_plan(USUAL, None, None).reasons[1]
+    assert make_plan(USUAL, None, 5).sources == 5
+    assert "as asked for" in make_plan(USUAL, None, 5).reasons[1]
 
 
 def test_little_texture_asks_for_more_iterations():

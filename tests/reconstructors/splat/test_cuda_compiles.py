@@ -5,8 +5,12 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from splat_passes import Engine, random_wanted, run_pass
+from splat_scenes import make, whole_tiles
 
 from pcbench.errors import InputError
 from reconstructors.splat import cuda
@@ -80,15 +84,63 @@ def test_what_does_not_compile_says_why(nvrtc, tmp_path):
         nvrtc.compiled(kernel, "sm_90")
 
 
-def test_what_a_launch_asks_of_cuda_core_is_there(nvrtc):
-    """As far as that can be seen without a GPU."""
-    from cuda import core
+class Driver:
+    """cuda.core but for what needs a GPU: the emulator gets what the driver would get."""
 
-    module = core.ObjectCode.from_cubin(nvrtc.compiled(kernels.compact(), "sm_90"))
-    shape = core.LaunchConfig(grid=7, block=128)
-    assert (shape.grid, shape.block) == ((7, 1, 1), (128, 1, 1))
-    assert callable(module.get_kernel) and callable(core.Stream.from_handle) and callable(core.launch)
-    assert {"compute_capability", "set_current"} <= set(dir(core.Device))
+    def __init__(self, nvrtc, core, emulator):
+        self.nvrtc, self.core, self.emulator, self.streams = nvrtc, core, emulator, set()
+        self.Device = lambda index: SimpleNamespace(compute_capability=(9, 0), set_current=lambda: None)
+        self.ObjectCode = SimpleNamespace(from_cubin=self.module)
+        self.Stream = SimpleNamespace(from_handle=lambda handle: handle)
+
+    def __getattr__(self, name):
+        return getattr(self.core, name)
+
+    def module(self, cubin):
+        assert callable(self.core.ObjectCode.from_cubin(cubin).get_kernel)
+
+        def kernel(name):
+            called = (kernel for kernel in EVERY if kernel.name == name)
+            return next(kernel for kernel in called if self.nvrtc.compiled(kernel, "sm_90") == cubin)
+
+        return SimpleNamespace(get_kernel=kernel)
+
+    def launch(self, stream, shape, kernel, *arguments):
+        held = pytest.importorskip("cuda.core._kernel_arg_handler").ParamHolder(arguments)
+        assert (shape.block, shape.grid[1:]) == ((kernel.threads, 1, 1), (1, 1))
+        self.streams.add(stream)
+        self.emulator.run(kernel, shape.grid[0], held.ptr)
+
+
+def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
+    """All of the launcher, and of cuda.core what packs arguments; for want of a GPU the emulator runs the kernels."""
+    torch = pytest.importorskip("torch")
+    from contextlib import nullcontext
+
+    from cuda import core
+    from cuda_emulator import Emulator
+
+    driver = Driver(nvrtc, core, Emulator())
+    monkeypatch.setattr(nvrtc, "_core", lambda: driver)
+    monkeypatch.setattr(torch.cuda, "device", lambda index: nullcontext())
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda: SimpleNamespace(cuda_stream=0))
+    launchers = nvrtc.Gpu(-1), Emulator()  # torch calls the CPU number -1
+    image = torch.rand(20, 24, 3, generator=torch.Generator().manual_seed(2))
+    losses, models, orders, passes = [], [], [], []
+    for launcher in launchers:
+        losses.append(cuda.image_loss(image, image.flip(0).contiguous(), 0.2, launcher=launcher))
+        models.append([image[0].clone(), torch.zeros(24, 3), torch.zeros(24, 3)])
+        ids = torch.arange(0, 24, 2)
+        cuda.adam(*models[-1], image[1][ids], ids, 0.01, 7, launcher=launcher)
+        orders.append([cuda.morton_order(image[0], launcher)])
+        rasterizer, scene = cuda.Rasterizer(launcher), make(whole_tiles)
+        wanted = random_wanted(scene)._replace(depth=None, normal=None)
+        passes.append(run_pass(Engine(cuda, "cpu"), scene, wanted, rasterizer, geometry=False).arrays().values())
+    for parts in (losses, models, orders):
+        assert all(torch.equal(*pair) for pair in zip(*parts, strict=True))
+    assert all(np.array_equal(*pair) for pair in zip(*passes, strict=True))
+    assert driver.streams == {1}  # the default one, by the name that the driver has for it
+    assert set(driver.emulator.launched) == {kernel.name for kernel in EVERY}
 
 
 def outcome(code):

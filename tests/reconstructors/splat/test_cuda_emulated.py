@@ -135,6 +135,18 @@ def test_images_are_bit_for_bit_those_of_the_cpu(kind):
         np.testing.assert_allclose(ours.pulled[name], array, rtol=1e-3, atol=1e-5 * size, err_msg=name)
 
 
+@pytest.mark.parametrize("rates", [0.01, torch.linspace(0.001, 0.1, 7)], ids=["one", "each"])
+def test_steps_of_adam_are_bit_for_bit_those_of_the_cpu(rates):
+    rng = np.random.default_rng(6)
+    ids, gradient = torch.arange(0, 40, 3), torch.from_numpy(rng.normal(size=(14, 7)).astype(np.float32))
+    results = []
+    for kernels_of in (emulated("forward", 0).kernels, cpu):
+        results.append([torch.ones(40, 7), torch.zeros(40, 7), torch.zeros(40, 7)])
+        for step in (1, 2, 3):
+            kernels_of.adam(*results[-1], gradient / step, ids, rates, step)
+    assert all(torch.equal(*pair) for pair in zip(*results, strict=True))
+
+
 def test_without_a_derivative_to_come_nothing_is_kept_for_it():
     scene = make(scattered)
     engine = emulated("forward", 0)

@@ -12,15 +12,12 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <type_traits>
-#include <utility>
+
+#include "fibers.h"
 
 #if defined(__SANITIZE_ADDRESS__)
 #include <sanitizer/asan_interface.h>
 #include <sanitizer/common_interface_defs.h>
-#endif
-#if !defined(__x86_64__)
-#include <ucontext.h>
 #endif
 
 struct dim3 {
@@ -31,54 +28,7 @@ static dim3 threadIdx, blockIdx, blockDim, gridDim;
 namespace emulator {
 
 constexpr unsigned kWarpSize = 32;
-constexpr size_t kStack = 1 << 18;
 constexpr unsigned kMostThreads = 1024;  // of a block
-
-// ---- fibers
-
-#if defined(__x86_64__)
-using Context = void*;
-extern "C" void emulator_switch(Context* from, Context to);
-asm(R"(
-.text
-.type emulator_switch, @function
-.local emulator_switch
-emulator_switch:
-    pushq %rbp
-    pushq %rbx
-    pushq %r12
-    pushq %r13
-    pushq %r14
-    pushq %r15
-    movq %rsp, (%rdi)
-    movq %rsi, %rsp
-    popq %r15
-    popq %r14
-    popq %r13
-    popq %r12
-    popq %rbx
-    popq %rbp
-    ret
-)");
-inline void switch_context(Context& from, Context& to) { emulator_switch(&from, to); }
-inline void make_context(Context& context, char* stack, void (*run)()) {
-    void** top = reinterpret_cast<void**>(reinterpret_cast<uintptr_t>(stack + kStack) & ~uintptr_t{15});
-    *--top = nullptr;  // keeps the stack aligned as after a call
-    *--top = reinterpret_cast<void*>(run);
-    for (int saved = 0; saved < 6; ++saved) *--top = nullptr;
-    context = top;
-}
-#else
-using Context = ucontext_t;
-inline void switch_context(Context& from, Context& to) { swapcontext(&from, &to); }
-inline void make_context(Context& context, char* stack, void (*run)()) {
-    getcontext(&context);
-    context.uc_stack.ss_sp = stack;
-    context.uc_stack.ss_size = kStack;
-    context.uc_link = nullptr;
-    makecontext(&context, run, 0);
-}
-#endif
 
 // ---- threads
 
@@ -342,147 +292,4 @@ inline int run(void (*call)(), unsigned blocks, unsigned threads, int order, uin
     return machine.failed ? 1 : 0;
 }
 
-// ---- calls by name
-
-// A letter for each parameter: f, i, l, s for a pointer to float, int, long long and short (or to a struct that begins
-// with one), F, I, L for a float, an int and a long long.
-template <class T>
-constexpr char letter() {
-    if (std::is_pointer_v<T>) {
-        using Plain = std::remove_cv_t<std::remove_pointer_t<T>>;
-        if (std::is_same_v<Plain, int>) return 'i';
-        if (std::is_same_v<Plain, long long>) return 'l';
-        if (std::is_same_v<Plain, float>) return 'f';
-        return alignof(Plain) == 2 ? 's' : 'f';
-    }
-    return std::is_same_v<T, int> ? 'I' : std::is_same_v<T, long long> ? 'L' : std::is_same_v<T, float> ? 'F' : '?';
-}
-
-static void** passed;
-
-template <auto kKernel>
-struct Call;
-template <class... A, void (*kKernel)(A...)>
-struct Call<kKernel> {
-    static void run() { with(std::index_sequence_for<A...>{}); }
-    template <size_t... I>
-    static void with(std::index_sequence<I...>) {
-        kKernel(*static_cast<std::remove_reference_t<A>*>(passed[I])...);
-    }
-    static const char* signature() {
-        static const char letters[] = {letter<A>()..., '\0'};
-        return letters;
-    }
-};
-
-// ---- what the lanes of a warp pass on
-
-template <class T>
-uint64_t packed(T value) {
-    static_assert(sizeof(T) <= 8);
-    uint64_t bits = 0;
-    std::memcpy(&bits, &value, sizeof value);
-    return bits;
-}
-template <class T>
-T unpacked(uint64_t bits) {
-    T value;
-    std::memcpy(&value, &bits, sizeof value);
-    return value;
-}
-template <class T>
-T shuffled(unsigned mask, T value, unsigned source, int line) {
-    return unpacked<T>(together(Together::kShuffle, mask, packed(value), source, line));
-}
-inline unsigned lane() { return machine.running % kWarpSize; }
-
 }  // namespace emulator
-
-#define EMULATED_KERNEL(name)                                                                                  \
-    extern "C" const char* emulated_signature() { return emulator::Call<&name>::signature(); }                 \
-    extern "C" int emulated_run(void** arguments, unsigned blocks, unsigned threads, int order, uint64_t seed, \
-                                char* message, size_t room) {                                                  \
-        emulator::passed = arguments;                                                                          \
-        return emulator::run(emulator::Call<&name>::run, blocks, threads, order, seed, message, room);         \
-    }
-
-// ---- what CUDA gives a kernel
-
-#define __global__
-#define __device__
-#define __host__
-#define __forceinline__ inline
-#define __launch_bounds__(...)
-#if defined(__SANITIZE_ADDRESS__)
-#define __shared__ static
-#else
-#define __shared__ static __attribute__((section("emulated_shared")))
-#endif
-
-inline void __syncthreads(int line = __builtin_LINE()) { emulator::block_barrier(0, line); }
-inline int __syncthreads_count(int yes, int line = __builtin_LINE()) {
-    return static_cast<int>(emulator::block_barrier(yes != 0, line));
-}
-inline int __syncthreads_or(int yes, int line = __builtin_LINE()) {
-    return emulator::block_barrier(yes != 0, line) != 0;
-}
-inline int __syncthreads_and(int yes, int line = __builtin_LINE()) {
-    return emulator::block_barrier(yes != 0, line) == blockDim.x;
-}
-inline void __syncwarp(unsigned mask = 0xffffffffu, int line = __builtin_LINE()) {
-    emulator::together(emulator::Together::kSync, mask, 0, 0, line);
-}
-template <class T>
-T __shfl_sync(unsigned mask, T value, int source, int line = __builtin_LINE()) {
-    return emulator::shuffled(mask, value, static_cast<unsigned>(source) % emulator::kWarpSize, line);
-}
-template <class T>
-T __shfl_up_sync(unsigned mask, T value, unsigned by, int line = __builtin_LINE()) {
-    const unsigned lane = emulator::lane();
-    return emulator::shuffled(mask, value, lane < by ? lane : lane - by, line);
-}
-template <class T>
-T __shfl_down_sync(unsigned mask, T value, unsigned by, int line = __builtin_LINE()) {
-    const unsigned lane = emulator::lane();
-    return emulator::shuffled(mask, value, lane + by < emulator::kWarpSize ? lane + by : lane, line);
-}
-template <class T>
-T __shfl_xor_sync(unsigned mask, T value, int by, int line = __builtin_LINE()) {
-    return emulator::shuffled(mask, value, emulator::lane() ^ static_cast<unsigned>(by), line);
-}
-inline unsigned __ballot_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
-    return static_cast<unsigned>(emulator::together(emulator::Together::kBallot, mask, yes != 0, 0, line));
-}
-inline int __any_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
-    return __ballot_sync(mask, yes, line) != 0;
-}
-inline int __all_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
-    return __ballot_sync(mask, yes, line) == mask;
-}
-inline unsigned __reduce_add_sync(unsigned mask, unsigned value, int line = __builtin_LINE()) {
-    return static_cast<unsigned>(emulator::together(emulator::Together::kAdd, mask, value, 0, line));
-}
-template <class T>
-unsigned __match_any_sync(unsigned mask, T value, int line = __builtin_LINE()) {
-    return static_cast<unsigned>(
-        emulator::together(emulator::Together::kMatch, mask, emulator::packed(value), 0, line));
-}
-// One thread runs at a time.
-template <class T>
-T atomicAdd(T* to, T value) {
-    const T before = *to;
-    *to = before + value;
-    return before;
-}
-
-inline float __fmaf_rn(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
-inline float __fsqrt_rn(float x) { return __builtin_sqrtf(x); }
-inline float ceilf(float x) { return __builtin_ceilf(x); }
-inline float floorf(float x) { return __builtin_floorf(x); }
-inline float fabsf(float x) { return __builtin_fabsf(x); }
-inline int __float_as_int(float x) { return emulator::unpacked<int>(emulator::packed(x)); }
-inline float __int_as_float(int x) { return emulator::unpacked<float>(emulator::packed(x)); }
-inline int __popc(unsigned x) { return __builtin_popcount(x); }
-inline int __ffs(int x) { return __builtin_ffs(x); }
-inline int min(int a, int b) { return a < b ? a : b; }
-inline int max(int a, int b) { return a < b ? b : a; }

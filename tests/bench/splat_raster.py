@@ -1,0 +1,155 @@
+"""Milliseconds of a training step on one picture: python tests/bench/splat_raster.py
+
+Drawing, the derivative of the loss, the derivatives by the Gaussians, the optimizer's step, and all of it, by image
+size, count, threads and instruction set; beside plain torch, and OpenSplat's CPU rasterizer where `--opensplat` names
+the folder of its source (it is compiled there and then; needs a C++ compiler and ninja), or gsplat on a GPU
+(`--device cuda`).
+"""
+
+import argparse
+import gc
+import importlib.util
+import itertools
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from measure import Seconds, limit_threads, setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+PARTS = ("forward", "loss", "backward", "adam")
+MODEL_BYTES = 3 * 4 * (3 + 4 + 3 + 1 + 48)  # of a Gaussian: its numbers, and the optimizer's two moments of each
+BUSY = 3e7  # pixels of tiles times Gaussians in them: beyond, plain torch takes gigabytes
+
+
+def step(contestant: Any, wait: Any) -> list[Seconds]:
+    """Wall and CPU seconds of each part."""
+    parts = []
+    gc.collect()
+    for part in PARTS:
+        wall, cpu = time.perf_counter(), time.process_time()
+        getattr(contestant, part)()
+        wait()
+        parts.append(Seconds(time.perf_counter() - wall, time.process_time() - cpu))
+    return parts
+
+
+def measure(options: dict[str, Any]) -> None:
+    """The child process: prints what it found as JSON."""
+    if options["device"] == "cpu":
+        limit_threads(options["threads"])
+    import torch
+    from splat_contestants import Gsplat, OpenSplat, Ours, PlainTorch, build_opensplat, contributors, make_picture
+
+    width, height = map(int, options["size"].split("x"))
+    picture = make_picture(options["count"], width, height, options["device"])
+    on_gpu = options["device"] != "cpu"
+    contestants: dict[str, Any] = {"pcbench": Ours(picture), "pcbench, geometry": Ours(picture, geometry=True)}
+    for ours in contestants.values():
+        step(ours, lambda: None)
+    compiled = getattr(contestants["pcbench"].rasterizer, "_compiled", None)
+    instances = compiled.instances if compiled else 0
+    if options["peers"]:
+        if instances * 256 < BUSY:
+            contestants["plain torch"] = PlainTorch(picture)
+        if options["opensplat"] and not on_gpu:
+            contestants["OpenSplat"] = OpenSplat(picture, build_opensplat(Path(options["opensplat"])))
+        if on_gpu and importlib.util.find_spec("gsplat"):
+            contestants["gsplat"] = Gsplat(picture)
+    wait = torch.cuda.synchronize if on_gpu else lambda: None
+    samples: dict[str, list[list[Seconds]]] = {name: [] for name in contestants}
+    for run in range(options["runs"] + 1):  # the first is not counted: memory is touched, loops are loaded
+        for name, contestant in contestants.items():
+            if (parts := step(contestant, wait)) and run:
+                samples[name].append(parts)
+    image = contestants["pcbench"].image.clamp(max=1)
+    found = {
+        "drawn": len(contestants["pcbench"].pulled.ids),
+        "instances": instances,
+        "alpha": 1 - float(contestants["pcbench"].transmittance.mean()),
+        "contributors": contributors(picture) if options["first"] else None,
+        "bytes": [contestants[name].rasterizer._compiled.bytes for name in list(contestants)[:2]] if compiled else [],
+        "rows": {
+            name: {
+                # On a GPU the CPU only asks for the work.
+                "parts": [statistics.median(parts[i][0 if on_gpu else 1] for parts in runs) for i in range(len(PARTS))],
+                "cpu": [pick(sum(part.cpu for part in parts) for parts in runs) for pick in (statistics.median, min)],
+                "wall": [pick(sum(part.wall for part in parts) for parts in runs) for pick in (statistics.median, min)],
+                "off": float((contestants[name].image.clamp(max=1) - image).abs().mean()),
+            }
+            for name, runs in samples.items()
+        },
+    }
+    print(json.dumps(found))
+
+
+def run_child(options: dict[str, Any], isa: str) -> dict[str, Any]:
+    # Threads sleep while they wait: what they burn otherwise, on a busy machine, is not work.
+    environment = {**os.environ, "OMP_WAIT_POLICY": "passive", **({"PCBENCH_ISA": isa} if isa else {})}
+    done = subprocess.run(
+        [sys.executable, Path(__file__), "--child", json.dumps(options)],
+        env=environment,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def describe(found: dict[str, Any], size: str, count: int) -> str:
+    held = " and ".join(f"{bytes_ / count:.0f}" for bytes_ in found["bytes"])
+    tiles = f", {found['instances']:,} times in a tile" if found["instances"] else ""
+    memory = f"; bytes a Gaussian: {MODEL_BYTES} of model and moments, {held} of buffers" if held else ""
+    return (
+        f"{size}, {count:,} Gaussians: {found['drawn']:,} drawn{tiles}, {found['contributors']:.0f} at a pixel, "
+        f"alpha {found['alpha']:.2f}{memory}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", default="480x270")
+    parser.add_argument("--counts", default="50000")
+    parser.add_argument("--threads", default="1,2")
+    parser.add_argument("--isas", default="", help="such as baseline,avx2,avx512; default: the widest that there is")
+    parser.add_argument("--runs", type=int, default=9)
+    parser.add_argument("--no-peers", action="store_true", help="pcbench alone")
+    parser.add_argument("--opensplat", metavar="FOLDER", help="the source of OpenSplat")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--child", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        return measure(json.loads(options.child))
+    clock = "CPU" if options.device == "cpu" else "wall"
+    print(f"{setting()}; {options.device}; medians of {options.runs} alternating runs")
+    print(f"milliseconds: {clock} time for parts and ratio; for the whole step CPU and wall time, median and least")
+    head = "".join(f"{name:>9}" for name in (*PARTS, "CPU", "least", "wall", "least", "ratio"))
+    print(f"{'threads':>7} {'loops':10}{'method':18}{head}{'image off':>11}")
+    isas, every_threads = options.isas.split(","), [int(number) for number in options.threads.split(",")]
+    for size, count in itertools.product(options.sizes.split(","), map(int, options.counts.split(","))):
+        for number, (isa, threads) in enumerate(itertools.product(isas, every_threads)):
+            child = {"size": size, "count": count, "threads": threads, "runs": options.runs, "device": options.device}
+            child["first"] = number == 0
+            peers = {"peers": not options.no_peers and isa == isas[0], "opensplat": options.opensplat}
+            found = run_child(child | peers, isa)
+            if number == 0:
+                print("\n" + describe(found, size, count))
+            own = found["rows"]["pcbench"]
+            for name, row in found["rows"].items():
+                times = (*row["parts"], *row["cpu"], *row["wall"])
+                ratio = sum(row["parts"]) / sum(own["parts"])
+                print(
+                    f"{threads:7} {isa or 'widest':10}{name:18}{''.join(f'{1e3 * each:9.1f}' for each in times)}"
+                    f"{ratio:9.1f}{row['off']:11.1e}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

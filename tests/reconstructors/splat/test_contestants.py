@@ -1,0 +1,71 @@
+"""What tests/bench/splat_raster.py times does the same thing by different code."""
+
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from repository import ROOT
+
+torch = pytest.importorskip("torch")
+
+from splat_contestants import Ours, PlainTorch, contributors, make_picture  # noqa: E402
+
+
+@pytest.mark.parametrize(("count", "width", "height"), [(600, 70, 43), (40, 16, 16)])
+def test_a_step_in_plain_torch_has_the_same_picture_and_derivatives(count, width, height):
+    picture = make_picture(count, width, height)
+    ours, plain = Ours(picture), PlainTorch(picture)
+    for contestant in (ours, plain):
+        for part in ("forward", "loss", "backward", "adam"):
+            getattr(contestant, part)()
+    # float32 on both sides; a pixel may be on the other side of 1/255, which moves it by that much.
+    off = (ours.image - plain.image).abs()
+    assert off.mean() < 1e-6 and off.max() < 2 / 255
+    for name, a, b in zip(ours.gradients()._fields, ours.gradients(), plain.gradients(), strict=True):
+        assert (a - b).norm() < 2e-3 * b.norm(), name
+        assert b.any(), name
+
+
+def test_no_step_moves_the_picture():
+    """Each run has to draw what the one before drew."""
+    picture = make_picture(200, 40, 30)
+    for contestant in (Ours(picture), PlainTorch(picture)):
+        images = []
+        for _ in range(2):
+            for part in ("forward", "loss", "backward", "adam"):
+                getattr(contestant, part)()
+            images.append(contestant.image.clone())
+        assert torch.equal(*images)
+
+
+def test_contributors_are_counted_at_each_pixel():
+    """Against each pixel by itself, in numpy, from the projection alone."""
+    from reconstructors.splat.reference import project
+
+    picture = make_picture(300, 48, 32, seed=4)
+    splats = project(picture.parameters.gaussians(), picture.view)
+    xy, inverse, opacities = (array.numpy().astype(float) for array in (splats.xy, splats.inverse, splats.opacities))
+    counts = []
+    for v in range(32):
+        for u in range(48):
+            offset = [u + 0.5, v + 0.5] - xy
+            alpha = np.minimum(opacities * np.exp(-np.einsum("ni,nij,nj->n", offset, inverse, offset) / 2), 0.99)
+            left = np.cumprod(1 - alpha[alpha >= 1 / 255])
+            counts.append((left >= 1e-4).sum())
+    assert contributors(picture) == pytest.approx(np.mean(counts), rel=1e-3)
+
+
+def test_the_bench_prints_a_row_for_each_contestant():
+    command = [sys.executable, ROOT / "tests/bench/splat_raster.py"]
+    options = ["--sizes", "48x32", "--counts", "300", "--threads", "1", "--runs", "1"]
+    printed = subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout
+    assert re.search(
+        r"^48x32, 300 Gaussians: \d+ drawn, [\d,]+ times in a tile, \d+ at a pixel, alpha 0\.\d\d; ", printed, re.M
+    )
+    rows = re.findall(
+        r"^ +1 widest +(pcbench|pcbench, geometry|plain torch) +((?: +\d+\.\d){9}) +(\S+)$", printed, re.M
+    )
+    assert [name for name, *_ in rows] == ["pcbench", "pcbench, geometry", "plain torch"]
+    assert all(float(off) < 1e-6 for *_, off in rows)

@@ -1,0 +1,141 @@
+"""On a GPU: each operation against the CPU's, and bit for bit against the emulation of the same kernels.
+
+test_twins.py runs there, too, against the plain rasterizer. The command for both: python -m pytest -m gpu
+"""
+
+import numpy as np
+import pytest
+from splat_passes import Engine, random_wanted, run_pass
+from splat_scenes import SCENES, huge, make, scattered
+
+from reconstructors.splat.rasterize import rasterize
+from reconstructors.splat.view import View
+
+torch = pytest.importorskip("torch")
+
+pytestmark = pytest.mark.gpu
+
+
+@pytest.fixture(scope="module")
+def gpu():
+    if not torch.cuda.is_available():
+        pytest.skip("torch finds no CUDA device")
+    from reconstructors.splat import cuda
+
+    return Engine(cuda, "cuda")
+
+
+@pytest.fixture(scope="module")
+def emulated():
+    from cuda_emulator import EmulatedCuda
+
+    return Engine(EmulatedCuda(), "cpu")
+
+
+@pytest.fixture(scope="module")
+def cpu():
+    from reconstructors.splat import cpu
+
+    return Engine(cpu, "cpu")
+
+
+def city(count=100_000, width=480, height=270):
+    """As many as a training step has: about 20 in each pixel."""
+    return scattered(np.random.default_rng(11), count, width, height, size=0.012)
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_a_pass_is_bit_for_bit_that_of_the_emulator(gpu, emulated, kind):
+    """Every operation is rounded by IEEE 754, nothing is contracted, and the order of every sum is fixed."""
+    scene = make(kind)
+    wanted = random_wanted(scene)
+    for geometry in (True, False):
+        given = wanted if geometry else wanted._replace(depth=None, normal=None)
+        ours, theirs = (run_pass(engine, scene, given, geometry=geometry) for engine in (gpu, emulated))
+        for name, array in theirs.arrays().items():
+            np.testing.assert_array_equal(ours.arrays()[name], array, err_msg=name)
+
+
+def test_a_large_pass_is_that_of_the_cpu(gpu, cpu):
+    """Images bit for bit; derivatives are sums in another order."""
+    scene = city()
+    wanted = random_wanted(scene)
+    ours, theirs = run_pass(gpu, scene, wanted), run_pass(cpu, scene, wanted)
+    for name, image in theirs.images.items():
+        np.testing.assert_array_equal(ours.images[name], image, err_msg=name)
+    for name, array in theirs.pulled.items():
+        np.testing.assert_allclose(ours.pulled[name], array, rtol=1e-3, atol=1e-4 * np.abs(array).max(), err_msg=name)
+
+
+def test_the_same_bits_again(gpu):
+    scene = city()
+    wanted, used = random_wanted(scene), gpu.kernels.Rasterizer()
+    first = run_pass(gpu, scene, wanted, used).arrays()
+    for _ in range(5):
+        for name, array in run_pass(gpu, scene, wanted, used).arrays().items():
+            np.testing.assert_array_equal(array, first[name], err_msg=name)
+
+
+@pytest.mark.parametrize("height, width", [(1, 1), (37, 50), (270, 480)])
+def test_the_loss_is_that_of_the_cpu_and_of_the_emulator(gpu, cpu, emulated, height, width):
+    rng = np.random.default_rng(4)
+    image, target = (rng.random((height, width, 3), dtype=np.float32) for _ in range(2))
+    ours, theirs, same = (
+        engine.kernels.image_loss(engine.tensor(image), engine.tensor(target), 0.2) for engine in (gpu, cpu, emulated)
+    )
+    assert float(ours.l1) == pytest.approx(float(theirs.l1), rel=1e-6)
+    assert float(ours.ssim) == pytest.approx(float(theirs.ssim), abs=1e-5)
+    size = float(theirs.gradient.abs().max())
+    torch.testing.assert_close(ours.gradient.cpu(), theirs.gradient, rtol=0, atol=1e-4 * size)
+    assert torch.equal(ours.gradient.cpu(), same.gradient)
+
+
+@pytest.mark.parametrize("rates", [0.01, torch.linspace(0.001, 0.1, 48)], ids=["one", "each"])
+def test_adam_is_that_of_the_cpu(gpu, cpu, rates):
+    """Bit for bit. Rates that are on the host are brought to the device."""
+    rng = np.random.default_rng(6)
+    ids, gradient = np.flatnonzero(rng.random(5000) < 0.5), rng.normal(size=(5000, 48)).astype(np.float32)
+    results = []
+    for engine in (gpu, cpu):
+        tensors = [engine.tensor(np.full((5000, 48), value, np.float32)) for value in (1, 0, 0)]
+        for step in (1, 2, 3):
+            engine.kernels.adam(*tensors, engine.tensor(gradient[ids] / step), engine.tensor(ids), rates, step)
+        results.append([tensor.cpu() for tensor in tensors])
+    for ours, theirs in zip(*results, strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_the_morton_order_is_that_of_the_emulator(gpu, emulated):
+    points = np.random.default_rng(7).normal(size=(10_000, 3)).astype(np.float32)
+    orders = [engine.kernels.morton_order(engine.tensor(points)).cpu() for engine in (gpu, emulated)]
+    assert torch.equal(*orders)
+
+
+def test_kernels_run_on_the_current_stream(gpu):
+    """Behind what was queued there: on another one they would read the scales before they are set."""
+    scene = make(huge)
+    view = View.of(scene.camera)
+    means, quats, scales, opacities, sh, background = (gpu.tensor(array) for array in (*scene.arrays, scene.background))
+    expected = gpu.kernels.Rasterizer().forward(means, quats, scales, opacities, sh, view, background, geometry=True)
+    torch.cuda.synchronize()
+    with torch.cuda.stream(torch.cuda.Stream()):
+        late = torch.zeros_like(scales)
+        torch.cuda._sleep(200_000_000)  # about a tenth of a second
+        late.copy_(scales)
+        drawn = gpu.kernels.Rasterizer().forward(means, quats, late, opacities, sh, view, background, geometry=True)
+    torch.cuda.synchronize()
+    for ours, theirs in zip(drawn, expected, strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_the_derivative_reaches_a_leaf_through_autograd(gpu):
+    """Whose backward pass torch runs on a thread of its own."""
+    scene = make(scattered)
+    results = []
+    for device in ("cuda", "cpu"):
+        given = [torch.from_numpy(array).to(device).requires_grad_() for array in scene.arrays]
+        rendering = rasterize(*given, scene.camera)
+        (rendering.color.square().sum() + rendering.depth.sum()).backward()
+        results.append([tensor.grad.cpu() for tensor in given])
+    for ours, theirs in zip(*results, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-5 * float(theirs.abs().max()))

@@ -1,0 +1,403 @@
+"""Training steps on one picture that do the same by different code: ours, plain torch, OpenSplat's and gsplat's.
+
+Each holds the parameters that trainers do (logarithms of scales, logits of opacities) and has four parts that are
+called in turn: `forward` draws, `loss` takes the derivative of 0.8 L1 + 0.2 (1 - SSIM) by the picture, `backward` those
+by the parameters, `adam` is the step of the optimizer. The learning rates are zero, so that every run draws the same.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from reconstructors.splat.devices import kernels_of
+from reconstructors.splat.reference import Gaussians, Projection, project
+from reconstructors.splat.view import View
+
+SSIM_WEIGHT = 0.2
+TILE = 16  # pixels, of plain torch
+PAIRS_AT_ONCE = 4_000_000  # of a pixel and a Gaussian
+
+
+class Parameters(NamedTuple):
+    """Of N Gaussians: (N, 3), (N, 4), (N, 3) logarithms, (N,) logits, (N, 16, 3)."""
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    logits: Tensor
+    sh: Tensor
+
+    def gaussians(self) -> Gaussians:
+        return Gaussians(self.means, self.quats, self.log_scales.exp(), self.logits.sigmoid(), self.sh)
+
+
+class Picture(NamedTuple):
+    """What is drawn, from where, and what it should look like (H, W, 3)."""
+
+    parameters: Parameters
+    view: View
+    target: Tensor
+
+    def leaves(self) -> Parameters:
+        return Parameters(*(tensor.clone().requires_grad_() for tensor in self.parameters))
+
+
+def make_picture(count: int, width: int, height: int, device: str = "cpu", seed: int = 0) -> Picture:
+    """Gaussians before a camera, over nearly twice the picture's area: 54 % of the means are inside it. Their sizes go
+    with the area that there is for each, so that as many lie behind a pixel at any count; most are faint.
+    """
+    rng = np.random.default_rng(seed)
+    focal = 0.9 * width
+    camera = Camera(
+        "view", Intrinsics(width, height, focal, focal, width / 2, height / 2), look_at((0, -4, 0), (0, 0, 0))
+    )
+    size = np.array([width, height])
+    pixels = (rng.uniform(-0.5, 0.5, (count, 2)) / np.sqrt(0.54) + 0.5) * size
+    depth = rng.uniform(2, 8, (count, 1))
+    means = camera.cam_from_world.inverse().apply(np.hstack([(pixels - size / 2) / focal * depth, depth]))
+    deviation = 1.76 * np.sqrt(width * height / count)  # pixels
+    scales = deviation * depth / focal * np.exp(rng.normal(0, 0.5, (count, 3)))
+    opacities = rng.beta(1, 6, count) * 0.9 + 0.01
+    quats, sh = rng.normal(size=(count, 4)), rng.normal(size=(count, 16, 3)) * 0.1
+    arrays = means, quats, np.log(scales), np.log(opacities / (1 - opacities)), sh
+    *parameters, target = (
+        torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).to(device)
+        for array in (*arrays, rng.random((height, width, 3)))
+    )
+    return Picture(Parameters(*parameters), View.of(camera), target)
+
+
+class Contestant(Protocol):
+    """`image` (H, W, 3) is there after `forward`, `gradients` by all parameters after `backward`."""
+
+    image: Tensor
+
+    def forward(self) -> None: ...
+    def loss(self) -> None: ...
+    def backward(self) -> None: ...
+    def adam(self) -> None: ...
+    def gradients(self) -> Parameters: ...
+
+
+class Ours:
+    """The rasterizer of this package, with what density control asks for; with depth and normals or without."""
+
+    def __init__(self, picture: Picture, *, geometry: bool = False) -> None:
+        self._picture, self._geometry = picture, geometry
+        self._kernels = kernels_of(picture.target.device)
+        self.rasterizer = self._kernels.Rasterizer()
+        self._background = torch.zeros(3, device=picture.target.device)
+        self._rows = [tensor.clone().reshape(len(tensor), -1) for tensor in picture.parameters]
+        self._moments = [(torch.zeros_like(rows), torch.zeros_like(rows)) for rows in self._rows]
+        pixels = picture.target.shape[0] * picture.target.shape[1]
+        self._by_depth = torch.full_like(picture.target[..., 0], 1 / pixels) if geometry else None
+        self._by_normal = torch.full_like(picture.target, 1 / pixels) if geometry else None
+        self._step = 0
+
+    def forward(self) -> None:
+        self._seen = self._picture.parameters.gaussians()
+        drawn = self.rasterizer.forward(*self._seen, self._picture.view, self._background, geometry=self._geometry)
+        self.image, self.transmittance = drawn.color, drawn.transmittance
+
+    def loss(self) -> None:
+        self._by_image = self._kernels.image_loss(self.image, self._picture.target, SSIM_WEIGHT).gradient
+
+    def backward(self) -> None:
+        self.pulled = self.rasterizer.backward(self._by_image, None, self._by_depth, self._by_normal, None)
+        ids, opacities = self.pulled.ids, self._seen.opacities[self.pulled.ids]
+        by_logits = self.pulled.opacities * opacities * (1 - opacities)
+        by_log_scales = self.pulled.scales * self._seen.scales[ids]
+        self._by = Parameters(self.pulled.means, self.pulled.quats, by_log_scales, by_logits, self.pulled.sh)
+
+    def adam(self) -> None:
+        self._step += 1
+        for rows, moments, by in zip(self._rows, self._moments, self._by, strict=True):
+            self._kernels.adam(rows, *moments, by.reshape(len(by), -1), self.pulled.ids, 0.0, self._step)
+
+    def gradients(self) -> Parameters:
+        full = [torch.zeros_like(tensor) for tensor in self._picture.parameters]
+        for tensor, rows in zip(full, self._by, strict=True):
+            tensor[self.pulled.ids] = rows
+        return Parameters(*full)
+
+
+class ByAutograd:
+    """The parts of a step for what torch differentiates: `draw` and `difference` are left to the contestant."""
+
+    def __init__(self, picture: Picture) -> None:
+        self._picture = picture
+        self._leaves = picture.leaves()
+        self._optimizer = torch.optim.Adam(self._leaves, lr=0.0, eps=1e-15, fused=True)
+
+    def draw(self) -> Tensor:
+        raise NotImplementedError
+
+    def difference(self, image: Tensor) -> Tensor:
+        return plain_loss(image, self._picture.target, self._window)
+
+    @cached_property
+    def _window(self) -> Tensor:
+        ramp = torch.arange(11, dtype=torch.float32, device=self._picture.target.device) - 5
+        bell = torch.exp(-(ramp**2) / (2 * 1.5**2))
+        return bell / bell.sum()
+
+    def forward(self) -> None:
+        self._drawn = self.draw()
+        self.image = self._drawn.detach()
+
+    def loss(self) -> None:
+        shown = self._drawn.detach().requires_grad_()
+        self.difference(shown).backward()
+        self._by_image = shown.grad
+
+    def backward(self) -> None:
+        self._optimizer.zero_grad(set_to_none=True)
+        self._drawn.backward(self._by_image)
+
+    def adam(self) -> None:
+        self._optimizer.step()
+
+    def gradients(self) -> Parameters:
+        return Parameters(*(leaf.grad for leaf in self._leaves))
+
+
+class PlainTorch(ByAutograd):
+    """float32 tensors of all pixels of a tile and all Gaussians in it; no compiled code but torch's own."""
+
+    def draw(self) -> Tensor:
+        return draw_in_tiles(project(self._leaves.gaussians(), self._picture.view), self._picture.view)
+
+
+def plain_loss(image: Tensor, target: Tensor, window: Tensor) -> Tensor:
+    """As `reference.image_loss`, but in float32 and all channels at once, which torch is much faster at."""
+    x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
+    stack = torch.cat([x, y, x * x, y * y, x * y])
+    windows = torch.outer(window, window).expand(len(stack), 1, 11, 11).contiguous()
+    smooth = torch.nn.functional.conv2d(stack[None], windows, padding=5, groups=len(stack))[0]
+    mean_x, mean_y, xx, yy, xy = smooth.split(3)
+    xx, yy, xy = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
+    likeness = (2 * mean_x * mean_y + 0.01**2) * (2 * xy + 0.03**2)
+    ssim = (likeness / ((mean_x**2 + mean_y**2 + 0.01**2) * (xx + yy + 0.03**2))).mean()
+    return (1 - SSIM_WEIGHT) * (x - y).abs().mean() + SSIM_WEIGHT * (1 - ssim)
+
+
+class Lists(NamedTuple):
+    """Which splats each tile has, nearest first.
+
+    Attributes:
+        splats: (I,) of one tile after another.
+        sizes: (T,) how many of them each tile has.
+        across: tiles in a row.
+    """
+
+    splats: Tensor
+    sizes: Tensor
+    across: int
+
+
+@torch.no_grad()
+def list_by_tile(splats: Projection, view: View) -> Lists:
+    device = splats.xy.device
+    grid = torch.tensor([-(-view.width // TILE), -(-view.height // TILE)], device=device)
+    spread = torch.linalg.inv(splats.inverse).diagonal(dim1=1, dim2=2)
+    reach = torch.sqrt(2 * torch.log(255 * splats.opacities)[:, None] * spread)
+    first = ((splats.xy - reach) / TILE).floor().long().clamp(min=0)
+    last = torch.minimum(((splats.xy + reach) / TILE).floor().long(), grid - 1)
+    extent = (last - first + 1).clamp(min=0)
+    count = extent.prod(dim=1)
+    owner = torch.repeat_interleave(count)
+    rank = torch.arange(len(owner), device=device) - (count.cumsum(0) - count)[owner]
+    column, row = rank % extent[owner, 0], rank.div(extent[owner, 0], rounding_mode="floor")
+    tile = (first[owner, 1] + row) * grid[0] + first[owner, 0] + column
+    order = torch.argsort(tile, stable=True)
+    return Lists(owner[order], torch.bincount(tile, minlength=int(grid.prod())), int(grid[0]))
+
+
+class Blend(NamedTuple):
+    """Of some tiles with up to K splats: tiles (t,), splats (t, K), weights (t, K, 256), transmittance (t, 256)."""
+
+    tiles: Tensor
+    splats: Tensor
+    weights: Tensor
+    through: Tensor
+
+
+def blend_tiles(splats: Projection, lists: Lists, tiles: Tensor) -> Iterator[Blend]:
+    """Tiles of like sizes together, as many as fit; thresholds as in the reference."""
+    tiles = tiles[torch.argsort(lists.sizes[tiles], descending=True)]
+    starts = lists.sizes.cumsum(0) - lists.sizes
+    inside = torch.arange(TILE * TILE, device=tiles.device)
+    begin = 0
+    while begin < len(tiles):
+        deep = max(1, int(lists.sizes[tiles[begin]]))
+        some = tiles[begin : begin + max(1, PAIRS_AT_ONCE // (deep * TILE * TILE))]
+        begin += len(some)
+        rank = torch.arange(deep, device=tiles.device)
+        there = rank < lists.sizes[some][:, None]
+        chosen = lists.splats[torch.where(there, starts[some][:, None] + rank, 0)]
+        u = (some % lists.across * TILE)[:, None] + inside % TILE + 0.5
+        v = (some // lists.across * TILE)[:, None] + inside // TILE + 0.5
+        x, y = (u[:, None] - splats.xy[:, 0][chosen][..., None]), (v[:, None] - splats.xy[:, 1][chosen][..., None])
+        a, b, c = (splats.inverse[:, i, j][chosen][..., None] for i, j in ((0, 0), (0, 1), (1, 1)))
+        power = x * (a * x + 2 * b * y) + c * (y * y)
+        alpha = splats.opacities[chosen][..., None] * torch.exp(-power / 2)
+        alpha = torch.where((alpha >= 1 / 255) & there[..., None], alpha.clamp(max=0.99), 0)
+        logarithm = torch.log1p(-alpha)
+        behind = logarithm.cumsum(dim=1)
+        passed = behind.detach() >= float(np.log(1e-4))
+        weights = torch.where(passed, alpha, 0) * torch.exp(behind - logarithm)
+        yield Blend(some, chosen, weights, torch.exp(torch.where(passed, logarithm, 0).sum(dim=1)))
+
+
+def draw_in_tiles(splats: Projection, view: View) -> Tensor:
+    """(H, W, 3) before black."""
+    lists = list_by_tile(splats, view)
+    tiles, colors = [], []
+    for some in blend_tiles(splats, lists, torch.arange(len(lists.sizes), device=splats.xy.device)):
+        tiles.append(some.tiles)
+        colors.append(some.weights.mT @ splats.color[some.splats])
+    in_order = torch.cat(colors)[torch.argsort(torch.cat(tiles))]
+    down = len(lists.sizes) // lists.across
+    whole = in_order.reshape(down, lists.across, TILE, TILE, 3).transpose(1, 2).reshape(down * TILE, -1, 3)
+    return whole[: view.height, : view.width]
+
+
+@torch.no_grad()
+def contributors(picture: Picture, most_pairs: int = 30_000_000) -> float:
+    """How many Gaussians are blended at a pixel, on average over whole tiles; over some of them if there are many."""
+    splats = project(picture.parameters.gaussians(), picture.view)
+    lists = list_by_tile(splats, picture.view)
+    full = torch.arange(len(lists.sizes), device=splats.xy.device)
+    inside = (full % lists.across + 1) * TILE <= picture.view.width
+    inside &= (full // lists.across + 1) * TILE <= picture.view.height
+    every = 1 + len(lists.splats) * TILE * TILE // most_pairs
+    counts = [
+        (some.weights > 0).sum(dim=1).float().flatten() for some in blend_tiles(splats, lists, full[inside][::every])
+    ]
+    return float(torch.cat(counts).mean())
+
+
+def build_opensplat(source: Path) -> ModuleType:
+    """OpenSplat's CPU rasterizer from its source folder, compiled as its CMakeLists.txt has it (Release)."""
+    from torch.utils.cpp_extension import load
+
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # where pip puts ninja
+    return load(
+        "pcbench_opensplat",
+        [str(Path(__file__).parent / "bench" / "opensplat.cpp"), str(source / "rasterizer/gsplat-cpu/gsplat_cpu.cpp")],
+        extra_cflags=["-O3", "-DNDEBUG", "-w"],
+        extra_include_paths=[str(source)],
+    )
+
+
+class OpenSplat(ByAutograd):
+    """A step of OpenSplat on the CPU while it adds Gaussians: its projection and harmonics (torch tensors in C++, by
+    autograd), its rasterizer and its loss (compiled loops), Adam of torch on all but the higher harmonics, which it
+    updates at one step of sixteen only.
+    """
+
+    def __init__(self, picture: Picture, module: ModuleType) -> None:
+        super().__init__(picture)
+        self._module = module
+        self._base = self._leaves.sh.detach()[:, 0].clone().requires_grad_()
+        self._higher = self._leaves.sh.detach()[:, 1:].clone().requires_grad_()
+        updated = [*self._leaves[:4], self._base]
+        updated[3] = self._leaves.logits.detach()[:, None].clone().requires_grad_()
+        self._leaves = Parameters(*updated)
+        self._optimizer = torch.optim.Adam(updated, lr=0.0, eps=1e-15)
+        view = picture.view
+        self._camera = torch.eye(4)
+        self._camera[:3, :3] = torch.from_numpy(view.rotation)
+        self._camera[:3, 3] = torch.from_numpy(-view.rotation @ view.position)
+        near, far = 0.001, 1000.0
+        self._clip = torch.tensor(
+            [
+                [2 * view.fx / view.width, 0, 0, 0],
+                [0, 2 * view.fy / view.height, 0, 0],
+                [0, 0, (far + near) / (far - near), -far * near / (far - near)],
+                [0, 0, 1, 0],
+            ]
+        )
+
+    def draw(self) -> Tensor:
+        view, leaves = self._picture.view, self._leaves
+        xy, _, conics, covariances, depths = self._module.project(
+            leaves.means,
+            leaves.log_scales.exp(),
+            leaves.quats / leaves.quats.norm(dim=1, keepdim=True),
+            self._camera,
+            self._clip @ self._camera,
+            *(view.fx, view.fy, view.cx, view.cy, view.height, view.width),
+        )
+        xy.retain_grad()
+        directions = leaves.means.detach() - torch.from_numpy(view.position).float()
+        directions = directions / directions.norm(dim=1, keepdim=True)
+        sh = torch.cat([self._base[:, None], self._higher], dim=1)
+        colors = torch.clamp_min(self._module.harmonics(directions, sh) + 0.5, 0.0)
+        splats = xy, conics, colors, leaves.logits.sigmoid(), covariances, depths
+        image = _OpenSplatBlend.apply(self._module, view.width, view.height, *splats)
+        return torch.clamp_max(image, 1.0)
+
+    def difference(self, image: Tensor) -> Tensor:
+        return _OpenSplatLoss.apply(self._module, image, self._picture.target)
+
+    def gradients(self) -> Parameters:
+        means, quats, log_scales, logits, base = (leaf.grad for leaf in self._leaves)
+        return Parameters(means, quats, log_scales, logits[:, 0], torch.cat([base[:, None], self._higher.grad], dim=1))
+
+
+class _OpenSplatBlend(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, module, width, height, *splats):
+        image, through, ctx.lists = module.blend(width, height, *splats)
+        ctx.module, ctx.size = module, (width, height)
+        ctx.save_for_backward(*splats, through)
+        return image
+
+    @staticmethod
+    def backward(ctx, by_image):
+        *splats, through = ctx.saved_tensors
+        by = ctx.module.blend_backward(*ctx.size, *splats, through, ctx.lists, by_image.contiguous())
+        ctx.lists = None
+        return None, None, None, *by, None, None
+
+
+class _OpenSplatLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, module, image, target):
+        stats, partials = module.loss(image, target, SSIM_WEIGHT)
+        ctx.module = module
+        ctx.save_for_backward(image, target, partials, stats)
+        return stats[0]
+
+    @staticmethod
+    def backward(ctx, by_loss):
+        return None, ctx.module.loss_backward(*ctx.saved_tensors, by_loss.contiguous(), SSIM_WEIGHT), None
+
+
+class Gsplat(ByAutograd):
+    """gsplat's rasterizer on a GPU, with the loss and the optimizer of torch."""
+
+    def draw(self) -> Tensor:
+        from gsplat import rasterization
+
+        view, (means, quats, scales, opacities, sh) = self._picture.view, self._leaves.gaussians()
+        camera = torch.eye(4, device=means.device)
+        camera[:3, :3] = torch.as_tensor(view.rotation)
+        camera[:3, 3] = torch.as_tensor(-view.rotation @ view.position)
+        k = torch.tensor([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]], device=means.device)
+        images, _, _ = rasterization(
+            *(means, quats, scales, opacities, sh, camera[None], k[None], view.width, view.height),
+            sh_degree=3,
+            packed=False,
+        )
+        return images[0]
