@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
 from reconstructors.mvs.sources import Reference, choose_references
@@ -108,11 +109,12 @@ def overlap(gaussians: Gaussians, depths: Depths, most: int) -> Overlap:
     """For each image at most `most` others that see the same at good angles, by Gaussians that lie on their surfaces.
 
     Raises:
-        ReconstructionError: no two images show the same.
+        ReconstructionError: no image shows anything, or no two show the same.
     """
     from scipy.sparse import csc_matrix
 
-    opaque = (gaussians.opacities.detach() >= _OPAQUE).cpu().numpy().nonzero()[0]
+    opacities = gaussians.opacities.detach().cpu().numpy()
+    opaque = np.flatnonzero(opacities >= min(_OPAQUE, opacities.max(initial=0)))
     chosen = opaque[:: max(1, len(opaque) // _SAMPLES)]
     points = gaussians.means.detach().cpu().numpy()[chosen].astype(np.float64)
     shown, footprints = [], []
@@ -121,6 +123,11 @@ def overlap(gaussians: Gaussians, depths: Depths, most: int) -> Overlap:
         if made.known.any():
             footprints.append(float(np.median(made.depth[made.known])) / camera.intrinsics.fx)
         shown.append(_on_surface(camera, made, points))
+    if not footprints:
+        raise ReconstructionError(
+            "no surface: the Gaussians hide half of the background in no image: train for longer, and check that the"
+            " cameras are those of the model"
+        )
     shows = csc_matrix(np.array(shown, dtype=np.int8).T.reshape(len(points), len(shown)))
     references, _ = choose_references(Sparse(depths.cameras, points, shows), most)
     return Overlap(references, float(np.median(footprints)))

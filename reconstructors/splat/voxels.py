@@ -15,7 +15,6 @@ _AXIS_BITS = 21  # of the number of a cell along each axis
 _HALF = 1 << (_AXIS_BITS - 1)
 _PENDING = 1 << 20  # points that wait to be added at least
 _LEVELS = 5  # grids, each twice as coarse as the one before
-_ALONE = 1  # pixel in a coarse cell is none: where little is known, more than one has to say it
 
 
 class Points(NamedTuple):
@@ -47,16 +46,14 @@ class _Grid:
 
     Attributes:
         keys: (N,) numbers of the cells with points, rising.
-        counts: (N,) of the points.
     """
 
     def __init__(self, side: float) -> None:
         self.side = side
         self.keys: IntArray = np.empty(0, np.int64)
-        self.counts: IntArray = np.empty(0, np.int64)
         self._sums: FloatArray = np.empty((0, 11))
         self._views: IntArray = np.empty(0, np.int64)
-        self._pending: list[tuple[IntArray, IntArray, FloatArray, IntArray]] = []
+        self._pending: list[tuple[IntArray, FloatArray, IntArray]] = []
 
     def numbers(self, points: FloatArray) -> tuple[IntArray, NDArray[np.bool_]]:
         """The numbers (M,) of the cells of those points (N, 3) that are near enough, and which (N,) are."""
@@ -70,17 +67,16 @@ class _Grid:
         keys, near = self.numbers(given.points)
         values = [np.ones(len(weights)), given.points, given.normals, given.colors, given.confidence]
         rows = (weights[:, None] * np.column_stack(values))[near]
-        self._pending.append((keys, np.ones(len(keys), np.int64), rows, given.views[near]))
+        self._pending.append((keys, rows, given.views[near]))
         if sum(len(keys) for keys, *_ in self._pending) > max(_PENDING, len(self.keys)):
             self.settle()
 
     def settle(self) -> None:
         """Add what waits to the sums."""
-        parts = [(self.keys, self.counts, self._sums, self._views), *self._pending]
-        keys, counts, rows, views = (np.concatenate(part) for part in zip(*parts, strict=True))
+        parts = [(self.keys, self._sums, self._views), *self._pending]
+        keys, rows, views = (np.concatenate(part) for part in zip(*parts, strict=True))
         self._pending = []
         self.keys, cell = np.unique(keys, return_inverse=True)
-        self.counts = np.bincount(cell, counts, len(self.keys)).astype(np.int64)
         sums = [np.bincount(cell, column, len(self.keys)) for column in rows.T]
         self._sums = np.stack(sums, axis=1)
         self._views = np.zeros(len(self.keys), dtype=np.int64)
@@ -95,7 +91,7 @@ class _Grid:
 class Voxels:
     """A fusion of points that are not all equally sure: each goes into the grid whose cells are as large as its
     uncertainty, from `side` over twice that to 16 times. A coarse cell counts only where there is no point of a finer
-    one in it, and if more than one pixel fell into it.
+    one in it.
 
     So there are as many points as there is to say: many where the surface is known well, few where it is hardly known,
     and these are not left out. Memory grows with the surface, and not with the number of points that show it.
@@ -120,7 +116,7 @@ class Voxels:
             free = np.ones(len(grid.keys), dtype=np.bool_)
             if kept:
                 finer = np.concatenate([grid.numbers(part.points)[0] for part in kept])
-                free = (grid.counts > _ALONE) & ~np.isin(grid.keys, finer)
+                free = ~np.isin(grid.keys, finer)
             kept.append(grid.means(free))
         return joined(kept)
 
