@@ -51,7 +51,8 @@ WORLD = LocalFrame(np.zeros(3), 1.0)
 
 def test_a_plane_of_flat_gaussians_is_that_plane():
     """Half a pixel is 0.3 footprints of height at this tilt. What is left is of the 0.3 square pixels that widen
-    what is drawn: they flatten its slope in depth, 0.7, by 0.3 over the square of 12 pixels: times an offset of up to 36."""
+    what is drawn: they flatten its slope in depth, 0.7, by 0.3 over the square of 12 pixels, at up to 36 pixels from a
+    mean."""
     cloud = surface(plane(), WORLD, around())
     heights = cloud.points[:, 2] / FOOTPRINT
     assert len(cloud) > 1000
