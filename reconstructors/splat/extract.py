@@ -22,20 +22,19 @@ from pcbench.geometry.splats import check_limits, spread
 from pcbench.plugins.progress import counted
 from reconstructors.mvs.filter import Criteria, confirmed, world_points
 from reconstructors.mvs.sources import Reference
-from reconstructors.splat.depths import Depths, Overlap, overlap
+from reconstructors.splat.depths import Depths, overlap
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame
 from reconstructors.splat.rotations import rotated
 from reconstructors.splat.voxels import Points, Voxels, joined
 
 _CONFIRMING = 12  # images whose maps may confirm a depth
 _BLOCK = 1 << 16  # pixels at a time
-_FALL = 3
+# With so many images that agree, or all that might, a depth is as sure as its pixel. The fewer, the more often they
+# agree by chance on what is not there: errors on cities grow as about this power of the ratio.
+_SURE, _POWER = 6, 3
 _NEIGHBOURS = 30  # that a normal is of
 # Uncertain depths are taken too: they count where there are no others.
 AGREEMENT = Criteria(confidence=0.0, views=3, pixels=1.5, depth=0.01, normal_deg=60.0)
-_SURE = (
-    6  # images that agree, from which on a depth is as sure as its pixel; fewer by chance agree on what is not there
-)
 
 
 def means(
@@ -91,8 +90,8 @@ def surface(
 
     Each camera's depths are drawn; those that enough others confirm become points: at the median of the depths that
     agree, in float64. Their uncertainty is the footprint of the pixel and how far the mean depth along the ray is from
-    the median, together, and more where fewer than six images agree. The points of all cameras are averaged in voxels
-    of that size, by its inverse square.
+    the median, together, and more where fewer than six images agree (fewer than all, where there are not six). The
+    points of all cameras are averaged in voxels of that size, by its inverse square.
 
     Args:
         cameras: pinholes in the world by image name.
@@ -109,7 +108,7 @@ def surface(
         raise InputError(f"expected a positive edge of a voxel, got {voxel}")
     depths = Depths(gaussians, frame, cameras, _CONFIRMING)
     found = overlap(gaussians, depths, _CONFIRMING)
-    voxels = Voxels(_side(found, frame, voxel))
+    voxels = Voxels(found.footprint if voxel is None else voxel / frame.unit)
     kept = 0
     for reference in counted(found.references, "surface"):
         points, uncertainty = _confirmed_points(depths, reference, criteria)
@@ -142,10 +141,6 @@ def _smooth_normals(points: Points) -> FloatArray:
     return turned
 
 
-def _side(found: Overlap, frame: LocalFrame, voxel: float | None) -> float:
-    return found.footprint if voxel is None else voxel / frame.unit
-
-
 def _confirmed_points(depths: Depths, reference: Reference, criteria: Criteria) -> tuple[Points, FloatArray]:
     """What a camera sees and enough others confirm, in the local frame, and how uncertain (N,) it is."""
     camera, seen = depths.cameras[reference.name], depths.of(reference.name)
@@ -166,7 +161,7 @@ def _confirmed_points(depths: Depths, reference: Reference, criteria: Criteria) 
         at = (at[0][enough], at[1][enough])
         pixels = np.stack([at[1] + 0.5, at[0] + 0.5], axis=1)
         footprint = made.depth[at].astype(np.float64) / camera.intrinsics.fx
-        unsure.append(_uncertainty(footprint, seen.apart[at].astype(np.float64), views[enough]))
+        unsure.append(_uncertainty(footprint, seen.apart[at].astype(np.float64), views[enough], len(along)))
         parts.append(
             Points(
                 world_points(camera, pixels, _medians(along[:, enough])),
@@ -179,11 +174,12 @@ def _confirmed_points(depths: Depths, reference: Reference, criteria: Criteria) 
     return joined(parts), np.concatenate(unsure) if unsure else np.empty(0)
 
 
-def _uncertainty(footprint: FloatArray, apart: FloatArray, views: IntArray) -> FloatArray:
-    """Of depths (N,), a length: grows as the cube of the number of images that are missing for them to be sure, as the
-    errors do that were measured on cities.
+def _uncertainty(footprint: FloatArray, apart: FloatArray, views: IntArray, most: int) -> FloatArray:
+    """Of depths (N,), a length, by the pixels' footprints, by how far mean and median depth are apart, and by how many
+    images agree of those that might.
     """
-    uncertainty: FloatArray = np.hypot(footprint, apart) * np.maximum(1, _SURE / views) ** _FALL
+    missing = np.maximum(1, min(_SURE, most) / views)
+    uncertainty: FloatArray = np.hypot(footprint, apart) * missing**_POWER
     return uncertainty
 
 

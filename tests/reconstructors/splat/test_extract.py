@@ -120,6 +120,11 @@ def test_the_voxel_sets_the_spacing():
         surface(plane(), WORLD, around(), voxel=0.0)
 
 
+def test_what_all_of_few_cameras_see_is_sure():
+    """Three that agree are few of six, and all of three."""
+    assert len(surface(plane(), WORLD, around(3))) > 0.7 * len(surface(plane(), WORLD, around(6)))
+
+
 def test_no_surface_is_an_error_that_says_so():
     cameras = around()
     with pytest.raises(InputError, match="expected at least 3 cameras, which have to agree, got 2"):
