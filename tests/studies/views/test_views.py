@@ -174,7 +174,7 @@ def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
     assert share((150, 150, 150)) / panel == pytest.approx(18 * 20 / (48 * 64), rel=0.1)
 
 
-def test_views_are_made_where_there_are_none(tmp_path, monkeypatch):
+def test_views_are_made_where_there_are_none(tmp_path):
     plugin = tmp_path / "painter.py"
     plugin.write_text(PAINTER)
     scenes = [ten_pictures(tmp_path / name) for name in ("one", "two")]
