@@ -5,6 +5,7 @@ The header is read by `ply_header`, the elements by `ply_body`; here it is said 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.ply_body import Columns, read_elements
-from pcbench.io.ply_header import TYPE_NAMES, XYZ, check_faces, check_vertices, read_header
+from pcbench.io.ply_header import TYPE_NAMES, XYZ, Header, check_faces, check_vertices, read_header
 from pcbench.io.polygons import fans
 
+ABOUT = "coordinates about"  # of a comment: a place in the world that all coordinates are taken about
 _NORMALS = ("nx", "ny", "nz")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 
@@ -29,7 +32,8 @@ def read_ply(path: Path, warn: Warn) -> Fields:
     Coordinates become float64 (an ascii file keeps the digits it has, whatever type it declares). Attributes keep their
     type and, where the byte order is native, are strided views into the bytes read. List properties and other elements
     are checked for their size and left out. Normals that are all zero, as in Gaussian splats, count as none. Lines
-    `comment crs EPSG:32617` and `comment unit m` give the cloud's crs and unit.
+    `comment crs EPSG:32617` and `comment unit m` give the cloud's crs and unit, and `comment coordinates about X Y Z`
+    a place that is added to all points: floats have too few digits for projected coordinates.
 
     Raises:
         InputError: the file is not a complete PLY file with at least one vertex.
@@ -40,7 +44,7 @@ def read_ply(path: Path, warn: Warn) -> Fields:
         header = read_header(file)
         check_vertices(header)
         columns = read_elements(file, header, scalars=("vertex",))["vertex"].columns
-        points = _stacked(columns, XYZ, np.float64)
+        points = _points(columns, header)
         normals = _stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
         colors = None
         for names in _COLORS:
@@ -80,10 +84,23 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
         check_vertices(header)
         check_faces(header)
         tables = read_elements(file, header, scalars=("vertex",), polygons=("face",))
-        points = _stacked(tables["vertex"].columns, XYZ, np.float64)
+        points = _points(tables["vertex"].columns, header)
     polygons = tables["face"].polygons
     assert polygons is not None  # check_faces
     return Mesh(points, fans(*polygons, warn), crs=header.tagged("crs"), unit=header.tagged("unit"))
+
+
+def _points(columns: Columns, header: Header) -> FloatArray:
+    """The coordinates, taken out of the columns, in the frame that the header tells."""
+    points = _stacked(columns, XYZ, np.float64)
+    words = (header.tagged(ABOUT) or "").split()
+    try:
+        origin = np.array([float(word) for word in words])
+    except ValueError:
+        return points
+    if origin.shape == (3,) and np.isfinite(origin).all():
+        points += origin
+    return points
 
 
 def _stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:
@@ -118,13 +135,27 @@ def write_ply(path: Path, cloud: Cloud) -> None:
             raise InputError(f"{path}: expected attribute names of ASCII without spaces, got {name!r}: rename it")
         columns[name] = _as_ply_type(name, values, path)
 
+    write_vertices(path, columns, {tag: text for tag, text in (("crs", cloud.crs), ("unit", cloud.unit)) if text})
+
+
+def write_vertices(path: Path, columns: Columns, tags: Mapping[str, str]) -> None:
+    """Write binary little-endian PLY of vertices alone.
+
+    Args:
+        columns: (N,) each, of types that PLY has, by the names of the properties in their order.
+        tags: of comment lines, and what follows them.
+
+    Raises:
+        OSError: the file cannot be written; an existing one is then unchanged.
+    """
     types = {name: column.dtype.newbyteorder("=").str[1:] for name, column in columns.items()}
-    rows = np.empty(len(cloud), dtype=[(name, f"<{code}") for name, code in types.items()])
+    count = len(next(iter(columns.values())))
+    rows = np.empty(count, dtype=[(name, f"<{code}") for name, code in types.items()])
     for name, column in columns.items():
         rows[name] = column
-    tags = [f"comment {tag} {_one_line(text)}" for tag, text in (("crs", cloud.crs), ("unit", cloud.unit)) if text]
+    comments = [f"comment {tag} {_one_line(text)}" for tag, text in tags.items()]
     properties = [f"property {TYPE_NAMES[code]} {name}" for name, code in types.items()]
-    lines = ["ply", "format binary_little_endian 1.0", *tags, f"element vertex {len(cloud)}", *properties, "end_header"]
+    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {count}", *properties, "end_header"]
     with atomic_write(path) as file:
         file.write(("\n".join(lines) + "\n").encode())
         file.write(rows.view(np.uint8).data)

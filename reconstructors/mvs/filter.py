@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
 
@@ -75,7 +75,8 @@ def filter_map(
         rows, columns = np.nonzero(asked)
         for start in range(0, len(rows), _BLOCK):
             at = (rows[start : start + _BLOCK], columns[start : start + _BLOCK])
-            agree[k][at] = _agrees(camera, made, at, other, map_, criteria)
+            which = confirmed(camera, made, at, other, map_, criteria).which
+            agree[k, at[0][which], at[1][which]] = True
     kept = asked & (1 + agree.sum(axis=0) >= criteria.views)
     return Filtered(made.where(kept), agree & kept)
 
@@ -101,15 +102,30 @@ class _Warp(NamedTuple):
             return x / z, y / z, z
 
 
-def _agrees(
+class Confirmed(NamedTuple):
+    """What another map says of pixels.
+
+    Args:
+        which: (N,) of the pixels asked for, rising.
+        depths: (N,) of the other map's surface there, in the camera that asks.
+    """
+
+    which: IntArray
+    depths: FloatArray
+
+
+def confirmed(
     camera: Camera,
     made: DepthMap,
     at: tuple[NDArray[np.int64], NDArray[np.int64]],
     other: Camera,
     theirs: DepthMap,
     criteria: Criteria,
-) -> NDArray[np.bool_]:
-    """Which pixels (rows, columns) of a map another one confirms; those that fail one test are not asked the next."""
+) -> Confirmed:
+    """The pixels (rows, columns) of a map that another one confirms; those that fail one test are not asked the next.
+
+    Where the other map has depths of less than the least confidence it confirms nothing.
+    """
     height, width = theirs.depth.shape
     v, u = (index.astype(np.float64) + 0.5 for index in at)
     x, y, z = _Warp.between(camera, other).apply(u, v, made.depth[at].astype(np.float64))
@@ -127,9 +143,7 @@ def _agrees(
     turn = camera.cam_from_world.rotation @ other.cam_from_world.rotation.T
     own, there = made.normal[at[0][open_], at[1][open_]], theirs.normal[row, column] @ turn.T.astype(np.float32)
     close &= np.einsum("ni,ni->n", own, there) >= np.cos(np.radians(criteria.normal_deg))
-    agree = np.zeros(len(u), dtype=np.bool_)
-    agree[open_[close]] = True
-    return agree
+    return Confirmed(open_[close], back_z[close])
 
 
 def _depth_beside(

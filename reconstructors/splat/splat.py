@@ -18,7 +18,7 @@ import numpy as np
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.voxels import robust_bounds, robust_extent, voxel_downsample_to
+from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import counted, progress
 from pcbench.plugins.stages import library_versions, stage
@@ -31,6 +31,7 @@ from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.density import GAO2025, Classic, Density, Unchanged
 from reconstructors.splat.model import Gaussians, LocalFrame
+from reconstructors.splat.optimizer import GAO2025_RATES, Rates
 from reconstructors.splat.photographs import Pyramid, read_photographs
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, save_model, trained
@@ -191,9 +192,9 @@ class GaussianSplatting:
             points = rng.uniform(lower, upper, size=(self.gaussians, 3))
             colors = None
         elif len(points) > self.gaussians:
-            which = voxel_downsample_to(points, self.gaussians, robust_extent(points) / self.gaussians)[
-                : self.gaussians
-            ]
+            # At random: a dense cloud has more points where photographs are closer, and so shall the model.
+            rng = np.random.default_rng([self.seed, 2])
+            which = np.sort(rng.choice(len(points), self.gaussians, replace=False))
             points, colors = points[which], None if colors is None else colors[which]
         if len(points) < 2:
             raise ReconstructionError(
@@ -203,8 +204,9 @@ class GaussianSplatting:
         return Gaussians.at_points(points, shades, frame)
 
     def _density(self) -> Density:
-        rules = {"fixed": Unchanged(), "classic": Classic(), "gao2025": GAO2025}[self.density]
-        return replace(rules, most=self.gaussians) if isinstance(rules, Classic) else rules
+        if self.density == "fixed":
+            return Unchanged()
+        return replace(GAO2025 if self.density == "gao2025" else Classic(), most=self.gaussians)
 
     def _train(
         self,
@@ -220,7 +222,12 @@ class GaussianSplatting:
         training = Training(
             self._first_model(begun, frame),
             [pyramid for pyramid in photographs if pyramid[0].name not in held_out],
-            Schedule(steps=self.steps, sh_degree=self.sh_degree, seed=self.seed),
+            Schedule(
+                steps=self.steps,
+                sh_degree=self.sh_degree,
+                seed=self.seed,
+                rates=GAO2025_RATES if self.density == "gao2025" else Rates(),
+            ),
             self._density(),
         )
         model = trained(training, workspace / "checkpoint.pt", repr((self._of_training(), split.train)))

@@ -81,6 +81,25 @@ def test_comments_and_line_ends(tmp_path, form, newline):
     assert (len(cloud), cloud.crs, cloud.unit) == (3, "EPSG:32617", "m")
 
 
+@form
+@pytest.mark.parametrize(
+    ("origin", "added"),
+    [
+        ("448262 5411932 -12.5", (448262, 5411932, -12.5)),
+        ("1 2", (0, 0, 0)),
+        ("1 2 north", (0, 0, 0)),
+        ("1 2 nan", (0, 0, 0)),
+        ("", (0, 0, 0)),
+    ],
+)
+def test_coordinates_about_a_place(tmp_path, form, origin, added):
+    """What is no place is a comment like any other."""
+    comments = [f"comment coordinates about {origin}"]
+    moved = read(tmp_path, ply(form, ("vertex", XYZ, points(3)), comments=comments))
+    still = read(tmp_path, ply(form, ("vertex", XYZ, points(3))))
+    assert np.array_equal(moved.points, still.points + added)
+
+
 def test_comments_in_another_encoding(tmp_path):
     data = ply("ascii", ("vertex", XYZ, points(3)), comments=["comment X"])
     assert len(read(tmp_path, data.replace(b"X", "Größe".encode("latin-1")))) == 3

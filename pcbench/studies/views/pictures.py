@@ -26,6 +26,7 @@ PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
 _WIDE, _HIGH = 4.4, 4.4  # of one picture at most
 _GAP, _CAPTION, _ABOVE, _BELOW, _RIGHT = 0.12, 0.34, 0.72, 0.14, 0.95
 _BAR = 0.16
+_LEAST_HEIGHT, _LEAST_BAR = 4.2, 1.5  # room for the words beside the bar
 _GREY = (150, 150, 150)
 _LEAST = 1.0  # level: errors of less are rounding
 
@@ -79,7 +80,7 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
     scale = found if look.range is None else Range(0.0, look.range, "range as given")
     figure, axis, color, height = _canvas(rows, look)
     width = 3 * _WIDE + 2 * _GAP
-    axis.text(0, height - 0.22, title, color=color, fontsize=13, ha="left", va="center")
+    axis.text(0, height - 0.22, title, color=color, fontsize=13, ha="left", va="center", parse_math=False)
     for column, word in enumerate(("photograph", "rendering", "absolute error")):
         middle = column * (_WIDE + _GAP) + _WIDE / 2
         axis.text(middle, height - 0.54, word, color=color, fontsize=11, ha="center", va="center")
@@ -87,7 +88,7 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
     for row in rows:
         wide, high_ = _size(row)
         top -= _CAPTION
-        axis.text(0, top + 0.13, row.caption, color=color, fontsize=10, ha="left", va="center")
+        axis.text(0, top + 0.13, row.caption, color=color, fontsize=10, ha="left", va="center", parse_math=False)
         shown = (row.pictures.photograph, row.pictures.rendering, _colors(row.error, scale))
         for column, image in enumerate(shown):
             left = column * (_WIDE + _GAP) + 0.5 * (_WIDE - wide)
@@ -128,7 +129,7 @@ def _canvas(rows: Sequence[_Row], look: Figures) -> tuple[Any, Any, str, float]:
     from matplotlib.figure import Figure
 
     ground = look.ground("white")
-    height = _ABOVE + _BELOW + sum(_CAPTION + _size(row)[1] + _GAP for row in rows)
+    height = max(_ABOVE + _BELOW + sum(_CAPTION + _size(row)[1] + _GAP for row in rows), _LEAST_HEIGHT)
     margin = 0.2
     size = 3 * _WIDE + 2 * _GAP + _RIGHT + 2 * margin, height
     figure = Figure(figsize=size, dpi=DPI, facecolor=ground)
@@ -160,7 +161,7 @@ def _bar(axis: Any, left: float, middle: float, scale: Range, color: str, rows: 
     from matplotlib.patches import Polygon
     from matplotlib.ticker import MaxNLocator
 
-    high = min(3.6, 0.8 * sum(_size(row)[1] for row in rows))
+    high = float(np.clip(0.8 * sum(_size(row)[1] for row in rows), _LEAST_BAR, 3.6))
     low, top, right = middle - high / 2, middle + high / 2, left + _BAR
     steps = scale.colors(np.linspace(scale.high, scale.low, 256))[:, None]
     axis.imshow(steps, extent=(left, right, low, top), aspect="auto", interpolation="nearest")
@@ -173,8 +174,8 @@ def _bar(axis: Any, left: float, middle: float, scale: Range, color: str, rows: 
             axis.plot([right, right + 0.05], [y, y], color=color, linewidth=0.8)
             axis.text(right + 0.09, y, f"{tick:g}", color=color, fontsize=9.5, va="center")
     masked = any(row.pictures.mask is not None for row in rows)
-    label = "|difference|, mean of the channels [levels of 255]\n" + scale.note + ("; grey: not counted" * masked)
-    axis.text(right + 0.42, middle, label, color=color, fontsize=9.5, rotation=90, ha="left", va="center")
+    label = "|difference|, mean of channels [levels of 255]\n" + scale.note + ("; grey: not counted" * masked)
+    axis.text(right + 0.42, middle, label, color=color, fontsize=9, rotation=90, ha="left", va="center")
 
 
 def _named(scenes: Sequence[ScoredScene]) -> dict[str, ScoredScene]:

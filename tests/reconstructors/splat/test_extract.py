@@ -1,0 +1,180 @@
+"""Clouds of Gaussians: surfaces known in closed form, and what has to agree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pcbench.errors import InputError, ReconstructionError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+
+torch = pytest.importorskip("torch")
+
+from reconstructors.splat import depths as depths_module  # noqa: E402
+from reconstructors.splat.depths import Depths, overlap  # noqa: E402
+from reconstructors.splat.extract import AGREEMENT, means, surface  # noqa: E402
+from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame  # noqa: E402
+from reconstructors.splat.voxels import Points, Voxels  # noqa: E402
+
+PIXELS, FOCAL, DISTANCE = 48, 6000.0, 400.0  # far away: a Gaussian is projected all but affinely
+FOOTPRINT = DISTANCE / FOCAL
+
+
+def around(count=6, distance=DISTANCE, tilt_deg=35.0, target=(0.0, 0.0, 0.0)):
+    """Cameras on a circle that look down at a target, by name."""
+    k = Intrinsics(PIXELS, PIXELS - 8, FOCAL, FOCAL, 0.47 * PIXELS, 0.4 * PIXELS)
+    tilt, turns = np.radians(tilt_deg), 2 * np.pi * np.arange(count) / count
+    away = np.stack([np.sin(tilt) * np.cos(turns), np.sin(tilt) * np.sin(turns), np.full(count, np.cos(tilt))], axis=1)
+    names = [f"{number}.png" for number in range(count)]
+    return {name: Camera(name, k, look_at(target + distance * a, target)) for name, a in zip(names, away, strict=True)}
+
+
+def discs(points, normals, size, color=(0.2, 0.5, 0.8), opacity=0.95):
+    """Flat round Gaussians on a surface, as if trained in the world's frame."""
+    w = 1 + normals[:, 2]  # the turn from +z to the normal
+    quats = np.stack([w, -normals[:, 1], normals[:, 0], np.zeros(len(w))], axis=1)
+    scales = np.tile(np.log([size, size, 1e-4 * size]), (len(points), 1))
+    logits = np.full(len(points), np.log(opacity / (1 - opacity)))
+    sh = np.tile((np.array(color) - 0.5) / SH_DC, (len(points), 1, 1))
+    return Gaussians(*(torch.from_numpy(a.astype(np.float32)) for a in (points, quats, scales, logits, sh)))
+
+
+def plane(half=3.0, spacing=0.5, size=1.0):
+    """Of z = 0: tilted by 35 degrees in each of the cameras."""
+    grid = np.arange(-half, half, spacing) + spacing / 2
+    points = np.stack([*(a.ravel() for a in np.meshgrid(grid, grid)), np.zeros(len(grid) ** 2)], axis=1)
+    return discs(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), size)
+
+
+WORLD = LocalFrame(np.zeros(3), 1.0)
+
+
+def test_a_plane_of_flat_gaussians_is_that_plane():
+    """Half a pixel is 0.3 footprints of height at this tilt. What is left is of the 0.3 square pixels that widen
+    what is drawn: they flatten its slope in depth, 0.7, by 0.3 over the square of 12 pixels, at up to 36 pixels from a
+    mean."""
+    cloud = surface(plane(), WORLD, around())
+    heights = cloud.points[:, 2] / FOOTPRINT
+    assert len(cloud) > 1000
+    assert np.abs(heights).max() < 0.7 * (0.3 / 12**2) * 36 + 0.02
+    assert cloud.normals[:, 2].min() > np.cos(np.radians(0.2))
+    assert np.abs(cloud.colors.astype(int) - [51, 128, 204]).max() <= 1
+    assert (cloud.attributes["views"] >= 3).all() and cloud.attributes["views"].max() == 6
+    assert cloud.attributes["confidence"].min() > 0.5
+
+
+def test_a_sphere_of_gaussians_is_that_sphere_and_normals_point_outwards():
+    rng = np.random.default_rng(5)
+    normals = rng.normal(size=(2500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals[normals[:, 2] > -0.9]
+    cloud = surface(discs(normals, normals, 0.1), WORLD, around(10, tilt_deg=50))
+    radii = np.linalg.norm(cloud.points, axis=1)
+    out = cloud.points / radii[:, None]
+    tangent = (3 * 0.1) ** 2 / 2  # discs touch the sphere from outside: so far from it at three standard deviations
+    assert 0 < np.median(radii) - 1 < tangent
+    assert np.percentile(np.abs(radii - 1), 95) < tangent + 0.5 * FOOTPRINT
+    assert np.degrees(np.arccos(np.clip(np.einsum("ni,ni->n", out, cloud.normals), -1, 1))).max() < 30
+    assert np.percentile(cloud.points[:, 2], 1) < 0.1  # below the equator too
+
+
+def test_the_frame_of_training_and_the_size_of_the_world_do_not_matter():
+    """Projected coordinates, and a model in a unit of its own."""
+    model, cameras = plane(half=1.5), around()
+    expected = surface(model, WORLD, cameras)
+    origin, unit = np.array([448_262.0, 5_411_932.0, 120.0]), 50.0
+    placed = {}
+    for name, camera in cameras.items():
+        turn, position = camera.cam_from_world.rotation, origin + unit * camera.position
+        placed[name] = replace(camera, cam_from_world=replace(camera.cam_from_world, translation=-turn @ position))
+    found = surface(model, LocalFrame(origin, unit), placed)
+    assert len(found) == pytest.approx(len(expected), rel=0.01)
+    assert found.points[:, 2].mean() == pytest.approx(120.0, abs=unit * 0.05 * FOOTPRINT)
+    assert np.abs((found.points.min(axis=0) - origin) / unit - expected.points.min(axis=0)).max() < FOOTPRINT
+
+
+def test_what_too_few_images_see_is_left_out():
+    """Two of six cameras look at another part of the plane."""
+    aside = np.array([20.0, 0.0, 0.0])
+    model = plane()
+    model = model.joined(replace(model, means=model.means + torch.tensor([20.0, 0.0, 0.0])))
+    there = {f"there {name}": camera for name, camera in list(around(target=aside).items())[:2]}
+    cloud = surface(model, WORLD, around(4) | there)
+    assert cloud.points[:, 0].max() < 3
+    third = {f"third {name}": camera for name, camera in list(around(target=aside).items())[2:3]}
+    assert surface(model, WORLD, around(4) | there | third).points[:, 0].max() > 19
+
+
+def test_a_gaussian_before_one_camera_alone_is_no_surface():
+    model, cameras = plane(), around()
+    before = next(iter(cameras.values())).position * 0.9
+    floater = discs(before[None], (before / np.linalg.norm(before))[None], 0.2)
+    cloud = surface(model.joined(floater), WORLD, cameras)
+    assert cloud.points[:, 2].max() < 0.1 * FOOTPRINT
+
+
+def test_the_voxel_sets_the_spacing():
+    few, many = (surface(plane(), WORLD, around(), voxel=side) for side in (0.4, 0.1))
+    assert 8 < len(many) / len(few) < 22
+    with pytest.raises(InputError, match="expected a positive edge"):
+        surface(plane(), WORLD, around(), voxel=0.0)
+
+
+def test_no_surface_is_an_error_that_says_so():
+    cameras = around()
+    with pytest.raises(InputError, match="expected at least 3 cameras, which have to agree, got 2"):
+        surface(plane(), WORLD, dict(list(cameras.items())[:2]))
+    faint = replace(plane(), logits=torch.full_like(plane().logits, -9.0))
+    with pytest.raises(ReconstructionError, match="no surface"):
+        surface(faint, WORLD, cameras)
+    with pytest.raises(ReconstructionError, match="no depth is seen alike by 6 images"):
+        surface(plane(), WORLD, cameras, criteria=replace(AGREEMENT, views=6, depth=1e-12))
+
+
+def test_memory_holds_few_maps_and_the_cloud_is_the_same(monkeypatch):
+    expected = surface(plane(), WORLD, around())
+    monkeypatch.setattr(depths_module, "_MEMORY", 0)
+    depths = Depths(plane(), WORLD, around(20), 12)
+    overlap(plane(), depths, 12)
+    assert depths.of.cache_info().currsize == 13
+    assert np.array_equal(surface(plane(), WORLD, around()).points, expected.points)
+
+
+def test_points_become_means_by_weight_and_a_coarse_one_fills_only_what_is_empty():
+    def points(*rows, views=3):
+        n = len(rows)
+        up = np.tile([0.0, 0.0, 1.0], (n, 1))
+        return Points(np.array(rows, float), up, np.full((n, 3), 10.0), np.ones(n), np.full(n, views))
+
+    voxels = Voxels(1.0)
+    voxels.add(points((0.2, 0.5, 0.5), (0.6, 0.5, 0.5)), np.array([3.0, 1.0]), np.zeros(2))
+    voxels.add(points((0.4, 0.5, 0.5), views=5), np.array([1e-9]), np.zeros(1))
+    coarse = points((1.5, 0.5, 0.5), (1.4, 0.5, 0.5), (-1.5, 0.5, 0.5), (-1.3, 0.5, 0.5))
+    voxels.add(coarse, np.ones(4), np.full(4, 1.7))
+    found = voxels.fused()
+    # Those at 1.5 and 1.4 are in the cell of two units that has a finer point.
+    assert np.allclose(found.points, [[0.3, 0.5, 0.5], [-1.4, 0.5, 0.5]])
+    assert found.views.tolist() == [5, 3] and np.allclose(found.normals, [0, 0, 1])
+
+
+def test_means_are_the_centres():
+    frame = LocalFrame(np.array([500_000.0, 5_000_000.0, 100.0]), 10.0)
+    model = plane(half=2.5)
+    cloud = means(model, frame)
+    assert np.allclose(cloud.points, frame.to_world(model.means.numpy()))
+    assert np.allclose(np.abs(cloud.normals), [0, 0, 1], atol=1e-6)
+    assert (cloud.colors == [51, 128, 204]).all()
+    assert np.allclose(cloud.attributes["largest_axis"], 10.0) and np.allclose(cloud.attributes["opacity"], 0.95)
+
+
+def test_means_are_filtered_by_opacity_and_size():
+    model = plane(half=2.5)
+    logits, log_scales = model.logits.clone(), model.log_scales.clone()
+    logits[:10] = -2.0
+    log_scales[5:20, 1] = 1.0  # e
+    model = replace(model, logits=logits, log_scales=log_scales)
+    assert len(means(model, WORLD, min_opacity=0.5)) == len(model) - 10
+    assert len(means(model, WORLD, max_axis=1.5)) == len(model) - 15
+    assert len(means(model, WORLD, min_opacity=0.5, max_axis=1.5)) == len(model) - 20
+    with pytest.raises(InputError, match="none of 100 Gaussians is left: opacities are"):
+        means(model, WORLD, max_axis=1e-6)

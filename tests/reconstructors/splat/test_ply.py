@@ -1,0 +1,131 @@
+"""Models as PLY files: the layout byte by byte, and there and back."""
+
+import struct
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import splat_models
+
+from pcbench import Cloud
+from pcbench.errors import InputError
+from pcbench.io import read_cloud, write_cloud
+
+torch = pytest.importorskip("torch")
+
+from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
+from reconstructors.splat.ply import read_model, write_model  # noqa: E402
+
+
+def gaussians(rng, count=7, degree=3):
+    shapes = [(count, 3), (count, 4), (count, 3), (count,), (count, (degree + 1) ** 2, 3)]
+    return Gaussians(*(torch.from_numpy(rng.normal(size=shape).astype(np.float32)) for shape in shapes))
+
+
+def parts(model):
+    return {f.name: getattr(model, f.name).numpy() for f in fields(model)}
+
+
+def test_the_layout_is_that_of_kerbl_et_al(tmp_path):
+    """Written by hand: 62 floats a Gaussian, harmonics channel after channel."""
+    sh = torch.arange(48.0).reshape(1, 16, 3)  # of coefficient k and channel c: 3 k + c
+    model = Gaussians(
+        torch.tensor([[1.0, 2.0, 3.0]]),
+        torch.tensor([[0.5, 0.1, 0.2, 0.3]]),
+        torch.tensor([[-1.0, -2.0, -3.0]]),
+        torch.tensor([0.25]),
+        sh,
+    )
+    write_model(tmp_path / "model.ply", model, LocalFrame(np.array([10.0, 20.0, 30.0]), 2.0))
+    header, body = (tmp_path / "model.ply").read_bytes().split(b"end_header\n")
+    names = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(45))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "element vertex 1",
+        *(f"property float {name}" for name in names),
+    ]
+    assert header.decode().splitlines() == lines
+    rest = [3 * k + c for c in range(3) for k in range(1, 16)]
+    larger = [np.log(2.0) + log for log in (-1, -2, -3)]
+    expected = [12, 24, 36, 0, 0, 0, 0, 1, 2, *rest, 0.25, *larger, 0.5, 0.1, 0.2, 0.3]
+    assert body == struct.pack("<62f", *expected)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_there_and_back(tmp_path, degree):
+    given, frame = gaussians(np.random.default_rng(3), degree=degree), LocalFrame(np.array([3.0, -2.0, 1.0]), 4.0)
+    write_model(tmp_path / "model.ply", given, frame)
+    found, world = read_model(tmp_path / "model.ply")
+    assert world.unit == 1 and not world.origin.any()
+    expected = parts(given)
+    expected["means"] = frame.to_world(expected["means"]).astype(np.float32)
+    expected["log_scales"] = (expected["log_scales"].astype(np.float64) + np.log(4.0)).astype(np.float32)
+    for name, values in parts(found).items():
+        assert np.array_equal(values, expected[name]), name
+    write_model(tmp_path / "again.ply", found, world)
+    assert (tmp_path / "again.ply").read_bytes() == (tmp_path / "model.ply").read_bytes()
+
+
+def test_projected_coordinates_keep_their_digits(tmp_path):
+    """Floats of UTM coordinates are half a metre apart."""
+    given, frame = (
+        gaussians(np.random.default_rng(4), 200),
+        LocalFrame(np.array([448_262.5, 5_411_932.25, 117.0]), 80.0),
+    )
+    write_model(tmp_path / "model.ply", given, frame)
+    header = (tmp_path / "model.ply").read_bytes().split(b"end_header")[0].decode()
+    assert "comment coordinates about 4482" in header and "double" not in header
+    truth = frame.to_world(given.means.numpy())
+    assert np.abs(read_cloud(tmp_path / "model.ply").points - truth).max() < 1e-4
+    found, world = read_model(tmp_path / "model.ply")
+    assert np.abs(world.to_world(found.means.numpy()) - truth).max() < 1e-4
+
+
+def test_discs_become_flat_gaussians(tmp_path):
+    write_cloud(tmp_path / "discs.ply", splat_models.some(5, dimensions=2))
+    found, _ = read_model(tmp_path / "discs.ply")
+    assert found.scales.shape == (5, 3)
+    assert torch.equal(found.scales.argmin(dim=1), torch.full((5,), 2))
+    assert (found.scales[:, 2] < 1e-3 * found.scales[:, :2].amin(dim=1)).all()
+
+
+def test_others_models_are_read(tmp_path):
+    cloud = splat_models.some(6)
+    write_cloud(tmp_path / "model.ply", cloud)
+    found, frame = read_model(tmp_path / "model.ply")
+    assert np.allclose(frame.to_world(found.means.numpy()), cloud.points)
+    assert np.allclose(found.opacities.numpy(), np.linspace(0.1, 0.9, 6), atol=1e-6)
+    assert np.allclose(found.scales.numpy(), 0.01 * np.outer(np.arange(1, 7), [1, 2, 3]), rtol=1e-5)
+    assert found.degree == 3 and np.allclose(found.sh[:, 0].numpy(), 0.5)
+
+
+def test_splats_that_are_no_numbers_are_left_out(tmp_path):
+    cloud = splat_models.some(4)
+    scales = cloud.attributes["scale_1"].copy()
+    scales[2] = np.nan
+    write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=cloud.attributes | {"scale_1": scales}))
+    notes = []
+    found, _ = read_model(tmp_path / "model.ply", notes.append)
+    assert len(found) == 3 and len(notes) == 1 and "dropped 1 of 4 splats" in notes[0]
+
+
+@pytest.mark.parametrize("missing", ["opacity", "rot_3", "f_dc_1", "scale_1"])
+def test_what_is_no_model_is_refused(tmp_path, missing):
+    cloud = splat_models.some(4)
+    attributes = {name: values for name, values in cloud.attributes.items() if name != missing}
+    write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=attributes))
+    with pytest.raises(InputError, match=r"model\.ply: expected a model of Gaussian splats"):
+        read_model(tmp_path / "model.ply")
+
+
+@pytest.mark.parametrize("degree", [0.5, 4])
+def test_harmonics_of_no_known_degree_are_refused(tmp_path, degree):
+    cloud = splat_models.some(4, degree=3)
+    attributes = {name: values for name, values in cloud.attributes.items() if not name.startswith("f_rest_")}
+    count = {0.5: 5, 4: 72}[degree]
+    attributes |= {f"f_rest_{k}": np.zeros(4, np.float32) for k in range(count)}
+    write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=attributes))
+    with pytest.raises(InputError, match=rf"expected 0, 9, 24 or 45 properties f_rest_\*, got {count}"):
+        read_model(tmp_path / "model.ply")
