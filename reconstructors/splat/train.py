@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from reconstructors.splat.view import View
 
 
+_CHECKED = 100  # steps between two looks at whether all numbers are finite
+
+
 @dataclass(frozen=True)
 class Schedule:
     """What happens when.
@@ -110,13 +113,28 @@ class Training:
         """Train up to a step, calling `each` after every one.
 
         Raises:
-            ReconstructionError: a number is no longer finite.
+            ReconstructionError: numbers of the model are no longer finite, or no Gaussian is left.
         """
         while self.step < until:
             self._one_step()
             self.density.control(self)
+            if self.step % _CHECKED == 0 or self.step == until:
+                self._check()
             if each is not None:
                 each(self)
+
+    def _check(self) -> None:
+        # The rasterizer skips what is not a number, so the images would not tell.
+        finite = [part.reshape(len(part), -1).isfinite().all(dim=1) for part in _tensors(self.model)]
+        lost = sum(int((~rows).sum()) for rows in finite)
+        if lost:
+            raise ReconstructionError(
+                f"training diverged: at step {self.step} numbers of {lost} Gaussians are not finite; are the cameras right?"
+            )
+        if not len(self.model):
+            raise ReconstructionError(
+                f"no Gaussian is left at step {self.step}: all became transparent; are the cameras right?"
+            )
 
     def rng(self) -> np.random.Generator:
         """For what is drawn at this step: a run that goes on draws what an unbroken one does."""
@@ -163,11 +181,6 @@ class Training:
         target = photograph.target()
         shown = drawn.color if photograph.valid is None else drawn.color * photograph.valid[..., None]
         loss = self._kernels.image_loss(shown, target, schedule.ssim_weight)
-        if not math.isfinite(float(loss.l1)):
-            raise ReconstructionError(
-                f"training diverged: the image of step {self.step} is not finite; set other learning rates, or fewer"
-                " steps"
-            )
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
         difference = shown - target
         pulled = self._rasterizer.backward(gradient, None, None, None, difference.abs().mean(dim=2))

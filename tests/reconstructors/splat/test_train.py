@@ -1,0 +1,166 @@
+"""Training: images become like the photographs, a run that goes on equals an unbroken one, density follows its rules."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from splat_scenes import scattered
+
+from pcbench.errors import ReconstructionError
+from pcbench.geometry.cameras import look_at
+
+torch = pytest.importorskip("torch")
+
+from reconstructors.splat.density import Classic, Unchanged, split  # noqa: E402
+from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
+from reconstructors.splat.photographs import Photograph  # noqa: E402
+from reconstructors.splat.resume import load_model, save_model, trained  # noqa: E402
+from reconstructors.splat.rotations import rotated  # noqa: E402
+from reconstructors.splat.train import Schedule, Training, evaluate, render  # noqa: E402
+from reconstructors.splat.view import View  # noqa: E402
+
+
+def truth():
+    """A model of 60 Gaussians, and eight pictures of it from around."""
+    scene = scattered(np.random.default_rng(5), 60, width=48, height=32, degree=0, size=0.25)
+    means, quats, scales, opacities, sh = (torch.from_numpy(a) for a in scene.arrays)
+    model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
+    pictures = []
+    for k, angle in enumerate(np.linspace(0, 2 * np.pi, 8, endpoint=False)):
+        place = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
+        camera = replace(scene.camera, name=str(k), cam_from_world=look_at(place, (0, 0, 0)))
+        view = View.of(camera)
+        pictures.append([Photograph(str(k), view, (render(model, view) * 255).round().to(torch.uint8), None)])
+    return model, pictures
+
+
+def grey(model):
+    """The same places, round and grey."""
+    return Gaussians(
+        model.means.clone(),
+        torch.tensor([1.0, 0, 0, 0]).repeat(len(model), 1),
+        torch.full_like(model.log_scales, float(np.log(0.2))),
+        torch.full_like(model.logits, -2.0),
+        torch.zeros_like(model.sh[:, :1]),
+    )
+
+
+def begun(density=Unchanged(), steps=160, **schedule):  # noqa: B008
+    model, pictures = truth()
+    return Training(grey(model), pictures, Schedule(steps=steps, sh_degree=1, halved=(0, 0), **schedule), density)
+
+
+def numbers(model):
+    return [part.numpy().tobytes() for part in (model.means, model.quats, model.log_scales, model.logits, model.sh)]
+
+
+def test_images_become_like_the_photographs():
+    training = begun()
+    pictures = [pyramid[0] for pyramid in training.photographs]
+    before = np.mean(evaluate(training.model, pictures))
+    training.run(160)
+    assert np.mean(evaluate(training.model, pictures)) > before + 8
+    assert training.model.degree == 1
+
+
+def test_a_run_that_goes_on_equals_an_unbroken_one(tmp_path):
+    rules = Classic(first=20, every=10, gradient=1e-6, last=0.8, reset=40, faint=0.0, most=150)
+    whole = begun(rules, steps=90)
+    whole.run(90)
+    assert len(whole.model) > 60  # otherwise nothing random was drawn
+    first = begun(rules, steps=90)
+    first.run(47)
+    first.save(tmp_path / "checkpoint.pt", "key")
+    second = begun(rules, steps=90)
+    assert not second.load(tmp_path / "checkpoint.pt", "another key")
+    assert second.step == 0
+    assert numbers(trained(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
+    assert not (tmp_path / "checkpoint.pt").exists()
+
+
+def test_the_same_seed_gives_the_same_model_and_another_one_another():
+    runs = [begun(steps=20, seed=seed) for seed in (0, 0, 1)]
+    for run in runs:
+        run.run(20)
+    first, again, other = (numbers(run.model) for run in runs)
+    assert first == again != other
+
+
+def test_a_mask_hides_what_it_covers():
+    """Black rectangles over the photographs leave no trace where a mask covers them."""
+    plain, masked = begun(steps=60), begun(steps=60)
+    for pyramid in masked.photographs:
+        photograph = pyramid[0]
+        valid = torch.ones(photograph.color.shape[:2], dtype=torch.bool)
+        valid[10:22, 15:33] = False
+        pyramid[0] = photograph._replace(color=photograph.color * valid[..., None], valid=valid)
+    plain_views = [pyramid[0] for pyramid in plain.photographs]
+    plain.run(60)
+    masked.run(60)
+    hidden = begun(steps=60)
+    for mine, theirs in zip(hidden.photographs, masked.photographs, strict=True):
+        mine[0] = theirs[0]._replace(valid=None)
+    hidden.run(60)
+    with_mask, without = (np.mean(evaluate(run.model, plain_views)) for run in (masked, hidden))
+    assert with_mask > without + 2
+
+
+def test_what_is_not_finite_ends_with_a_sentence():
+    training = begun()
+    training.model.sh[3] = float("nan")
+    with pytest.raises(ReconstructionError, match="diverged: at step 5 numbers of 1 Gaussians are not finite"):
+        training.run(5)
+
+
+def test_a_model_that_vanished_ends_with_a_sentence():
+    training = begun(Classic(first=5, every=5, faint=1.0))
+    with pytest.raises(ReconstructionError, match="no Gaussian is left at step 5"):
+        training.run(5)
+
+
+def test_splitting_keeps_the_place_and_shrinks():
+    model, _ = truth()
+    many = Gaussians(*(part[:1].repeat(4000, *[1] * (part.ndim - 1)) for part in vars(model).values()))
+    halves = split(many, 1.6, np.random.default_rng(0))
+    assert len(halves) == 8000
+    torch.testing.assert_close(halves.scales, many.scales.repeat(2, 1) / 1.6)
+    # Their places are drawn from the Gaussian: in its axes they deviate by its scales, to what 8000 draws can tell.
+    turned_back = many.quats[0] * torch.tensor([1.0, -1, -1, -1])
+    local = rotated(turned_back.repeat(8000, 1), halves.means - many.means[0])
+    np.testing.assert_allclose(local.std(dim=0), many.scales[0], rtol=0.04)
+    np.testing.assert_allclose(local.mean(dim=0) / many.scales[0], 0, atol=0.05)
+
+
+def test_classic_control_adds_no_more_than_it_may_and_takes_the_faint_away():
+    training = begun(Classic(first=5, every=5, gradient=0.0, last=1.0, reset=0, most=100), steps=40)
+    training.run(25)
+    assert 60 < len(training.model) <= 100
+    training.model.logits[::2] = -20.0
+    count = len(training.model)
+    training.run(30)
+    assert float(training.model.opacities.min()) >= 5e-3
+    assert len(training.model) <= 100
+    assert count > 60
+
+
+def test_a_frame_brings_projected_coordinates_to_unit_size():
+    scene = scattered(np.random.default_rng(0))
+    origin = np.array([500_000.0, 5_400_000.0, 200.0])
+    cameras = []
+    for angle in np.linspace(0, 2 * np.pi, 6, endpoint=False):
+        place = origin + 300 * np.array([np.cos(angle), np.sin(angle), 1])
+        cameras.append(replace(scene.camera, cam_from_world=look_at(place, origin)))
+    frame = LocalFrame.of(cameras)
+    points = origin + np.random.default_rng(1).uniform(-50, 50, size=(100, 3))
+    assert frame.unit == pytest.approx(330)
+    np.testing.assert_allclose(frame.to_world(frame.to_local(points)), points, atol=1e-7)  # the digits of float64
+    at, depth = cameras[0].project(points)
+    local_at, local_depth = frame.camera(cameras[0]).project(frame.to_local(points))
+    np.testing.assert_allclose(local_at, at, atol=1e-6)
+    np.testing.assert_allclose(local_depth * frame.unit, depth, atol=1e-6)
+
+
+def test_a_model_is_kept_as_it_is(tmp_path):
+    model, _ = truth()
+    save_model(tmp_path / "model.pt", model)
+    assert numbers(load_model(tmp_path / "model.pt")) == numbers(model)
