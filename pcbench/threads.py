@@ -15,7 +15,8 @@ _MEMORY = 256 << 20  # bytes of limited address space for which one thread is st
 
 
 def fit_threads() -> None:
-    """Refuse a number of threads that no machine has, and lower it to what a limited address space has room for.
+    """Refuse a number of threads that no machine has, and lower it to what a limited address space has room for; let
+    threads that wait sleep.
 
     Results are the same at any number.
 

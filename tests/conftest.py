@@ -9,6 +9,7 @@ from data_folder import data_root
 
 # Before numpy is imported. Workers share the cores, and the matrices are small: threads would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 # A shell tells what it starts in the background to ignore Ctrl-C, and children inherit that: tests send it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -124,16 +124,17 @@ class Training:
                 each(self)
 
     def _check(self) -> None:
+        if not len(self.model):
+            raise ReconstructionError(
+                f"no Gaussian is left at step {self.step}: all became transparent; are the cameras right?"
+            )
         # The rasterizer skips what is not a number, so the images would not tell.
         finite = [part.reshape(len(part), -1).isfinite().all(dim=1) for part in _tensors(self.model)]
         lost = sum(int((~rows).sum()) for rows in finite)
         if lost:
             raise ReconstructionError(
-                f"training diverged: at step {self.step} numbers of {lost} Gaussians are not finite; are the cameras right?"
-            )
-        if not len(self.model):
-            raise ReconstructionError(
-                f"no Gaussian is left at step {self.step}: all became transparent; are the cameras right?"
+                f"training diverged: at step {self.step} numbers of {lost} Gaussians are not finite; are the cameras"
+                " right?"
             )
 
     def rng(self) -> np.random.Generator:

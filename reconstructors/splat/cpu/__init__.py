@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 class Rasterizer:
     """See `reconstructors.splat.interface.Rasterizer`. Tensors are float32, contiguous and on the CPU.
 
-    It holds, from one view to the next, some 100 bytes a Gaussian, 32 for each Gaussian in each tile of 16 x 16 pixels that
-    it touches, and for the derivatives 44 more of those (68 with geometry).
+    It holds, from one view to the next, some 100 bytes a Gaussian, 32 for each Gaussian in each tile of 16 x 16 pixels
+    that it touches, and for the derivatives 44 more of those (68 with geometry).
     """
 
     def __init__(self) -> None:

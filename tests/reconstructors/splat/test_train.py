@@ -1,4 +1,4 @@
-"""Training: images become like the photographs, a run that goes on equals an unbroken one, density follows its rules."""
+"""Training: images become like the photographs, a run that goes on equals an unbroken one, density obeys its rules."""
 
 from dataclasses import replace
 
@@ -64,7 +64,7 @@ def test_images_become_like_the_photographs():
 
 
 def test_a_run_that_goes_on_equals_an_unbroken_one(tmp_path):
-    rules = Classic(first=20, every=10, gradient=1e-6, last=0.8, reset=40, faint=0.0, most=150)
+    rules = Classic(first=20, every=10, gradient=1e-6, last=0.8, reset=40, faint=0.0, large=10, most=150)
     whole = begun(rules, steps=90)
     whole.run(90)
     assert len(whole.model) > 60  # otherwise nothing random was drawn
