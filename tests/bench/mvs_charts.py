@@ -23,10 +23,10 @@ SWEEPS = {"spacing": "0.55,0.7,1", "image_scale": "0.35,0.5,0.7,1", "sources": "
 CONFIDENCES = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
 AT = 1  # of the bench's thresholds: 2 pixels
 LOOKS = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
-# Where labels are clear of the lines: to the left above one that rises, to the right above one that falls, below those
-# that end where the first does.
-BESIDE = {"spacing": ((-4, 6), "right", "bottom"), "confidence": ((5, 3), "left", "bottom")}
-BELOW = ((0, -7), "center", "top")
+# Where labels are clear of the lines: to the left above one that rises, to the right below the lowest of these, to the
+# right above one that falls.
+ABOVE = ((-4, 5), "right", "bottom")
+BESIDE = {"spacing": ((4, -5), "left", "top"), "confidence": ((5, 3), "left", "bottom")}
 
 
 class Place(NamedTuple):
@@ -82,7 +82,7 @@ def draw(lines: dict[str, list[Place]], path: Path, x: str, y: str) -> None:
     for key, places in lines.items():
         color, shape = LOOKS.get(key, ("#0072b2", "o"))
         axis.plot([p.x for p in places], [p.y for p in places], f"-{shape}", color=color, alpha=0.85, label=key)
-        offset, ha, va = BESIDE.get(key, BELOW)
+        offset, ha, va = BESIDE.get(key, ABOVE)
         for place in places:
             axis.annotate(
                 place.label,
