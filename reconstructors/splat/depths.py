@@ -16,12 +16,12 @@ from reconstructors.mvs.sources import Reference, choose_references
 from reconstructors.mvs.sparse import Sparse
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians, LocalFrame
+from reconstructors.splat.photographs import NEAREST
 from reconstructors.splat.view import View
 
 _MEMORY = 512 * 2**20  # of the maps that are kept
 _BYTES = 4 + 12 + 4 + 3 + 4  # a pixel
 _UNSURE = 2.0  # footprints of a pixel between two opinions on its depth, at which confidence is half
-_NEAREST = 1e-3  # depth up to which nothing is drawn, in units of the local frame
 _SAMPLES = 3000  # Gaussians that tell which images show the same
 _OPAQUE = 0.5  # that these are at least
 _SAME_DEPTH = 0.05  # relative: of a Gaussian that an image shows and of the image's surface
@@ -71,7 +71,7 @@ class Depths:
             self._scales,
             self._opacities,
             model.sh,
-            View.of(camera, _NEAREST),
+            View.of(camera, NEAREST),
             model.means.new_zeros(3),
             geometry=True,
         )

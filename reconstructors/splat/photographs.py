@@ -19,7 +19,7 @@ from reconstructors.splat.view import View
 if TYPE_CHECKING:
     from torch import Tensor
 
-_NEAREST = 1e-3  # depth up to which nothing is drawn, in units of the cameras' spread
+NEAREST = 1e-3  # depth up to which nothing is drawn, in units of the cameras' spread
 _LEAST_SIDE = 64  # pixels: no smaller size is made
 
 
@@ -73,7 +73,7 @@ def read_photographs(
             pyramid.append(
                 Photograph(
                     name,
-                    View.of(camera, _NEAREST),
+                    View.of(camera, NEAREST),
                     torch.from_numpy(color),
                     None if valid is None else torch.from_numpy(valid),
                 )

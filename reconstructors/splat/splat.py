@@ -124,6 +124,8 @@ class GaussianSplatting:
         }
         photographs = read_photographs(folders, pinholes, frame, _LEVELS)
         notes = [f"{len(split.test)} of {len(cameras)} images held out: {split.words}"] if split.test else []
+        if split.test:
+            notes.append(f"held out of training only: `{self.start}`, at whose points it begins, saw all images")
 
         inputs = {
             "versions": library_versions(),

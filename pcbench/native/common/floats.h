@@ -49,7 +49,7 @@ inline Floats root(Floats a) { return _mm512_sqrt_ps(a.v); }
 inline Mask operator<(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ)}; }
 inline Mask operator<=(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)}; }
 inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m)}; }
-inline Mask without(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & ~b.m)}; }
+inline Mask operator~(Mask a) { return {static_cast<__mmask16>(~a.m)}; }
 inline unsigned bits(Mask m) { return m.m; }
 inline Floats select(Mask m, Floats yes, Floats no) { return _mm512_mask_blend_ps(m.m, no.v, yes.v); }
 inline Floats add_exponent(Floats x, Floats whole) { return _mm512_scalef_ps(x.v, whole.v); }
@@ -120,7 +120,10 @@ inline Mask operator<=(Floats x, Floats y) {
     return {_mm256_cmp_ps(x.a, y.a, _CMP_LE_OQ), _mm256_cmp_ps(x.b, y.b, _CMP_LE_OQ)};
 }
 inline Mask operator&(Mask x, Mask y) { return {_mm256_and_ps(x.a, y.a), _mm256_and_ps(x.b, y.b)}; }
-inline Mask without(Mask x, Mask y) { return {_mm256_andnot_ps(y.a, x.a), _mm256_andnot_ps(y.b, x.b)}; }
+inline Mask operator~(Mask x) {
+    const __m256 all = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
+    return {_mm256_xor_ps(x.a, all), _mm256_xor_ps(x.b, all)};
+}
 inline unsigned bits(Mask m) { return _mm256_movemask_ps(m.a) | _mm256_movemask_ps(m.b) << 8; }
 inline Floats select(Mask m, Floats yes, Floats no) {
     return {_mm256_blendv_ps(no.a, yes.a, m.a), _mm256_blendv_ps(no.b, yes.b, m.b)};
@@ -190,7 +193,7 @@ inline Floats root(Floats a) { PCB_EACH(Floats, __builtin_sqrtf(a.v[i])); }
 inline Mask operator<(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] < b.v[i])); }
 inline Mask operator<=(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] <= b.v[i])); }
 inline Mask operator&(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & b.v[i]); }
-inline Mask without(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & ~b.v[i]); }
+inline Mask operator~(Mask a) { PCB_EACH(Mask, ~a.v[i]); }
 inline unsigned bits(Mask m) {
     unsigned out = 0;
     for (int i = 0; i < kLanes; ++i) out |= static_cast<unsigned>(m.v[i] & 1) << i;

@@ -6,7 +6,7 @@
 namespace pcbench::mvs::PCB_ISA {
 
 inline Planes planes_at(const State& state, Ints pixels) {
-    const Ints at = pixels * splat(int32_t{4});
+    const Ints at = pixels * Ints(4);
     return {gather(state.plane, at), gather(state.plane + 1, at), gather(state.plane + 2, at),
             gather(state.plane + 3, at)};
 }
@@ -18,8 +18,8 @@ inline Planes chosen(Mask which, const Planes& yes, const Planes& no) {
 
 // Falls from 1 at no cost to 0.
 inline Floats trust(Floats cost) {
-    const Floats one = splat(1.0f), d = one + cost * cost * splat(1.0f / (2 * 0.3f * 0.3f));
-    return select(cost < splat(kWorst), one / (d * d), splat(0.0f));
+    const Floats one = Floats(1.0f), d = one + cost * cost * Floats(1.0f / (2 * 0.3f * 0.3f));
+    return select(cost < Floats(kWorst), one / (d * d), Floats(0.0f));
 }
 
 class Candidates {
@@ -33,7 +33,7 @@ public:
         const int from = parts_++ * kLanes;
         store(depth_ + from, planes.depth), store(nx_ + from, planes.nx);
         store(ny_ + from, planes.ny), store(nz_ + from, planes.nz);
-        for (int s = 0; s < sources_; ++s) store(cost_[s] + from, splat(kWorst));
+        for (int s = 0; s < sources_; ++s) store(cost_[s] + from, Floats(kWorst));
         for (uint32_t left = bits(which); left; left &= left - 1) at_[count_++] = from + __builtin_ctz(left);
     }
 
@@ -44,7 +44,7 @@ public:
             for (int l = count; l < kLanes; ++l) at[l] = at[count - 1];
             const Ints from = load(at);
             const Planes planes = {gather(depth_, from), gather(nx_, from), gather(ny_, from), gather(nz_, from)};
-            const Patches here = patches.permuted(from & splat(int32_t{kLanes - 1}));
+            const Patches here = patches.permuted(from & Ints(kLanes - 1));
             for (int s = 0; s < sources_; ++s) {
                 float cost[kLanes];
                 store(cost, PCB_ISA::score(problem, problem.sources[s], here, planes));

@@ -2,6 +2,8 @@
 // search loops of pcbench/native/points are, and for the same reasons.
 #pragma once
 #include "kernels.h"
+
+#define PCB_SPACE pcbench::mvs::PCB_ISA
 #include "sweep.h"
 
 namespace pcbench::mvs::PCB_ISA {

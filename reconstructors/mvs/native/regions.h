@@ -54,20 +54,20 @@ struct Neighbor {
 
 inline Neighbor best_of_region(const Problem& problem, const State& state, const Group& group, int number) {
     const Region& steps = kRegion[number];
-    Floats least = splat(kNothing), best = splat(-1.0f);
+    Floats least = Floats(kNothing), best = Floats(-1.0f);
     for (int k = 0; k < steps.count; ++k) {
         const int64_t row = group.y + steps.dy[k] + kBesideAbove;
         const int64_t column = ((group.first + steps.dx[k]) >> 1) + kBesideLeft;
         const Floats cost = load(state.beside + row * state.beside_columns + column);
-        best = select(cost < least, splat(static_cast<float>(k)), best);
-        least = min(cost, least);
+        best = select(cost < least, Floats(static_cast<float>(k)), best);
+        least = lesser(cost, least);
     }
-    const Mask found = group.valid & (splat(-0.5f) < best);
-    const Ints step = truncated(max(best, splat(0.0f)));
-    const Floats none = splat(0.0f);
+    const Mask found = group.valid & (Floats(-0.5f) < best);
+    const Ints step = truncated(greater(best, Floats(0.0f)));
+    const Floats none = Floats(0.0f);
     const Floats dx = select(found, floats(gather(steps.dx, step)), none);
     const Floats dy = select(found, floats(gather(steps.dy, step)), none);
-    const Ints away = truncated(dy) * splat(int32_t{problem.width}) + truncated(dx);
+    const Ints away = truncated(dy) * Ints(problem.width) + truncated(dx);
     return {found, load(group.pixel) + away, dx, dy};
 }
 

@@ -2,7 +2,7 @@
 // a 9 x 9 window of which every second texel is taken (Schonberger et al. 2016, eq. 9, with fewer texels).
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
-#include "floats.h"
+#include "ints.h"
 #include "problem.h"
 
 namespace pcbench::mvs::PCB_ISA {
@@ -47,11 +47,11 @@ struct Group {
             pixel[l] = y * problem.width + column;
             counts[l] = inside && (problem.valid == nullptr || problem.valid[pixel[l]] != 0) ? 1.0f : 0.0f;
         }
-        valid = splat(0.5f) < load(counts);
+        valid = Floats(0.5f) < load(counts);
         patches.x = load(x);
-        patches.y = splat(static_cast<float>(y));
-        patches.ray_x = (patches.x - splat(problem.cx)) / splat(problem.fx);
-        patches.ray_y = (patches.y - splat(problem.cy)) / splat(problem.fy);
+        patches.y = Floats(static_cast<float>(y));
+        patches.ray_x = (patches.x - Floats(problem.cx)) / Floats(problem.fx);
+        patches.ray_y = (patches.y - Floats(problem.cy)) / Floats(problem.fy);
         weigh(problem);
     }
 
@@ -67,12 +67,12 @@ private:
                 values[m] = static_cast<float>(line[clamped(first + kStep * (m - kReach), problem.width)]);
             for (int i = 0; i < kSide; ++i) gray[k++] = load(values + i);
         }
-        const Floats zero = splat(0.0f);
+        const Floats zero = Floats(0.0f);
         Floats total = zero, mean = zero, spread = zero;
         for (k = 0; k < kTexels; ++k) {
             const Floats step = gray[k] - gray[kTexels / 2];
             patches.weight[k] =
-                splat(problem.space_weights[k]) * gather(problem.gray_weights, truncated(max(step, zero - step)));
+                Floats(problem.space_weights[k]) * gather(problem.gray_weights, truncated(greater(step, zero - step)));
             total = total + patches.weight[k];
         }
         for (k = 0; k < kTexels; ++k) {
@@ -110,29 +110,30 @@ constexpr float kMostStretched = 16.0f;  // pixels of a source for one of the re
 // The homography of each plane, to first order about its pixel: over a patch the rest is a hundredth of a pixel. What
 // cannot be compared is put into the first pixel.
 inline Warp warp(const Problem& problem, const Source& source, const Patches& at, const Planes& planes) {
-    const Floats inverse = splat(1.0f) / planes.depth;
+    const Floats inverse = Floats(1.0f) / planes.depth;
     const float *m = source.turn, *v = source.shift;
     const auto row = [&](int r) {
-        return ((splat(m[3 * r]) * at.x + splat(m[3 * r + 1]) * at.y) + splat(m[3 * r + 2])) + splat(v[r]) * inverse;
+        return ((Floats(m[3 * r]) * at.x + Floats(m[3 * r + 1]) * at.y) + Floats(m[3 * r + 2])) +
+               Floats(v[r]) * inverse;
     };
     const Floats hx = row(0), hy = row(1), hz = row(2);
-    const Floats scale = splat(1.0f) / hz;
+    const Floats scale = Floats(1.0f) / hz;
     const Floats u = hx * scale, w = hy * scale;
     // n K^-1 / d, with d = depth * (n . ray).
     const Floats slope = inverse / dot(planes, at.ray_x, at.ray_y);
-    const Floats sx = planes.nx * slope * splat(1.0f / problem.fx), sy = planes.ny * slope * splat(1.0f / problem.fy);
-    const auto entry = [&](int r, int column, Floats s) { return splat(m[3 * r + column]) + splat(v[r]) * s; };
+    const Floats sx = planes.nx * slope * Floats(1.0f / problem.fx), sy = planes.ny * slope * Floats(1.0f / problem.fy);
+    const auto entry = [&](int r, int column, Floats s) { return Floats(m[3 * r + column]) + Floats(v[r]) * s; };
     const Floats hzx = entry(2, 0, sx), hzy = entry(2, 1, sy);
     const Floats ax = (entry(0, 0, sx) - u * hzx) * scale, ay = (entry(1, 0, sx) - w * hzx) * scale;
     const Floats bx = (entry(0, 1, sy) - u * hzy) * scale, by = (entry(1, 1, sy) - w * hzy) * scale;
     // A patch that is seen from behind, or at another scale by far, cannot be compared.
-    const Floats zero = splat(0.0f), area = ax * by - ay * bx;
-    const auto length = [&](Floats a) { return max(a, zero - a); };
-    const Floats stretched = max(max(length(ax), length(ay)), max(length(bx), length(by)));
-    const Floats low = splat(-0.5f), right = splat(static_cast<float>(source.width) - 0.5f),
-                 bottom = splat(static_cast<float>(source.height) - 0.5f);
-    const Mask seen = (zero < hz) & (splat(0.05f) < area) & (area < splat(20.0f)) &
-                      (stretched < splat(kMostStretched)) & (low < u) & (u < right) & (low < w) & (w < bottom);
+    const Floats zero = Floats(0.0f), area = ax * by - ay * bx;
+    const auto length = [&](Floats a) { return greater(a, zero - a); };
+    const Floats stretched = greater(greater(length(ax), length(ay)), greater(length(bx), length(by)));
+    const Floats low = Floats(-0.5f), right = Floats(static_cast<float>(source.width) - 0.5f),
+                 bottom = Floats(static_cast<float>(source.height) - 0.5f);
+    const Mask seen = (zero < hz) & (Floats(0.05f) < area) & (area < Floats(20.0f)) &
+                      (stretched < Floats(kMostStretched)) & (low < u) & (u < right) & (low < w) & (w < bottom);
     const auto kept = [&](Floats a) { return select(seen, a, zero); };
     return {kept(u), kept(w), kept(ax), kept(ay), kept(bx), kept(by), seen};
 }
@@ -146,18 +147,18 @@ struct Sums {
 
 template <bool kWhole>
 inline Sums summed(const Source& source, const Patches& patches, const Warp& at) {
-    const auto fixed = [](Floats a) { return truncated(a * splat(65536.0f)); };
-    const Ints two = splat(int32_t{kStep}), none = splat(int32_t{0});
+    const auto fixed = [](Floats a) { return truncated(a * Floats(65536.0f)); };
+    const Ints two = Ints(kStep), none = Ints(0);
     const Ints ax = fixed(at.ax) * two, ay = fixed(at.ay) * two, bx = fixed(at.bx) * two, by = fixed(at.by) * two;
-    const Ints right = splat((source.width - 1) << 16), bottom = splat((source.height - 1) << 16);
+    const Ints right = Ints((source.width - 1) << 16), bottom = Ints((source.height - 1) << 16);
     Ints line_x = fixed(at.x), line_y = fixed(at.y);
     for (int j = 0; j < kReach; ++j) line_x = line_x - ax - bx, line_y = line_y - ay - by;
-    Floats values = splat(0.0f), squares = values, products = values;
+    Floats values = Floats(0.0f), squares = values, products = values;
     for (int k = 0; k < kTexels; line_x = line_x + bx, line_y = line_y + by) {
         Ints x = line_x, y = line_y;
         for (int i = 0; i < kSide; ++i, ++k, x = x + ax, y = y + ay) {
             Ints column = x, line = y;
-            if (!kWhole) column = max(min(x, right), none), line = max(min(y, bottom), none);
+            if (!kWhole) column = greater(lesser(x, right), none), line = greater(lesser(y, bottom), none);
             const Ints quad = gather(source.quads, element(column, line, source.width));
             const Floats value = floats(between(quad, column, line));
             const Floats weighted = patches.weight[k] * value;
@@ -171,20 +172,20 @@ inline Sums summed(const Source& source, const Patches& patches, const Warp& at)
 
 // Whether all patches lie within the source, by more than the coordinates are rounded.
 inline bool whole(const Source& source, const Warp& at) {
-    const Floats zero = splat(0.0f), margin = splat(0.01f), most = splat(static_cast<float>(kStep * kReach));
-    const auto length = [&](Floats a) { return max(a, zero - a); };
+    const Floats zero = Floats(0.0f), margin = Floats(0.01f), most = Floats(static_cast<float>(kStep * kReach));
+    const auto length = [&](Floats a) { return greater(a, zero - a); };
     const Floats reach_x = (length(at.ax) + length(at.bx)) * most + margin;
     const Floats reach_y = (length(at.ay) + length(at.by)) * most + margin;
-    const Floats right = splat(static_cast<float>(source.width - 1));
-    const Floats bottom = splat(static_cast<float>(source.height - 1));
+    const Floats right = Floats(static_cast<float>(source.width - 1));
+    const Floats bottom = Floats(static_cast<float>(source.height - 1));
     const Mask inside = (reach_x < at.x) & (at.x + reach_x < right) & (reach_y < at.y) & (at.y + reach_y < bottom);
     return bits(at.seen & ~inside) == 0;
 }
 
 // The value of the pixel whose centre is nearest; x and y are taken to the border first.
 inline Floats nearest(const Source& source, const float* map, Floats x, Floats y) {
-    const Ints column = truncated(x + splat(0.5f)), line = truncated(y + splat(0.5f));
-    return gather(map, line * splat(static_cast<int32_t>(source.width)) + column);
+    const Ints column = truncated(x + Floats(0.5f)), line = truncated(y + Floats(0.5f));
+    return gather(map, line * Ints(static_cast<int32_t>(source.width)) + column);
 }
 
 // How far, in pixels of the reference, the source's own depth map puts the point it shows there; at most 3. None is 3.
@@ -192,12 +193,12 @@ inline Floats disagreement(const Source& source, const Patches& at, Floats x, Fl
     const Floats depth = nearest(source, source.depth, x, y);
     const float *m = source.back_turn, *v = source.back_shift;
     const auto row = [&](int r) {
-        return ((splat(m[3 * r]) * x + splat(m[3 * r + 1]) * y) + splat(m[3 * r + 2])) * depth + splat(v[r]);
+        return ((Floats(m[3 * r]) * x + Floats(m[3 * r + 1]) * y) + Floats(m[3 * r + 2])) * depth + Floats(v[r]);
     };
-    const Floats zero = splat(0.0f), hz = row(2);
+    const Floats zero = Floats(0.0f), hz = row(2);
     const Floats dx = row(0) / hz - at.x, dy = row(1) / hz - at.y;
-    const Floats distance = min(sqrt(dx * dx + dy * dy), splat(3.0f));
-    return select((zero < depth) & (zero < hz), distance, splat(3.0f));
+    const Floats distance = lesser(root(dx * dx + dy * dy), Floats(3.0f));
+    return select((zero < depth) & (zero < hz), distance, Floats(3.0f));
 }
 
 constexpr float kPerPixelOff = 0.2f;  // the cost of a pixel of disagreement (Xu and Tao 2019, sec. 4.2)
@@ -207,19 +208,19 @@ inline Floats score(const Problem& problem, const Source& source, const Patches&
     const Warp at = warp(problem, source, patches, planes);
     const Sums sums = whole(source, at) ? summed<true>(source, patches, at) : summed<false>(source, patches, at);
     const Floats spread = sums.squares - sums.values * sums.values;
-    const Floats least = splat(problem.least_variance), least_parts = least * splat(kParts * kParts);
+    const Floats least = Floats(problem.least_variance), least_parts = least * Floats(kParts * kParts);
     const Mask textured = (least_parts < spread) & (least < patches.variance);
     const Floats correlation =
-        select(textured, sums.products / sqrt(max(patches.variance * spread, least_parts)), splat(0.0f));
-    Floats cost = max(splat(1.0f) - correlation, splat(0.0f));
+        select(textured, sums.products / root(greater(patches.variance * spread, least_parts)), Floats(0.0f));
+    Floats cost = greater(Floats(1.0f) - correlation, Floats(0.0f));
     Mask seen = at.seen;
     if (source.depth != nullptr || source.shown != nullptr) {
-        const Floats x = max(min(at.x, splat(static_cast<float>(source.width - 1))), splat(0.0f));
-        const Floats y = max(min(at.y, splat(static_cast<float>(source.height - 1))), splat(0.0f));
-        if (source.depth != nullptr) cost = cost + splat(kPerPixelOff) * disagreement(source, patches, x, y);
-        if (source.shown != nullptr) seen = seen & (splat(0.5f) < nearest(source, source.shown, x, y));
+        const Floats x = greater(lesser(at.x, Floats(static_cast<float>(source.width - 1))), Floats(0.0f));
+        const Floats y = greater(lesser(at.y, Floats(static_cast<float>(source.height - 1))), Floats(0.0f));
+        if (source.depth != nullptr) cost = cost + Floats(kPerPixelOff) * disagreement(source, patches, x, y);
+        if (source.shown != nullptr) seen = seen & (Floats(0.5f) < nearest(source, source.shown, x, y));
     }
-    return select(seen, min(cost, splat(kWorst)), splat(kWorst));
+    return select(seen, lesser(cost, Floats(kWorst)), Floats(kWorst));
 }
 
 }  // namespace pcbench::mvs::PCB_ISA

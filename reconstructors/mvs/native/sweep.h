@@ -11,19 +11,19 @@ namespace pcbench::mvs::PCB_ISA {
 class Random {
 public:
     Random(uint32_t seed, Ints pixels, int sweep)
-        : state_(splat(static_cast<int32_t>(seed)) ^ mixed(pixels ^ mixed(splat(int32_t{sweep})))) {}
+        : state_(Ints(static_cast<int32_t>(seed)) ^ mixed(pixels ^ mixed(Ints(sweep)))) {}
     Floats unit() {  // 0 to 1
-        state_ = state_ * splat(int32_t{747796405}) + splat(static_cast<int32_t>(2891336453u));
-        return floats(shifted_right<8>(mixed(state_))) * splat(1.0f / 16777216.0f);
+        state_ = state_ * Ints(747796405) + Ints(static_cast<int32_t>(2891336453u));
+        return floats(shifted_right<8>(mixed(state_))) * Floats(1.0f / 16777216.0f);
     }
-    Floats symmetric() { return splat(2.0f) * unit() - splat(1.0f); }
+    Floats symmetric() { return Floats(2.0f) * unit() - Floats(1.0f); }
 
 private:
     static Ints mixed(Ints v) {
         v = v ^ shifted_right<16>(v);
-        v = v * splat(int32_t{0x7feb352d});
+        v = v * Ints(0x7feb352d);
         v = v ^ shifted_right<15>(v);
-        v = v * splat(static_cast<int32_t>(0x846ca68bu));
+        v = v * Ints(static_cast<int32_t>(0x846ca68bu));
         return v ^ shifted_right<16>(v);
     }
     Ints state_;
@@ -40,7 +40,7 @@ public:
 
     // The costs of the planes there are; pixels without one get one at random.
     void begin() {
-        const Floats none = splat(0.0f);
+        const Floats none = Floats(0.0f);
         Random random(problem_.seed, load(group_.pixel), -1);
         const Planes made = any_normal(random, {random_depth(random), none, none, none});
         plane_ = chosen(sensible(plane_), plane_, made);
@@ -51,13 +51,13 @@ public:
             const Floats weight = trust(view_costs_[s]);
             total = total + weight * view_costs_[s], weights = weights + weight;
         }
-        cost_ = select(group_.valid & (none < weights), total / weights, splat(kWorst));
+        cost_ = select(group_.valid & (none < weights), total / weights, Floats(kWorst));
         write();
     }
 
     void improve(int number) {
         if (!bits(group_.valid)) return;
-        const Ints first = load(group_.pixel) * splat(int32_t{sources_});
+        const Ints first = load(group_.pixel) * Ints(sources_);
         for (int s = 0; s < sources_; ++s) view_costs_[s] = gather(state_.view_costs + s, first);
         spread();
         vary(number);
@@ -103,7 +103,8 @@ private:
         Random random(problem_.seed, load(group_.pixel), number);
         for (int round = 0; round < 3; ++round) {
             Planes plane = plane_;
-            if (round != 1) plane.depth = splat(1.0f) / (splat(1.0f) / plane.depth + random.symmetric() * splat(reach));
+            if (round != 1)
+                plane.depth = Floats(1.0f) / (Floats(1.0f) / plane.depth + random.symmetric() * Floats(reach));
             if (round != 0) plane = turned(random, tilt, plane);
             Candidates one(sources_);
             const Mask which = group_.valid & sensible(plane);
@@ -111,7 +112,7 @@ private:
             one.score(problem_, group_.patches);
             take_if_better(plane, which, one, 0);
         }
-        const Mask lost = group_.valid & (splat(kLost) < cost_);
+        const Mask lost = group_.valid & (Floats(kLost) < cost_);
         if (!bits(lost)) return;
         Candidates all(sources_);
         Planes planes[2];
@@ -130,33 +131,33 @@ private:
     // A view counts as far as the neighbours' planes find it to agree; one that most of them find to disagree is taken
     // to see something else. Where no view is left each counts as far as the best plane says.
     void choose_views(const Mask* there, const Floats (*costs)[kRegions]) {
-        const Floats zero = splat(0.0f), one = splat(1.0f);
+        const Floats zero = Floats(0.0f), one = Floats(1.0f);
         Floats total = zero;
         for (int s = 0; s < sources_; ++s) {
             Floats good = zero, bad = zero, sum = zero;
             for (int r = 0; r < kRegions; ++r) {
-                const Mask agrees = there[r] & (costs[s][r] < splat(kGood));
+                const Mask agrees = there[r] & (costs[s][r] < Floats(kGood));
                 good = good + select(agrees, one, zero);
                 sum = sum + select(agrees, trust(costs[s][r]), zero);
-                bad = bad + select(there[r] & (splat(kBad) < costs[s][r]), one, zero);
+                bad = bad + select(there[r] & (Floats(kBad) < costs[s][r]), one, zero);
             }
-            weights_[s] = select((splat(2.5f) < good) & (bad < splat(2.5f)), sum / good, zero);
+            weights_[s] = select((Floats(2.5f) < good) & (bad < Floats(2.5f)), sum / good, zero);
             total = total + weights_[s];
         }
         const Mask some = zero < total;
         if (!bits(~some)) return;
         for (int s = 0; s < sources_; ++s) {
             Floats least = view_costs_[s];
-            for (int r = 0; r < kRegions; ++r) least = select(there[r], min(costs[s][r], least), least);
+            for (int r = 0; r < kRegions; ++r) least = select(there[r], lesser(costs[s][r], least), least);
             weights_[s] = select(some, weights_[s], trust(least));
         }
     }
 
     Floats mean(const Floats* costs) const {
-        const Floats zero = splat(0.0f);
+        const Floats zero = Floats(0.0f);
         Floats sum = zero, total = zero;
         for (int s = 0; s < sources_; ++s) sum = sum + weights_[s] * costs[s], total = total + weights_[s];
-        return select(zero < total, sum / total, splat(kWorst));
+        return select(zero < total, sum / total, Floats(kWorst));
     }
 
     // Planes of the candidates' part of that number, of pixels for which they were scored.
@@ -187,49 +188,49 @@ private:
     // Where planes of other pixels meet the rays of these.
     Floats depth_here(const Planes& planes, const Neighbor& from) const {
         const Patches& at = group_.patches;
-        const Floats x = (at.x + from.dx - splat(problem_.cx)) / splat(problem_.fx);
-        const Floats y = (at.y + from.dy - splat(problem_.cy)) / splat(problem_.fy);
+        const Floats x = (at.x + from.dx - Floats(problem_.cx)) / Floats(problem_.fx);
+        const Floats y = (at.y + from.dy - Floats(problem_.cy)) / Floats(problem_.fy);
         return planes.depth * (dot(planes, x, y) / dot(planes, at.ray_x, at.ray_y));
     }
 
     // In the range, and not seen from behind or along itself.
     Mask sensible(const Planes& planes) const {
         const Floats facing = dot(planes, group_.patches.ray_x, group_.patches.ray_y);
-        return (splat(problem_.nearest) <= planes.depth) & (planes.depth <= splat(problem_.farthest)) &
-               (facing < splat(-0.1f) * ray_length());
+        return (Floats(problem_.nearest) <= planes.depth) & (planes.depth <= Floats(problem_.farthest)) &
+               (facing < Floats(-0.1f) * ray_length());
     }
 
     Floats ray_length() const {
         const Floats x = group_.patches.ray_x, y = group_.patches.ray_y;
-        return sqrt((x * x + y * y) + splat(1.0f));
+        return root((x * x + y * y) + Floats(1.0f));
     }
 
     // Too little apart to tell by the images.
     Mask same(const Planes& a, const Planes& b) const {
-        const Floats one = splat(1.0f), zero = splat(0.0f);
-        const Floats moved = (one / a.depth - one / b.depth) * splat(problem_.pixels_per_depth);
-        return (max(moved, zero - moved) < splat(kSameMove)) & (splat(kSameCosine) < dot_of_normals(a, b));
+        const Floats one = Floats(1.0f), zero = Floats(0.0f);
+        const Floats moved = (one / a.depth - one / b.depth) * Floats(problem_.pixels_per_depth);
+        return (greater(moved, zero - moved) < Floats(kSameMove)) & (Floats(kSameCosine) < dot_of_normals(a, b));
     }
 
     static Floats dot_of_normals(const Planes& a, const Planes& b) { return (a.nx * b.nx + a.ny * b.ny) + a.nz * b.nz; }
 
     Floats random_depth(Random& random) const {
         const float near = 1.0f / problem_.nearest, far = 1.0f / problem_.farthest;
-        return splat(1.0f) / (splat(far) + random.unit() * splat(near - far));
+        return Floats(1.0f) / (Floats(far) + random.unit() * Floats(near - far));
     }
 
     // Any direction within 60 degrees of the ray back to the camera, about evenly.
     Planes any_normal(Random& random, Planes planes) const {
-        const Floats by = splat(-1.0f) / ray_length();
+        const Floats by = Floats(-1.0f) / ray_length();
         planes.nx = group_.patches.ray_x * by, planes.ny = group_.patches.ray_y * by, planes.nz = by;
         return turned(random, 1.5f, planes);
     }
 
     static Planes turned(Random& random, float by, Planes planes) {
-        const Floats nx = planes.nx + splat(by) * random.symmetric(), ny = planes.ny + splat(by) * random.symmetric(),
-                     nz = planes.nz + splat(by) * random.symmetric();
-        const Floats length = sqrt((nx * nx + ny * ny) + nz * nz);
-        return chosen(splat(1e-3f) < length, {planes.depth, nx / length, ny / length, nz / length}, planes);
+        const Floats nx = planes.nx + Floats(by) * random.symmetric(), ny = planes.ny + Floats(by) * random.symmetric(),
+                     nz = planes.nz + Floats(by) * random.symmetric();
+        const Floats length = root((nx * nx + ny * ny) + nz * nz);
+        return chosen(Floats(1e-3f) < length, {planes.depth, nx / length, ny / length, nz / length}, planes);
     }
 
     static constexpr float kGood = 0.6f, kBad = 1.2f, kLost = 0.4f;

@@ -92,8 +92,8 @@ inline void blend_block(const Frame& frame, const Place& place, const float* spl
         const Floats next = fused(-left, alpha, left);
         Mask counts = going & (least <= alpha);
         const Mask ends = counts & (next < end);
-        going = without(going, ends);
-        counts = without(counts, ends);
+        going = going & ~ends;
+        counts = counts & ~ends;
         const Floats weight = select(counts, left * alpha, zero);
         color = fused(weight, s.color, color);
         if (kGeometry) {
@@ -216,7 +216,7 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
             const Floats next = fused(-r.left, alpha, r.left);
             Mask counts = least <= alpha;
             const Mask ends = counts & (next < end);
-            counts = without(counts, ends);
+            counts = counts & ~ends;
             alpha = select(counts, alpha, zero);
             const Floats free = select(seen.alpha < most, one, zero);
             add_pixel<kGeometry>(s, seen.u, seen.v, alpha, free, r.left, r.by, r.error, r.behind, m);

@@ -1,59 +1,31 @@
-// A SIMD vector of sixteen floats, on whatever registers this translation unit may use, with integers and a mask alike.
-// Every operation is one IEEE operation on each lane (no fused multiply-add, no reassociation) or exact in integers, so
-// each instruction set gives the same bits. Roots and moduli are the compiler's own: of std::sqrt(float) the linker
-// would keep one copy for all instruction sets. Included once for each instruction set, inside its own namespace
-// PCB_ISA: see kernels_isa.h.
+// Sixteen integers beside the sixteen floats of common/floats.h, what passes between the two, and samples of an image
+// in whole numbers. Every operation is exact, so each instruction set gives the same bits. Included once for each
+// instruction set, inside its own namespace PCB_ISA: see kernels_isa.h.
 #pragma once
-#include <cstdint>
-
-#if defined(__AVX2__)
-#include <immintrin.h>
-#endif
+#include "common/floats.h"
 
 namespace pcbench::mvs::PCB_ISA {
 
-constexpr int kLanes = 16;
-
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512BW__)
 
-struct Floats {
-    __m512 v;
-};
 struct Ints {
     __m512i v;
+    Ints() = default;
+    Ints(__m512i registers) : v(registers) {}
+    explicit Ints(int32_t s) : v(_mm512_set1_epi32(s)) {}
 };
-struct Mask {
-    __mmask16 m;
-};
-inline Floats load(const float* p) { return {_mm512_loadu_ps(p)}; }
-inline void store(float* p, Floats a) { _mm512_storeu_ps(p, a.v); }
-inline Floats splat(float s) { return {_mm512_set1_ps(s)}; }
-inline Floats operator+(Floats a, Floats b) { return {_mm512_add_ps(a.v, b.v)}; }
-inline Floats operator-(Floats a, Floats b) { return {_mm512_sub_ps(a.v, b.v)}; }
-inline Floats operator*(Floats a, Floats b) { return {_mm512_mul_ps(a.v, b.v)}; }
-inline Floats operator/(Floats a, Floats b) { return {_mm512_div_ps(a.v, b.v)}; }
-inline Floats min(Floats a, Floats b) { return {_mm512_min_ps(a.v, b.v)}; }
-inline Floats max(Floats a, Floats b) { return {_mm512_max_ps(a.v, b.v)}; }
-inline Floats sqrt(Floats a) { return {_mm512_sqrt_ps(a.v)}; }
-inline Mask operator<(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LT_OQ)}; }
-inline Mask operator<=(Floats a, Floats b) { return {_mm512_cmp_ps_mask(a.v, b.v, _CMP_LE_OQ)}; }
-inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m)}; }
-inline Mask operator~(Mask a) { return {static_cast<__mmask16>(~a.m)}; }
-inline uint32_t bits(Mask a) { return a.m; }
-inline Floats select(Mask m, Floats yes, Floats no) { return {_mm512_mask_blend_ps(m.m, no.v, yes.v)}; }
 inline Floats permuted(Floats a, Ints lanes) { return {_mm512_permutexvar_ps(lanes.v, a.v)}; }
 inline Ints truncated(Floats a) { return {_mm512_cvttps_epi32(a.v)}; }
 inline Floats floats(Ints a) { return {_mm512_cvtepi32_ps(a.v)}; }
 inline Ints load(const int32_t* p) { return {_mm512_loadu_si512(p)}; }
 inline void store(int32_t* p, Ints a) { _mm512_storeu_si512(p, a.v); }
-inline Ints splat(int32_t s) { return {_mm512_set1_epi32(s)}; }
 inline Ints operator+(Ints a, Ints b) { return {_mm512_add_epi32(a.v, b.v)}; }
 inline Ints operator-(Ints a, Ints b) { return {_mm512_sub_epi32(a.v, b.v)}; }
 inline Ints operator*(Ints a, Ints b) { return {_mm512_mullo_epi32(a.v, b.v)}; }
 inline Ints operator&(Ints a, Ints b) { return {_mm512_and_si512(a.v, b.v)}; }
 inline Ints operator^(Ints a, Ints b) { return {_mm512_xor_si512(a.v, b.v)}; }
-inline Ints min(Ints a, Ints b) { return {_mm512_min_epi32(a.v, b.v)}; }
-inline Ints max(Ints a, Ints b) { return {_mm512_max_epi32(a.v, b.v)}; }
+inline Ints lesser(Ints a, Ints b) { return {_mm512_min_epi32(a.v, b.v)}; }
+inline Ints greater(Ints a, Ints b) { return {_mm512_max_epi32(a.v, b.v)}; }
 template <int kBits>
 inline Ints shifted_right(Ints a) {
     return {_mm512_srli_epi32(a.v, kBits)};
@@ -77,42 +49,12 @@ inline Ints between(Ints quad, Ints x, Ints y) {
 
 #elif defined(__AVX2__)
 
-struct Floats {
-    __m256 a, b;
-};
 struct Ints {
     __m256i a, b;
+    Ints() = default;
+    Ints(__m256i low, __m256i high) : a(low), b(high) {}
+    explicit Ints(int32_t s) : a(_mm256_set1_epi32(s)), b(_mm256_set1_epi32(s)) {}
 };
-struct Mask {
-    __m256 a, b;
-};
-inline Floats load(const float* p) { return {_mm256_loadu_ps(p), _mm256_loadu_ps(p + 8)}; }
-inline void store(float* p, Floats x) { _mm256_storeu_ps(p, x.a), _mm256_storeu_ps(p + 8, x.b); }
-inline Floats splat(float s) { return {_mm256_set1_ps(s), _mm256_set1_ps(s)}; }
-inline Floats operator+(Floats x, Floats y) { return {_mm256_add_ps(x.a, y.a), _mm256_add_ps(x.b, y.b)}; }
-inline Floats operator-(Floats x, Floats y) { return {_mm256_sub_ps(x.a, y.a), _mm256_sub_ps(x.b, y.b)}; }
-inline Floats operator*(Floats x, Floats y) { return {_mm256_mul_ps(x.a, y.a), _mm256_mul_ps(x.b, y.b)}; }
-inline Floats operator/(Floats x, Floats y) { return {_mm256_div_ps(x.a, y.a), _mm256_div_ps(x.b, y.b)}; }
-inline Floats min(Floats x, Floats y) { return {_mm256_min_ps(x.a, y.a), _mm256_min_ps(x.b, y.b)}; }
-inline Floats max(Floats x, Floats y) { return {_mm256_max_ps(x.a, y.a), _mm256_max_ps(x.b, y.b)}; }
-inline Floats sqrt(Floats x) { return {_mm256_sqrt_ps(x.a), _mm256_sqrt_ps(x.b)}; }
-inline Mask operator<(Floats x, Floats y) {
-    return {_mm256_cmp_ps(x.a, y.a, _CMP_LT_OQ), _mm256_cmp_ps(x.b, y.b, _CMP_LT_OQ)};
-}
-inline Mask operator<=(Floats x, Floats y) {
-    return {_mm256_cmp_ps(x.a, y.a, _CMP_LE_OQ), _mm256_cmp_ps(x.b, y.b, _CMP_LE_OQ)};
-}
-inline Mask operator&(Mask x, Mask y) { return {_mm256_and_ps(x.a, y.a), _mm256_and_ps(x.b, y.b)}; }
-inline Mask operator~(Mask x) {
-    const __m256 all = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
-    return {_mm256_xor_ps(x.a, all), _mm256_xor_ps(x.b, all)};
-}
-inline uint32_t bits(Mask x) {
-    return static_cast<uint32_t>(_mm256_movemask_ps(x.a)) | static_cast<uint32_t>(_mm256_movemask_ps(x.b)) << 8;
-}
-inline Floats select(Mask m, Floats yes, Floats no) {
-    return {_mm256_blendv_ps(no.a, yes.a, m.a), _mm256_blendv_ps(no.b, yes.b, m.b)};
-}
 inline __m256 permuted_half(Floats x, __m256i lanes) {
     const __m256 upper = _mm256_castsi256_ps(_mm256_slli_epi32(lanes, 28));
     return _mm256_blendv_ps(_mm256_permutevar8x32_ps(x.a, lanes), _mm256_permutevar8x32_ps(x.b, lanes), upper);
@@ -128,14 +70,13 @@ inline void store(int32_t* p, Ints x) {
     auto* q = reinterpret_cast<__m256i*>(p);
     _mm256_storeu_si256(q, x.a), _mm256_storeu_si256(q + 1, x.b);
 }
-inline Ints splat(int32_t s) { return {_mm256_set1_epi32(s), _mm256_set1_epi32(s)}; }
 inline Ints operator+(Ints x, Ints y) { return {_mm256_add_epi32(x.a, y.a), _mm256_add_epi32(x.b, y.b)}; }
 inline Ints operator-(Ints x, Ints y) { return {_mm256_sub_epi32(x.a, y.a), _mm256_sub_epi32(x.b, y.b)}; }
 inline Ints operator*(Ints x, Ints y) { return {_mm256_mullo_epi32(x.a, y.a), _mm256_mullo_epi32(x.b, y.b)}; }
 inline Ints operator&(Ints x, Ints y) { return {_mm256_and_si256(x.a, y.a), _mm256_and_si256(x.b, y.b)}; }
 inline Ints operator^(Ints x, Ints y) { return {_mm256_xor_si256(x.a, y.a), _mm256_xor_si256(x.b, y.b)}; }
-inline Ints min(Ints x, Ints y) { return {_mm256_min_epi32(x.a, y.a), _mm256_min_epi32(x.b, y.b)}; }
-inline Ints max(Ints x, Ints y) { return {_mm256_max_epi32(x.a, y.a), _mm256_max_epi32(x.b, y.b)}; }
+inline Ints lesser(Ints x, Ints y) { return {_mm256_min_epi32(x.a, y.a), _mm256_min_epi32(x.b, y.b)}; }
+inline Ints greater(Ints x, Ints y) { return {_mm256_max_epi32(x.a, y.a), _mm256_max_epi32(x.b, y.b)}; }
 template <int kBits>
 inline Ints shifted_right(Ints x) {
     return {_mm256_srli_epi32(x.a, kBits), _mm256_srli_epi32(x.b, kBits)};
@@ -168,41 +109,17 @@ inline Ints between(Ints quad, Ints x, Ints y) {
 
 #else
 
-struct Floats {
-    float v[kLanes];
-};
 struct Ints {
     int32_t v[kLanes];
-};
-struct Mask {
-    int32_t v[kLanes];  // 0 or -1
+    Ints() = default;
+    explicit Ints(int32_t s) {
+        for (int i = 0; i < kLanes; ++i) v[i] = s;
+    }
 };
 #define PCB_EACH(type, expression)                            \
     type out;                                                 \
     for (int i = 0; i < kLanes; ++i) out.v[i] = (expression); \
     return out
-inline Floats load(const float* p) { PCB_EACH(Floats, p[i]); }
-inline void store(float* p, Floats a) {
-    for (int i = 0; i < kLanes; ++i) p[i] = a.v[i];
-}
-inline Floats splat(float s) { PCB_EACH(Floats, s); }
-inline Floats operator+(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] + b.v[i]); }
-inline Floats operator-(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] - b.v[i]); }
-inline Floats operator*(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] * b.v[i]); }
-inline Floats operator/(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] / b.v[i]); }
-inline Floats min(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
-inline Floats max(Floats a, Floats b) { PCB_EACH(Floats, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
-inline Floats sqrt(Floats a) { PCB_EACH(Floats, __builtin_sqrtf(a.v[i])); }
-inline Mask operator<(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] < b.v[i])); }
-inline Mask operator<=(Floats a, Floats b) { PCB_EACH(Mask, -static_cast<int32_t>(a.v[i] <= b.v[i])); }
-inline Mask operator&(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & b.v[i]); }
-inline Mask operator~(Mask a) { PCB_EACH(Mask, ~a.v[i]); }
-inline uint32_t bits(Mask a) {
-    uint32_t out = 0;
-    for (int i = 0; i < kLanes; ++i) out |= static_cast<uint32_t>(a.v[i] & 1) << i;
-    return out;
-}
-inline Floats select(Mask m, Floats yes, Floats no) { PCB_EACH(Floats, m.v[i] ? yes.v[i] : no.v[i]); }
 inline Floats permuted(Floats a, Ints lanes) { PCB_EACH(Floats, a.v[lanes.v[i]]); }
 inline Ints truncated(Floats a) { PCB_EACH(Ints, static_cast<int32_t>(a.v[i])); }
 inline Floats floats(Ints a) { PCB_EACH(Floats, static_cast<float>(a.v[i])); }
@@ -210,7 +127,6 @@ inline Ints load(const int32_t* p) { PCB_EACH(Ints, p[i]); }
 inline void store(int32_t* p, Ints a) {
     for (int i = 0; i < kLanes; ++i) p[i] = a.v[i];
 }
-inline Ints splat(int32_t s) { PCB_EACH(Ints, s); }
 // Sums and products of integers are taken modulo 2^32.
 inline Ints operator+(Ints a, Ints b) {
     PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) + static_cast<uint32_t>(b.v[i])));
@@ -223,8 +139,8 @@ inline Ints operator*(Ints a, Ints b) {
 }
 inline Ints operator&(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] & b.v[i]); }
 inline Ints operator^(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] ^ b.v[i]); }
-inline Ints min(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
-inline Ints max(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
+inline Ints lesser(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
+inline Ints greater(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
 template <int kBits>
 inline Ints shifted_right(Ints a) {
     PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) >> kBits));
