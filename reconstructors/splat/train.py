@@ -64,14 +64,10 @@ class Seen(NamedTuple):
         gradient: sum over the views of the length of the derivative by the projected mean, in units in which the image
             is 2 wide and 2 high.
         views: that drew it.
-        weight: sum over pixels of the weight with which it was blended.
-        error: the same times the absolute difference there.
     """
 
     gradient: Tensor
     views: Tensor
-    weight: Tensor
-    error: Tensor
 
     @classmethod
     def nothing(cls, model: Gaussians) -> Seen:
@@ -83,8 +79,6 @@ class Seen(NamedTuple):
         scale = pulled.screen.new_tensor([width / 2, height / 2])
         self.gradient[ids] += (pulled.screen * scale).norm(dim=1)
         self.views[ids] += 1
-        self.weight[ids] += pulled.weight
-        self.error[ids] += pulled.error
 
 
 class Training:
@@ -184,7 +178,7 @@ class Training:
         loss = self._kernels.image_loss(shown, target, schedule.ssim_weight)
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
         difference = shown - target
-        pulled = self._rasterizer.backward(gradient, None, None, None, difference.abs().mean(dim=2))
+        pulled = self._rasterizer.backward(gradient, None, None, None, None)
         self.step += 1
         self.optimizer.step(model, pulled, schedule.rates, self.step / schedule.steps, self.step)
         self.seen.add(pulled, photograph.view.width, photograph.view.height)

@@ -89,7 +89,7 @@ def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
     import torch
 
     gradient = torch.empty_like(image)
-    l1, ssim = _rasterizer.ImageLoss()(_array(image), _array(target), ssim_weight, _array(gradient))
+    l1, ssim = _rasterizer.image_loss(_array(image), _array(target), ssim_weight, _array(gradient))
     return ImageLoss(l1, ssim, gradient)
 
 

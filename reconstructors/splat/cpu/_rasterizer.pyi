@@ -40,15 +40,10 @@ class Rasterizer:
     def bytes(self) -> int:
         """Memory held."""
 
-class ImageLoss:
-    """L1 and structural similarity in the same memory, image after image."""
-
-    def __init__(self) -> None: ...
-
-    def __call__(self, image: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], target: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], ssim_weight: float, gradient: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu')]) -> tuple[float, float]:
-        """
-        Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).
-        """
+def image_loss(image: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], target: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], ssim_weight: float, gradient: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu')]) -> tuple[float, float]:
+    """
+    Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).
+    """
 
 def adam(parameters: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], first: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], second: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], gradient: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], rates: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], step: int, beta1: float, beta2: float, epsilon: float) -> None:
     """One step of Adam on the given rows, in place."""

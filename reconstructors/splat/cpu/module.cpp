@@ -129,25 +129,19 @@ private:
     } kept_;
 };
 
-class PyImageLoss {
-public:
-    std::tuple<double, double> operator()(InColorPicture image, InColorPicture target, float ssim_weight,
-                                          ColorPicture gradient) {
-        const size_t height = image.shape(0), width = image.shape(1);
-        check(target.shape(0) == height && target.shape(1) == width && gradient.shape(0) == height &&
-                  gradient.shape(1) == width,
-              "expected an image, a target and a gradient of one size");
-        check(height >= 1 && width >= 1 && height <= kMostPixels && width <= kMostPixels,
-              "expected a picture of 1 to 2^19 pixels a side");
-        nb::gil_scoped_release release;
-        const ImageLoss::Parts parts = loss_(image.data(), target.data(), static_cast<int>(height),
-                                             static_cast<int>(width), ssim_weight, gradient.data());
-        return {parts.difference, parts.similarity};
-    }
-
-private:
-    ImageLoss loss_;
-};
+std::tuple<double, double> loss_of(InColorPicture image, InColorPicture target, float ssim_weight,
+                                   ColorPicture gradient) {
+    const size_t height = image.shape(0), width = image.shape(1);
+    check(target.shape(0) == height && target.shape(1) == width && gradient.shape(0) == height &&
+              gradient.shape(1) == width,
+          "expected an image, a target and a gradient of one size");
+    check(height >= 1 && width >= 1 && height <= kMostPixels && width <= kMostPixels,
+          "expected a picture of 1 to 2^19 pixels a side");
+    nb::gil_scoped_release release;
+    const LossParts parts = image_loss(image.data(), target.data(), static_cast<int>(height), static_cast<int>(width),
+                                       ssim_weight, gradient.data());
+    return {parts.difference, parts.similarity};
+}
 
 void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first, Out<float, nb::ndim<2>> second,
                In<float, nb::ndim<2>> gradient, In<int64_t, nb::shape<-1>> rows, In<float, nb::shape<-1>> rates,
@@ -205,11 +199,9 @@ NB_MODULE(_rasterizer, m) {
         .def_prop_ro("instances", &PyRasterizer::instances, "Pairs of a Gaussian and a tile that it touches.")
         .def_prop_ro("bytes", &PyRasterizer::bytes, "Memory held.");
 
-    nb::class_<PyImageLoss>(m, "ImageLoss", "L1 and structural similarity in the same memory, image after image.")
-        .def(nb::init<>())
-        .def("__call__", &PyImageLoss::operator(), nb::arg("image").noconvert(), nb::arg("target").noconvert(),
-             nb::arg("ssim_weight"), nb::arg("gradient").noconvert(),
-             "Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).");
+    m.def("image_loss", &loss_of, nb::arg("image").noconvert(), nb::arg("target").noconvert(), nb::arg("ssim_weight"),
+          nb::arg("gradient").noconvert(),
+          "Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).");
 
     m.def("adam", &adam_step, nb::arg("parameters").noconvert(), nb::arg("first").noconvert(),
           nb::arg("second").noconvert(), nb::arg("gradient").noconvert(), nb::arg("rows").noconvert(),

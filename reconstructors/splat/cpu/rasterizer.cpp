@@ -172,27 +172,27 @@ void Rasterizer::backward(const PictureGradients& by, const ModelGradients& out)
         kernels().project_gradient(frame_, group, moments_.data(), first_.data(), count_.data(), rows_[group], out);
 }
 
-ImageLoss::Parts ImageLoss::operator()(const float* x, const float* y, int height, int width, float weight,
-                                       float* gradient) {
+LossParts image_loss(const float* x, const float* y, int height, int width, float weight, float* gradient) {
     const int length = 3 * width;
     const size_t size = static_cast<size_t>(height) * length;
-    by_mean_.resize(size), by_square_.resize(size), by_product_.resize(size), sums_.resize(2 * height);
+    std::vector<float> by_mean(size), by_square(size), by_product(size);
+    std::vector<double> sums(2 * static_cast<size_t>(height));
 #pragma omp parallel
     {
         std::vector<float> scratch(4 * static_cast<size_t>(length + 64));
 #pragma omp for schedule(static)
         for (int row = 0; row < height; ++row) {
             const size_t at = static_cast<size_t>(length) * row;
-            kernels().similarity(x, y, height, length, row, scratch.data(), by_mean_.data() + at,
-                                 by_square_.data() + at, by_product_.data() + at, sums_.data() + 2 * row);
+            kernels().similarity(x, y, height, length, row, scratch.data(), by_mean.data() + at, by_square.data() + at,
+                                 by_product.data() + at, sums.data() + 2 * row);
         }
 #pragma omp for schedule(static)
         for (int row = 0; row < height; ++row)
-            kernels().loss_gradient(x, y, height, length, row, weight, scratch.data(), by_mean_.data(),
-                                    by_square_.data(), by_product_.data(), gradient);
+            kernels().loss_gradient(x, y, height, length, row, weight, scratch.data(), by_mean.data(), by_square.data(),
+                                    by_product.data(), gradient);
     }
-    Parts total{0.0, 0.0};
-    for (int row = 0; row < height; ++row) total.difference += sums_[2 * row], total.similarity += sums_[2 * row + 1];
+    LossParts total{0.0, 0.0};
+    for (int row = 0; row < height; ++row) total.difference += sums[2 * row], total.similarity += sums[2 * row + 1];
     return {total.difference / static_cast<double>(size), total.similarity / static_cast<double>(size)};
 }
 

@@ -48,17 +48,10 @@ private:
     std::vector<Part> parts_;
 };
 
-// (1 - weight) mean |x - y| + weight (1 - mean similarity), and its derivative by x.
-class ImageLoss {
-public:
-    struct Parts {
-        double difference, similarity;
-    };
-    Parts operator()(const float* x, const float* y, int height, int width, float weight, float* gradient);
-
-private:
-    std::vector<float> by_mean_, by_square_, by_product_;
-    std::vector<double> sums_;
+// Of (1 - weight) mean |x - y| + weight (1 - mean similarity): the two means, and its derivative by x.
+struct LossParts {
+    double difference, similarity;
 };
+LossParts image_loss(const float* x, const float* y, int height, int width, float weight, float* gradient);
 
 }  // namespace pcbench::splat
