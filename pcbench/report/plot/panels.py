@@ -60,7 +60,7 @@ def compose(
     height = max(float(drawn[:, 1].max()), _MIN_BAR if scale is not None else 0.5)
     bar = None if scale is None else _Bar.of(scale, label, float(np.clip(height - 0.5, _MIN_BAR - 0.5, _MAX_BAR)))
     views, space = float(panels.sum()) + _GAP * (len(VIEWS) + 1), bar.space if bar is not None else 0.0
-    width, whole = max(views + space, _LETTER * len(title)), height + _BELOW + _ABOVE
+    width, whole = max(views + space, _LETTER * len(title) + 2 * _GAP), height + _BELOW + _ABOVE
     figure, axis = _canvas(width, whole, ground)
     axis.text(0.5 * width, whole - 0.24, title, color=color, fontsize=14, ha="center", va="center")
     length = round_length(_SCALE_SHARE * float(panels.max()) / inches)
