@@ -89,8 +89,8 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     refused("finite", rendering=np.full((7, 9, 3), np.nan), mask=None)
     with pytest.raises(InputError, match="names of files in"):
         away = every(("b", "../../../a", "c"), 2)
-        write_views(tmp_path / "rendered", "city", "splat", away, lambda name: pictures("2.jpg"))
-    assert not list(tmp_path.parent.glob("a*"))
+        write_views(tmp_path / "far" / "off" / "rendered", "city", "splat", away, lambda name: pictures("2.jpg"))
+    assert not list(tmp_path.rglob("a*"))
 
 
 def test_damaged_folders_are_refused_in_one_line(folder):
