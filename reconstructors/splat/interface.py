@@ -71,11 +71,13 @@ class Rasterizer(Protocol):
         background: Tensor,
         *,
         geometry: bool,
+        gradient: bool = True,
     ) -> Drawn:
         """Draw N Gaussians: means (N, 3), quats (N, 4), scales (N, 3), opacities (N,), sh (N, K, 3), background (3,).
 
         Args:
             geometry: whether depth, normal and median depth are wanted.
+            gradient: whether `backward` may follow.
         """
         ...
 

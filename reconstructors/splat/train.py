@@ -217,7 +217,7 @@ def render(model: Gaussians, view: View) -> Tensor:
 
     rasterizer = kernels_of(model.means.device).Rasterizer()
     numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
-    return rasterizer.forward(*numbers, view, torch.zeros(3), geometry=False).color.clamp(0, 1)
+    return rasterizer.forward(*numbers, view, torch.zeros(3), geometry=False, gradient=False).color.clamp(0, 1)
 
 
 def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:

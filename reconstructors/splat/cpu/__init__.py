@@ -36,8 +36,9 @@ class Rasterizer:
         background: Tensor,
         *,
         geometry: bool,
+        gradient: bool = True,
     ) -> Drawn:
-        """The image; the tensors must stay as they are until `backward`."""
+        """The image; the tensors must stay as they are until `backward`, which may always follow: it needs no more."""
         size = (view.height, view.width)
         color, transmittance = means.new_empty((*size, 3)), means.new_empty(size)
         depth, normal, median_depth = (
