@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 _CHECKED = 100  # steps between two looks at whether all numbers are finite
+_ARRANGED = 2000  # steps between two times at which neighbours are put together, where that is faster
 
 
 @dataclass(frozen=True)
@@ -76,19 +77,23 @@ class Seen(NamedTuple):
     def add(self, pulled: Pulled, width: int, height: int) -> None:
         """Add what one view saw, in place."""
         ids = pulled.ids
-        scale = pulled.screen.new_tensor([width / 2, height / 2])
-        self.gradient[ids] += (pulled.screen * scale).norm(dim=1)
+        moved = pulled.screen.clone()
+        moved[:, 0] *= width / 2  # a tensor of both numbers would have to be brought to the device, and waited for
+        moved[:, 1] *= height / 2
+        self.gradient[ids] += moved.norm(dim=1)
         self.views[ids] += 1
 
 
 class Training:
-    """A model on its way. The same photographs and settings give the same model, bit for bit, on the CPU.
+    """A model on its way, on the device that the model and the photographs are on. The same of both and of settings
+    give the same model, bit for bit, on the CPU at any number of threads. A step waits for a CUDA device once, where
+    the rasterizer asks it how much there is to draw.
 
     Attributes:
         model: what is trained.
         step: how many steps are done.
         seen: for density control.
-        psnr: of each photograph when it was last looked at, dB.
+        psnr: of each photograph when it was last looked at, dB; whoever reads a tensor waits for the device.
     """
 
     def __init__(self, model: Gaussians, photographs: Sequence[Pyramid], schedule: Schedule, density: Density):
@@ -97,7 +102,7 @@ class Training:
         self.schedule = schedule
         self.density = density
         self.step = 0
-        self.psnr = [math.nan] * len(photographs)
+        self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.seen = Seen.nothing(model)
         self._kernels = kernels_of(model.means.device)
         self._rasterizer = self._kernels.Rasterizer()
@@ -141,6 +146,12 @@ class Training:
         self.optimizer.select(rows)
         self.seen = Seen.nothing(self.model)
 
+    def arrange(self, order: Tensor) -> None:
+        """Bring the Gaussians, and all that is known of them, into an order."""
+        self.model = self.model.select(order)
+        self.optimizer.select(order)
+        self.seen = Seen(*(part[order] for part in self.seen))
+
     def add(self, others: Gaussians) -> None:
         """Add Gaussians, begin to count anew."""
         self.model = self.model.joined(others)
@@ -157,7 +168,9 @@ class Training:
     def _one_step(self) -> None:
         import torch
 
-        schedule = self.schedule
+        schedule, order = self.schedule, self._kernels.morton_order
+        if order is not None and self.step % _ARRANGED == 0:
+            self.arrange(order(self.model.means))
         if self.model.degree < schedule.degree(self.step):
             self.model = more_harmonics(self.model)
             self.optimizer.raise_degree()
@@ -182,7 +195,7 @@ class Training:
         self.step += 1
         self.optimizer.step(model, pulled, schedule.rates, self.step / schedule.steps, self.step)
         self.seen.add(pulled, photograph.view.width, photograph.view.height)
-        self.psnr[which] = _psnr(float((difference**2).mean()))
+        self.psnr[which] = _psnr((difference**2).mean())
 
     def save(self, path: Path, key: str) -> None:
         """Write all that a run with the same `key` needs to go on."""
@@ -199,10 +212,10 @@ class Training:
             torch.save(held, file)
 
     def load(self, path: Path, key: str) -> bool:
-        """Go on from what `save` wrote; False where that was for another key."""
+        """Go on from what `save` wrote, on whatever device; False where that was for another key."""
         import torch
 
-        held: dict[str, Any] = torch.load(path, weights_only=True)
+        held: dict[str, Any] = torch.load(path, map_location=self.model.means.device, weights_only=True)
         if held["key"] != key:
             return False
         self.step, self.psnr, self.seen = held["step"], held["psnr"], Seen(*held["seen"])
@@ -226,12 +239,12 @@ def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]
     for photograph in photographs:
         square = (render(model, photograph.view) - photograph.color.float() / 255) ** 2
         shown = square if photograph.valid is None else square[photograph.valid]
-        scores.append(_psnr(float(shown.double().mean())))
+        scores.append(float(_psnr(shown.double().mean())))
     return scores
 
 
-def _psnr(mean_square: float) -> float:
-    return -10 * math.log10(max(mean_square, 1e-10))
+def _psnr(mean_square: Tensor) -> Tensor:
+    return -10 * mean_square.clamp(min=1e-10).log10()
 
 
 def _tensors(part: Gaussians) -> tuple[Tensor, ...]:

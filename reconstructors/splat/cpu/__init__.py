@@ -85,6 +85,9 @@ class Rasterizer:
         return pulled
 
 
+morton_order = None
+
+
 def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
     """See `reconstructors.splat.reference.image_loss`, in float32."""
     import torch
