@@ -27,7 +27,9 @@ class Rendering(NamedTuple):
         color: (H, W, 3), 0 to 1 where the harmonics say so; nothing bounds it above.
         alpha: (H, W) 0 to 1, the part of the background that is hidden.
         depth: (H, W) along the viewing direction, in the world's unit: the mean over the Gaussians of the pixel, by the
-            weight with which they are blended, of the depths of their planes there; 0 where alpha is 0.
+            weight with which they are blended, of the depths of their planes there; 0 where alpha is 0. Of a surface
+            seen aslant it is too small, mostly by less than it changes within a pixel: the nearer Gaussians hide the
+            farther, and their planes are flattened by the 0.3 square pixels below.
         normal: (H, W, 3) in the camera's frame, towards the camera: the sum of the Gaussians' unit normals (their
             shortest axes) by weight, of length `alpha` or less.
         median_depth: (H, W) depth of the plane of the Gaussian that makes alpha exceed 0.5; 0 where it stays below. It

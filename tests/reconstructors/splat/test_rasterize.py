@@ -4,7 +4,7 @@ import subprocess
 import sys
 import weakref
 from dataclasses import replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -164,6 +164,26 @@ def test_derivatives_of_some_tensors_alone(device):
         some_loss(rasterize(*tensors, scene.camera)).backward()
         assert [tensor.grad is not None for tensor in tensors] == [n == only for n in range(5)]
         assert torch.equal(tensors[only].grad, everything[only].grad)
+
+
+def test_a_derivative_is_prepared_where_one_may_be_asked_for(device, monkeypatch):
+    """On CUDA it takes memory."""
+    prepared = []
+
+    class Spy:
+        def __init__(self):
+            self.own = device.kernels.Rasterizer()
+
+        def forward(self, *given, gradient, **options):
+            prepared.append(gradient)
+            return self.own.forward(*given, gradient=gradient, **options)
+
+    monkeypatch.setattr(sys.modules[rasterize.__module__], "kernels_of", lambda _: SimpleNamespace(Rasterizer=Spy))
+    scene = make(scattered)
+    tensors = [tensor.requires_grad_(False) for tensor in given(device, scene)]
+    rasterize(*tensors, scene.camera)
+    rasterize(*tensors[:4], tensors[4].requires_grad_(), scene.camera)
+    assert prepared == [False, True]
 
 
 def test_a_rendering_that_is_let_go_is_gone(device):
