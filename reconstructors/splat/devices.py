@@ -19,10 +19,10 @@ class Computing(NamedTuple):
 
 
 def computing_on(wanted: Literal["auto", "cpu", "cuda"]) -> Computing:
-    """The CPU or torch's current CUDA device; `auto` is the latter where there is one that can be used.
+    """The CPU or torch's current CUDA device; `auto` is the latter where there is one on which a kernel runs.
 
     Raises:
-        InputError: there is no CUDA device, and nothing else would do.
+        InputError: there is no CUDA device, or none on which a kernel runs, and nothing else would do.
         MissingExtra: what CUDA needs is not installed, and nothing else would do.
     """
     import torch
@@ -37,18 +37,27 @@ def computing_on(wanted: Literal["auto", "cpu", "cuda"]) -> Computing:
             "expected a CUDA device for device=cuda, torch finds none: check the driver, take a torch that is built for"
             " CUDA, or set device=cpu"
         )
-    from reconstructors.splat.cuda.nvrtc import gpu
-
-    index = torch.cuda.current_device()
+    device = torch.device("cuda", torch.cuda.current_device())
+    name = torch.cuda.get_device_name(device)
     try:
-        gpu(index)
-    except MissingExtra as error:
+        _run_smallest_kernel(device)
+    except Exception as error:  # drivers and libraries have many types of their own
+        why = (str(error).splitlines() or [type(error).__name__])[0]
         if wanted == "auto":
-            return Computing(cpu, f"trained on the CPU, not on {torch.cuda.get_device_name(index)}: {error}")
-        raise
-    return Computing(
-        torch.device("cuda", index), f"trained on {torch.cuda.get_device_name(index)}; device=cpu would take the CPU"
-    )
+            return Computing(cpu, f"trained on the CPU, not on {name}: {why}")
+        if isinstance(error, MissingExtra):
+            raise
+        raise InputError(f"no kernel runs on {name}: {why}: set device=cpu") from error
+    return Computing(device, f"trained on {name}; device=cpu would take the CPU")
+
+
+def _run_smallest_kernel(device: torch.device) -> None:
+    """It is compiled, loaded and launched as all of them are."""
+    import torch
+
+    from reconstructors.splat import cuda
+
+    cuda.morton_order(torch.zeros(1, 3, device=device)).tolist()
 
 
 def kernels_of(device: torch.device) -> Kernels:

@@ -32,7 +32,6 @@ class Gpu:
 
     def __init__(self, index: int) -> None:
         self._core = _core()
-        _nvrtc_version()
         self._index = index
         major, minor = self._core.Device(index).compute_capability
         self._architecture = f"sm_{major}{minor}"

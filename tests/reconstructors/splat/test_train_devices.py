@@ -14,8 +14,7 @@ torch = pytest.importorskip("torch")
 from cuda_emulator import EmulatedCuda  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
-from reconstructors.splat import train  # noqa: E402
-from reconstructors.splat.cuda import nvrtc  # noqa: E402
+from reconstructors.splat import devices, train  # noqa: E402
 from reconstructors.splat.density import Classic  # noqa: E402
 from reconstructors.splat.devices import computing_on  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
@@ -137,27 +136,34 @@ def test_numbers_are_loaded_to_the_device_that_is_wanted(tmp_path):
 
 
 def test_where_to_compute(monkeypatch):
-    """Without a GPU, with one whose kernels cannot be compiled, and with one."""
-    choices = ("auto", "cpu", "cuda")
+    """Without a GPU, with one on which no kernel runs, and with one."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    for wanted in choices[:2]:
+    for wanted in ("auto", "cpu"):
         assert computing_on(wanted) == (torch.device("cpu"), None)
     with pytest.raises(InputError, match="expected a CUDA device for device=cuda, torch finds none: check the driver"):
         computing_on("cuda")
 
-    def missing(index):
-        raise MissingExtra("NVRTC", "cuda", "it is not there")
+    def fails(error):
+        def run(device):
+            raise error
+
+        return run
 
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)
-    monkeypatch.setattr(torch.cuda, "get_device_name", lambda index: f"GPU {index}")
-    monkeypatch.setattr(nvrtc, "gpu", missing)
-    with pytest.raises(MissingExtra, match="NVRTC"):
-        computing_on("cuda")
-    device, note = computing_on("auto")
-    assert device.type == "cpu"
-    assert note.startswith("trained on the CPU, not on GPU 1: NVRTC is needed") and "pcbench[cuda]" in note
-    monkeypatch.setattr(nvrtc, "gpu", lambda index: None)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
+    missing, broken = MissingExtra("NVRTC", "cuda", "it is not there"), RuntimeError("the driver is old\nat line 5")
+    for error, raised, message in [
+        (missing, MissingExtra, r"NVRTC is needed .*pcbench\[cuda\]"),
+        (broken, InputError, "^no kernel runs on GPU 1: the driver is old: set device=cpu$"),
+    ]:
+        monkeypatch.setattr(devices, "_run_smallest_kernel", fails(error))
+        with pytest.raises(raised, match=message):
+            computing_on("cuda")
+        device, note = computing_on("auto")
+        assert device.type == "cpu"
+        assert note == f"trained on the CPU, not on GPU 1: {str(error).splitlines()[0]}"
+    monkeypatch.setattr(devices, "_run_smallest_kernel", lambda device: None)
     for wanted in ("auto", "cuda"):
         assert computing_on(wanted) == (torch.device("cuda:1"), "trained on GPU 1; device=cpu would take the CPU")
     assert computing_on("cpu") == (torch.device("cpu"), None)
@@ -188,6 +194,7 @@ def test_on_a_gpu_it_is_that_of_the_cpu(tmp_path):
         pytest.skip("torch finds no CUDA device")
     from reconstructors.splat import cuda
 
+    assert computing_on("auto").device.type == "cuda"
     on_cpu, training = begun(), begun("cuda")
     order = cuda.morton_order(training.model.means).cpu().numpy()
     on_cpu.run(STEPS)
