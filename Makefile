@@ -18,7 +18,7 @@ $(BIN)/python:
 
 # An editable install does not rebuild C++ by itself: the stamps depend on the native sources.
 $(VENV)/.demo: $(BIN)/python $(NATIVE)
-	$(PIP) --editable '.[plot,sfm,mvs]'
+	$(PIP) --editable '.[plot,sfm,mvs,splat]'
 	@touch $@
 
 $(VENV)/.all: $(BIN)/python $(NATIVE)

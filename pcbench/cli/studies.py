@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pcbench.studies.bench.runs import BenchJob
 
 
-@click.command(short_help="Make small cities with exact truth, compare clouds of one, bench SfM and MVS on the other.")
+@click.command(short_help="Make cities with exact truth, compare clouds of one, bench SfM, MVS, splatting on another.")
 @click.option("--out", type=FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
 @click.option(
     "--points",

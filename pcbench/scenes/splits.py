@@ -14,6 +14,7 @@ from pcbench.geometry.arrays import FloatArray
 HoldOut = Literal["none", "every", "blocks"]
 """How images are held out, as a setting of a reconstructor: none, `every` 8th, or 8 `in_blocks`."""
 
+_BLOCKS = 8
 _SHORTEST = 2  # images of a block: one alone has neighbours on both sides, as every n-th has
 _DETOUR = 2.0
 
@@ -71,7 +72,7 @@ def every(names: Sequence[str], n: int = 8) -> Split:
 
 def in_blocks(
     names: Sequence[str],
-    count: int = 8,
+    count: int = _BLOCKS,
     share: float = 1 / 8,
     positions: Mapping[str, FloatArray] | None = None,
 ) -> Split:
@@ -100,6 +101,18 @@ def in_blocks(
     blocks = tuple(tuple(order[start : start + length]) for start in starts)
     held_out = [name for block in blocks for name in block]
     return Split(_without(names, held_out), blocks, f"{count} blocks of {length} images")
+
+
+def for_choosing(names: Sequence[str], positions: Mapping[str, FloatArray] | None = None) -> Split:
+    """Images that a model is chosen by, while it is trained on the others: 8 blocks of two or more where there are 32
+    images, else every 8th, or every third where there are few.
+
+    Raises:
+        InputError: there are fewer than four images, of which no two could be spared.
+    """
+    if len(names) >= _BLOCKS * _SHORTEST * 2:
+        return in_blocks(names, _BLOCKS, positions=positions)
+    return every(names, _BLOCKS if len(names) >= 3 * _BLOCKS else 3)
 
 
 def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,22 +15,21 @@ if TYPE_CHECKING:
     from reconstructors.splat.train import Training
 
 
-class Density(Protocol):
-    """Called after every step; may change the model through `Training.keep` and `Training.add`."""
-
-    def control(self, training: Training) -> None: ...
-
-
-@dataclass(frozen=True)
-class Unchanged:
-    """As many Gaussians as there were at the start."""
+class Density:
+    """Which Gaussians there are. This one leaves them as they were at the start."""
 
     def control(self, training: Training) -> None:
-        return
+        """Called after every step; may change the model through `Training.keep` and `Training.add`."""
+
+    def state(self) -> object:
+        """What it has to remember beside the model, as `torch.load` reads it with `weights_only`."""
+
+    def restore(self, training: Training, state: Any) -> None:
+        """Go on with a training and what `state` gave."""
 
 
 @dataclass(frozen=True)
-class Classic:
+class Classic(Density):
     """The rules of Kerbl et al. 2023: what is pulled across the image hard is cloned if it is small, else split.
 
     Args:

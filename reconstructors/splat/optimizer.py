@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 from reconstructors.splat.interface import Adam, Pulled
@@ -95,15 +95,22 @@ class Optimizer:
         """The model has harmonics of one degree more."""
         self.first, self.second = more_harmonics(self.first), more_harmonics(self.second)
 
+    def lower_degree(self, degree: int) -> None:
+        """The model has harmonics of this degree, which is less."""
+        self.first, self.second = fewer_harmonics(self.first, degree), fewer_harmonics(self.second, degree)
+
 
 def more_harmonics(model: Gaussians) -> Gaussians:
     """The same with harmonics of one degree more, which are 0."""
-    from dataclasses import replace
-
     bands = (model.degree + 2) ** 2
     grown = model.sh.new_zeros((len(model), bands, 3))
     grown[:, : model.sh.shape[1]] = model.sh
     return replace(model, sh=grown)
+
+
+def fewer_harmonics(model: Gaussians, degree: int) -> Gaussians:
+    """The same with harmonics of this degree, which is less."""
+    return replace(model, sh=model.sh[:, : (degree + 1) ** 2].contiguous())
 
 
 def _zeros(model: Gaussians) -> Gaussians:

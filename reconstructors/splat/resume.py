@@ -30,14 +30,15 @@ def trained(training: Training, checkpoint: Path, key: str) -> Gaussians:
     """
     if checkpoint.is_file() and not training.load(checkpoint, key):
         checkpoint.unlink()
-    total, start, first = training.schedule.steps, time.monotonic(), training.step
+    total, start, worked = training.schedule.steps, time.monotonic(), 0
     saved = said = start
 
     def each(now: Training) -> None:
-        nonlocal saved, said
+        nonlocal saved, said, worked
         clock = time.monotonic()
+        worked += 1  # the number of the step may go back
         if clock - said > _SAID_S:
-            left = (clock - start) / (now.step - first) * (total - now.step)
+            left = (clock - start) / worked * (total - now.step)
             seen = [value for value in map(float, now.psnr) if not math.isnan(value)]
             progress(
                 f"training: step {now.step:,} of {total:,}, {np.mean(seen):.1f} dB, {len(now.model):,} Gaussians,"

@@ -23,16 +23,17 @@ from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import counted, progress
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
-from pcbench.scenes.splits import HoldOut, Split, hold_out
+from pcbench.scenes.splits import HoldOut, Split, for_choosing, hold_out
 from pcbench.scenes.views import RENDERED, Pictures, write_views
 from reconstructors.mvs.mvs import DenseMvs
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
-from reconstructors.splat.density import GAO2025, Classic, Density, Unchanged
+from reconstructors.splat.density import GAO2025, Classic, Density
 from reconstructors.splat.devices import computing_on
 from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.optimizer import GAO2025_RATES, Rates
+from reconstructors.splat.parsimony import Curve, Parsimonious
 from reconstructors.splat.photographs import Pyramid, read_photographs
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, save_model, trained
@@ -40,6 +41,7 @@ from reconstructors.splat.train import Schedule, Training, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
 NUMBERS = "model.pt"  # beside it, in the frame of training
+CURVE = "curve.csv"  # beside it, where the number of Gaussians was chosen
 
 _LEVELS = 3  # sizes of the photographs
 _FEWEST = 3  # images: a surface is what as many agree on
@@ -56,8 +58,9 @@ class GaussianSplatting:
     are some.
     start: from what training begins: the cloud of `mvs`, thinned to `gaussians`, the sparse points of `sfm`, or places
     at `random` in their box.
-    density: `fixed` leaves their number as it is; `classic` adds and removes by the rules of Kerbl et al. 2023,
-    `gao2025` by those of Gao et al.
+    density: `parsimonious` tries ever fewer, down from `gaussians`, and simpler colours, and takes the smallest model
+    that photographs which none was trained on find as good as the best; `fixed` leaves their number as it is;
+    `classic` adds and removes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et al.
     cloud: the `surface` that at least three images agree on, or the `means` of all Gaussians, as Gao et al. take them;
     min_opacity: of those.
     steps: of training. gaussians: at most. sh_degree: 0 to 3, of their colours. image_side: pixels of the longer side
@@ -69,7 +72,7 @@ class GaussianSplatting:
 
     poses: Literal["auto", "given", "solve"] = "auto"
     start: Literal["mvs", "sfm", "random"] = "mvs"
-    density: Literal["fixed", "classic", "gao2025"] = "fixed"
+    density: Literal["parsimonious", "fixed", "classic", "gao2025"] = "parsimonious"
     cloud: Literal["surface", "means"] = "surface"
     min_opacity: float = 0.0
     steps: int = 3000
@@ -148,6 +151,8 @@ class GaussianSplatting:
             workspace, "model", inputs, lambda folder: self._train(folder, photographs, split, begun, frame, workspace)
         )
         model = load_model(made / NUMBERS, device)
+        if (made / CURVE).is_file():
+            notes.append(f"{Curve.read(made / CURVE).sentence}; all that were tried: {made / CURVE}")
         notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after {self.steps:,} steps")
         if split.test:
             self._write_views(workspace / RENDERED, scene, split, model, photographs)
@@ -216,10 +221,18 @@ class GaussianSplatting:
         shades = np.full((len(points), 3), 0.5) if colors is None else colors / 255
         return Gaussians.at_points(points, shades, frame).to(computing_on(self.device).device)
 
-    def _density(self) -> Density:
+    def _density(
+        self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
+    ) -> tuple[Density, list[Pyramid]]:
+        """Which Gaussians there are, and the photographs that training begins with."""
+        seen = [photographs[name] for name in split.train]
         if self.density == "fixed":
-            return Unchanged()
-        return replace(GAO2025 if self.density == "gao2025" else Classic(), most=self.gaussians)
+            return Density(), seen
+        if self.density != "parsimonious":
+            return replace(GAO2025 if self.density == "gao2025" else Classic(), most=self.gaussians), seen
+        choosing = for_choosing(split.train, {name: camera.position for name, camera in cameras.items()})
+        judges = [[photographs[name] for name in block] for block in choosing.blocks]
+        return Parsimonious(judges), [photographs[name] for name in choosing.train]
 
     def _train(
         self,
@@ -231,19 +244,22 @@ class GaussianSplatting:
         workspace: Path,
     ) -> None:
         progress("placing Gaussians")
-        held_out = set(split.test)
+        of = {pyramid[0].name: pyramid for pyramid in photographs}
+        density, seen = self._density(split, begun.cameras, of)
         training = Training(
             self._first_model(begun, frame),
-            [pyramid for pyramid in photographs if pyramid[0].name not in held_out],
+            seen,
             Schedule(
                 steps=self.steps,
                 sh_degree=self.sh_degree,
                 seed=self.seed,
                 rates=GAO2025_RATES if self.density == "gao2025" else Rates(),
             ),
-            self._density(),
+            density,
         )
         model = trained(training, workspace / "checkpoint.pt", repr((self._of_training(), split.train)))
+        if isinstance(density, Parsimonious) and density.curve is not None:
+            density.curve.write(folder / CURVE)
         save_model(folder / NUMBERS, model)
         write_model(folder / MODEL, model, frame)
 

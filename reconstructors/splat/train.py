@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,17 +14,18 @@ from pcbench.errors import ReconstructionError
 from pcbench.io.files import atomic_write
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians
-from reconstructors.splat.optimizer import Optimizer, Rates, more_harmonics
+from reconstructors.splat.optimizer import Optimizer, Rates, fewer_harmonics, more_harmonics
 from reconstructors.splat.photographs import Photograph, Pyramid
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from reconstructors.splat.density import Density
-    from reconstructors.splat.interface import Pulled
+    from reconstructors.splat.interface import Drawn, Pulled
     from reconstructors.splat.view import View
 
 
+_SHOWING = 100  # photographs that tell how much of them a Gaussian is, at most
 _CHECKED = 100  # steps between two looks at whether all numbers are finite
 _ARRANGED = 2000  # steps between two times at which neighbours are put together, where that is faster
 
@@ -82,6 +83,25 @@ class Seen(NamedTuple):
         moved[:, 1] *= height / 2
         self.gradient[ids] += moved.norm(dim=1)
         self.views[ids] += 1
+
+
+class Snapshot(NamedTuple):
+    """A model after a step, and the moments of its numbers; nothing changes it."""
+
+    step: int
+    model: Gaussians
+    first: Gaussians
+    second: Gaussians
+
+    def plain(self) -> tuple[Any, ...]:
+        """For a checkpoint."""
+        return (self.step, *(_tensors(part) for part in self[1:]))
+
+    @classmethod
+    def of(cls, plain: tuple[Any, ...]) -> Snapshot:
+        """What `plain` gave."""
+        step, *parts = plain
+        return cls(step, *(Gaussians(*part) for part in parts))
 
 
 class Training:
@@ -158,6 +178,46 @@ class Training:
         self.optimizer.extend(others)
         self.seen = Seen.nothing(self.model)
 
+    def snapshot(self) -> Snapshot:
+        """The model as it is now, for `return_to`."""
+        parts = (self.model, self.optimizer.first, self.optimizer.second)
+        return Snapshot(self.step, *(Gaussians(*(t.clone() for t in _tensors(part))) for part in parts))
+
+    def return_to(self, snapshot: Snapshot) -> None:
+        """Go on from what was, which is not changed by that."""
+        self.step = snapshot.step
+        self.model, first, second = (Gaussians(*(t.clone() for t in _tensors(part))) for part in snapshot[1:])
+        self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
+        self.seen = Seen.nothing(self.model)
+
+    def limit_degree(self, degree: int) -> None:
+        """Go on with spherical harmonics of at most this degree."""
+        self.schedule = replace(self.schedule, sh_degree=degree)
+        if self.model.degree > degree:
+            self.model = fewer_harmonics(self.model, degree)
+            self.optimizer.lower_degree(degree)
+
+    def train_on(self, photographs: Sequence[Pyramid]) -> None:
+        """Go on with these photographs."""
+        self.photographs = photographs
+        self.psnr = [math.nan] * len(photographs)
+
+    def shown(self) -> Tensor:
+        """(N,) how much of the photographs each Gaussian is: the sum of its weights over all pixels, of at most a
+        hundred of them."""
+        shown = self.model.logits.new_zeros(len(self.model))
+        for pyramid in self.photographs[:: math.ceil(len(self.photographs) / _SHOWING)]:
+            photograph = pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
+            drawn = self._drawn(photograph.view)
+            pulled = self._rasterizer.backward(drawn.color.new_zeros(drawn.color.shape), None, None, None, None)
+            shown[pulled.ids] += pulled.weight
+        return shown
+
+    def _drawn(self, view: View) -> Drawn:
+        model = self.model
+        numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
+        return self._rasterizer.forward(*numbers, view, model.means.new_zeros(3), geometry=False)
+
     def _photograph(self) -> tuple[int, Photograph]:
         count = len(self.photographs)
         order = np.random.default_rng([self.schedule.seed, 0, self.step // count]).permutation(count)
@@ -166,8 +226,6 @@ class Training:
         return which, pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
 
     def _one_step(self) -> None:
-        import torch
-
         schedule, order = self.schedule, self._kernels.morton_order
         if order is not None and self.step % _ARRANGED == 0:
             self.arrange(order(self.model.means))
@@ -176,16 +234,7 @@ class Training:
             self.optimizer.raise_degree()
         which, photograph = self._photograph()
         model = self.model
-        drawn = self._rasterizer.forward(
-            model.means,
-            model.quats,
-            model.scales,
-            model.opacities,
-            model.sh,
-            photograph.view,
-            torch.zeros(3),
-            geometry=False,
-        )
+        drawn = self._drawn(photograph.view)
         target = photograph.target()
         shown = drawn.color if photograph.valid is None else drawn.color * photograph.valid[..., None]
         loss = self._kernels.image_loss(shown, target, schedule.ssim_weight)
@@ -204,6 +253,7 @@ class Training:
         held = {
             "key": key,
             "step": self.step,
+            "density": self.density.state(),
             "psnr": self.psnr,
             "seen": tuple(self.seen),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
@@ -218,19 +268,20 @@ class Training:
         held: dict[str, Any] = torch.load(path, map_location=self.model.means.device, weights_only=True)
         if held["key"] != key:
             return False
-        self.step, self.psnr, self.seen = held["step"], held["psnr"], Seen(*held["seen"])
+        self.step, self.seen = held["step"], Seen(*held["seen"])
         self.model, first, second = (Gaussians(*part) for part in held["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
+        self.density.restore(self, held["density"])
+        self.psnr = held["psnr"]
         return True
 
 
 def render(model: Gaussians, view: View) -> Tensor:
     """The image (H, W, 3) of a view, 0 to 1."""
-    import torch
-
     rasterizer = kernels_of(model.means.device).Rasterizer()
     numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
-    return rasterizer.forward(*numbers, view, torch.zeros(3), geometry=False, gradient=False).color.clamp(0, 1)
+    background = model.means.new_zeros(3)
+    return rasterizer.forward(*numbers, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
 def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:

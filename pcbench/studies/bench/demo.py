@@ -1,4 +1,4 @@
-"""The bench that ends `pcbench demo`: sparse SfM and dense MVS on a small photographed city, at six budgets."""
+"""The bench that ends `pcbench demo`: sparse SfM, dense MVS and Gaussian splatting on a small photographed city."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _SIDE = 120.0  # metres: the smallest city with streets between blocks
 
 def why_not() -> str | None:
     """What keeps the demo's bench from running here, one line."""
-    if find_spec("pycolmap") is None:
-        return "pycolmap is needed for the bench: pip install 'pcbench[plot,sfm,mvs]'"
+    if absent := [name for name in ("pycolmap", "torch") if find_spec(name) is None]:
+        return f"the bench needs {' and '.join(absent)}: pip install 'pcbench[plot,sfm,mvs,splat]'"
     try:
         check_renderer()
     except PcbenchError as error:
@@ -48,12 +48,15 @@ def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:
     return BenchJob(
         folder,
         folder / "truth" / "cloud.ply",
-        ["sfm", "mvs"],
-        # Full-size images would take mvs longer than all the rest.
+        ["sfm", "mvs", "splat"],
+        # Full-size images would take mvs and splat longer than all the rest.
         [
             Axis.sweep("image_scale=0.5,1"),
             Axis.sweep("mvs.image_scale=0.35,0.5"),
+            Axis.sweep("splat.image_scale=0.5"),
             Axis.sweep("sfm.upsample=false,true"),
+            Axis.sweep("splat.cloud=means,surface"),
+            Axis.fixed("splat.steps=600"),
         ],
         rules=Rules(crop=f"box:{-half:g},{-half:g},-100,{half:g},{half:g},200"),
     )

@@ -12,7 +12,7 @@ def test_the_demo_says_why_it_has_no_bench(monkeypatch):
     from pcbench.studies.bench import demo
 
     monkeypatch.setattr(demo, "find_spec", lambda name: None)
-    assert demo.why_not() == "pycolmap is needed for the bench: pip install 'pcbench[plot,sfm,mvs]'"
+    assert demo.why_not() == "the bench needs pycolmap and torch: pip install 'pcbench[plot,sfm,mvs,splat]'"
 
 
 def test_the_demo_removes_nothing_but_its_own(tmp_path):
@@ -26,13 +26,13 @@ def test_the_demo_removes_nothing_but_its_own(tmp_path):
     assert mine.read_text() == "mine"
 
 
-def test_the_demo_benches_sfm_and_mvs(tmp_path, monkeypatch):
+def test_the_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
     from pcbench.studies.bench import demo
     from pcbench.studies.bench.plan import Method, trials
 
     monkeypatch.setattr(demo, "write_scene", lambda folder, settings, step: folder.mkdir())
     job = demo.demo_job(tmp_path / "city", 0, lambda _: None)
-    known = {"sfm": ("upsample",), "mvs": ("spacing",)}
+    known = {"sfm": ("upsample",), "mvs": ("spacing",), "splat": ("steps", "cloud")}
     found, notes = trials([Method(name, name, Description(known[name])) for name in job.methods], job.axes, job.seeds)
     assert not notes
     assert [trial.words for trial in found] == [
@@ -42,19 +42,24 @@ def test_the_demo_benches_sfm_and_mvs(tmp_path, monkeypatch):
         "sfm image_scale=1 upsample=true",
         "mvs image_scale=0.35",
         "mvs image_scale=0.5",
+        "splat image_scale=0.5 cloud=means steps=600",
+        "splat image_scale=0.5 cloud=surface steps=600",
     ]
 
 
 @pytest.mark.slow
 def test_the_demo_ends_with_a_bench(tmp_path, run):
     pytest.importorskip("pycolmap")
+    pytest.importorskip("torch")
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo")
     assert code == 0
     rows = json.loads((tmp_path / "demo/bench/bench.json").read_text())["rows"]
-    assert [(r["method"], r["status"]) for r in rows] == [("sfm", "ok")] * 4 + [("mvs", "ok")] * 2
+    assert [(r["method"], r["status"]) for r in rows] == [("sfm", "ok")] * 4 + [("mvs", "ok")] * 2 + [("splat", "ok")] * 2
     assert rows[3]["fscore"] > 0.5
-    assert min(r["fscore"] for r in rows[4:]) > max(r["fscore"] for r in rows[:4])
-    assert min(r["precision"] for r in rows[4:]) > 0.9
+    assert min(r["fscore"] for r in rows[4:6]) > max(r["fscore"] for r in rows[:4])
+    assert min(r["precision"] for r in rows[4:6]) > 0.9
+    means, surface = rows[6:]
+    assert surface["fscore"] > means["fscore"]
     assert (tmp_path / "demo/bench/figures/speed.png").is_file()
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo", "--no-figures")
-    assert out.count("(done before)") == 6  # the same city, byte for byte
+    assert out.count("(done before)") == 8  # the same city, byte for byte

@@ -1,0 +1,106 @@
+"""The number of Gaussians: the smallest model within one standard error of the best is taken and trained on."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from splat_training import grey, numbers, truth  # noqa: E402
+
+from reconstructors.splat.model import Gaussians  # noqa: E402
+from reconstructors.splat.parsimony import Budget, Curve, Loss, Parsimonious, chosen  # noqa: E402
+from reconstructors.splat.resume import trained  # noqa: E402
+from reconstructors.splat.train import Schedule, Training  # noqa: E402
+
+
+def budget(gaussians, *psnr, degree=2):
+    return Budget(gaussians, degree, psnr, 10, 1.0)
+
+
+def test_a_loss_is_that_of_the_blocks_and_what_they_share_does_not_count():
+    hard, easy = 20.0, 35.0
+    loss = Loss.of(budget(100, hard - 0.1, easy - 0.3), budget(200, hard, easy))
+    assert loss.mean == pytest.approx(0.2)
+    assert loss.error == pytest.approx(np.std([0.1, 0.3], ddof=1) / np.sqrt(2))
+
+
+def test_the_smallest_within_one_standard_error_is_chosen():
+    best = budget(800, 30.0, 20.0, 25.0)
+    within = budget(200, 30.1, 19.8, 24.9)  # 0.067 less, standard error 0.088
+    less = budget(100, 29.9, 19.9, 24.9)  # 0.1 less in each: no doubt
+    assert chosen([best, within, less]) == 1
+    assert chosen([best, less]) == 0
+    # The same number with plainer colours is smaller.
+    assert chosen([best, within, less, within._replace(degree=0)]) == 3
+    assert "800 Gaussians" in Curve((best, less)).sentence and "needed" in Curve((best, less)).sentence
+    assert Curve((best, within, less)).sentence.startswith("200 Gaussians of degree 2 are enough: 24.93 dB")
+
+
+def test_a_curve_is_read_as_it_was_written(tmp_path):
+    curve = Curve((budget(800, 30.0, 20.0), budget(400, 29.123456789, 19.0, degree=1)))
+    curve.write(tmp_path / "curve.csv")
+    assert Curve.read(tmp_path / "curve.csv") == curve
+    assert (
+        (tmp_path / "curve.csv")
+        .read_text()
+        .splitlines()[0]
+        .startswith("gaussians,degree,step,step_cpu_ms,bytes,psnr_db")
+    )
+
+
+def copies(model, count):
+    """Each Gaussian so many times, side by side: more than are needed."""
+    parts = [part.repeat_interleave(count, dim=0) for part in vars(model).values()]
+    parts[0] = parts[0] + torch.from_numpy(np.random.default_rng(1).normal(0, 0.05, parts[0].shape).astype(np.float32))
+    return Gaussians(*parts)
+
+
+def begun(steps=120):
+    model, pictures = truth()
+    density = Parsimonious([pictures[0:1], pictures[4:5]])
+    rest = [pictures[k] for k in (1, 2, 3, 5, 6, 7)]
+    return Training(copies(grey(model), 8), rest, Schedule(steps=steps, sh_degree=1, halved=(0, 0)), density)
+
+
+def test_what_is_chosen_is_trained_on_with_all_photographs():
+    training = begun()
+    training.run(120)
+    curve = training.density.curve
+    assert [b.gaussians for b in curve.budgets[:3]] == [480, 240, 120]
+    assert len({b.gaussians for b in curve.budgets}) < len(curve.budgets), "colours of a lower degree were tried"
+    assert (len(training.model), training.model.degree) == (curve.chosen.gaussians, curve.chosen.degree)
+    assert training.step == 120
+    assert len(training.photographs) == 8
+
+
+def test_a_choice_that_goes_on_equals_an_unbroken_one(tmp_path):
+    whole = begun()
+    whole.run(120)
+    for worked in (62, 90, 118):  # steps made before the kill: the search goes back
+        first, second = begun(), begun()
+        left = worked
+
+        def each(now, path=tmp_path / "checkpoint.pt"):
+            nonlocal left
+            left -= 1
+            if left == 0:
+                now.save(path, "key")
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            first.run(120, each)
+        assert numbers(trained(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
+        theirs = [b._replace(step_ms=0) for b in second.density.curve.budgets]
+        assert theirs == [b._replace(step_ms=0) for b in whole.density.curve.budgets]
+
+
+def test_a_run_too_short_to_choose_keeps_all():
+    training = begun(steps=1)
+    training.run(1)
+    assert len(training.model) == 480
+
+
+def test_one_block_cannot_judge():
+    _, pictures = truth()
+    with pytest.raises(ValueError, match="two blocks"):
+        Parsimonious([pictures[:2]])

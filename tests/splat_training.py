@@ -1,0 +1,42 @@
+"""A model whose pictures are known, to be found again by training."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from splat_scenes import scattered
+
+from pcbench.geometry.cameras import look_at
+from reconstructors.splat.model import Gaussians
+from reconstructors.splat.photographs import Photograph
+from reconstructors.splat.train import render
+from reconstructors.splat.view import View
+
+
+def truth():
+    """A model of 60 Gaussians, and eight pictures of it from around."""
+    scene = scattered(np.random.default_rng(5), 60, width=48, height=32, degree=0, size=0.25)
+    means, quats, scales, opacities, sh = (torch.from_numpy(a) for a in scene.arrays)
+    model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
+    pictures = []
+    for k, angle in enumerate(np.linspace(0, 2 * np.pi, 8, endpoint=False)):
+        place = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
+        camera = replace(scene.camera, name=str(k), cam_from_world=look_at(place, (0, 0, 0)))
+        view = View.of(camera)
+        pictures.append([Photograph(str(k), view, (render(model, view) * 255).round().to(torch.uint8), None)])
+    return model, pictures
+
+
+def grey(model):
+    """The same places, round and grey."""
+    return Gaussians(
+        model.means.clone(),
+        torch.tensor([1.0, 0, 0, 0]).repeat(len(model), 1),
+        torch.full_like(model.log_scales, float(np.log(0.2))),
+        torch.full_like(model.logits, -2.0),
+        torch.zeros_like(model.sh[:, :1]),
+    )
+
+
+def numbers(model):
+    return [part.numpy().tobytes() for part in (model.means, model.quats, model.log_scales, model.logits, model.sh)]
