@@ -10,6 +10,7 @@
 #include <omp.h>
 
 #include "common/arrays.h"
+#include "common/forked.h"
 #include "common/interruptible.h"
 #include "mesh/mesh_module.h"
 #include "pairs/loops_module.h"
@@ -221,6 +222,7 @@ private:
 
 NB_MODULE(_core, m) {
     m.doc() = "Compiled kernels of pcbench; call them through the modules that own them.";
+    pcbench::one_thread_when_forked();
 
     m.def("isa", [] { return pcbench::kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
 

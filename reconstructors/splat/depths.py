@@ -74,6 +74,7 @@ class Depths:
             View.of(camera, NEAREST),
             model.means.new_zeros(3),
             geometry=True,
+            gradient=False,
         )
         assert drawn.depth is not None and drawn.normal is not None and drawn.median_depth is not None
         color, transmittance = drawn.color.cpu().numpy(), drawn.transmittance.cpu().numpy()

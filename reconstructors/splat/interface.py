@@ -71,11 +71,13 @@ class Rasterizer(Protocol):
         background: Tensor,
         *,
         geometry: bool,
+        gradient: bool = True,
     ) -> Drawn:
         """Draw N Gaussians: means (N, 3), quats (N, 4), scales (N, 3), opacities (N,), sh (N, K, 3), background (3,).
 
         Args:
             geometry: whether depth, normal and median depth are wanted.
+            gradient: whether `backward` may follow.
         """
         ...
 
@@ -139,3 +141,7 @@ class Kernels(Protocol):
     def image_loss(self) -> Callable[[Tensor, Tensor, float], ImageLoss]: ...
     @property
     def adam(self) -> Adam: ...
+    @property
+    def morton_order(self) -> Callable[[Tensor], Tensor] | None:
+        """The order (N,) of means (N, 3) in which neighbours are together; None where the device is as fast in any."""
+        ...

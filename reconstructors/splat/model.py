@@ -14,6 +14,7 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
 
 if TYPE_CHECKING:
+    import torch
     from torch import Tensor
 
 SH_DC = 0.28209479177387814  # the spherical harmonic of degree 0
@@ -121,6 +122,10 @@ class Gaussians:
     def select(self, rows: Tensor) -> Gaussians:
         """Those of some rows, by number or by truth."""
         return Gaussians(*(getattr(self, field.name)[rows].contiguous() for field in fields(self)))
+
+    def to(self, device: torch.device) -> Gaussians:
+        """The same on a device."""
+        return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
 
     def joined(self, others: Gaussians) -> Gaussians:
         """These and then others of the same degree."""

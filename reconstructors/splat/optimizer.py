@@ -53,8 +53,6 @@ class Optimizer:
             share: of the steps that are done, 0 to 1.
             count: of steps, this one included.
         """
-        import torch
-
         ids = pulled.ids
         opacities, scales = model.logits[ids].sigmoid(), model.log_scales[ids].exp()
         bands = model.sh.shape[1]
@@ -65,7 +63,7 @@ class Optimizer:
             "logits": (pulled.opacities * opacities * (1 - opacities))[:, None],
             "sh": pulled.sh.reshape(len(ids), 3 * bands),
         }
-        sh_rates = torch.full((3 * bands,), rates.sh_rest)
+        sh_rates = model.sh.new_full((3 * bands,), rates.sh_rest)
         sh_rates[:3] = rates.sh_dc
         learning: dict[str, float | Tensor] = {
             "means": rates.means_at(share),

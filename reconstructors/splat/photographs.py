@@ -17,6 +17,7 @@ from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.view import View
 
 if TYPE_CHECKING:
+    import torch
     from torch import Tensor
 
 NEAREST = 1e-3  # depth up to which nothing is drawn, in units of the cameras' spread
@@ -48,12 +49,13 @@ Pyramid = list[Photograph]  # of one photograph: the full size first, each next 
 
 
 def read_photographs(
-    folders: Mapping[str, Path], cameras: Mapping[str, Camera], frame: LocalFrame, levels: int
+    folders: Mapping[str, Path], cameras: Mapping[str, Camera], frame: LocalFrame, levels: int, device: torch.device
 ) -> list[Pyramid]:
     """The photographs of view stages (`reconstructors.mvs.views.view_stage`) and their pinholes in the world.
 
     Args:
         levels: sizes, at most.
+        device: that holds them all, as bytes.
     """
     import torch
 
@@ -74,8 +76,8 @@ def read_photographs(
                 Photograph(
                     name,
                     View.of(camera, NEAREST),
-                    torch.from_numpy(color),
-                    None if valid is None else torch.from_numpy(valid),
+                    torch.from_numpy(color).to(device),
+                    None if valid is None else torch.from_numpy(valid).to(device),
                 )
             )
         pyramids.append(pyramid)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _HARMONICS = (1, 4, 9, 16)  # of degrees 0 to 3
+_LONGEST = 1e18  # a number of a quaternion: a float32 has no room for the squares of more
 
 
 class Rendering(NamedTuple):
@@ -26,7 +27,9 @@ class Rendering(NamedTuple):
         color: (H, W, 3), 0 to 1 where the harmonics say so; nothing bounds it above.
         alpha: (H, W) 0 to 1, the part of the background that is hidden.
         depth: (H, W) along the viewing direction, in the world's unit: the mean over the Gaussians of the pixel, by the
-            weight with which they are blended, of the depths of their planes there; 0 where alpha is 0.
+            weight with which they are blended, of the depths of their planes there; 0 where alpha is 0. Of a surface
+            seen aslant it is too small, mostly by less than it changes within a pixel: the nearer Gaussians hide the
+            farther, and their planes are flattened by the 0.3 square pixels below.
         normal: (H, W, 3) in the camera's frame, towards the camera: the sum of the Gaussians' unit normals (their
             shortest axes) by weight, of length `alpha` or less.
         median_depth: (H, W) depth of the plane of the Gaussian that makes alpha exceed 0.5; 0 where it stays below. It
@@ -69,7 +72,7 @@ def rasterize(
 
     Args:
         means: (N, 3) in the world.
-        quats: (N, 4) wxyz of any length: from a Gaussian's axes to the world.
+        quats: (N, 4) wxyz of any length up to 1e18: from a Gaussian's axes to the world.
         scales: (N, 3) standard deviations along the axes, 0 or more.
         opacities: (N,) 0 to 1.
         sh: (N, K, 3) coefficients of K = 1, 4, 9 or 16 real spherical harmonics, in the order and with the signs of
@@ -94,9 +97,7 @@ def rasterize(
     _check_shapes(given)
     device = means.device
     kernels = kernels_of(device)
-    behind = torch.as_tensor(background, dtype=torch.float32, device=device)
-    if behind.shape != (3,):
-        raise InputError(f"expected a background of shape (3,), got {tuple(behind.shape)}")
+    behind = _background(background).to(device, torch.float32)
     # About the camera: world coordinates may have more digits than a float32.
     near = means.to(torch.float64) - torch.as_tensor(view.position, device=device)
     drawn_from = {name: tensor.to(torch.float32) for name, tensor in (given | {"means": near}).items()}
@@ -108,6 +109,21 @@ def rasterize(
     return Rendering(color, alpha, depth / torch.where(alpha > 0, alpha, 1), normal, median_depth)
 
 
+def _background(given: Tensor | Sequence[float]) -> Tensor:
+    """As a tensor (3,), or InputError."""
+    import torch
+
+    try:
+        background = torch.as_tensor(given)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"expected a background of three numbers, got {given!r}") from error
+    if background.shape != (3,):
+        raise InputError(f"expected a background of shape (3,), got {tuple(background.shape)}")
+    if background.is_complex():
+        raise InputError(f"expected a background of three real numbers, got {background.dtype}")
+    return background
+
+
 def _check_shapes(given: dict[str, Tensor]) -> None:
     """Raise InputError where the Gaussians are not N tensors of the right shapes on one device."""
     import torch
@@ -117,6 +133,8 @@ def _check_shapes(given: dict[str, Tensor]) -> None:
             raise InputError(f"expected {name} as a torch tensor, got {type(tensor).__name__}")
         if not tensor.is_floating_point():
             raise InputError(f"expected {name} of a floating type, got {tensor.dtype}")
+        if tensor.layout != torch.strided:
+            raise InputError(f"expected {name} as a dense tensor, got {tensor.layout}: take its to_dense()")
     means, sh = given["means"], given["sh"]
     count = len(means) if means.ndim else 0
     wanted = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
@@ -147,6 +165,9 @@ def _check_numbers(drawn_from: dict[str, Tensor], background: Tensor) -> None:
             raise InputError(
                 f"expected finite {name}, got NaN or Inf in {len(bad)} of {len(tensor)}, first {int(bad[0])}"
             )
+    longest = max(-lowest.get("quats", 0), highest.get("quats", 0))
+    if longest > _LONGEST:
+        raise InputError(f"expected quats of numbers up to {_LONGEST:g}, got {longest:g}: normalize them")
     if lowest.get("scales", 0) < 0:
         raise InputError(f"expected scales of 0 or more, got {lowest['scales']:g}: take exp() of logarithms")
     if lowest.get("opacities", 0) < 0 or highest.get("opacities", 0) > 1:

@@ -230,6 +230,7 @@ class Rasterizer:
         background: Tensor,
         *,
         geometry: bool,
+        gradient: bool = True,
     ) -> Drawn:
         given = (means, quats, scales, opacities, sh)
         with torch.enable_grad():

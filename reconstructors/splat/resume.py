@@ -6,6 +6,7 @@ import math
 import time
 from dataclasses import fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from pcbench.io.files import atomic_write
 from pcbench.plugins.progress import duration, progress
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.train import Training
+
+if TYPE_CHECKING:
+    import torch
 
 _SAVED_S = 30.0  # seconds between two checkpoints: what a kill loses at most
 _SAID_S = 2.0  # seconds between two lines of progress
@@ -35,7 +39,7 @@ def trained(training: Training, checkpoint: Path, key: str) -> Gaussians:
         worked += 1  # the number of the step may go back
         if clock - said > _SAID_S:
             left = (clock - start) / worked * (total - now.step)
-            seen = [value for value in now.psnr if not math.isnan(value)]
+            seen = [value for value in map(float, now.psnr) if not math.isnan(value)]
             progress(
                 f"training: step {now.step:,} of {total:,}, {np.mean(seen):.1f} dB, {len(now.model):,} Gaussians,"
                 f" {duration(left)} left"
@@ -58,8 +62,8 @@ def save_model(path: Path, model: Gaussians) -> None:
         torch.save([getattr(model, field.name) for field in fields(model)], file)
 
 
-def load_model(path: Path) -> Gaussians:
-    """What `save_model` wrote."""
+def load_model(path: Path, device: torch.device | str = "cpu") -> Gaussians:
+    """What `save_model` wrote, on a device; it may have been another."""
     import torch
 
-    return Gaussians(*torch.load(path, weights_only=True))
+    return Gaussians(*torch.load(path, map_location=device, weights_only=True))

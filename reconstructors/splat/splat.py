@@ -30,6 +30,7 @@ from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.density import GAO2025, Classic, Density
+from reconstructors.splat.devices import computing_on
 from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.optimizer import GAO2025_RATES, Rates
 from reconstructors.splat.parsimony import Curve, Parsimonious
@@ -67,6 +68,7 @@ class GaussianSplatting:
     steps: of training. gaussians: at most. sh_degree: 0 to 3, of their colours. image_side: pixels of the longer side
     of the photographs, at most. hold_out: images that are not trained on: `every` 8th, or 8 `blocks`; renderings of all
     images are then left in the workspace for `pcbench views`. memory: gigabytes that training may take.
+    device: `cuda` or `cpu`; `auto` is the former where there is one.
     The workspace keeps the model (model/point_cloud.ply), which viewers open.
     """
 
@@ -81,6 +83,7 @@ class GaussianSplatting:
     image_side: int = 640
     hold_out: HoldOut = "none"
     memory: float = 4.0
+    device: Literal["auto", "cpu", "cuda"] = "auto"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -105,8 +108,14 @@ class GaussianSplatting:
         return f"{' and '.join(absent)} not installed: pip install 'pcbench[splat,mvs]'" if absent else None
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
+        import torch
+
         try:
             return self._reconstruct(scene, workspace)
+        except torch.cuda.OutOfMemoryError as error:
+            raise ReconstructionError(
+                "the CUDA device has too little memory: set fewer gaussians, a smaller image_side, or device=cpu"
+            ) from error
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise ReconstructionError(
@@ -117,6 +126,7 @@ class GaussianSplatting:
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         if len(scene) < _FEWEST:
             raise InputError(f"expected at least {_FEWEST} images, got {len(scene)}")
+        device, note = computing_on(self.device)
         begun = self._begun(scene, workspace)
         cameras = begun.cameras
         split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
@@ -127,8 +137,9 @@ class GaussianSplatting:
             name: view_stage(scene, cameras[name], camera, workspace)
             for name, camera in counted(list(pinholes.items()), "undistorting")
         }
-        photographs = read_photographs(folders, pinholes, frame, _LEVELS)
-        notes = [f"{len(split.test)} of {len(cameras)} images held out: {split.words}"] if split.test else []
+        photographs = read_photographs(folders, pinholes, frame, _LEVELS, device)
+        notes = [] if note is None else [note]
+        notes += [f"{len(split.test)} of {len(cameras)} images held out: {split.words}"] if split.test else []
         if split.test:
             notes.append(f"held out of training only: `{self.start}`, at whose points it begins, saw all images")
 
@@ -141,7 +152,7 @@ class GaussianSplatting:
         made = stage(
             workspace, "model", inputs, lambda folder: self._train(folder, photographs, split, begun, frame, workspace)
         )
-        model = load_model(made / NUMBERS)
+        model = load_model(made / NUMBERS, device)
         if (made / CURVE).is_file():
             notes.append(f"{Curve.read(made / CURVE).sentence}; all that were tried: {made / CURVE}")
         notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after {self.steps:,} steps")
@@ -211,7 +222,7 @@ class GaussianSplatting:
                 f"expected points to begin with, got {len(points)}: begin at random (start=random)"
             )
         shades = np.full((len(points), 3), 0.5) if colors is None else colors / 255
-        return Gaussians.at_points(points, shades, frame)
+        return Gaussians.at_points(points, shades, frame).to(computing_on(self.device).device)
 
     def _density(
         self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
@@ -262,8 +273,9 @@ class GaussianSplatting:
 
         def pictures(name: str) -> Pictures:
             photograph = full[name]
-            valid = None if photograph.valid is None else photograph.valid.numpy()
-            return Pictures(name, render(model, photograph.view).numpy(), photograph.color.numpy(), valid)
+            valid = None if photograph.valid is None else photograph.valid.cpu().numpy()
+            drawn = render(model, photograph.view).cpu().numpy()
+            return Pictures(name, drawn, photograph.color.cpu().numpy(), valid)
 
         progress("rendering the views")
         write_views(folder, scene.name, "splat", split, pictures)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _SHOWING = 100  # photographs that tell how much of them a Gaussian is, at most
 _CHECKED = 100  # steps between two looks at whether all numbers are finite
+_ARRANGED = 2000  # steps between two times at which neighbours are put together, where that is faster
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,10 @@ class Seen(NamedTuple):
     def add(self, pulled: Pulled, width: int, height: int) -> None:
         """Add what one view saw, in place."""
         ids = pulled.ids
-        scale = pulled.screen.new_tensor([width / 2, height / 2])
-        self.gradient[ids] += (pulled.screen * scale).norm(dim=1)
+        moved = pulled.screen.clone()
+        moved[:, 0] *= width / 2  # a tensor of both numbers would have to be brought to the device, and waited for
+        moved[:, 1] *= height / 2
+        self.gradient[ids] += moved.norm(dim=1)
         self.views[ids] += 1
 
 
@@ -102,13 +105,15 @@ class Snapshot(NamedTuple):
 
 
 class Training:
-    """A model on its way. The same photographs and settings give the same model, bit for bit, on the CPU.
+    """A model on its way, on the device that the model and the photographs are on. The same of both and of settings
+    give the same model, bit for bit, on the CPU at any number of threads. A step waits for a CUDA device once, where
+    the rasterizer asks it how much there is to draw.
 
     Attributes:
         model: what is trained.
         step: how many steps are done.
         seen: for density control.
-        psnr: of each photograph when it was last looked at, dB.
+        psnr: of each photograph when it was last looked at, dB; whoever reads a tensor waits for the device.
     """
 
     def __init__(self, model: Gaussians, photographs: Sequence[Pyramid], schedule: Schedule, density: Density):
@@ -117,7 +122,7 @@ class Training:
         self.schedule = schedule
         self.density = density
         self.step = 0
-        self.psnr = [math.nan] * len(photographs)
+        self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.seen = Seen.nothing(model)
         self._kernels = kernels_of(model.means.device)
         self._rasterizer = self._kernels.Rasterizer()
@@ -161,6 +166,12 @@ class Training:
         self.optimizer.select(rows)
         self.seen = Seen.nothing(self.model)
 
+    def arrange(self, order: Tensor) -> None:
+        """Bring the Gaussians, and all that is known of them, into an order."""
+        self.model = self.model.select(order)
+        self.optimizer.select(order)
+        self.seen = Seen(*(part[order] for part in self.seen))
+
     def add(self, others: Gaussians) -> None:
         """Add Gaussians, begin to count anew."""
         self.model = self.model.joined(others)
@@ -203,11 +214,9 @@ class Training:
         return shown
 
     def _drawn(self, view: View) -> Drawn:
-        import torch
-
         model = self.model
         numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
-        return self._rasterizer.forward(*numbers, view, torch.zeros(3), geometry=False)
+        return self._rasterizer.forward(*numbers, view, model.means.new_zeros(3), geometry=False)
 
     def _photograph(self) -> tuple[int, Photograph]:
         count = len(self.photographs)
@@ -217,7 +226,9 @@ class Training:
         return which, pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
 
     def _one_step(self) -> None:
-        schedule = self.schedule
+        schedule, order = self.schedule, self._kernels.morton_order
+        if order is not None and self.step % _ARRANGED == 0:
+            self.arrange(order(self.model.means))
         if self.model.degree < schedule.degree(self.step):
             self.model = more_harmonics(self.model)
             self.optimizer.raise_degree()
@@ -233,7 +244,7 @@ class Training:
         self.step += 1
         self.optimizer.step(model, pulled, schedule.rates, self.step / schedule.steps, self.step)
         self.seen.add(pulled, photograph.view.width, photograph.view.height)
-        self.psnr[which] = _psnr(float((difference**2).mean()))
+        self.psnr[which] = _psnr((difference**2).mean())
 
     def save(self, path: Path, key: str) -> None:
         """Write all that a run with the same `key` needs to go on."""
@@ -251,10 +262,10 @@ class Training:
             torch.save(held, file)
 
     def load(self, path: Path, key: str) -> bool:
-        """Go on from what `save` wrote; False where that was for another key."""
+        """Go on from what `save` wrote, on whatever device; False where that was for another key."""
         import torch
 
-        held: dict[str, Any] = torch.load(path, weights_only=True)
+        held: dict[str, Any] = torch.load(path, map_location=self.model.means.device, weights_only=True)
         if held["key"] != key:
             return False
         self.step, self.seen = held["step"], Seen(*held["seen"])
@@ -267,11 +278,10 @@ class Training:
 
 def render(model: Gaussians, view: View) -> Tensor:
     """The image (H, W, 3) of a view, 0 to 1."""
-    import torch
-
     rasterizer = kernels_of(model.means.device).Rasterizer()
     numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
-    return rasterizer.forward(*numbers, view, torch.zeros(3), geometry=False).color.clamp(0, 1)
+    background = model.means.new_zeros(3)
+    return rasterizer.forward(*numbers, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
 def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:
@@ -280,12 +290,12 @@ def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]
     for photograph in photographs:
         square = (render(model, photograph.view) - photograph.color.float() / 255) ** 2
         shown = square if photograph.valid is None else square[photograph.valid]
-        scores.append(_psnr(float(shown.double().mean())))
+        scores.append(float(_psnr(shown.double().mean())))
     return scores
 
 
-def _psnr(mean_square: float) -> float:
-    return -10 * math.log10(max(mean_square, 1e-10))
+def _psnr(mean_square: Tensor) -> Tensor:
+    return -10 * mean_square.clamp(min=1e-10).log10()
 
 
 def _tensors(part: Gaussians) -> tuple[Tensor, ...]:

@@ -9,6 +9,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 
 _NEAREST = 0.01  # depth, in the world's unit
+_MOST_SIDE = 2**19  # pixels: tiles of 16 are counted in 16 bits
 _BEYOND = 0.15  # of the image's width and height
 
 
@@ -39,7 +40,7 @@ class View:
         """The view of a camera without distortion.
 
         Raises:
-            InputError: the camera has distortion, or its motion scales.
+            InputError: the camera has distortion, its motion scales, or its image has more than 2^19 pixels a side.
         """
         k, motion = camera.intrinsics, camera.cam_from_world
         if not k.is_pinhole:
@@ -48,6 +49,8 @@ class View:
             )
         if motion.scale != 1:
             raise InputError(f"expected a rigid cam_from_world, got one of scale {motion.scale:g}")
+        if max(k.width, k.height) > _MOST_SIDE:
+            raise InputError(f"expected an image of at most {_MOST_SIDE} pixels a side, got {k.width} x {k.height}")
         return cls(k.width, k.height, motion.rotation, camera.position, k.fx, k.fy, k.cx, k.cy, near)
 
     @property

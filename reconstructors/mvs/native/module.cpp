@@ -9,6 +9,7 @@
 
 #include "common/arrays.h"
 #include "common/choose_kernels.h"
+#include "common/forked.h"
 #include "common/interruptible.h"
 #include "kernels.h"
 
@@ -148,6 +149,7 @@ private:
 
 NB_MODULE(_patchmatch, m) {
     m.doc() = "Compiled PatchMatch stereo; call it through reconstructors.mvs.patchmatch.";
+    pcbench::one_thread_when_forked();
 
     m.def("isa", [] { return kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
 

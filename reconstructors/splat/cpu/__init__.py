@@ -36,8 +36,9 @@ class Rasterizer:
         background: Tensor,
         *,
         geometry: bool,
+        gradient: bool = True,
     ) -> Drawn:
-        """The image; the tensors must stay as they are until `backward`."""
+        """The image; the tensors must stay as they are until `backward`, which may always follow: it needs no more."""
         size = (view.height, view.width)
         color, transmittance = means.new_empty((*size, 3)), means.new_empty(size)
         depth, normal, median_depth = (
@@ -82,6 +83,9 @@ class Rasterizer:
             *map(_array, (color, transmittance, depth, normal, error)), *(_array(tensor) for tensor in pulled)
         )
         return pulled
+
+
+morton_order = None
 
 
 def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:

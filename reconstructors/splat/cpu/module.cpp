@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "common/arrays.h"
+#include "common/forked.h"
 #include "rasterizer.h"
 
 namespace {
@@ -176,6 +177,9 @@ void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first
 
 NB_MODULE(_rasterizer, m) {
     m.doc() = "The compiled Gaussian rasterizer; call it through reconstructors.splat.";
+    pcbench::one_thread_when_forked();
+    // When Python ends torch keeps the graphs that are still alive, and so their rasterizers: that is no leak of ours.
+    nb::set_leak_warnings(false);
 
     m.def("isa", [] { return kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
 

@@ -113,9 +113,6 @@ class Rasterizer:
     ) -> Drawn:
         """Draw the Gaussians; see `reconstructors.splat.interface.Rasterizer`. It waits for the GPU once.
 
-        Args:
-            gradient: whether `backward` is to follow.
-
         Raises:
             InputError: tensors that are not on a CUDA device, or more than 2^31 - 1 instances.
             MissingExtra: cuda-core or NVRTC is not installed.

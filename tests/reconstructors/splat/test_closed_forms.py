@@ -151,6 +151,24 @@ def test_a_tilted_disc_has_its_planes_depth(any_engine, axis, tilt_deg):
     )
 
 
+def test_a_tilted_plane_of_discs_has_its_depth(any_engine):
+    """To what it changes within a pixel, and towards the camera: the nearer discs hide the farther."""
+    focal, depth, tilt = 100.0, 10.0, np.radians(35)
+    along = 0.25 * np.arange(-9, 10)  # two and a half pixels apart, and as large
+    x, s = (grid.ravel() for grid in np.meshgrid(along, along))
+    means = np.column_stack([x, s * np.cos(tilt), depth + s * np.sin(tilt)])
+    quats = np.tile([np.cos(tilt / 2), np.sin(tilt / 2), 0, 0], (len(means), 1))
+    scene = facing(means, [0.25, 0.25, 0], 0.9, [1, 1, 1], (16, 20), focal, quats)
+    images = photograph(any_engine, scene)
+    assert images["alpha"].min() > 0.99
+    down = (np.arange(20) + 0.5 - 10) / focal
+    plane = (depth / (1 - down * np.tan(tilt)))[:, None]
+    step = np.gradient(plane[:, 0])[:, None]
+    for shown in (images["depth"] / images["alpha"], images["median_depth"]):
+        short = (plane - shown) / step
+        assert (short > -0.2).all() and (short < 0.8).all() and 0.1 < short.mean() < 0.5
+
+
 def test_what_is_behind_or_beside_is_not_seen(any_engine):
     scene = facing([[0, 0, -2], [0, 0, 0.005], [50, 0, 2], [0, -50, 2]], 0.1, 0.9, [1, 1, 1])
     images = photograph(any_engine, scene)

@@ -4,10 +4,11 @@ import subprocess
 import sys
 import weakref
 from dataclasses import replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+from repository import TESTS
 from splat_scenes import make, nothing, scattered
 
 from pcbench.errors import InputError, MissingExtra
@@ -147,6 +148,42 @@ def test_what_was_overwritten_has_no_derivative(device):
     loss = some_loss(rendering._replace(color=rendering.color.clamp_(0, 1)))
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
+    background = device.tensor(scene.background)
+    loss = some_loss(rasterize(*given(device, scene), scene.camera, background=background))
+    background += 1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
+def test_derivatives_of_some_tensors_alone(device):
+    scene = make(scattered)
+    everything = given(device, scene)
+    some_loss(rasterize(*everything, scene.camera)).backward()
+    for only in range(5):
+        tensors = [tensor.requires_grad_(n == only) for n, tensor in enumerate(given(device, scene))]
+        some_loss(rasterize(*tensors, scene.camera)).backward()
+        assert [tensor.grad is not None for tensor in tensors] == [n == only for n in range(5)]
+        assert torch.equal(tensors[only].grad, everything[only].grad)
+
+
+def test_a_derivative_is_prepared_where_one_may_be_asked_for(device, monkeypatch):
+    """On CUDA it takes memory."""
+    prepared = []
+
+    class Spy:
+        def __init__(self):
+            self.own = device.kernels.Rasterizer()
+
+        def forward(self, *given, gradient, **options):
+            prepared.append(gradient)
+            return self.own.forward(*given, gradient=gradient, **options)
+
+    monkeypatch.setattr(sys.modules[rasterize.__module__], "kernels_of", lambda _: SimpleNamespace(Rasterizer=Spy))
+    scene = make(scattered)
+    tensors = [tensor.requires_grad_(False) for tensor in given(device, scene)]
+    rasterize(*tensors, scene.camera)
+    rasterize(*tensors[:4], tensors[4].requires_grad_(), scene.camera)
+    assert prepared == [False, True]
 
 
 def test_a_rendering_that_is_let_go_is_gone(device):
@@ -210,6 +247,8 @@ def with_one(value):
         ({"means": with_one(np.nan)}, "expected finite means, got NaN or Inf in 1 of 5, first 3"),
         ({"means": lambda t: 1e39 * t.double()}, "expected finite means, got NaN or Inf in 5 of 5, first 0"),
         ({"quats": with_one(np.inf)}, "expected finite quats, got NaN or Inf in 1 of 5, first 3"),
+        ({"quats": with_one(-1e20)}, "expected quats of numbers up to 1e+18, got 1e+20: normalize them"),
+        ({"scales": lambda t: t.to_sparse()}, "expected scales as a dense tensor, got torch.sparse_coo: take its to_"),
         ({"sh": with_one(-np.inf)}, "expected finite sh, got NaN or Inf in 1 of 5, first 3"),
         ({"scales": with_one(-2.5)}, "expected scales of 0 or more, got -2.5: take exp() of logarithms"),
         ({"opacities": with_one(1.5)}, "to 1.5: take the sigmoid of logits"),
@@ -230,6 +269,11 @@ def test_other_wrong_input_is_named():
     assert refusal({}, camera=View.of(camera)) == "expected a pcbench Camera, got View"
     scaled = replace(camera, cam_from_world=Similarity(np.eye(3), np.zeros(3), 2.0))
     assert refusal({}, camera=scaled) == "expected a rigid cam_from_world, got one of scale 2"
+    wide = replace(camera, intrinsics=replace(camera.intrinsics, width=2**19 + 1))
+    assert refusal({}, camera=wide) == "expected an image of at most 524288 pixels a side, got 524289 x 22"
+    assert refusal({}, background="black") == "expected a background of three numbers, got 'black'"
+    assert refusal({}, background=None) == "expected a background of three numbers, got None"
+    assert "three real numbers, got torch.complex64" in refusal({}, background=torch.tensor([1j, 0, 0]))
     assert refusal({}, background=[1, 1]) == "expected a background of shape (3,), got (2,)"
     assert refusal({}, background=[1, np.nan, 1]) == "expected finite background, got NaN or Inf in 1 of 3, first 1"
     meta = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), lambda t: t.to("meta"))
@@ -246,3 +290,18 @@ def test_torch_is_imported_when_it_is_used(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingExtra, match=r"torch is needed for this .*: pip install 'pcbench\[splat\]'"):
         rasterize(*scene.arrays, scene.camera)
+
+
+def test_a_graph_that_is_alive_when_python_ends_says_nothing():
+    """Torch keeps it, and what it holds; nobody wants to hear of it."""
+    script = """
+import sys
+sys.path[:0] = [{path!r}]
+import torch
+from splat_scenes import make, scattered
+from reconstructors.splat import rasterize
+scene = make(scattered)
+rendering = rasterize(*(torch.from_numpy(array).requires_grad_() for array in scene.arrays), scene.camera)
+"""
+    done = subprocess.run([sys.executable, "-c", script.format(path=str(TESTS))], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")

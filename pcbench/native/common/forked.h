@@ -1,0 +1,14 @@
+// Loops in a process that fork() made, as Python's multiprocessing does on Linux.
+#pragma once
+#include <omp.h>
+#include <pthread.h>
+
+namespace pcbench {
+
+// Such a child has none of its parent's threads, but OpenMP believes that they are there and would wait for them for
+// ever: what is forked works with one thread. Each module says this when it is imported; results do not depend on it.
+inline void one_thread_when_forked() {
+    pthread_atfork(nullptr, nullptr, [] { omp_set_num_threads(1); });
+}
+
+}  // namespace pcbench

@@ -1,0 +1,47 @@
+"""What fork() made has none of its parent's threads: loops run there all the same, with one."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+PARENT = """
+import os
+import numpy as np
+{loop}
+before = answer()
+child = os.fork()
+if child == 0:
+    os._exit(int(answer() != before))
+raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+NEIGHBORS = """
+from pcbench.geometry.neighbors import Index
+points = np.random.default_rng(0).random((50_000, 3))
+def answer():
+    return Index(points).query(points, 4).distances.tobytes()
+"""
+SPLATS = """
+import torch
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from reconstructors.splat import rasterize
+camera = Camera("view", Intrinsics.from_fov(64, 48, 60), look_at((0, -4, 0), (0, 0, 0)))
+given = torch.zeros(1, 3), torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), torch.ones(1, 1, 3)
+def answer():
+    return rasterize(*given, camera).color.numpy().tobytes()
+"""
+
+
+@pytest.mark.parametrize("loop", [NEIGHBORS, SPLATS], ids=["neighbors", "splats"])
+def test_a_forked_child_does_not_wait_for_threads_that_are_not_there(loop):
+    if loop is SPLATS:
+        pytest.importorskip("torch")
+    environment = {**os.environ, "OMP_NUM_THREADS": "2"}
+    script = PARENT.format(loop=loop)
+    done = subprocess.Popen([sys.executable, "-c", script], env=environment, start_new_session=True)
+    try:
+        assert done.wait(timeout=60) == 0
+    finally:
+        if done.poll() is None:
+            os.killpg(done.pid, 9)

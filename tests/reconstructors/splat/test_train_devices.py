@@ -1,0 +1,211 @@
+"""Training on CUDA is that of the CPU, but for the order of sums: emulated, and on a GPU (python -m pytest -m gpu)."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from splat_scenes import scattered
+
+from pcbench.errors import InputError, MissingExtra, ReconstructionError
+from pcbench.geometry.cameras import look_at
+
+torch = pytest.importorskip("torch")
+
+from cuda_emulator import EmulatedCuda  # noqa: E402
+from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
+
+from reconstructors.splat import devices, train  # noqa: E402
+from reconstructors.splat.density import Classic  # noqa: E402
+from reconstructors.splat.devices import computing_on  # noqa: E402
+from reconstructors.splat.model import Gaussians  # noqa: E402
+from reconstructors.splat.optimizer import more_harmonics  # noqa: E402
+from reconstructors.splat.photographs import Photograph  # noqa: E402
+from reconstructors.splat.resume import load_model, save_model  # noqa: E402
+from reconstructors.splat.splat import GaussianSplatting  # noqa: E402
+from reconstructors.splat.train import Schedule, Training, evaluate, render  # noqa: E402
+from reconstructors.splat.view import View  # noqa: E402
+
+GAUSSIANS, STEPS = 60, 200
+
+
+def truth():
+    scene = scattered(np.random.default_rng(8), GAUSSIANS, width=32, height=24, degree=1, size=0.25)
+    means, quats, scales, opacities, sh = (torch.from_numpy(array) for array in scene.arrays)
+    return scene.camera, Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
+
+
+def begun(device="cpu", density=Classic(first=10**6, reset=0)):  # noqa: B008
+    """Places that are a little off, all else unknown; the second of six photographs has a mask."""
+    camera, model = truth()
+    pyramids = []
+    for k, angle in enumerate(np.linspace(0, 2 * np.pi, 6, endpoint=False)):
+        view = View.of(replace(camera, cam_from_world=look_at((4 * np.cos(angle), 4 * np.sin(angle), 1.5), (0, 0, 0))))
+        valid = torch.ones(24, 32, dtype=torch.bool)
+        valid[5:12, 3:20] = False
+        color = (render(model, view) * 255).round().to(torch.uint8).to(device)
+        pyramids.append([Photograph(str(k), view, color, valid.to(device) if k == 1 else None)])
+    noise = torch.from_numpy(np.random.default_rng(9).normal(size=(GAUSSIANS, 3)).astype(np.float32))
+    start = Gaussians(
+        model.means + 0.05 * noise,
+        torch.tensor([1.0, 0, 0, 0]).repeat(GAUSSIANS, 1),
+        torch.tensor([0.3, 0.2, 0.12]).log().repeat(GAUSSIANS, 1),  # round ones would turn at random
+        torch.full((GAUSSIANS,), -1.0),
+        torch.zeros(GAUSSIANS, 1, 3),
+    ).to(torch.device(device))
+    return Training(start, pyramids, Schedule(steps=STEPS, sh_degree=1, halved=(0, 0)), density)
+
+
+def parts(model):
+    return {field.name: getattr(model, field.name).cpu().numpy() for field in fields(model)}
+
+
+def psnr(training):
+    return np.mean(evaluate(training.model, [pyramid[0] for pyramid in training.photographs]))
+
+
+def assert_alike(ours, theirs, order, within=1e-4):
+    """Two trainings, the first of which had its Gaussians brought into an order.
+
+    Derivatives are sums in another order, and each step takes over what the last one has rounded: after 200 steps the
+    root mean square of the differences is 4e-6 of how far the numbers have come, where it is up to 4e-2 if they are all
+    one millionth off at the start.
+    """
+    assert psnr(ours) == pytest.approx(psnr(theirs), abs=within)
+    start = parts(more_harmonics(begun().model))
+    for name, numbers in parts(theirs.model).items():
+        moved = np.sqrt(np.mean((numbers - start[name]) ** 2))
+        assert np.sqrt(np.mean((parts(ours.model)[name] - numbers[order]) ** 2)) < within * moved, name
+    for mine, other in zip(ours.seen, theirs.seen, strict=True):
+        np.testing.assert_allclose(mine.cpu(), other[order], atol=within * float(other.max()))
+    np.testing.assert_allclose([*map(float, ours.psnr)], [*map(float, theirs.psnr)], atol=10 * within)
+
+
+@pytest.mark.parametrize("steps", [40, pytest.param(STEPS, marks=pytest.mark.slow)])
+def test_emulated_it_is_that_of_the_cpu(steps, monkeypatch):
+    on_cpu, kernels = begun(), EmulatedCuda()
+    before = psnr(on_cpu)
+    on_cpu.run(steps)
+    assert psnr(on_cpu) > before + 4
+    monkeypatch.setattr(train, "kernels_of", lambda _: kernels)
+    training = begun()
+    order = kernels.morton_order(training.model.means).numpy()
+    training.run(steps)
+    assert_alike(training, on_cpu, order)
+
+
+class Asked(TorchDispatchMode):
+    """Lists what a GPU would have to be waited for: numbers that the host reads, and rows that are counted first."""
+
+    def __init__(self):
+        super().__init__()
+        self.names = []
+
+    def __torch_dispatch__(self, function, types, given=(), options=None):
+        if function.overloadpacket in (torch.ops.aten._local_scalar_dense, torch.ops.aten.nonzero):
+            self.names.append(str(function))
+        return function(*given, **(options or {}))
+
+
+def test_a_step_waits_for_the_count_of_what_is_drawn_and_for_nothing_else(monkeypatch):
+    """That one is read by `tolist`, of which this list knows nothing."""
+    monkeypatch.setattr(train, "kernels_of", lambda _: EmulatedCuda())
+    training, counts = begun(), []
+    with Asked() as asked:
+        training.run(3, lambda _: counts.append(len(asked.names)))
+    # After the last one it is asked whether all numbers are finite.
+    assert counts[:2] == [0, 0] and counts[2] > 0
+
+
+def test_an_order_is_brought_to_all_that_belongs_to_the_gaussians():
+    """A training in another order goes on as it would have."""
+    plain, turned = begun(), begun()
+    order = torch.from_numpy(np.random.default_rng(3).permutation(GAUSSIANS))
+    for training in (plain, turned):
+        training.run(10)
+    turned.arrange(order)
+    for training in (plain, turned):
+        training.run(20)
+    assert_alike(turned, plain, order.numpy())
+
+
+def test_numbers_are_loaded_to_the_device_that_is_wanted(tmp_path):
+    model = begun().model
+    save_model(tmp_path / "model.pt", model)
+    assert load_model(tmp_path / "model.pt", torch.device("meta")).means.device.type == "meta"
+    assert model.to(torch.device("meta")).sh.device.type == "meta"
+
+
+def test_where_to_compute(monkeypatch):
+    """Without a GPU, with one on which no kernel runs, and with one."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for wanted in ("auto", "cpu"):
+        assert computing_on(wanted) == (torch.device("cpu"), None)
+    with pytest.raises(InputError, match="expected a CUDA device for device=cuda, torch finds none: check the driver"):
+        computing_on("cuda")
+
+    def fails(error):
+        def run(device):
+            raise error
+
+        return run
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
+    missing, broken = MissingExtra("NVRTC", "cuda", "it is not there"), RuntimeError("the driver is old\nat line 5")
+    for error, raised, message in [
+        (missing, MissingExtra, r"NVRTC is needed .*pcbench\[cuda\]"),
+        (broken, InputError, "^no kernel runs on GPU 1: the driver is old: set device=cpu$"),
+    ]:
+        monkeypatch.setattr(devices, "_run_smallest_kernel", fails(error))
+        with pytest.raises(raised, match=message):
+            computing_on("cuda")
+        device, note = computing_on("auto")
+        assert device.type == "cpu"
+        assert note == f"trained on the CPU, not on GPU 1: {str(error).splitlines()[0]}"
+    monkeypatch.setattr(devices, "_run_smallest_kernel", lambda device: None)
+    for wanted in ("auto", "cuda"):
+        assert computing_on(wanted) == (torch.device("cuda:1"), "trained on GPU 1; device=cpu would take the CPU")
+    assert computing_on("cpu") == (torch.device("cpu"), None)
+
+
+def test_without_a_gpu_nothing_is_begun_on_one(monkeypatch, tmp_path):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match="torch finds none"):
+        GaussianSplatting(device="cuda").reconstruct([None] * 3, tmp_path)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_memory_that_a_gpu_has_not_ends_with_a_sentence(monkeypatch, tmp_path):
+    def full(*_):
+        raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB.")
+
+    monkeypatch.setattr(GaussianSplatting, "_reconstruct", full)
+    with pytest.raises(
+        ReconstructionError, match="too little memory: set fewer gaussians, a smaller image_side, or dev"
+    ):
+        GaussianSplatting().reconstruct([None] * 3, tmp_path)
+
+
+@pytest.mark.gpu
+def test_on_a_gpu_it_is_that_of_the_cpu(tmp_path):
+    """And what either leaves the other takes up."""
+    if not torch.cuda.is_available():
+        pytest.skip("torch finds no CUDA device")
+    from reconstructors.splat import cuda
+
+    assert computing_on("auto").device.type == "cuda"
+    on_cpu, training = begun(), begun("cuda")
+    order = cuda.morton_order(training.model.means).cpu().numpy()
+    on_cpu.run(STEPS)
+    training.run(STEPS // 2)
+    training.save(tmp_path / "half.pt", "key")
+    there, here = begun("cuda"), begun()
+    for other in (there, here):
+        assert other.load(tmp_path / "half.pt", "key")
+        assert other.model.means.device == other.photographs[0][0].color.device
+        other.run(STEPS)
+        assert_alike(other, on_cpu, order, within=0.02)  # exp() and others are a GPU's own, and rounded otherwise
+    training.run(STEPS)
+    for name, numbers in parts(training.model).items():  # a run that goes on is an unbroken one, bit for bit
+        np.testing.assert_array_equal(parts(there.model)[name], numbers)
