@@ -21,6 +21,10 @@ class Density:
     def control(self, training: Training) -> None:
         """Called after every step; may change the model through `Training.keep` and `Training.add`."""
 
+    def settled(self, training: Training) -> bool:
+        """Whether it changes the model no more."""
+        return True
+
     def state(self) -> object:
         """What it has to remember beside the model, as `torch.load` reads it with `weights_only`."""
 
@@ -75,6 +79,9 @@ class Classic(Density):
             held = float(np.log(self.reset_opacity / (1 - self.reset_opacity)))
             torch.clamp_(training.model.logits, max=held)
             training.optimizer.forget("logits")
+
+    def settled(self, training: Training) -> bool:
+        return training.step > self.last * training.schedule.steps
 
     def _densify(self, training: Training) -> None:
         model, seen = training.model, training.seen

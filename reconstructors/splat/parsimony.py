@@ -187,6 +187,9 @@ class Parsimonious(Density):
         else:
             self._choose(training)
 
+    def settled(self, training: Training) -> bool:
+        return self.curve is not None
+
     def _judged(self, training: Training) -> Budget:
         model = training.model
         assert self._clock is not None

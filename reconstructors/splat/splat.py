@@ -155,7 +155,7 @@ class GaussianSplatting:
         model = load_model(made / NUMBERS, device)
         if (made / CURVE).is_file():
             notes.append(f"{Curve.read(made / CURVE).sentence}; all that were tried: {made / CURVE}")
-        notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after {self.steps:,} steps")
+        notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}")
         if split.test:
             self._write_views(workspace / RENDERED, scene, split, model, photographs)
             notes.append(f"renderings: pcbench views {workspace / RENDERED}")

@@ -40,6 +40,8 @@ class Schedule:
         ssim_weight: of 1 - SSIM in the loss; the rest is for the absolute difference.
         halved: shares of the steps up to which photographs are a quarter and a half as wide.
         seed: of all that is drawn at random.
+        plateau: dB; training ends where the photographs are, on average, not so much better than a tenth of the steps
+            before, once the number of Gaussians is settled.
     """
 
     steps: int = 3000
@@ -47,6 +49,7 @@ class Schedule:
     ssim_weight: float = 0.2
     halved: tuple[float, float] = (0.15, 0.4)
     seed: int = 0
+    plateau: float = 0.01
     rates: Rates = field(default_factory=Rates)
 
     def level(self, step: int) -> int:
@@ -114,6 +117,7 @@ class Training:
         step: how many steps are done.
         seen: for density control.
         psnr: of each photograph when it was last looked at, dB; whoever reads a tensor waits for the device.
+        ended: whether the photographs get no better.
     """
 
     def __init__(self, model: Gaussians, photographs: Sequence[Pyramid], schedule: Schedule, density: Density):
@@ -123,20 +127,23 @@ class Training:
         self.density = density
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
+        self.ended = False
+        self._mean = math.nan  # PSNR at the last look back
         self.seen = Seen.nothing(model)
         self._kernels = kernels_of(model.means.device)
         self._rasterizer = self._kernels.Rasterizer()
         self.optimizer = Optimizer(model, self._kernels.adam)
 
     def run(self, until: int, each: Callable[[Training], None] | None = None) -> None:
-        """Train up to a step, calling `each` after every one.
+        """Train up to a step, or to where the photographs get no better, calling `each` after every step.
 
         Raises:
             ReconstructionError: numbers of the model are no longer finite, or no Gaussian is left.
         """
-        while self.step < until:
+        while self.step < until and not self.ended:
             self._one_step()
             self.density.control(self)
+            self._look_back()
             if self.step % _CHECKED == 0 or self.step == until:
                 self._check()
             if each is not None:
@@ -155,6 +162,14 @@ class Training:
                 f"training diverged: at step {self.step} numbers of {lost} Gaussians are not finite; are the cameras"
                 " right?"
             )
+
+    def _look_back(self) -> None:
+        count, steps = len(self.photographs), self.schedule.steps
+        if self.step % max(count, steps // 10) or not self.density.settled(self):
+            return
+        whole = self.step >= count and self.schedule.level(self.step - count) == 0  # all were seen in full size
+        before, self._mean = self._mean, sum(map(float, self.psnr)) / count if whole else math.nan
+        self.ended = self._mean - before < self.schedule.plateau
 
     def rng(self) -> np.random.Generator:
         """For what is drawn at this step: a run that goes on draws what an unbroken one does."""
@@ -201,6 +216,7 @@ class Training:
         """Go on with these photographs."""
         self.photographs = photographs
         self.psnr = [math.nan] * len(photographs)
+        self._mean = math.nan
 
     def shown(self) -> Tensor:
         """(N,) how much of the photographs each Gaussian is: the sum of its weights over all pixels, of at most a
@@ -255,6 +271,8 @@ class Training:
             "step": self.step,
             "density": self.density.state(),
             "psnr": self.psnr,
+            "mean": self._mean,
+            "ended": self.ended,
             "seen": tuple(self.seen),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
         }
@@ -272,7 +290,7 @@ class Training:
         self.model, first, second = (Gaussians(*part) for part in held["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, held["density"])
-        self.psnr = held["psnr"]
+        self.psnr, self._mean, self.ended = held["psnr"], held["mean"], held["ended"]
         return True
 
 

@@ -57,6 +57,23 @@ def test_the_same_seed_gives_the_same_model_and_another_one_another():
     assert first == again != other
 
 
+def test_training_ends_where_the_photographs_get_no_better(tmp_path):
+    eager, whole = begun(steps=400, plateau=2.0), begun(steps=400, plateau=-np.inf)
+    eager.run(400)
+    whole.run(400)
+    assert (whole.ended, whole.step) == (False, 400)
+    assert eager.ended and 80 <= eager.step < 400 and eager.step % 40 == 0
+    # A tenth of the steps more would have been worth less than that.
+    before, after = (begun(steps=400, plateau=-np.inf) for _ in range(2))
+    before.run(eager.step - 40)
+    after.run(eager.step)
+    assert np.mean(after.psnr) - np.mean(before.psnr) < 2.0
+    assert numbers(after.model) == numbers(eager.model)
+    eager.save(tmp_path / "checkpoint.pt", "key")
+    again = begun(steps=400, plateau=2.0)
+    assert numbers(trained(again, tmp_path / "checkpoint.pt", "key")) == numbers(eager.model)
+
+
 def test_a_mask_hides_what_it_covers():
     """Black rectangles over the photographs leave no trace where a mask covers them."""
     plain, masked = begun(steps=60), begun(steps=60)

@@ -54,7 +54,9 @@ def test_the_demo_ends_with_a_bench(tmp_path, run):
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo")
     assert code == 0
     rows = json.loads((tmp_path / "demo/bench/bench.json").read_text())["rows"]
-    assert [(r["method"], r["status"]) for r in rows] == [("sfm", "ok")] * 4 + [("mvs", "ok")] * 2 + [("splat", "ok")] * 2
+    assert [(r["method"], r["status"]) for r in rows] == [("sfm", "ok")] * 4 + [("mvs", "ok")] * 2 + [
+        ("splat", "ok")
+    ] * 2
     assert rows[3]["fscore"] > 0.5
     assert min(r["fscore"] for r in rows[4:6]) > max(r["fscore"] for r in rows[:4])
     assert min(r["precision"] for r in rows[4:6]) > 0.9
