@@ -11,11 +11,11 @@ from pcbench.geometry.cameras import look_at
 
 torch = pytest.importorskip("torch")
 
-from cuda_emulator import EmulatedCuda  # noqa: E402
+from cuda_emulator import EmulatedCuda, Emulator  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from reconstructors.splat import devices, train  # noqa: E402
-from reconstructors.splat.density import Classic  # noqa: E402
+from reconstructors.splat.density import Density  # noqa: E402
 from reconstructors.splat.devices import computing_on  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.optimizer import more_harmonics  # noqa: E402
@@ -29,21 +29,31 @@ GAUSSIANS, STEPS = 60, 200
 
 
 def truth():
+    """A model and six pictures of it from around; the second has a mask."""
     scene = scattered(np.random.default_rng(8), GAUSSIANS, width=32, height=24, degree=1, size=0.25)
     means, quats, scales, opacities, sh = (torch.from_numpy(array) for array in scene.arrays)
-    return scene.camera, Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
-
-
-def begun(device="cpu", density=Classic(first=10**6, reset=0)):  # noqa: B008
-    """Places that are a little off, all else unknown; the second of six photographs has a mask."""
-    camera, model = truth()
-    pyramids = []
+    model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
+    valid = torch.ones(24, 32, dtype=torch.bool)
+    valid[5:12, 3:20] = False
+    pictures = []
     for k, angle in enumerate(np.linspace(0, 2 * np.pi, 6, endpoint=False)):
-        view = View.of(replace(camera, cam_from_world=look_at((4 * np.cos(angle), 4 * np.sin(angle), 1.5), (0, 0, 0))))
-        valid = torch.ones(24, 32, dtype=torch.bool)
-        valid[5:12, 3:20] = False
-        color = (render(model, view) * 255).round().to(torch.uint8).to(device)
-        pyramids.append([Photograph(str(k), view, color, valid.to(device) if k == 1 else None)])
+        place = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
+        view = View.of(replace(scene.camera, cam_from_world=look_at(place, (0, 0, 0))))
+        color = (render(model, view) * 255).round().to(torch.uint8)
+        pictures.append(Photograph(str(k), view, color, valid if k == 1 else None))
+    return model, pictures
+
+
+TRUTH = truth()
+
+
+def begun(device="cpu"):
+    """Places that are a little off, all else unknown."""
+    model, pictures = TRUTH
+    pyramids = []
+    for picture in pictures:
+        valid = None if picture.valid is None else picture.valid.to(device)
+        pyramids.append([picture._replace(color=picture.color.to(device), valid=valid)])
     noise = torch.from_numpy(np.random.default_rng(9).normal(size=(GAUSSIANS, 3)).astype(np.float32))
     start = Gaussians(
         model.means + 0.05 * noise,
@@ -52,7 +62,7 @@ def begun(device="cpu", density=Classic(first=10**6, reset=0)):  # noqa: B008
         torch.full((GAUSSIANS,), -1.0),
         torch.zeros(GAUSSIANS, 1, 3),
     ).to(torch.device(device))
-    return Training(start, pyramids, Schedule(steps=STEPS, sh_degree=1, halved=(0, 0)), density)
+    return Training(start, pyramids, Schedule(steps=STEPS, sh_degree=1, halved=(0, 0)), Density())
 
 
 def parts(model):
@@ -116,6 +126,26 @@ def test_a_step_waits_for_the_count_of_what_is_drawn_and_for_nothing_else(monkey
     assert counts[:2] == [0, 0] and counts[2] > 0
 
 
+class OnMeta(Emulator):
+    """Runs nothing, but looks at what it is given."""
+
+    def launch(self, kernel, blocks, *arguments):
+        assert all(argument.is_meta for argument in arguments if isinstance(argument, torch.Tensor)), kernel.name
+        self.launched.append(kernel.name)
+
+
+def test_all_of_a_step_is_on_the_device(monkeypatch):
+    """Tensors on the device `meta` have no numbers, and most of what is done with them refuses those of the CPU."""
+    kernels = EmulatedCuda(emulator=OnMeta)
+    monkeypatch.setattr(train, "kernels_of", lambda _: kernels)
+    monkeypatch.setattr(torch.Tensor, "tolist", lambda tensor: [40, 100])  # Gaussians that are drawn, instances
+    monkeypatch.setattr(Training, "_check", lambda training: None)  # which reads numbers
+    training = begun("meta")
+    training.run(STEPS // 5)
+    assert training.model.degree == 1 and training.psnr[0].is_meta
+    assert kernels.emulator.launched.count("adam") == STEPS  # of five kinds of numbers each
+
+
 def test_an_order_is_brought_to_all_that_belongs_to_the_gaussians():
     """A training in another order goes on as it would have."""
     plain, turned = begun(), begun()
@@ -128,11 +158,16 @@ def test_an_order_is_brought_to_all_that_belongs_to_the_gaussians():
     assert_alike(turned, plain, order.numpy())
 
 
-def test_numbers_are_loaded_to_the_device_that_is_wanted(tmp_path):
+def test_numbers_are_loaded_to_the_device_that_is_wanted(tmp_path, monkeypatch):
     model = begun().model
     save_model(tmp_path / "model.pt", model)
     assert load_model(tmp_path / "model.pt", torch.device("meta")).means.device.type == "meta"
     assert model.to(torch.device("meta")).sh.device.type == "meta"
+    begun().save(tmp_path / "checkpoint.pt", "key")
+    monkeypatch.setattr(train, "kernels_of", lambda _: EmulatedCuda())
+    training = begun("meta")
+    assert training.load(tmp_path / "checkpoint.pt", "key")
+    assert training.model.sh.is_meta and training.optimizer.first.sh.is_meta and training.seen.views.is_meta
 
 
 def test_where_to_compute(monkeypatch):
