@@ -25,7 +25,7 @@ from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out
 from pcbench.scenes.views import RENDERED, Pictures, write_views
-from reconstructors.mvs.mvs import DenseMvs
+from reconstructors.mvs.mvs import MAPS, DenseMvs
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
@@ -35,6 +35,7 @@ from reconstructors.splat.optimizer import GAO2025_RATES, Rates
 from reconstructors.splat.photographs import Pyramid, read_photographs
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, save_model, trained
+from reconstructors.splat.supervision import read_supervision
 from reconstructors.splat.train import Schedule, Training, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
@@ -55,6 +56,7 @@ class GaussianSplatting:
     are some.
     start: from what training begins: the cloud of `mvs`, thinned to `gaussians`, the sparse points of `sfm`, or places
     at `random` in their box.
+    supervision: `mvs` holds what is drawn to the depth maps of `mvs`, where training begins at its cloud; `none`.
     density: `fixed` leaves their number as it is; `classic` adds and removes by the rules of Kerbl et al. 2023,
     `gao2025` by those of Gao et al.
     cloud: the `surface` that at least three images agree on, or the `means` of all Gaussians, as Gao et al. take them;
@@ -67,6 +69,7 @@ class GaussianSplatting:
 
     poses: Literal["auto", "given", "solve"] = "auto"
     start: Literal["mvs", "sfm", "random"] = "mvs"
+    supervision: Literal["mvs", "none"] = "mvs"
     density: Literal["fixed", "classic", "gao2025"] = "fixed"
     cloud: Literal["surface", "means"] = "surface"
     min_opacity: float = 0.0
@@ -156,6 +159,7 @@ class GaussianSplatting:
         return (
             self.poses,
             self.start,
+            self.supervision,
             self.density,
             self.steps,
             self.gaussians,
@@ -221,9 +225,11 @@ class GaussianSplatting:
     ) -> None:
         progress("placing Gaussians")
         held_out = set(split.test)
+        shown = [pyramid for pyramid in photographs if pyramid[0].name not in held_out]
+        supervised = self.supervision == "mvs" and self.start == "mvs"
         training = Training(
             self._first_model(begun, frame),
-            [pyramid for pyramid in photographs if pyramid[0].name not in held_out],
+            shown,
             Schedule(
                 steps=self.steps,
                 sh_degree=self.sh_degree,
@@ -231,6 +237,7 @@ class GaussianSplatting:
                 rates=GAO2025_RATES if self.density == "gao2025" else Rates(),
             ),
             self._density(),
+            read_supervision(workspace / self.start / MAPS, shown, frame.unit) if supervised else None,
         )
         model = trained(training, workspace / "checkpoint.pt", repr((self._of_training(), split.train)))
         save_model(folder / NUMBERS, model)

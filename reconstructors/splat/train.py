@@ -16,6 +16,7 @@ from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.optimizer import Optimizer, Rates, more_harmonics
 from reconstructors.splat.photographs import Photograph, Pyramid
+from reconstructors.splat.supervision import Pull, Supervision
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -91,11 +92,19 @@ class Training:
         psnr: of each photograph when it was last looked at, dB.
     """
 
-    def __init__(self, model: Gaussians, photographs: Sequence[Pyramid], schedule: Schedule, density: Density):
+    def __init__(
+        self,
+        model: Gaussians,
+        photographs: Sequence[Pyramid],
+        schedule: Schedule,
+        density: Density,
+        supervision: Supervision | None = None,
+    ):
         self.model = model
         self.photographs = photographs
         self.schedule = schedule
         self.density = density
+        self.supervision = supervision
         self.step = 0
         self.psnr = [math.nan] * len(photographs)
         self.seen = Seen.nothing(model)
@@ -171,14 +180,15 @@ class Training:
             model.sh,
             photograph.view,
             torch.zeros(3),
-            geometry=False,
+            geometry=self.supervision is not None,
         )
         target = photograph.target()
         shown = drawn.color if photograph.valid is None else drawn.color * photograph.valid[..., None]
         loss = self._kernels.image_loss(shown, target, schedule.ssim_weight)
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
         difference = shown - target
-        pulled = self._rasterizer.backward(gradient, None, None, None, None)
+        more = self.supervision.pull(photograph, drawn) if self.supervision else Pull()
+        pulled = self._rasterizer.backward(gradient, more.transmittance, more.depth, None, None)
         self.step += 1
         self.optimizer.step(model, pulled, schedule.rates, self.step / schedule.steps, self.step)
         self.seen.add(pulled, photograph.view.width, photograph.view.height)
