@@ -58,6 +58,7 @@ class CloudScore(NamedTuple):
 def city(folder: Path, case: str, images: int, size: str) -> City:
     """The city of a case, photographed; made if the folder is not there."""
     if not folder.exists():
+        folder.parent.mkdir(parents=True, exist_ok=True)
         fixed = ["--extent", EXTENT, "--points", 200_000, "--images", images, "--size", size, "--quiet"]
         words = ["synth", "city", "--out", folder, *fixed, *CASES[case].split()]
         subprocess.run([sys.executable, "-m", "pcbench.cli", *map(str, words)], check=True)
