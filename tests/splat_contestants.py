@@ -5,9 +5,10 @@ called in turn: `forward` draws, `loss` takes the derivative of 0.8 L1 + 0.2 (1 
 by the parameters, `adam` is the step of the optimizer. The learning rates are zero, so that every run draws the same.
 """
 
+import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +20,7 @@ from torch import Tensor
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.splat.devices import kernels_of
+from reconstructors.splat.interface import Drawn, Pulled
 from reconstructors.splat.reference import Gaussians, Projection, project
 from reconstructors.splat.view import View
 
@@ -174,7 +176,11 @@ class PlainTorch(ByAutograd):
     """float32 tensors of all pixels of a tile and all Gaussians in it; no compiled code but torch's own."""
 
     def draw(self) -> Tensor:
-        return draw_in_tiles(project(self._leaves.gaussians(), self._picture.view), self._picture.view)
+        return draw_plainly(self._leaves.gaussians(), self._picture.view)
+
+
+def draw_plainly(gaussians: Gaussians, view: View) -> Tensor:
+    return draw_in_tiles(project(gaussians, view), view)
 
 
 def plain_loss(image: Tensor, target: Tensor, window: Tensor) -> Tensor:
@@ -388,16 +394,63 @@ class Gsplat(ByAutograd):
     """gsplat's rasterizer on a GPU, with the loss and the optimizer of torch."""
 
     def draw(self) -> Tensor:
-        from gsplat import rasterization
+        return draw_by_gsplat(self._leaves.gaussians(), self._picture.view)
 
-        view, (means, quats, scales, opacities, sh) = self._picture.view, self._leaves.gaussians()
-        camera = torch.eye(4, device=means.device)
-        camera[:3, :3] = torch.as_tensor(view.rotation)
-        camera[:3, 3] = torch.as_tensor(-view.rotation @ view.position)
-        k = torch.tensor([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]], device=means.device)
-        images, _, _ = rasterization(
-            *(means, quats, scales, opacities, sh, camera[None], k[None], view.width, view.height),
-            sh_degree=3,
-            packed=False,
-        )
-        return images[0]
+
+def draw_by_gsplat(gaussians: Gaussians, view: View) -> Tensor:
+    from gsplat import rasterization
+
+    device = gaussians.means.device
+    camera = torch.eye(4, device=device)
+    camera[:3, :3] = torch.as_tensor(view.rotation)
+    camera[:3, 3] = torch.as_tensor(-view.rotation @ view.position)
+    k = torch.tensor([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]], device=device)
+    images, _, _ = rasterization(
+        *(*gaussians, camera[None], k[None], view.width, view.height),
+        near_plane=view.near,
+        sh_degree=math.isqrt(gaussians.sh.shape[1]) - 1,
+        packed=False,
+    )
+    return images[0]
+
+
+class RasterizerByAutograd:
+    """Another's drawing, which torch differentiates, as a `Rasterizer` that `Training` can train with. It draws colors
+    alone, before black, and density control learns nothing of it.
+    """
+
+    def __init__(self, draw: Callable[[Gaussians, View], Tensor]) -> None:
+        self._draw = draw
+
+    def forward(
+        self,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        sh: Tensor,
+        view: View,
+        background: Tensor,
+        *,
+        geometry: bool,
+    ) -> Drawn:
+        if geometry or background.any():
+            raise NotImplementedError("expected colors alone, before black")
+        self._leaves = Gaussians(*(part.detach().requires_grad_() for part in (means, quats, scales, opacities, sh)))
+        self._image = self._draw(self._leaves, view)
+        color = self._image.detach().contiguous()
+        return Drawn(color, torch.zeros_like(color[..., 0]), None, None, None)
+
+    def backward(
+        self,
+        color: Tensor,
+        transmittance: Tensor | None,
+        depth: Tensor | None,
+        normal: Tensor | None,
+        error: Tensor | None,
+    ) -> Pulled:
+        self._image.backward(color)
+        gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in self._leaves]
+        ids = torch.stack([by.reshape(len(by), -1).any(dim=1) for by in gradients]).any(dim=0).nonzero()[:, 0]
+        nothing = color.new_zeros(len(ids))
+        return Pulled(ids, *(by[ids] for by in gradients), color.new_zeros(len(ids), 2), nothing, nothing)

@@ -134,7 +134,7 @@ def confirmed(
     known = (theirs.depth[row, column] > 0) & (theirs.confidence[row, column] >= criteria.confidence)
     open_, row, column = open_[known], row[known], column[known]
 
-    found = _depth_beside(other, theirs, row, column, x[open_], y[open_])
+    found = depths_beside(other, theirs, row, column, x[open_], y[open_])
     close = np.abs(found - z[open_]) <= criteria.depth * z[open_]
     open_, row, column, found = open_[close], row[close], column[close], found[close]
 
@@ -146,7 +146,7 @@ def confirmed(
     return Confirmed(open_[close], back_z[close])
 
 
-def _depth_beside(
+def depths_beside(
     camera: Camera, made: DepthMap, row: NDArray[np.int64], column: NDArray[np.int64], u: FloatArray, v: FloatArray
 ) -> FloatArray:
     """Depths (N,) of a map at coordinates between the centres of its pixels: on the plane of the pixel."""

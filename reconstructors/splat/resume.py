@@ -23,7 +23,7 @@ _SAID_S = 2.0  # seconds between two lines of progress
 
 
 def trained(training: Training, checkpoint: Path, key: str) -> Gaussians:
-    """The model after all steps that help. A run that was killed goes on from `checkpoint`, which is removed in the end.
+    """The model after all steps that help. A run that was killed goes on from `checkpoint`, which is removed at last.
 
     Args:
         key: all that the model depends on; a checkpoint of another is not used.

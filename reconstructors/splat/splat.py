@@ -25,7 +25,7 @@ from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, for_choosing, hold_out
 from pcbench.scenes.views import RENDERED, Pictures, write_views
-from reconstructors.mvs.mvs import DenseMvs
+from reconstructors.mvs.mvs import MAPS, DenseMvs
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
@@ -37,6 +37,7 @@ from reconstructors.splat.parsimony import Curve, Parsimonious
 from reconstructors.splat.photographs import Pyramid, read_photographs
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, save_model, trained
+from reconstructors.splat.supervision import read_supervision
 from reconstructors.splat.train import Schedule, Training, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
@@ -60,6 +61,7 @@ class GaussianSplatting:
     are some.
     start: from what training begins: the cloud of `mvs`, thinned to `gaussians`, the sparse points of `sfm`, or places
     at `random` in their box.
+    supervision: `mvs` holds what is drawn to the depth maps of `mvs`, where training begins at its cloud; `none`.
     density: `parsimonious` tries ever fewer, down from `gaussians`, and simpler colours, and takes the smallest model
     that photographs which none was trained on find as good as the best; `fixed` leaves their number as it is;
     `classic` adds and removes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et al.
@@ -74,6 +76,7 @@ class GaussianSplatting:
 
     poses: Literal["auto", "given", "solve"] = "auto"
     start: Literal["mvs", "sfm", "random"] = "mvs"
+    supervision: Literal["mvs", "none"] = "mvs"
     density: Literal["parsimonious", "fixed", "classic", "gao2025"] = "parsimonious"
     cloud: Literal["surface", "means"] = "surface"
     min_opacity: float = 0.0
@@ -174,6 +177,7 @@ class GaussianSplatting:
         return (
             self.poses,
             self.start,
+            self.supervision,
             self.density,
             self.steps,
             self.gaussians,
@@ -249,6 +253,10 @@ class GaussianSplatting:
         progress("placing Gaussians")
         of = {pyramid[0].name: pyramid for pyramid in photographs}
         density, seen = self._density(split, begun.cameras, of)
+        supervision = None
+        if self.supervision == "mvs" and self.start == "mvs":
+            shown = [of[name] for name in split.train]
+            supervision = read_supervision(workspace / self.start / MAPS, shown, frame.unit)
         training = Training(
             self._first_model(begun, frame),
             seen,
@@ -259,6 +267,7 @@ class GaussianSplatting:
                 rates=GAO2025_RATES if self.density == "gao2025" else Rates(),
             ),
             density,
+            supervision,
         )
         model = trained(training, workspace / "checkpoint.pt", repr((self._of_training(), split.train)))
         if isinstance(density, Parsimonious) and density.curve is not None:

@@ -16,6 +16,7 @@ from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.optimizer import Optimizer, Rates, fewer_harmonics, more_harmonics
 from reconstructors.splat.photographs import Photograph, Pyramid
+from reconstructors.splat.supervision import Pull, Supervision
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,8 +41,8 @@ class Schedule:
         ssim_weight: of 1 - SSIM in the loss; the rest is for the absolute difference.
         halved: shares of the steps up to which photographs are a quarter and a half as wide.
         seed: of all that is drawn at random.
-        plateau: dB; training ends where the photographs are, on average, not so much better than a tenth of the steps
-            before, once the number of Gaussians is settled.
+        plateau: dB; training ends where the photographs are, on average, not so much better than they were a tenth and
+            two tenths of the steps before, once the number of Gaussians is settled.
     """
 
     steps: int = 3000
@@ -120,15 +121,23 @@ class Training:
         ended: whether the photographs get no better.
     """
 
-    def __init__(self, model: Gaussians, photographs: Sequence[Pyramid], schedule: Schedule, density: Density):
+    def __init__(
+        self,
+        model: Gaussians,
+        photographs: Sequence[Pyramid],
+        schedule: Schedule,
+        density: Density,
+        supervision: Supervision | None = None,
+    ):
         self.model = model
         self.photographs = photographs
         self.schedule = schedule
         self.density = density
+        self.supervision = supervision
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.ended = False
-        self._mean = math.nan  # PSNR at the last look back
+        self._means: list[float] = []  # PSNR after each tenth of the steps
         self.seen = Seen.nothing(model)
         self._kernels = kernels_of(model.means.device)
         self._rasterizer = self._kernels.Rasterizer()
@@ -168,8 +177,10 @@ class Training:
         if self.step % max(count, steps // 10) or not self.density.settled(self):
             return
         whole = self.step >= count and self.schedule.level(self.step - count) == 0  # all were seen in full size
-        before, self._mean = self._mean, sum(map(float, self.psnr)) / count if whole else math.nan
-        self.ended = self._mean - before < self.schedule.plateau
+        if whole:
+            self._means.append(sum(map(float, self.psnr)) / count)
+        before = self._means[-3:-1]
+        self.ended = len(before) == 2 and self._means[-1] - min(before) < self.schedule.plateau
 
     def rng(self) -> np.random.Generator:
         """For what is drawn at this step: a run that goes on draws what an unbroken one does."""
@@ -216,7 +227,7 @@ class Training:
         """Go on with these photographs."""
         self.photographs = photographs
         self.psnr = [math.nan] * len(photographs)
-        self._mean = math.nan
+        self._means = []
 
     def shown(self) -> Tensor:
         """(N,) how much of the photographs each Gaussian is: the sum of its weights over all pixels, of at most a
@@ -229,10 +240,10 @@ class Training:
             shown[pulled.ids] += pulled.weight
         return shown
 
-    def _drawn(self, view: View) -> Drawn:
+    def _drawn(self, view: View, *, geometry: bool = False) -> Drawn:
         model = self.model
         numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
-        return self._rasterizer.forward(*numbers, view, model.means.new_zeros(3), geometry=False)
+        return self._rasterizer.forward(*numbers, view, model.means.new_zeros(3), geometry=geometry)
 
     def _photograph(self) -> tuple[int, Photograph]:
         count = len(self.photographs)
@@ -250,13 +261,14 @@ class Training:
             self.optimizer.raise_degree()
         which, photograph = self._photograph()
         model = self.model
-        drawn = self._drawn(photograph.view)
+        drawn = self._drawn(photograph.view, geometry=self.supervision is not None)
         target = photograph.target()
         shown = drawn.color if photograph.valid is None else drawn.color * photograph.valid[..., None]
         loss = self._kernels.image_loss(shown, target, schedule.ssim_weight)
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
         difference = shown - target
-        pulled = self._rasterizer.backward(gradient, None, None, None, None)
+        more = self.supervision.pull(photograph, drawn) if self.supervision else Pull()
+        pulled = self._rasterizer.backward(gradient, more.transmittance, more.depth, None, None)
         self.step += 1
         self.optimizer.step(model, pulled, schedule.rates, self.step / schedule.steps, self.step)
         self.seen.add(pulled, photograph.view.width, photograph.view.height)
@@ -271,7 +283,7 @@ class Training:
             "step": self.step,
             "density": self.density.state(),
             "psnr": self.psnr,
-            "mean": self._mean,
+            "means": self._means,
             "ended": self.ended,
             "seen": tuple(self.seen),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
@@ -290,7 +302,7 @@ class Training:
         self.model, first, second = (Gaussians(*part) for part in held["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, held["density"])
-        self.psnr, self._mean, self.ended = held["psnr"], held["mean"], held["ended"]
+        self.psnr, self._means, self.ended = held["psnr"], held["means"], held["ended"]
         return True
 
 

@@ -10,7 +10,19 @@ from repository import ROOT
 
 torch = pytest.importorskip("torch")
 
-from splat_contestants import Ours, PlainTorch, contributors, make_picture  # noqa: E402
+from splat_contestants import (  # noqa: E402
+    Ours,
+    PlainTorch,
+    RasterizerByAutograd,
+    contributors,
+    draw_plainly,
+    make_picture,
+)
+
+from reconstructors.splat.density import Density  # noqa: E402
+from reconstructors.splat.model import Gaussians  # noqa: E402
+from reconstructors.splat.photographs import Photograph  # noqa: E402
+from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
 
 
 @pytest.mark.parametrize(("count", "width", "height"), [(600, 70, 43), (40, 16, 16)])
@@ -26,6 +38,23 @@ def test_a_step_in_plain_torch_has_the_same_picture_and_derivatives(count, width
     for name, a, b in zip(ours.gradients()._fields, ours.gradients(), plain.gradients(), strict=True):
         assert (a - b).norm() < 2e-3 * b.norm(), name
         assert b.any(), name
+
+
+def test_training_takes_the_drawing_of_another():
+    """By plain torch, as gsplat's is taken on a GPU: the two models look alike after the same steps."""
+    picture = make_picture(150, 40, 30)
+    photograph = Photograph("view", picture.view, (picture.target * 255).to(torch.uint8), None)
+    scores = []
+    for drawn_by in (None, draw_plainly):
+        model = Gaussians(*(part.clone() for part in picture.parameters._replace(sh=picture.parameters.sh[:, :1])))
+        training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, halved=(0, 0)), Density())
+        before = evaluate(training.model, [photograph])[0]
+        if drawn_by is not None:
+            training._rasterizer = RasterizerByAutograd(drawn_by)
+        training.run(25)
+        scores.append(evaluate(training.model, [photograph])[0])
+    assert scores[0] > before + 0.2
+    assert scores[1] == pytest.approx(scores[0], abs=0.02)
 
 
 def test_no_step_moves_the_picture():

@@ -1,0 +1,111 @@
+"""What clouds of Gaussians are worth beside sparse and dense stereo: python tests/bench/splat_clouds.py
+
+A row a cloud, of synthetic cities with exact truth: `sfm`, `mvs`, and for splats begun at either the centres of the
+Gaussians, those of the opaque ones, and the surface. CPU seconds are of all that a cloud needs: a splat begun at `mvs`
+includes that. With one thread: OMP_NUM_THREADS=1.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from measure import setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from splat_cities import EXTENT, City, CloudScore, city, score_cloud
+
+from pcbench.plugins import Reconstruction, Reconstructor
+from reconstructors.mvs.mvs import DenseMvs
+from reconstructors.sfm.sfm import ColmapSfm
+from reconstructors.splat.splat import GaussianSplatting
+
+OPAQUE = 0.5
+HEAD = (
+    f"{'':38}{'CPU s':>7}{'points':>9}{'accuracy':>10}{'completeness':>14}{'of seen':>9}{'precision':>11}{'recall':>8}"
+    f"{'F-score':>9}{'of seen':>9}"
+)
+
+
+class Row(NamedTuple):
+    name: str
+    seconds: float
+    score: CloudScore
+
+    def __str__(self) -> str:
+        s = self.score
+        return (
+            f"{self.name:38}{self.seconds:7.0f}{s.points:9,}{s.accuracy:10.3f}{s.completeness:14.2f}{s.seen:9.2f}"
+            f"{s.precision:11.3f}{s.recall:8.3f}{s.fscore:9.3f}{s.fscore_seen:9.3f}"
+        )
+
+
+def cpu() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def rows(city: City, work: Path, options: argparse.Namespace) -> Iterator[Row]:
+    def timed(method: Reconstructor, folder: Path) -> tuple[Reconstruction, float]:
+        """In the workspace that a splat begun there takes it from."""
+        folder.mkdir(parents=True, exist_ok=True)
+        start = cpu()
+        made = method.reconstruct(city.scene, folder)
+        return made, cpu() - start
+
+    spent = {}
+    methods: tuple[tuple[str, Reconstructor], ...] = (("sfm", ColmapSfm()), ("mvs", DenseMvs()))
+    for start, method in methods:
+        made, spent[start] = timed(method, work / start / start)
+        yield Row(start, spent[start], score_cloud(city.truth, made.cloud.points))
+    budget = {"steps": options.steps, "gaussians": options.gaussians}
+    splats = {
+        "sfm, classic": GaussianSplatting(start="sfm", density="classic", **budget),
+        "mvs, unsupervised": GaussianSplatting(start="mvs", supervision="none", **budget),
+        "mvs": GaussianSplatting(start="mvs", **budget),
+    }
+    for name, splat in splats.items():
+        training = None
+        clouds = {
+            "surface": splat,
+            "means": replace(splat, cloud="means"),
+            f"means, opacity {OPAQUE}": replace(splat, cloud="means", min_opacity=OPAQUE),
+        }
+        for cloud, method in clouds.items():
+            made, seconds = timed(method, work / splat.start)
+            if training is None:  # the first one trains; the others take its model
+                training = seconds
+            seconds = spent[splat.start] + (training if method is splat else training + seconds)
+            yield Row(f"splat from {name}: {cloud}", seconds, score_cloud(city.truth, made.cloud.points))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", default="circles, seed 11;circles, seed 12;oblique, half texture")
+    parser.add_argument("--images", type=int, default=40)
+    parser.add_argument("--size", default="320x180")
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--gaussians", type=int, default=30_000)
+    parser.add_argument("--folder", type=Path, help="to keep the cities in: what is there is not made again")
+    options = parser.parse_args()
+    print(setting())
+    print(
+        f"{options.images} images of {options.size}, cities of {EXTENT} m, {options.steps} steps, at most"
+        f" {options.gaussians:,} Gaussians"
+    )
+    with tempfile.TemporaryDirectory() as temporary:
+        root = options.folder or Path(temporary)
+        for number, case in enumerate(options.cases.split(";")):
+            made = city(root / case.replace(", ", "_").replace(" ", "_"), case, options.images, options.size)
+            print(f"\n{case}; two footprints of a pixel are {2 * made.truth.pixel:.2f} m\n{HEAD}")
+            for row in rows(made, Path(temporary) / f"work{number}", options):
+                print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""What training of Gaussians gains by time and by their number: python tests/bench/splat_train.py
+
+A row a number of Gaussians and of steps, begun at the cloud of `mvs` of a synthetic city: CPU seconds of training (by
+the clock on a GPU), PSNR of the images trained on and of 8 blocks that are held out, and the surface against the exact
+truth: mean distance from its points, mean distance to it from what three cameras see, and F-score of that at two
+footprints of a pixel. Medians over seeds, with the least and the most. `--gsplat` trains beside it with gsplat's
+rasterizer (on a GPU, if it is installed). With one thread: OMP_NUM_THREADS=1.
+"""
+
+import argparse
+import importlib.util
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from measure import setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from splat_cities import CASES, EXTENT, City, city, score_cloud
+from splat_contestants import RasterizerByAutograd, draw_by_gsplat
+from torch import Tensor
+
+from pcbench.geometry.cameras import Camera
+from pcbench.plugins import Reconstruction
+from pcbench.scenes.splits import Split, hold_out
+from reconstructors.mvs.mvs import MAPS, DenseMvs
+from reconstructors.mvs.views import pinhole, view_stage
+from reconstructors.splat import extract
+from reconstructors.splat.density import Density
+from reconstructors.splat.model import Gaussians, LocalFrame
+from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
+from reconstructors.splat.reference import Gaussians as Drawable
+from reconstructors.splat.supervision import Supervision, read_supervision
+from reconstructors.splat.train import Schedule, Training, evaluate
+from reconstructors.splat.view import View
+
+SEED = 2  # beside the seed of a run: of the points that it begins at, as the plugin draws them
+
+
+class Begun(NamedTuple):
+    """All that is the same for every run."""
+
+    city: City
+    cameras: dict[str, Camera]
+    dense: Reconstruction
+    frame: LocalFrame
+    split: Split
+    shown: list[Pyramid]
+    held_out: list[Photograph]
+    supervision: Supervision
+
+
+class Contestant(NamedTuple):
+    """How it is trained: with depths or not, and by whose drawing; None for our own."""
+
+    name: str
+    supervised: bool
+    draw: Callable[[Drawable, View], Tensor] | None = None
+
+
+class Run(NamedTuple):
+    seconds: float
+    trained_on: float
+    held_out: float
+    accuracy: float
+    seen: float
+    fscore_seen: float
+
+
+def begin(made: City, work: Path, device: str) -> Begun:
+    scene = made.scene
+    dense = DenseMvs().reconstruct(scene, work)
+    cameras = {name: pinhole(camera, 1.0) for name, camera in dense.cameras.items()}
+    frame = LocalFrame.of(list(cameras.values()))
+    split = hold_out(list(cameras), "blocks", {name: camera.position for name, camera in cameras.items()})
+    folders = {name: view_stage(scene, dense.cameras[name], camera, work) for name, camera in cameras.items()}
+    pyramids = [
+        [size._replace(color=size.color.to(device)) for size in pyramid]
+        for pyramid in read_photographs(folders, cameras, frame, 3)
+    ]
+    shown = [pyramid for pyramid in pyramids if pyramid[0].name in split.train]
+    held_out = [pyramid[0] for pyramid in pyramids if pyramid[0].name in split.test]
+    supervision = read_supervision(work / MAPS, shown, frame.unit)
+    return Begun(made, cameras, dense, frame, split, shown, held_out, supervision)
+
+
+def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: int, device: str) -> Run:
+    cloud, rng = begun.dense.cloud, np.random.default_rng([seed, SEED])
+    which = np.sort(rng.choice(len(cloud), min(count, len(cloud)), replace=False))
+    first = Gaussians.at_points(cloud.points[which], cloud.colors[which] / 255, begun.frame)
+    training = Training(
+        Gaussians(*(part.to(device) for part in vars(first).values())),
+        begun.shown,
+        Schedule(steps=steps, sh_degree=2, seed=seed),
+        Density(),
+        begun.supervision if contestant.supervised else None,
+    )
+    if contestant.draw is not None:
+        training._rasterizer = RasterizerByAutograd(contestant.draw)
+    clock = time.process_time if device == "cpu" else time.perf_counter
+    start = clock()
+    training.run(steps)
+    float(training.model.means.sum())  # which waits for a GPU
+    seconds = clock() - start
+    score = score_cloud(begun.city.truth, extract.surface(training.model, begun.frame, begun.cameras).points)
+    return Run(
+        seconds,
+        float(np.nanmean(training.psnr)),
+        float(np.mean(evaluate(training.model, begun.held_out))),
+        score.accuracy,
+        score.seen,
+        score.fscore_seen,
+    )
+
+
+def described(runs: list[Run]) -> str:
+    """Medians, and the least and the most over the seeds."""
+    words = []
+    for values, width, digits in zip(zip(*runs, strict=True), (5, 6, 6, 6, 6, 6), (0, 2, 2, 3, 3, 3), strict=True):
+        spread = f"({min(values):.{digits}f} to {max(values):.{digits}f})"
+        words.append(f"{statistics.median(values):{width}.{digits}f} {spread:17}")
+    return " ".join(words)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--case", default=next(iter(CASES)), choices=CASES)
+    parser.add_argument("--images", type=int, default=64)
+    parser.add_argument("--size", default="240x136")
+    parser.add_argument("--counts", default="5000,15000,45000", help="of Gaussians, at the most steps")
+    parser.add_argument("--steps", default="300,600,1200", help="at the middle count")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--gsplat", action="store_true", help="beside gsplat's rasterizer, without supervision")
+    parser.add_argument("--folder", type=Path, help="to keep the city in: what is there is not made again")
+    options = parser.parse_args()
+    contestants = [Contestant("pcbench", True)]
+    if options.gsplat:
+        if not importlib.util.find_spec("gsplat") or options.device == "cpu":
+            parser.error("--gsplat takes a GPU (--device cuda) and the package gsplat")
+        contestants += [Contestant("unsupervised", False), Contestant("gsplat", False, draw_by_gsplat)]
+    counts, steps = ([int(word) for word in words.split(",")] for words in (options.counts, options.steps))
+    middle, most = counts[len(counts) // 2], steps[-1]
+    budgets = sorted({(middle, each) for each in steps} | {(count, most) for count in counts})
+    print(f"{setting()}; {options.device}")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = (options.folder or Path(temporary)) / options.case.replace(", ", "_").replace(" ", "_")
+        made = city(folder, options.case, options.images, options.size)
+        work = Path(temporary) / "work"
+        work.mkdir()
+        begun = begin(made, work, options.device)
+        print(
+            f"{options.images} images of {options.size} of a city of {EXTENT} m ({options.case}), held out:"
+            f" {begun.split.words}; {options.seeds} seeds: median (least to most)"
+        )
+        clock = "CPU s" if options.device == "cpu" else "wall s"
+        names = (clock, "PSNR", "held out", "accuracy, m", "completeness, m", "F-score")
+        print(f"{'':13}{'N':>6}{'steps':>6}  " + "".join(f"{name:25}" for name in names))
+        for contestant in contestants:
+            for count, each in budgets:
+                runs = [trained(begun, contestant, count, each, seed, options.device) for seed in range(options.seeds)]
+                print(f"{contestant.name:13}{count:6}{each:6}  {described(runs)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

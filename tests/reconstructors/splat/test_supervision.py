@@ -1,0 +1,166 @@
+"""Supervision by depths: what a map says at the pixels of a view, the loss's derivative, and what training gains."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import textured_corner as corner
+from exact_maps import corner_map, plane_map
+from splat_scenes import scattered
+
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.cloud import Cloud
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.plugins import Reconstruction
+from pcbench.scenes import read_scene
+from reconstructors.mvs.maps import DepthMap, write_map
+from reconstructors.mvs.mvs import MAPS
+
+torch = pytest.importorskip("torch")
+
+from reconstructors.splat import cpu, rasterize  # noqa: E402
+from reconstructors.splat import splat as plugin  # noqa: E402
+from reconstructors.splat.density import Density  # noqa: E402
+from reconstructors.splat.model import Gaussians  # noqa: E402
+from reconstructors.splat.photographs import Photograph  # noqa: E402
+from reconstructors.splat.supervision import Supervision, depths_at, read_supervision  # noqa: E402
+from reconstructors.splat.train import Schedule, Training  # noqa: E402
+from reconstructors.splat.view import View  # noqa: E402
+
+POSE = look_at((0, -4, 0), (0, 0, 0))
+
+
+def pinhole(width, height, focal, cx=0.5, cy=0.5, name="a/b.png"):
+    return Camera(name, Intrinsics(width, height, focal, focal, cx * width, cy * height), POSE)
+
+
+@pytest.mark.parametrize("size", [(30, 20), (60, 40), (97, 61), (240, 160)])
+def test_a_slope_is_met_by_a_map_of_any_size(size):
+    """The map's pixels are larger and smaller than the view's, and their centres elsewhere."""
+    width, height = size
+    camera, mapped = pinhole(60, 40, 55.0, 0.47, 0.55), pinhole(width, height, 55.0 * width / 60, 0.47, 0.55)
+    normal = np.array([0.5, -0.8, -0.3]) / np.sqrt(0.98)
+    found = depths_at(View.of(camera), mapped, plane_map(mapped, normal, 0.4))
+    expected = plane_map(camera, normal, 0.4).depth
+    seen = found > 0
+    assert seen.mean() >= 0.95  # a size that is no multiple covers a little less
+    np.testing.assert_allclose(found[seen], expected[seen], rtol=1e-5)
+
+
+def test_nothing_is_mixed_across_an_edge_and_what_is_unknown_stays_so():
+    camera, mapped = pinhole(60, 40, 55.0), pinhole(97, 65, 55.0 * 97 / 60)
+    depth = np.where(np.arange(97) < 40, 2.0, 5.0) * np.ones((65, 1))
+    depth[:10] = 0
+    facing = np.broadcast_to(np.float32([0, 0, -1]), (65, 97, 3))
+    made = DepthMap(depth.astype(np.float32), facing, np.ones((65, 97), np.float32))
+    found = depths_at(View.of(camera), mapped, made.where(depth > 0))
+    assert set(np.unique(found)) == {0.0, 2.0, 5.0}
+    assert (found[:6] == 0).all() and (found[7:] > 0).all()
+
+
+def test_the_derivative_is_that_of_the_loss():
+    """Of the mean relative difference, by every number of the Gaussians, against torch's own through `rasterize`."""
+    scene = scattered(np.random.default_rng(3), 60)
+    leaves = [torch.from_numpy(a).clone().requires_grad_() for a in scene.arrays]
+    view = View.of(scene.camera)
+    rng = np.random.default_rng(1)
+    target = torch.from_numpy(rng.uniform(2, 6, (view.height, view.width)).astype(np.float32))
+    target[rng.random(target.shape) < 0.3] = 0
+    held = target > 0
+    shown = rasterize(*leaves, scene.camera)
+    off = (shown.depth * shown.alpha - shown.alpha * target)[held]
+    (0.7 * (off.abs() / target[held]).mean()).backward()
+
+    rasterizer = cpu.Rasterizer()
+    drawn = rasterizer.forward(*(leaf.detach() for leaf in leaves), view, torch.zeros(3), geometry=True)
+    photograph = Photograph("view", view, torch.zeros(view.height, view.width, 3, dtype=torch.uint8), None)
+    pull = Supervision({"view": [target]}, 0.7).pull(photograph, drawn)
+    pulled = rasterizer.backward(torch.zeros_like(drawn.color), pull.transmittance, pull.depth, None, None)
+    for leaf, rows in zip(leaves[:4], (pulled.means, pulled.quats, pulled.scales, pulled.opacities), strict=True):
+        expected = leaf.grad[pulled.ids]
+        assert float(expected.abs().max()) > 0
+        np.testing.assert_allclose(rows, expected, atol=2e-4 * float(expected.abs().max()))
+    unknown = photograph._replace(name="another")
+    assert Supervision({"view": [target]}).pull(unknown, drawn) == (None, None)
+
+
+def wall():
+    """A grey wall at y = 0, which no photograph tells from one anywhere else, and Gaussians half a unit before it."""
+    rng = np.random.default_rng(2)
+    means = np.column_stack([rng.uniform(-2, 2, 150), np.full(150, -0.5), rng.uniform(-1.5, 1.5, 150)])
+    model = Gaussians(
+        torch.from_numpy(means.astype(np.float32)),
+        torch.tensor([1.0, 0, 0, 0]).repeat(150, 1),
+        torch.full((150, 3), float(np.log(0.25))),
+        torch.zeros(150),
+        torch.zeros(150, 1, 3),
+    )
+    cameras = []
+    for k, x in enumerate((-1.0, 0.0, 1.0)):
+        camera = pinhole(48, 32, 60.0, name=f"{k}.png")
+        cameras.append(replace(camera, cam_from_world=look_at((x, -4, 0), (0.3 * x, 0, 0))))
+    return model, cameras
+
+
+def test_depths_hold_what_photographs_do_not(tmp_path):
+    """Read from the folder that `mvs` keeps, in a world whose unit is not the model's."""
+    unit, errors = 50.0, []
+    model, cameras = wall()
+    write_colmap_model(tmp_path, cameras)
+    for camera in cameras:
+        (tmp_path / camera.name).mkdir()
+        made = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
+        write_map(tmp_path / camera.name, replace(made, depth=np.float32(unit) * made.depth))
+    pictures = [
+        [Photograph(camera.name, View.of(camera), torch.full((32, 48, 3), 128, dtype=torch.uint8), None)]
+        for camera in cameras
+    ]
+    supervision = read_supervision(tmp_path, pictures, unit)
+    for given in (None, supervision):
+        training = Training(
+            Gaussians(*(part.clone() for part in vars(model).values())),
+            pictures,
+            Schedule(steps=200, sh_degree=0, halved=(0, 0)),
+            Density(),
+            given,
+        )
+        training.run(200)
+        now = training.model
+        drawn = rasterize(now.means, now.quats, now.scales, now.opacities, now.sh, cameras[1])
+        off = (drawn.depth - torch.from_numpy(plane_map(cameras[1], (0.0, -1.0, 0.0), 0.0).depth))[drawn.alpha > 0.5]
+        errors.append(float(off.abs().mean()))
+    assert errors[0] > 0.3  # the photographs leave them where they were
+    assert errors[1] < 0.1
+
+
+class BluntMvs:
+    """Stands in for `mvs`: maps that are exact, and points that are not."""
+
+    def __init__(self, **settings):
+        pass
+
+    def reconstruct(self, scene, workspace):
+        pinholes = [replace(c, intrinsics=corner.standard_intrinsics(72, 54)) for c in scene.cameras.values()]
+        write_colmap_model(workspace / MAPS, pinholes)
+        for camera in pinholes:
+            (workspace / MAPS / camera.name).mkdir()
+            write_map(workspace / MAPS / camera.name, corner_map(camera))
+        rng = np.random.default_rng(4)
+        points = rng.uniform(0, corner.SIDE / 2, (3, 300, 3))
+        points[range(3), :, range(3)] = rng.normal(0, 0.15, (3, 300))
+        cloud = Cloud(points.reshape(-1, 3), colors=np.full((900, 3), 128, np.uint8))
+        return Reconstruction(cloud, "georeferenced", scene.cameras)
+
+
+def test_the_surface_of_a_model_that_is_held_to_depths_is_nearer(tmp_path, monkeypatch):
+    monkeypatch.setattr(plugin, "DenseMvs", BluntMvs)
+    scene_folder = tmp_path / "corner"
+    scene_folder.mkdir()
+    scene = read_scene(corner.write_scene(scene_folder, corner.cameras(6, corner.standard_intrinsics(96, 72))))
+    errors = {}
+    for chosen in ("mvs", "none"):
+        workspace = tmp_path / chosen
+        workspace.mkdir()
+        splat = plugin.GaussianSplatting(supervision=chosen, steps=100, gaussians=900, sh_degree=0)
+        errors[chosen] = corner.distances(splat.reconstruct(scene, workspace).cloud.points).mean()
+    assert errors["mvs"] < 0.6 * errors["none"]
