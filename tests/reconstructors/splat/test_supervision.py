@@ -180,6 +180,6 @@ def test_the_surface_of_a_model_that_is_held_to_depths_is_nearer(tmp_path, monke
     for chosen in ("mvs", "none"):
         workspace = tmp_path / chosen
         workspace.mkdir()
-        splat = plugin.GaussianSplatting(supervision=chosen, steps=100, gaussians=900, sh_degree=0)
+        splat = plugin.GaussianSplatting(supervision=chosen, density="fixed", steps=100, gaussians=900)
         errors[chosen] = corner.distances(splat.reconstruct(scene, workspace).cloud.points).mean()
     assert errors["mvs"] < 0.6 * errors["none"]
