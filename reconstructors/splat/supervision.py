@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.cameras import Camera
 from pcbench.io.colmap_model import read_colmap_cameras
-from reconstructors.mvs.filter import depths_beside
+from reconstructors.mvs.filter import Criteria, depths_beside
 from reconstructors.mvs.maps import DepthMap, read_map
+from reconstructors.mvs.mvs import COUNTS
 from reconstructors.splat.interface import Drawn
 from reconstructors.splat.photographs import Photograph, Pyramid
 from reconstructors.splat.view import View
@@ -67,7 +68,8 @@ class Supervision:
 
 def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) -> Supervision:
     """The depths that a folder of `mvs` keeps, a map for each image and the model of their pinholes, for photographs of
-    the same cameras.
+    the same cameras: what is as confident and as well confirmed as points of `mvs` are, though points to begin at may
+    be less.
 
     Args:
         unit: of the frame of the model, in the world's.
@@ -75,11 +77,12 @@ def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) ->
     import torch
 
     pinholes = {camera.name: camera for camera in read_colmap_cameras(maps)}
-    depths = {}
+    sure, depths = Criteria(), {}
     for pyramid in photographs:
         name = pyramid[0].name
         if name in pinholes:
-            made = read_map(maps / name)
+            made, counts = read_map(maps / name), np.load(maps / name / COUNTS)
+            made = made.where((made.confidence >= sure.confidence) & (counts >= sure.views))
             local = [depths_at(photograph.view, pinholes[name], made) / np.float32(unit) for photograph in pyramid]
             depths[name] = [torch.from_numpy(each).to(pyramid[0].color.device) for each in local]
     return Supervision(depths)

@@ -66,8 +66,8 @@ def rows(city: City, work: Path, options: argparse.Namespace) -> Iterator[Row]:
     budget = {"steps": options.steps, "gaussians": options.gaussians}
     splats = {
         "sfm, classic": GaussianSplatting(start="sfm", density="classic", **budget),
-        "mvs, unsupervised": GaussianSplatting(start="mvs", supervision="none", **budget),
-        "mvs": GaussianSplatting(start="mvs", **budget),
+        "mvs, unsupervised": GaussianSplatting(density="fixed", supervision="none", **budget),
+        "mvs": GaussianSplatting(density="fixed", **budget),
     }
     for name, splat in splats.items():
         training = None
@@ -89,8 +89,8 @@ def main() -> None:
     parser.add_argument("--cases", default="circles, seed 11;circles, seed 12;oblique, half texture")
     parser.add_argument("--images", type=int, default=40)
     parser.add_argument("--size", default="320x180")
-    parser.add_argument("--steps", type=int, default=1500)
-    parser.add_argument("--gaussians", type=int, default=30_000)
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--gaussians", type=int, default=20_000)
     parser.add_argument("--folder", type=Path, help="to keep the cities in: what is there is not made again")
     options = parser.parse_args()
     print(setting())

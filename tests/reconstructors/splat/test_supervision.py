@@ -14,7 +14,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import read_scene
 from reconstructors.mvs.maps import DepthMap, write_map
-from reconstructors.mvs.mvs import MAPS
+from reconstructors.mvs.mvs import COUNTS, MAPS
 
 torch = pytest.importorskip("torch")
 
@@ -102,15 +102,35 @@ def wall():
     return model, cameras
 
 
+def keep_map(folder, made, counts):
+    folder.mkdir()
+    write_map(folder, made)
+    np.save(folder / COUNTS, np.broadcast_to(np.uint8(counts), made.depth.shape))
+
+
+def test_what_is_not_sure_is_not_held_to(tmp_path):
+    """Points to begin at may be of two images, and of little confidence."""
+    camera = pinhole(60, 40, 55.0)
+    made = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
+    counts = np.full(made.depth.shape, 3, np.uint8)
+    counts[:, :20] = 2
+    made.confidence[30:] = 0.2
+    write_colmap_model(tmp_path, [camera])
+    (tmp_path / "a").mkdir()
+    keep_map(tmp_path / camera.name, made, counts)
+    picture = Photograph(camera.name, View.of(camera), torch.zeros(40, 60, 3, dtype=torch.uint8), None)
+    (found,) = read_supervision(tmp_path, [[picture]], 1.0).depths[camera.name]
+    np.testing.assert_array_equal(found > 0, (counts == 3) & (made.confidence > 0.5))
+
+
 def test_depths_hold_what_photographs_do_not(tmp_path):
     """Read from the folder that `mvs` keeps, in a world whose unit is not the model's."""
     unit, errors = 50.0, []
     model, cameras = wall()
     write_colmap_model(tmp_path, cameras)
     for camera in cameras:
-        (tmp_path / camera.name).mkdir()
         made = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
-        write_map(tmp_path / camera.name, replace(made, depth=np.float32(unit) * made.depth))
+        keep_map(tmp_path / camera.name, replace(made, depth=np.float32(unit) * made.depth), 3)
     pictures = [
         [Photograph(camera.name, View.of(camera), torch.full((32, 48, 3), 128, dtype=torch.uint8), None)]
         for camera in cameras
@@ -143,8 +163,7 @@ class BluntMvs:
         pinholes = [replace(c, intrinsics=corner.standard_intrinsics(72, 54)) for c in scene.cameras.values()]
         write_colmap_model(workspace / MAPS, pinholes)
         for camera in pinholes:
-            (workspace / MAPS / camera.name).mkdir()
-            write_map(workspace / MAPS / camera.name, corner_map(camera))
+            keep_map(workspace / MAPS / camera.name, corner_map(camera), 3)
         rng = np.random.default_rng(4)
         points = rng.uniform(0, corner.SIDE / 2, (3, 300, 3))
         points[range(3), :, range(3)] = rng.normal(0, 0.15, (3, 300))
