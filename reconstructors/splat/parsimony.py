@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from reconstructors.splat.photographs import Pyramid
     from reconstructors.splat.train import Training
 
-# Shares of the steps: with all Gaussians, and at each smaller budget.
-_FIRST, _EACH = 0.5, 0.04
+# Shares of the steps: before budgets are tried, with each of them, and at which the chosen one begins again.
+_BEFORE, _EACH, _AGAIN = 0.5, 0.08, 0.3
 _HALF = 2  # what a budget is divided by
 _FEWEST = 100  # Gaussians of a budget
 _REFUSED = 2  # budgets in a row that are too small: no smaller one is tried
-_COLUMNS = ("gaussians", "degree", "step", "step_cpu_ms")
+_COLUMNS = ("gaussians", "degree", "step_cpu_ms")
 _OTHER_NUMBERS = 11  # of a Gaussian, without its harmonics
 
 
@@ -42,14 +42,12 @@ class Budget(NamedTuple):
         gaussians: how many.
         degree: of their spherical harmonics.
         psnr: dB, of each block of photographs that were held out: means over its photographs.
-        step: at which it was judged.
         step_ms: CPU time of a training step with it, milliseconds.
     """
 
     gaussians: int
     degree: int
     psnr: tuple[float, ...]
-    step: int
     step_ms: float
 
     @property
@@ -132,7 +130,7 @@ class Curve:
         best, taken = self.best, self.chosen
         for budget in self.budgets:
             loss = Loss.of(budget, best)
-            counts = (budget.gaussians, budget.degree, budget.step, f"{budget.step_ms:.2f}", 4 * budget.numbers)
+            counts = (budget.gaussians, budget.degree, f"{budget.step_ms:.2f}", 4 * budget.numbers)
             judged = (f"{value:.4f}" for value in (budget.mean, loss.mean, loss.error))
             writer.writerow([*counts, *judged, int(budget is taken), *map(repr, budget.psnr)])
         with atomic_write(path) as file:
@@ -144,7 +142,7 @@ class Curve:
         head, *rows = csv.reader(path.read_text(encoding="utf-8").splitlines())
         first = head.index("block_1_db")
         numbers = [[*map(float, row)] for row in rows]
-        return cls(tuple(Budget(int(n[0]), int(n[1]), tuple(n[first:]), int(n[2]), n[3]) for n in numbers))
+        return cls(tuple(Budget(int(n[0]), int(n[1]), tuple(n[first:]), n[2]) for n in numbers))
 
 
 class _Kept(NamedTuple):
@@ -154,8 +152,9 @@ class _Kept(NamedTuple):
 
 class Parsimonious(Density):
     """Begins with all Gaussians and halves their number again and again: those stay of which the photographs show most.
-    Then a degree of the harmonics is taken away, and another. The smallest model that is as good as the best is trained
-    on from where it was judged, with all photographs.
+    Then a degree of the harmonics is taken away, and another. Each of these models is trained for as many steps, at the
+    same rates and with the same photographs. The smallest that is as good as the best is trained again, with all
+    photographs.
 
     Args:
         judges: photographs by block, two blocks at least. `Training` begins without them.
@@ -166,7 +165,6 @@ class Parsimonious(Density):
             raise ValueError(f"expected at least two blocks of photographs to judge by, got {len(judges)}")
         self._judges = judges
         self._kept: list[_Kept] = []
-        self._due: int | None = None  # the step at which the next budget is judged
         self._plainer = False  # whether it is the harmonics' turn
         self._clock: tuple[int, float] | None = None
         self.curve: Curve | None = None
@@ -174,15 +172,15 @@ class Parsimonious(Density):
     def control(self, training: Training) -> None:
         if self.curve is not None:
             return
-        if self._clock is None:
+        steps = training.schedule.steps
+        before = round(_BEFORE * steps)
+        if self._clock is None or training.step == before:
             self._clock = training.step, time.process_time()
-        if self._due is None:
-            self._due = round(_FIRST * training.schedule.steps)
-        if training.step < self._due:
+        if training.step < before + max(1, round(_EACH * steps)):
             return
         self._kept.append(_Kept(self._judged(training), training.snapshot()))
-        if training.step < training.schedule.steps and self._made_smaller(training):
-            self._due = training.step + max(1, round(_EACH * training.schedule.steps))
+        if self._made_smaller(training):
+            training.step = before
             self._clock = training.step, time.process_time()
         else:
             self._choose(training)
@@ -196,7 +194,7 @@ class Parsimonious(Density):
         since, start = self._clock
         step_ms = 1000 * (time.process_time() - start) / max(1, training.step - since)
         psnr = tuple(float(np.mean(evaluate(model, [pyramid[0] for pyramid in block]))) for block in self._judges)
-        return Budget(len(model), model.degree, psnr, training.step, step_ms)
+        return Budget(len(model), model.degree, psnr, step_ms)
 
     def _made_smaller(self, training: Training) -> bool:
         """Make the next model from those that were judged; False where there is none to try any more."""
@@ -220,6 +218,7 @@ class Parsimonious(Density):
         self.curve = Curve(tuple(kept.budget for kept in self._kept))
         kept = self._kept[chosen(self.curve.budgets)]
         training.return_to(kept.snapshot)
+        training.step = round(_AGAIN * training.schedule.steps)
         training.limit_degree(kept.budget.degree)
         training.train_on(self._all(training))
         self._kept.clear()
@@ -227,10 +226,10 @@ class Parsimonious(Density):
     def state(self) -> object:
         kept = [(tuple(k.budget), k.snapshot.plain()) for k in self._kept]
         curve = None if self.curve is None else [tuple(budget) for budget in self.curve.budgets]
-        return {"due": self._due, "plainer": self._plainer, "kept": kept, "curve": curve}
+        return {"plainer": self._plainer, "kept": kept, "curve": curve}
 
     def restore(self, training: Training, state: Any) -> None:
-        self._due, self._plainer, self._clock = state["due"], state["plainer"], None
+        self._plainer, self._clock = state["plainer"], None
         self._kept = [_Kept(Budget(*budget), Snapshot.of(plain)) for budget, plain in state["kept"]]
         if self._plainer:
             training.limit_degree(training.model.degree)

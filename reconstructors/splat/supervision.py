@@ -57,7 +57,7 @@ class Supervision:
         if not known:
             return Pull()
         assert drawn.depth is not None
-        target = known[0].to(drawn.depth.device)
+        target = known[0]
         held = target > 0
         # By the sums over the Gaussians: a mean would be divided by the little that hides the background at a pixel
         # which is all but clear.
@@ -84,7 +84,7 @@ def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) ->
             made, counts = read_map(maps / name), np.load(maps / name / COUNTS)
             made = made.where((made.confidence >= sure.confidence) & (counts >= sure.views))
             local = [depths_at(photograph.view, pinholes[name], made) / np.float32(unit) for photograph in pyramid]
-            depths[name] = [torch.from_numpy(each) for each in local]
+            depths[name] = [torch.from_numpy(each).to(pyramid[0].color.device) for each in local]
     return Supervision(depths)
 
 
