@@ -2,9 +2,9 @@
 
 A row a number of Gaussians and of steps, begun at the cloud of `mvs` of a synthetic city: CPU seconds of training (by
 the clock on a GPU), PSNR of the images trained on and of 8 blocks that are held out, and the surface against the exact
-truth: mean distance from its points, mean distance to it from what three cameras see, and F-score of that at two
-footprints of a pixel. Medians over seeds, with the least and the most. `--gsplat` trains beside it with gsplat's
-rasterizer (on a GPU, if it is installed). With one thread: OMP_NUM_THREADS=1.
+truth: mean distance from its points (accuracy) and from what three cameras see to it (complete), in metres, and F-score
+of that at two footprints of a pixel. `--gsplat` trains beside it with gsplat's rasterizer (on a GPU, if it is
+installed). With one thread: OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
+import torch
 from measure import setting
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -29,18 +29,17 @@ from torch import Tensor
 from pcbench.geometry.cameras import Camera
 from pcbench.plugins import Reconstruction
 from pcbench.scenes.splits import Split, hold_out
-from reconstructors.mvs.mvs import MAPS, DenseMvs
+from reconstructors.mvs.mvs import MAPS
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.splat import extract
 from reconstructors.splat.density import Density
-from reconstructors.splat.model import Gaussians, LocalFrame
+from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
-from reconstructors.splat.reference import Gaussians as Drawable
+from reconstructors.splat.reference import Gaussians
+from reconstructors.splat.splat import GaussianSplatting
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate
 from reconstructors.splat.view import View
-
-SEED = 2  # beside the seed of a run: of the points that it begins at, as the plugin draws them
 
 
 class Begun(NamedTuple):
@@ -61,7 +60,7 @@ class Contestant(NamedTuple):
 
     name: str
     supervised: bool
-    draw: Callable[[Drawable, View], Tensor] | None = None
+    draw: Callable[[Gaussians, View], Tensor] | None = None
 
 
 class Run(NamedTuple):
@@ -73,29 +72,24 @@ class Run(NamedTuple):
     fscore_seen: float
 
 
-def begin(made: City, work: Path, device: str) -> Begun:
+def begin(made: City, work: Path, device: torch.device) -> Begun:
     scene = made.scene
-    dense = DenseMvs().reconstruct(scene, work)
+    dense = GaussianSplatting()._begun(scene, work)
     cameras = {name: pinhole(camera, 1.0) for name, camera in dense.cameras.items()}
     frame = LocalFrame.of(list(cameras.values()))
     split = hold_out(list(cameras), "blocks", {name: camera.position for name, camera in cameras.items()})
     folders = {name: view_stage(scene, dense.cameras[name], camera, work) for name, camera in cameras.items()}
-    pyramids = [
-        [size._replace(color=size.color.to(device)) for size in pyramid]
-        for pyramid in read_photographs(folders, cameras, frame, 3)
-    ]
+    pyramids = read_photographs(folders, cameras, frame, 3, device)
     shown = [pyramid for pyramid in pyramids if pyramid[0].name in split.train]
     held_out = [pyramid[0] for pyramid in pyramids if pyramid[0].name in split.test]
-    supervision = read_supervision(work / MAPS, shown, frame.unit)
+    supervision = read_supervision(work / "mvs" / MAPS, shown, frame.unit)
     return Begun(made, cameras, dense, frame, split, shown, held_out, supervision)
 
 
-def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: int, device: str) -> Run:
-    cloud, rng = begun.dense.cloud, np.random.default_rng([seed, SEED])
-    which = np.sort(rng.choice(len(cloud), min(count, len(cloud)), replace=False))
-    first = Gaussians.at_points(cloud.points[which], cloud.colors[which] / 255, begun.frame)
+def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: int, device: torch.device) -> Run:
+    first = GaussianSplatting(gaussians=count, seed=seed, device=device.type)._first_model(begun.dense, begun.frame)
     training = Training(
-        Gaussians(*(part.to(device) for part in vars(first).values())),
+        first,
         begun.shown,
         Schedule(steps=steps, sh_degree=2, seed=seed),
         Density(),
@@ -103,7 +97,7 @@ def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: 
     )
     if contestant.draw is not None:
         training._rasterizer = RasterizerByAutograd(contestant.draw)
-    clock = time.process_time if device == "cpu" else time.perf_counter
+    clock = time.process_time if device.type == "cpu" else time.perf_counter
     start = clock()
     training.run(steps)
     float(training.model.means.sum())  # which waits for a GPU
@@ -111,8 +105,8 @@ def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: 
     score = score_cloud(begun.city.truth, extract.surface(training.model, begun.frame, begun.cameras).points)
     return Run(
         seconds,
-        float(np.nanmean(training.psnr)),
-        float(np.mean(evaluate(training.model, begun.held_out))),
+        statistics.fmean(map(float, training.psnr)),
+        statistics.fmean(evaluate(training.model, begun.held_out)),
         score.accuracy,
         score.seen,
         score.fscore_seen,
@@ -120,12 +114,12 @@ def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: 
 
 
 def described(runs: list[Run]) -> str:
-    """Medians, and the least and the most over the seeds."""
+    """Medians, and half of the range over the seeds."""
     words = []
-    for values, width, digits in zip(zip(*runs, strict=True), (5, 6, 6, 6, 6, 6), (0, 2, 2, 3, 3, 3), strict=True):
-        spread = f"({min(values):.{digits}f} to {max(values):.{digits}f})"
-        words.append(f"{statistics.median(values):{width}.{digits}f} {spread:17}")
-    return " ".join(words)
+    for values, digits in zip(zip(*runs, strict=True), (0, 2, 2, 3, 3, 3), strict=True):
+        half = (max(values) - min(values)) / 2
+        words.append(f"{statistics.median(values):8.{digits}f} ± {half:<5.{digits}f}")
+    return "".join(words)
 
 
 def main() -> None:
@@ -154,18 +148,19 @@ def main() -> None:
         made = city(folder, options.case, options.images, options.size)
         work = Path(temporary) / "work"
         work.mkdir()
-        begun = begin(made, work, options.device)
+        device = torch.device(options.device)
+        begun = begin(made, work, device)
         print(
             f"{options.images} images of {options.size} of a city of {EXTENT} m ({options.case}), held out:"
-            f" {begun.split.words}; {options.seeds} seeds: median (least to most)"
+            f" {begun.split.words}; {options.seeds} seeds: median ± half the range"
         )
         clock = "CPU s" if options.device == "cpu" else "wall s"
-        names = (clock, "PSNR", "held out", "accuracy, m", "completeness, m", "F-score")
-        print(f"{'':13}{'N':>6}{'steps':>6}  " + "".join(f"{name:25}" for name in names))
+        names = (clock, "PSNR", "held out", "accuracy", "complete", "F-score")
+        print(f"{'':13}{'N':>6}{'steps':>6}" + "".join(f"{name:>9}{'':7}" for name in names))
         for contestant in contestants:
             for count, each in budgets:
-                runs = [trained(begun, contestant, count, each, seed, options.device) for seed in range(options.seeds)]
-                print(f"{contestant.name:13}{count:6}{each:6}  {described(runs)}", flush=True)
+                runs = [trained(begun, contestant, count, each, seed, device) for seed in range(options.seeds)]
+                print(f"{contestant.name:13}{count:6}{each:6}{described(runs)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -98,3 +98,18 @@ def test_the_bench_prints_a_row_for_each_contestant():
     )
     assert [name for name, *_ in rows] == ["pcbench", "pcbench, geometry", "plain torch"]
     assert all(float(off) < 1e-6 for *_, off in rows)
+
+
+BENCHES = {  # of the options that make them short, and of the rows that they print
+    "splat_train": (["--counts=300,600", "--steps=30,60", "--seeds=2"], r"pcbench +\d+ +\d+(?: +\S+ ± \S+){6} *", 3),
+    "splat_clouds": (["--steps=40", "--gaussians=800", "--cases=circles, seed 11"], r".* +\d+ +\S+(?: +\S+){7}", 11),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bench", BENCHES)
+def test_the_benches_of_training_print_their_rows(renderer, tmp_path, bench):
+    options, row, count = BENCHES[bench]
+    command = [sys.executable, ROOT / "tests" / "bench" / f"{bench}.py", "--images=32", "--size=160x96"]
+    done = subprocess.run([*command, "--folder", tmp_path, *options], check=True, capture_output=True, text=True)
+    assert len(re.findall(f"^{row}$", done.stdout, re.M)) == count, done.stdout
