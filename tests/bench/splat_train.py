@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from measure import setting
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -29,13 +30,14 @@ from torch import Tensor
 from pcbench.geometry.cameras import Camera
 from pcbench.plugins import Reconstruction
 from pcbench.scenes.splits import Split, hold_out
-from reconstructors.mvs.mvs import MAPS, DenseMvs
+from reconstructors.mvs.mvs import MAPS
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.splat import extract
 from reconstructors.splat.density import Density
 from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
 from reconstructors.splat.reference import Gaussians as Drawable
+from reconstructors.splat.splat import BEGINNING
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate
 from reconstructors.splat.view import View
@@ -75,15 +77,12 @@ class Run(NamedTuple):
 
 def begin(made: City, work: Path, device: str) -> Begun:
     scene = made.scene
-    dense = DenseMvs().reconstruct(scene, work)
+    dense = BEGINNING.reconstruct(scene, work)
     cameras = {name: pinhole(camera, 1.0) for name, camera in dense.cameras.items()}
     frame = LocalFrame.of(list(cameras.values()))
     split = hold_out(list(cameras), "blocks", {name: camera.position for name, camera in cameras.items()})
     folders = {name: view_stage(scene, dense.cameras[name], camera, work) for name, camera in cameras.items()}
-    pyramids = [
-        [size._replace(color=size.color.to(device)) for size in pyramid]
-        for pyramid in read_photographs(folders, cameras, frame, 3)
-    ]
+    pyramids = read_photographs(folders, cameras, frame, 3, torch.device(device))
     shown = [pyramid for pyramid in pyramids if pyramid[0].name in split.train]
     held_out = [pyramid[0] for pyramid in pyramids if pyramid[0].name in split.test]
     supervision = read_supervision(work / MAPS, shown, frame.unit)
