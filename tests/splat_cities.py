@@ -16,6 +16,7 @@ CASES = {
     "circles, seed 12": "--rig circles --seed 12",
     "oblique, half texture": "--rig oblique --texture 0.5 --seed 7",
     "grid, hard": "--rig grid --hard --seed 5",
+    "oblique, flat": "--rig oblique --texture 0 --density 0.02 --relief 0 --seed 22",
 }
 EXTENT = 100  # of the cities, in metres
 FOOTPRINTS = 2  # of a pixel: what precision and recall allow

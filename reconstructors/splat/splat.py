@@ -45,7 +45,8 @@ NUMBERS = "model.pt"  # beside it, in the frame of training
 CURVE = "curve.csv"  # beside it, where the number of Gaussians was chosen
 
 # Points to begin at may be less sure than points to measure: training moves them, and fills no place that has none.
-_LOOSE_VIEWS, _LOOSE = 2, 0.1
+BEGINNING = DenseMvs(views=2, confidence=0.1)
+
 _LEVELS = 3  # sizes of the photographs
 _FEWEST = 3  # images: a surface is what as many agree on
 _BYTES = 1000  # a Gaussian: its numbers, their derivatives and moments, its places in the tiles of an image
@@ -191,8 +192,7 @@ class GaussianSplatting:
         folder = workspace / self.start
         folder.mkdir(exist_ok=True)
         if self.start == "mvs":
-            first = DenseMvs(poses=self.poses, views=_LOOSE_VIEWS, confidence=_LOOSE, seed=self.seed)
-            return first.reconstruct(scene, folder)
+            return replace(BEGINNING, poses=self.poses, seed=self.seed).reconstruct(scene, folder)
         return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
 
     def _scale(self, camera: Camera) -> float:

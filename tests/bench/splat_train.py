@@ -36,7 +36,7 @@ from reconstructors.splat.density import Density
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
 from reconstructors.splat.reference import Gaussians
-from reconstructors.splat.splat import GaussianSplatting
+from reconstructors.splat.splat import BEGINNING, GaussianSplatting
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate
 from reconstructors.splat.view import View
@@ -74,7 +74,7 @@ class Run(NamedTuple):
 
 def begin(made: City, work: Path, device: torch.device) -> Begun:
     scene = made.scene
-    dense = GaussianSplatting()._begun(scene, work)
+    dense = BEGINNING.reconstruct(scene, work)
     cameras = {name: pinhole(camera, 1.0) for name, camera in dense.cameras.items()}
     frame = LocalFrame.of(list(cameras.values()))
     split = hold_out(list(cameras), "blocks", {name: camera.position for name, camera in cameras.items()})
@@ -82,7 +82,7 @@ def begin(made: City, work: Path, device: torch.device) -> Begun:
     pyramids = read_photographs(folders, cameras, frame, 3, device)
     shown = [pyramid for pyramid in pyramids if pyramid[0].name in split.train]
     held_out = [pyramid[0] for pyramid in pyramids if pyramid[0].name in split.test]
-    supervision = read_supervision(work / "mvs" / MAPS, shown, frame.unit)
+    supervision = read_supervision(work / MAPS, shown, frame.unit)
     return Begun(made, cameras, dense, frame, split, shown, held_out, supervision)
 
 

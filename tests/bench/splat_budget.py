@@ -1,0 +1,125 @@
+"""How few Gaussians are enough: python tests/bench/splat_budget.py
+
+For each city the budgets that `density=parsimonious` tries, a row each: PSNR of the photographs that judge them, what
+it loses against the best with its standard error over their blocks, CPU time of a step, size of the model, and its
+surface against the exact truth. Then what it chose, trained to the end, beside as many Gaussians as it began with, at
+equal steps: PSNR of 8 blocks of photographs that neither saw, and the difference with its standard error over them.
+With one thread: OMP_NUM_THREADS=1.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from measure import setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from splat_cities import CASES, EXTENT, CloudScore, city, score_cloud
+from splat_train import SEED, Begun, begin
+
+from pcbench.scenes.splits import for_choosing
+from reconstructors.splat import extract
+from reconstructors.splat.density import Density
+from reconstructors.splat.model import Gaussians
+from reconstructors.splat.parsimony import Budget, Loss, Parsimonious
+from reconstructors.splat.photographs import Pyramid
+from reconstructors.splat.train import Schedule, Training, evaluate
+
+DEGREE = 2
+
+
+class Measured(Parsimonious):
+    """Measures the surface of each budget too."""
+
+    def __init__(self, begun: Begun, judges: list[list[Pyramid]]) -> None:
+        super().__init__(judges)
+        self.begun = begun
+        self.scores: list[CloudScore] = []
+        self.measuring = 0.0  # CPU seconds
+
+    def _judged(self, training: Training) -> Budget:
+        budget = super()._judged(training)
+        start = time.process_time()
+        self.scores.append(surface(self.begun, training.model))
+        self.measuring += time.process_time() - start
+        return budget
+
+
+def surface(begun: Begun, model: Gaussians) -> CloudScore:
+    return score_cloud(begun.city.truth, extract.surface(model, begun.frame, begun.cameras).points)
+
+
+def first(begun: Begun, count: int) -> Gaussians:
+    cloud, rng = begun.dense.cloud, np.random.default_rng([0, SEED])
+    which = np.sort(rng.choice(len(cloud), min(count, len(cloud)), replace=False))
+    return Gaussians.at_points(cloud.points[which], cloud.colors[which] / 255, begun.frame)
+
+
+def trained(begun: Begun, count: int, steps: int, density: Density, shown: list[Pyramid]) -> tuple[Training, float]:
+    """And the CPU seconds of it."""
+    schedule = Schedule(steps=steps, sh_degree=DEGREE)
+    training = Training(first(begun, count), shown, schedule, density, begun.supervision)
+    start = time.process_time()
+    training.run(steps)
+    return training, time.process_time() - start
+
+
+def compare(begun: Begun, count: int, steps: int) -> None:
+    names = [pyramid[0].name for pyramid in begun.shown]
+    of = dict(zip(names, begun.shown, strict=True))
+    choosing = for_choosing(names, {name: begun.cameras[name].position for name in names})
+    density = Measured(begun, [[of[name] for name in block] for block in choosing.blocks])
+    ours, seconds = trained(begun, count, steps, density, [of[name] for name in choosing.train])
+    seconds -= density.measuring
+    curve = density.curve
+    assert curve is not None
+    print(f"{'N':>9}{'degree':>8}{'judged':>8}{'loss':>14}{'ms a step':>11}{'MB':>7}{'accuracy, m':>13}{'F-score':>9}")
+    for budget, score in zip(curve.budgets, density.scores, strict=True):
+        loss = Loss.of(budget, curve.best)
+        print(
+            f"{budget.gaussians:9,}{budget.degree:8}{budget.mean:8.2f}{f'{loss.mean:.2f} ± {loss.error:.2f}':>14}"
+            f"{budget.step_ms:11.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"
+            f"{'  chosen' if budget is curve.chosen else ''}"
+        )
+    rows = [("chosen", ours, seconds), ("fixed", *trained(begun, count, steps, Density(), begun.shown))]
+    held_out = {photograph.name: photograph for photograph in begun.held_out}
+    blocks = [[held_out[name] for name in block] for block in begun.split.blocks]
+    psnr = [np.array([np.mean(evaluate(training.model, block)) for block in blocks]) for _, training, _ in rows]
+    for (name, training, seconds), scores in zip(rows, psnr, strict=True):
+        model, score = training.model, surface(begun, training.model)
+        print(
+            f"{name:9}{len(model):9,} of degree {model.degree}: {scores.mean():.2f} dB held out, {seconds:.0f} CPU s,"
+            f" surface {score.accuracy:.3f} m, F-score {score.fscore_seen:.3f}"
+        )
+    gain = psnr[0] - psnr[1]
+    error = gain.std(ddof=1) / np.sqrt(len(gain))
+    print(f"chosen - fixed: {gain.mean():+.2f} ± {error:.2f} dB over {len(gain)} blocks", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", default=";".join(CASES), help="of splat_cities, divided by semicolons")
+    parser.add_argument("--images", type=int, default=64)
+    parser.add_argument("--size", default="240x136")
+    parser.add_argument("--gaussians", type=int, default=60_000)
+    parser.add_argument("--steps", type=int, default=900)
+    parser.add_argument("--folder", type=Path, help="to keep the cities in: what is there is not made again")
+    options = parser.parse_args()
+    print(f"{setting()}; {options.gaussians:,} Gaussians, {options.steps:,} steps, degree {DEGREE}")
+    with tempfile.TemporaryDirectory() as temporary:
+        for case in options.cases.split(";"):
+            label = case.replace(", ", "_").replace(" ", "_")
+            made = city((options.folder or Path(temporary)) / label, case, options.images, options.size)
+            work = Path(temporary) / f"{label}.work"
+            work.mkdir()
+            begun = begin(made, work, "cpu")
+            print(f"\n{options.images} images of {options.size} of a city of {EXTENT} m ({case}); {begun.split.words}")
+            compare(begun, options.gaussians, options.steps)
+
+
+if __name__ == "__main__":
+    main()
