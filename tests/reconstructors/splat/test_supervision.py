@@ -1,6 +1,6 @@
 """Supervision by depths: what a map says at the pixels of a view, the loss's derivative, and what training gains."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -153,11 +153,12 @@ def test_depths_hold_what_photographs_do_not(tmp_path):
     assert errors[1] < 0.1
 
 
+@dataclass(frozen=True)
 class BluntMvs:
     """Stands in for `mvs`: maps that are exact, and points that are not."""
 
-    def __init__(self, **settings):
-        pass
+    poses: str = "given"
+    seed: int = 0
 
     def reconstruct(self, scene, workspace):
         pinholes = [replace(c, intrinsics=corner.standard_intrinsics(72, 54)) for c in scene.cameras.values()]
@@ -172,7 +173,7 @@ class BluntMvs:
 
 
 def test_the_surface_of_a_model_that_is_held_to_depths_is_nearer(tmp_path, monkeypatch):
-    monkeypatch.setattr(plugin, "DenseMvs", BluntMvs)
+    monkeypatch.setattr(plugin, "BEGINNING", BluntMvs())
     scene_folder = tmp_path / "corner"
     scene_folder.mkdir()
     scene = read_scene(corner.write_scene(scene_folder, corner.cameras(6, corner.standard_intrinsics(96, 72))))
