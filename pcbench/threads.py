@@ -23,6 +23,7 @@ def fit_threads() -> None:
     Raises:
         InputError: OMP_NUM_THREADS is too large.
     """
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # spinning takes from other programs what they wait for
     most = max(_MAX_THREADS, cpus())
     asked = {name: _first(os.environ.get(name, "")) for name in _COUNTS}
     if (count := asked["OMP_NUM_THREADS"]) is not None and count > most:

@@ -49,8 +49,11 @@ BEGINNING = DenseMvs(views=2, confidence=0.1)
 
 _LEVELS = 3  # sizes of the photographs
 _FEWEST = 3  # images: a surface is what as many agree on
+_CHOOSING = 4  # images, of which some judge how many Gaussians are enough
 _BYTES = 1000  # a Gaussian: its numbers, their derivatives and moments, its places in the tiles of an image
+_KEPT_BYTES = 1000  # a Gaussian: of the models among which one is chosen
 _PIXEL_BYTES = 4  # of a photograph, with its smaller sizes
+_DEPTH_BYTES = 6  # beside it, where depths are trained by
 _GIGA = 1e9
 
 
@@ -159,6 +162,8 @@ class GaussianSplatting:
         model = load_model(made / NUMBERS, device)
         if (made / CURVE).is_file():
             notes.append(f"{Curve.read(made / CURVE).sentence}; all that were tried: {made / CURVE}")
+        elif self.density == "parsimonious":
+            notes.append(f"fewer than {_CHOOSING} images to train on: how many Gaussians are enough was not asked")
         notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}")
         if split.test:
             self._write_views(workspace / RENDERED, scene, split, model, photographs)
@@ -187,6 +192,10 @@ class GaussianSplatting:
             self.seed,
         )
 
+    @property
+    def _supervised(self) -> bool:
+        return self.supervision == "mvs" and self.start == "mvs"
+
     def _begun(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Cameras, and the points that Gaussians begin at."""
         folder = workspace / self.start
@@ -201,7 +210,9 @@ class GaussianSplatting:
 
     def _check_memory(self, pinholes: Mapping[str, Camera]) -> None:
         pixels = sum(c.intrinsics.width * c.intrinsics.height for c in pinholes.values())
-        needed = (_BYTES * self.gaussians + _PIXEL_BYTES * pixels) / _GIGA
+        gaussian = _BYTES + _KEPT_BYTES * (self.density == "parsimonious")
+        pixel = _PIXEL_BYTES + _DEPTH_BYTES * self._supervised
+        needed = (gaussian * self.gaussians + pixel * pixels) / _GIGA
         if needed > self.memory:
             raise InputError(
                 f"{self.gaussians:,} Gaussians and {len(pinholes)} photographs of {self.image_side} pixels take some"
@@ -233,7 +244,7 @@ class GaussianSplatting:
     ) -> tuple[Density, list[Pyramid]]:
         """Which Gaussians there are, and the photographs that training begins with."""
         seen = [photographs[name] for name in split.train]
-        if self.density == "fixed":
+        if self.density == "fixed" or (self.density == "parsimonious" and len(seen) < _CHOOSING):
             return Density(), seen
         if self.density != "parsimonious":
             return replace(GAO2025 if self.density == "gao2025" else Classic(), most=self.gaussians), seen
@@ -254,7 +265,7 @@ class GaussianSplatting:
         of = {pyramid[0].name: pyramid for pyramid in photographs}
         density, seen = self._density(split, begun.cameras, of)
         supervision = None
-        if self.supervision == "mvs" and self.start == "mvs":
+        if self._supervised:
             shown = [of[name] for name in split.train]
             supervision = read_supervision(workspace / self.start / MAPS, shown, frame.unit)
         training = Training(
