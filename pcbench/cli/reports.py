@@ -227,9 +227,10 @@ def plot(
     from pcbench.report.plot import REPORT, draw, drawing_seconds
     from pcbench.scratch import claim
     from pcbench.studies.bench.charts import CHARTS
+    from pcbench.studies.gao.figures import PICTURES as GAO
     from pcbench.studies.views.pictures import PICTURES
 
-    drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES) if drawer.fits(report)), None)
+    drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES, GAO) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
             f"{report}: expected a report folder (with comparison.json), a bench's (with bench.json) or that of views"

@@ -1,0 +1,123 @@
+"""Clouds held against one reference: a report folder as `pcbench compare` makes it, and what the experiment takes from
+it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.deformation import Deformation
+from pcbench.errors import PcbenchError
+from pcbench.geometry.region_text import as_region
+from pcbench.io import read_cloud, write_cloud
+from pcbench.io.files import digest, read_json
+from pcbench.measure.presets import Gao2025
+from pcbench.measure.results import FORTH
+from pcbench.measure.settings import Settings
+from pcbench.plugins.stages import library_versions, stage
+from pcbench.registration import Target, local_origin, register
+from pcbench.report.compare_files import ComparisonJob, Outputs, compare_files
+from pcbench.report.plot import draw_if_possible
+from pcbench.studies.gao.plan import MVS
+from pcbench.studies.gao.results import Against
+
+_FAILED = "failed.json"
+_COMPARISON = "comparison.json"
+
+
+class Held(NamedTuple):
+    """Clouds against one reference.
+
+    Attributes:
+        folder: of the report.
+        counts: points of the reference, all and after the crop.
+        clouds: by name.
+    """
+
+    folder: Path
+    counts: tuple[int, int]
+    clouds: dict[str, Against]
+
+
+def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int) -> Held | None:
+    """Register clouds to a reference, crop both and measure; kept in `out`/against-NAME for the next run. None where no
+    cloud can be measured.
+
+    Each is registered by ICP, and all are cropped to the same region. Against `mvs` its Poisson mesh is made too.
+
+    Args:
+        reference: its file; name: `mvs` or `truth`.
+        clouds: files by name.
+        crop: region as text, in the reference's coordinates.
+    """
+    settings = Settings(crop=crop, presets=("gao2025",), maps=("poisson",) if name == MVS else (), seed=seed)
+    key = {
+        "reference": digest(reference),
+        "clouds": {cloud: digest(path) for cloud, path in clouds.items()},
+        "settings": settings.plain(),
+        "versions": library_versions(),
+    }
+
+    def make(folder: Path) -> None:
+        # A comparison has all candidates or none: those that cannot be measured are found before.
+        failed = {cloud: why for cloud, path in clouds.items() if (why := _why_not(reference, path, crop)) is not None}
+        measured = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
+        if measured:
+            job = ComparisonJob(reference, measured, settings, {})
+            compare_files(job, Outputs(folder, figures=False), lambda _: None)
+        (folder / _FAILED).write_text(json.dumps(failed), encoding="utf-8")
+
+    folder = stage(out, f"against-{name}", key, make)
+    failed = {cloud: Against(name, failure=why) for cloud, why in read_json(folder / _FAILED).items()}
+    if not (folder / _COMPARISON).is_file():
+        return None
+    document = read_json(folder / _COMPARISON)
+    found = {row["name"]: _against(name, row) for row in document["candidates"]}
+    counts = document["reference"]["points"], document["reference"]["points_in_region"]
+    return Held(folder, counts, {**failed, **found})
+
+
+def draw_maps(folder: Path) -> str | None:
+    """The pictures of a report, unless they are there; what stands in the way."""
+    return None if (folder / "figures").is_dir() else draw_if_possible(folder)
+
+
+def visible_truth(truth: Path, out: Path) -> Path:
+    """What cameras saw of a true cloud (its attribute `visible`, where it has one), as a file: a cloud that lacks what
+    no photograph shows is not to blame."""
+
+    def make(folder: Path) -> None:
+        cloud = read_cloud(truth)
+        if "visible" in cloud.attributes and (seen := np.asarray(cloud.attributes["visible"]) != 0).any():
+            cloud = cloud.select(np.flatnonzero(seen))
+        write_cloud(folder / "truth.ply", cloud)
+
+    return stage(out, "truth", {"cloud": digest(truth), "versions": library_versions()}, make) / "truth.ply"
+
+
+def _why_not(reference: Path, path: Path, crop: str) -> str | None:
+    """One line if a cloud cannot be held against the reference."""
+    target, cloud = read_cloud(reference), read_cloud(path)
+    try:
+        found = register(target, cloud, "icp", target=Target.of(target, local_origin(target)))
+    except PcbenchError as error:
+        return str(error)
+    region = as_region(crop, target)
+    if region is not None and not region.contains(found.T_reference_candidate.apply(cloud.points)).any():
+        return f"the crop {crop} leaves none of its {len(cloud):,} points"
+    return None
+
+
+def _against(name: str, row: Mapping[str, Any]) -> Against:
+    return Against(
+        reference=name,
+        points=row["points_in_region"],
+        measures=Gao2025(**row["metrics"]["presets"]["gao2025"]),
+        floor=row["metrics"]["d1_mse"]["floor"][FORTH],
+        deformation=Deformation.from_json(row["deformation"]),
+        doubts=tuple(row["registration"]["warnings"]),
+    )

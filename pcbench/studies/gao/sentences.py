@@ -1,0 +1,306 @@
+"""What the figures of the experiment say, in sentences that are computed from them alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+from pcbench.deformation import Deformation, Trend
+from pcbench.report.words import joined, length
+from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
+from pcbench.studies.gao.results import TRUTH, Against, SceneResult, Study
+from pcbench.studies.gao.table import failures
+
+_ALIKE = 1.1  # a factor of less is no difference
+_SHARED = 2.0  # bends whose sizes differ by less may be one
+_BENT = "non-affine"
+
+Length = Callable[[Against], float | None]
+
+
+def sentences(study: Study) -> Iterator[str]:
+    """What densification gains and costs, what a reference of the same images hides, what is bent and why as far as can
+    be told, and what the figures do not say."""
+    yield from failures(study)
+    yield from _gain(study)
+    yield from _cost(study)
+    yield from _surface(study)
+    yield from _time(study)
+    yield from _hidden(study)
+    yield from _views(study)
+    for scene in study.scenes:
+        yield from _bends(scene, study)
+    yield from _caveats(study)
+
+
+def _back(of: Against) -> float | None:
+    return of.back_rms
+
+
+def _forth(of: Against) -> float | None:
+    return of.forth_rms
+
+
+def _gain(study: Study) -> Iterator[str]:
+    """Completeness: how far the reference is from the clouds."""
+    for reference in (MVS, TRUTH):
+        found = _Change.of(study, (SPARSE, reference), (MEANS, reference), _back)
+        if found is None:
+            continue
+        word = found.word("loses completeness", "gains no completeness", "gains completeness")
+        lead = "Densification" if reference == MVS else "Against the truth it"
+        yield f"{lead} {word}: {reference} to cloud (r→c), {found.words}."
+
+
+def _cost(study: Study) -> Iterator[str]:
+    """Accuracy: how far the clouds are from the reference."""
+    for reference in (MVS, TRUTH):
+        found = _Change.of(study, (SPARSE, reference), (MEANS, reference), _forth)
+        if found is None:
+            continue
+        word = found.word("costs accuracy", "costs no accuracy", "gains accuracy")
+        lead = "It" if reference == MVS else "Against the truth it"
+        yield f"{lead} {word}: cloud to {reference} (c→r), {found.words}."
+
+
+def _surface(study: Study) -> Iterator[str]:
+    """The other cloud of the same training."""
+    reference = TRUTH if any(scene.has_truth for scene in study.scenes) else MVS
+    forth = _Change.of(study, (MEANS, reference), (SURFACE, reference), _forth)
+    back = _Change.of(study, (MEANS, reference), (SURFACE, reference), _back)
+    if forth is not None and back is not None:
+        yield (
+            f"The surface that the same Gaussians show, instead of their centres, against {reference}:"
+            f" c→r {forth.words}; r→c {back.words}."
+        )
+
+
+def _time(study: Study) -> Iterator[str]:
+    """Seconds and memory, beside those of the dense reference."""
+    rows = [[scene.cloud(name) for name in (SPARSE, MVS, MEANS)] for scene in study.scenes]
+    whole = [row for row in rows if all(cloud.seconds is not None and not cloud.resumed for cloud in row)]
+    if not whole:
+        return
+    sparse, mvs, means = (_mean([row[k].seconds or 0.0 for row in whole]) for k in range(3))
+    memory = [max((row[k].memory_bytes or 0) for row in whole) / 2**20 for k in range(3)]
+    yield (
+        f"Time a scene: {sparse:.0f} s sparse, {mvs:.0f} s more for mvs, {means:.0f} s more for splats"
+        f" ({means / mvs:.2g} times mvs); memory up to {memory[0]:,.0f}, {memory[1]:,.0f} and {memory[2]:,.0f} MiB."
+    )
+
+
+def _hidden(study: Study) -> Iterator[str]:
+    """What mvs as the reference does not show, where the truth is known."""
+    own = [of for scene in study.scenes if (of := scene.held(MVS, TRUTH)) is not None]
+    if not own:
+        yield "The truth is not known: errors that clouds share with mvs, made of the same images, cannot be seen here."
+        return
+    forth, back = (_mean([value for of in own if (value := rms(of)) is not None]) for rms in (_forth, _back))
+    yield (
+        f"A reference made of the same images hides its own errors: mvs is {length(forth, study.unit)} RMS off the"
+        f" truth (c→r), and the truth that cameras saw is {length(back, study.unit)} RMS from it (r→c)."
+    )
+    for name in (SPARSE, MEANS, SURFACE):
+        found = _Change.of(study, (name, MVS), (name, TRUTH), _forth)
+        if found is not None:
+            word = found.word("worse than mvs says", "as far off as mvs says", "better than mvs says")
+            yield f"By the truth {name} is {word}: c→r {found.words}."
+    by = {reference: _order(study, reference) for reference in (MVS, TRUTH)}
+    if by[MVS] and by[TRUTH]:
+        same = "the same" if by[MVS] == by[TRUTH] else "another"
+        of_mvs = _order(study, TRUTH, [MVS, *by[TRUTH]])
+        yield (
+            f"By Chamfer, mvs ranks {_ranked(by[MVS])}, and the truth gives {same} order; with mvs among them:"
+            f" {_ranked(of_mvs)}."
+        )
+
+
+def _order(study: Study, reference: str, names: Sequence[str] = (SPARSE, MEANS, SURFACE)) -> list[str]:
+    """Clouds from the best, by their Chamfer distance in the geometric mean over the scenes that have all of them."""
+    rows = [[scene.held(name, reference) for name in names] for scene in study.scenes]
+    chamfers = [[of.measures.chamfer for of in row if of is not None and of.measures is not None] for row in rows]
+    whole = [row for row in chamfers if len(row) == len(names)]
+    if not whole:
+        return []
+    means = [_mean([row[k] for row in whole]) for k in range(len(names))]
+    return [name for _, name in sorted(zip(means, names, strict=True))]
+
+
+def _ranked(names: Sequence[str]) -> str:
+    return " before ".join(names)
+
+
+def _views(study: Study) -> Iterator[str]:
+    """What new views say, which is not what clouds say."""
+    rows = [scene.views for scene in study.scenes if scene.views is not None]
+    pairs = [(row.train, row.test) for row in rows if row.train is not None and row.test is not None]
+    if pairs:
+        train, test = (sum(pair[k].psnr for pair in pairs) / len(pairs) for k in (0, 1))
+        yield (
+            f"Views that were not trained on are rendered at {test:.1f} dB PSNR, those that were at {train:.1f} dB: a"
+            f" gap of {train - test:.1f} dB."
+        )
+
+
+def _bends(scene: SceneResult, study: Study) -> Iterator[str]:
+    """What is bent, how that grows, and where it can come from."""
+    lead = f"{scene.name}: " if len(study.scenes) > 1 else ""
+    for reference in (MVS, TRUTH):
+        found = {c.name: of.deformation for c in scene.clouds if (of := c.held(reference)) and of.deformation}
+        if found:
+            yield f"{lead}against {reference}, {_verdicts(found, scene.unit or '')}."
+    for text in _causes(scene, study):
+        yield f"{lead}{text}"
+
+
+def _verdicts(found: dict[str, Deformation], unit: str) -> str:
+    parts = [f"{name} is bent by {_bend(bend, unit)}" for name, bend in found.items() if bend.verdict == _BENT]
+    for verdict, words in (
+        ("affine", "stretched, not bent"),
+        ("similarity", "of another scale, not bent"),
+        ("none", "not deformed"),
+        ("undecided", "undecided"),
+    ):
+        names = [name for name, bend in found.items() if bend.verdict == verdict]
+        if names:
+            parts.append(f"{joined(names)} {'is' if len(names) == 1 else 'are'} {words}")
+    return "; ".join(parts)
+
+
+def _bend(bend: Deformation, unit: str) -> str:
+    size, growth = bend.amplitude, bend.growth
+    text = "an unknown size"
+    if size is not None:
+        low, high = size.ci
+        text = f"{size.rms:.2g} [{low:.2g}, {high:.2g}] {unit}".rstrip() + " RMS"
+    if growth is None:
+        return text
+    trends = [("distance", growth.with_distance), ("height", growth.with_height)]
+    grown = [f"{_slope(trend)} with {what}" for what, trend in trends if trend is not None and _grows(trend)]
+    return f"{text} ({' and '.join(grown)})" if grown else f"{text} (no trend with distance or height)"
+
+
+def _grows(trend: Trend) -> bool:
+    return trend.ci[0] > 0 or trend.ci[1] < 0
+
+
+def _slope(trend: Trend) -> str:
+    return f"{'rising' if trend.slope > 0 else 'sinking'} by {1000 * abs(trend.slope):.2g} ‰"
+
+
+def _causes(scene: SceneResult, study: Study) -> Iterator[str]:
+    """Where a bend can come from, by who shares it."""
+
+    def bent(name: str, reference: str) -> Deformation | None:
+        of = scene.held(name, reference)
+        found = None if of is None else of.deformation
+        return found if found is not None and found.verdict == _BENT else None
+
+    names = [cloud.name for cloud in scene.clouds]
+    if not scene.has_truth:
+        if own := [name for name in names if bent(name, MVS)]:
+            yield (
+                f"cameras are the same for all, so what bends {joined(own)} against mvs is its method or that of mvs;"
+                " whether the cameras bend both cannot be told without a truth."
+            )
+        return
+    others = [name for name in names if name != MVS]
+    shared = [name for name in others if bent(name, TRUTH)]
+    reference = bent(MVS, TRUTH)
+    if reference is not None and shared:
+        sizes = [(bent(name, TRUTH), name) for name in shared]
+        alike = [name for bend, name in sizes if bend is not None and _alike(bend, reference)]
+        if alike and study.poses == "solve":
+            unseen = [name for name in alike if not bent(name, MVS)]
+            hidden = f", and mvs as the reference hides that of {joined(unseen)}" if unseen else ""
+            yield (
+                f"{joined([MVS, *alike])} share a bend of one size{hidden}: the cameras, which all have, explain"
+                f" it.{_errors(scene)}"
+            )
+        elif alike:
+            yield f"{joined([MVS, *alike])} are bent by one size with true cameras: the images are what they share."
+    for name in others:
+        mine, by_mvs = bent(name, TRUTH), bent(name, MVS)
+        if mine is not None and (reference is None or not _alike(mine, reference)):
+            same = "which has the same cameras, is not" if reference is None else "is bent by another size"
+            yield f"the bend of {name} is its own: mvs, {same}."
+        elif by_mvs is not None and mine is None and reference is not None:
+            yield f"what looks like a bend of {name} against mvs is that of mvs: against the truth it shows none."
+        elif by_mvs is not None and mine is None:
+            yield f"what looks like a bend of {name} against mvs does not show against the truth."
+    if reference is None and not shared:
+        yield f"no cloud is bent against the truth beyond what noise would do.{_errors(scene)}"
+
+
+def _alike(a: Deformation, b: Deformation) -> bool:
+    """Whether two bends may be of one size."""
+    if a.amplitude is None or b.amplitude is None:
+        return False
+    sizes = sorted((a.amplitude.rms, b.amplitude.rms))
+    overlap = a.amplitude.ci[0] <= b.amplitude.ci[1] and b.amplitude.ci[0] <= a.amplitude.ci[1]
+    return overlap or sizes[1] < _SHARED * sizes[0]
+
+
+def _errors(scene: SceneResult) -> str:
+    if scene.cameras is None:
+        return ""
+    errors = scene.cameras
+    return (
+        f" Solved cameras are {length(errors.median, scene.unit)} (median) to {length(errors.largest, scene.unit)} from"
+        f" the scene's, with {errors.focal_ratio:.4f} times its focal length."
+    )
+
+
+def _caveats(study: Study) -> Iterator[str]:
+    """What else has to be known."""
+    if any(scene.views is not None for scene in study.scenes):
+        yield "Images that were held out of the training of splats took part in sparse and mvs all the same."
+    steps, rules = study.splat.get("steps"), study.splat.get("density")
+    if steps is not None and steps.isdigit() and int(steps) < 30_000:
+        yield (
+            f"Splats were trained for {int(steps):,} steps (density={rules}); the paper trains for 30,000 to 50,000 on"
+            " larger images."
+        )
+
+
+class _Change:
+    """A length in two cases, over the scenes that have both: geometric means."""
+
+    def __init__(self, pairs: Sequence[tuple[float, float]], unit: str) -> None:
+        self.before, self.after = (_mean([pair[k] for pair in pairs]) for k in (0, 1))
+        self._ratios, self._unit = [after / before for before, after in pairs], unit
+
+    @classmethod
+    def of(cls, study: Study, before: tuple[str, str], after: tuple[str, str], rms: Length) -> _Change | None:
+        """From one cloud and reference to another; None where no scene has both."""
+        pairs = []
+        for scene in study.scenes:
+            of = [scene.held(*which) for which in (before, after)]
+            values = [rms(one) for one in of if one is not None]
+            if len(values) == 2 and values[0] and values[1]:
+                pairs.append((values[0], values[1]))
+        return cls(pairs, study.unit) if pairs else None
+
+    @property
+    def ratio(self) -> float:
+        return self.after / self.before
+
+    def word(self, more: str, alike: str, less: str) -> str:
+        """What is said where the length grows, stays and falls."""
+        return more if self.ratio > _ALIKE else less if self.ratio < 1 / _ALIKE else alike
+
+    @property
+    def words(self) -> str:
+        """Both, their ratio, and in how many scenes it goes the same way."""
+        ratio = self.ratio
+        change = f"{ratio:.2g} times as much" if ratio >= 1 else f"{1 / ratio:.2g} times less"
+        if abs(math.log(ratio)) < math.log(_ALIKE):
+            change = "about the same"
+        same = sum((value > 1) == (ratio > 1) for value in self._ratios)
+        count = f", in {same} of {len(self._ratios)} scenes" if len(self._ratios) > 1 else ""
+        return f"{length(self.before, self._unit)} RMS becomes {length(self.after, self._unit)} ({change}{count})"
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Geometric."""
+    return math.exp(sum(math.log(max(value, 1e-300)) for value in values) / len(values))

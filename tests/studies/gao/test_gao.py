@@ -1,0 +1,371 @@
+"""`pcbench experiment gao`: what it says of figures that are known, its table and pictures, and all of it on a city."""
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import one_line
+from scene_folders import orbit, ten_pictures
+
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.deformation import Amplitude, Bin, Deformation, Growth, Trend
+from pcbench.errors import InputError
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.measure.images import ViewScores
+from pcbench.measure.presets import Gao2025
+from pcbench.report import to_json
+from pcbench.scenes.synthetic import city
+from pcbench.scenes.synthetic.rigs import Site, rig
+from pcbench.scenes.synthetic.warp import warp_of
+from pcbench.studies.gao.figures import pictures
+from pcbench.studies.gao.held import hold, visible_truth
+from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE, GaoJob, looked_at, methods, region_of
+from pcbench.studies.gao.results import (
+    SCHEMA,
+    TRUTH,
+    Against,
+    CameraErrors,
+    CloudResult,
+    NewViews,
+    SceneResult,
+    Study,
+    document,
+    read_study,
+)
+from pcbench.studies.gao.sentences import sentences
+from pcbench.studies.gao.table import cost_table, csv_text, failures, markdown, measures_table
+
+K = Intrinsics.from_fov(320, 180, 40.0)
+
+
+def points_of(path):
+    return read_cloud(path).points
+
+
+def verdict(word, rms=0.01, slope=0.0):
+    rows = tuple(Bin(10.0 * k, slope * 10 * k, (-0.01, 0.01), 0.02) for k in range(5))
+    trend = Trend(slope, (slope - 1e-3, slope + 1e-3), rows)
+    model = "cubic" if word == "non-affine" else "rigid"
+    return Deformation(
+        word, model, amplitude=Amplitude(rms, 2 * rms, 3 * rms, (0.9 * rms, 1.1 * rms)), growth=Growth(trend, trend)
+    )
+
+
+def against(reference, forth, back, bend=None):
+    """RMS lengths both ways."""
+    measures = Gao2025(forth**2, 0.5 * forth**2, 0.4 * forth**2 if reference == MVS else None, 3.0, forth**2 + back**2)
+    return Against(reference, 900, measures, 0.001, bend or verdict("none"))
+
+
+def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
+    """Sparse far from all of the reference, means near but off, the surface near and on; bends by cloud, reference."""
+    bends = dict(bends)
+
+    def cloud(cloud_name, forth, back, off, seconds, **more):
+        held = [] if cloud_name == MVS else [(MVS, forth, back)]
+        held += [(TRUTH, math.hypot(forth, off), math.hypot(back, off))] if truth else []
+        found = tuple(against(r, factor * f, factor * b, bends.get((cloud_name, r))) for r, f, b in held)
+        return CloudResult(cloud_name, 1000, seconds, False, 2**28, against=found, **more)
+
+    clouds = (
+        cloud(SPARSE, 0.1, 2.0, 0.1, 30.0),
+        cloud(MVS, 0.1, 0.2, 0.1, 100.0),
+        cloud(MEANS, 0.4, 0.5, 0.1, 300.0),
+        cloud(SURFACE, 0.2, 0.3, 0.1, 10.0, extra=True),
+    )
+    views = NewViews(ViewScores(30.0, 0.9), ViewScores(25.0, 0.8), 35, 5, 0.5)
+    references = {MVS: (5000, 4000), **({TRUTH: (9000, 8000)} if truth else {})}
+    rings = tuple((10 * math.cos(a), 10 * math.sin(a), 5.0 + a) for a in np.linspace(0, 6, 12))
+    errors = CameraErrors(40, 40, 0.1, 0.3, 1.001)
+    made = SceneResult(
+        name, f"/x/{name}", "m", 40, rings, (0.0, 0.0, 2.0), "sphere:0,0,2,50", errors, references, clouds, views
+    )
+    return replace(made, **changes)
+
+
+def study(*scenes, poses="solve"):
+    found = Study(poses, {"steps": "2000", "density": "classic"}, scenes, provenance={})
+    return replace(found, sentences=tuple(sentences(found)))
+
+
+def said(*scenes, **more):
+    return " ".join(study(*scenes, **more).sentences)
+
+
+def test_gains_and_costs_follow_the_figures():
+    words = said(scene())
+    assert "Densification gains completeness: mvs to cloud (r→c), 2 m RMS becomes 0.5 m (4 times less)." in words
+    assert "It costs accuracy: cloud to mvs (c→r), 0.1 m RMS becomes 0.4 m (4 times as much)." in words
+    assert "Against the truth it costs accuracy: cloud to truth (c→r), 0.141 m RMS becomes 0.412 m" in words
+    assert "instead of their centres, against truth: c→r 0.412 m RMS becomes 0.224 m (1.8 times less)" in words
+    assert "30 s sparse, 100 s more for mvs, 300 s more for splats (3 times mvs); memory up to 256, 256" in words
+    assert "at 25.0 dB PSNR, those that were at 30.0 dB: a gap of 5.0 dB" in words
+    assert "trained for 2,000 steps (density=classic)" in words
+    # The other way round: means that are nearer than the sparse points, and miss more.
+    sparse, mvs, means, surface = scene().clouds
+    turned = replace(
+        scene(), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), replace(surface, name=SURFACE))
+    )
+    words = said(turned)
+    assert "Densification loses completeness: mvs to cloud (r→c), 0.5 m RMS becomes 2 m" in words
+    assert "It gains accuracy" in words
+    same = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface))
+    assert "Densification gains no completeness" in said(same)
+    assert "It costs no accuracy" in said(same)
+
+
+def test_several_scenes_are_averaged_and_counted():
+    sparse, mvs, means, surface = scene().clouds
+    odd = replace(scene("b"), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), surface))
+    words = said(scene("a"), scene("c", factor=4.0), odd)
+    # Geometric means: 2, 8 and 0.5 m become 0.5, 2 and 2 m.
+    assert "(r→c), 2 m RMS becomes 1.26 m (1.6 times less, in 2 of 3 scenes)" in words
+
+
+def test_what_a_reference_of_the_same_images_hides():
+    words = said(scene())
+    assert "mvs is 0.141 m RMS off the truth (c→r), and the truth that cameras saw is 0.224 m RMS from it" in words
+    assert "By the truth sparse is worse than mvs says: c→r 0.1 m RMS becomes 0.141 m" in words
+    assert "By the truth splat-means is as far off as mvs says" in words
+    ranked = (
+        "mvs ranks splat-surface before splat-means before sparse, and the truth gives the same order; with mvs among"
+    )
+    assert ranked in words
+    assert "them: mvs before splat-surface before splat-means before sparse." in words
+    assert "The truth is not known" in said(scene(truth=False))
+
+
+BENT = verdict("non-affine", 0.2, slope=0.004)
+
+
+@pytest.mark.parametrize(
+    ("bends", "words"),
+    [
+        ({}, "no cloud is bent against the truth beyond what noise would do. Solved cameras are 0.1 m (median)"),
+        (
+            {(n, TRUTH): BENT for n in (SPARSE, MVS, MEANS, SURFACE)},
+            "mvs, sparse, splat-means and splat-surface share a bend of one size, and mvs as the reference hides that"
+            " of sparse, splat-means and splat-surface: the cameras, which all have, explain it.",
+        ),
+        (
+            {(MEANS, TRUTH): BENT, (MEANS, MVS): BENT},
+            "the bend of splat-means is its own: mvs, which has the same cameras, is not.",
+        ),
+        (
+            {(MEANS, TRUTH): verdict("non-affine", 2.0), (MVS, TRUTH): BENT},
+            "the bend of splat-means is its own: mvs, is bent by another size.",
+        ),
+        (
+            {(SURFACE, MVS): BENT, (MVS, TRUTH): BENT},
+            "what looks like a bend of splat-surface against mvs is that of mvs",
+        ),
+        ({(SURFACE, MVS): BENT}, "a bend of splat-surface against mvs does not show against the truth"),
+    ],
+)
+def test_where_a_bend_comes_from(bends, words):
+    assert words in said(scene(bends=bends))
+
+
+def test_true_cameras_bend_nothing():
+    bends = {(n, TRUTH): BENT for n in (SPARSE, MVS, MEANS, SURFACE)}
+    words = said(scene(bends=bends, cameras=None), poses="given")
+    assert "are bent by one size with true cameras: the images are what they share" in words
+    assert "the cameras, which all have" not in words
+
+
+def test_verdicts_in_words():
+    bends = {
+        (SPARSE, MVS): verdict("undecided"),
+        (MEANS, MVS): BENT,
+        (SURFACE, MVS): verdict("affine"),
+    }
+    words = said(scene(bends=bends, truth=False))
+    assert (
+        "against mvs, splat-means is bent by 0.2 [0.18, 0.22] m RMS (rising by 4 ‰ with distance and rising by 4 ‰ with"
+        " height); splat-surface is stretched, not bent; sparse is undecided." in words
+    )
+    assert "whether the cameras bend both cannot be told without a truth" in words
+
+
+def test_what_fails_is_a_row_and_a_sentence():
+    sparse, mvs, _, surface = scene().clouds
+    broken = replace(
+        scene(),
+        clouds=(
+            sparse,
+            mvs,
+            CloudResult(MEANS, failure="out of memory"),
+            replace(surface, against=(Against(MVS, failure="too few points"), *surface.against[1:])),
+        ),
+        views=None,
+    )
+    found = study(broken, scene("city_2"))
+    assert found.sentences[:2] == (
+        "city_1 splat-means failed: out of memory",
+        "city_1 splat-surface could not be measured against mvs: too few points",
+    )
+    assert list(failures(found)) == list(found.sentences[:2])
+    rows = {(row[0], row[1]): row for row in measures_table(found)}
+    assert rows[("city_1 splat-means", "failed")]
+    assert rows[("city_1 splat-surface", MVS)][3] == "failed"
+    assert "4 times less" in " ".join(found.sentences)  # the other scene still counts
+    lost = [row for row in csv.DictReader(csv_text(found).splitlines()) if row["failure"]]
+    assert [(row["cloud"], row["failure"]) for row in lost] == [(MEANS, "out of memory"), (SURFACE, "too few points")]
+
+
+def test_tables():
+    found = study(scene())
+    header, *rows = measures_table(found)
+    assert all(len(row) == len(header) for row in rows)
+    assert [(row[0], row[1]) for row in rows[:3]] == [(SPARSE, MVS), (MEANS, MVS), (SURFACE, MVS)]
+    assert [row[0] for row in rows[3:]] == [SPARSE, MVS, MEANS, SURFACE]
+    first = dict(zip(header, rows[0], strict=True))
+    assert (first["points"], first["after crop"]) == ("1,000", "900")
+    # Mean squares: 0.1 and 2 m.
+    assert (first["D1 c→r"], first["D1 r→c"], first["Chamfer"], first["Hausdorff"]) == ("0.01", "4", "4.01", "3")
+    assert first["bend"] == "0.01 [0.009, 0.011]"
+    assert dict(zip(header, rows[3], strict=True))["D2 mesh"] == "–"  # there is no Poisson mesh of the truth
+    took = {
+        row[0]: row[2]
+        for row in cost_table(study(scene(clouds=(replace(scene().clouds[0], resumed=True), *scene().clouds[1:]))))
+    }
+    assert took == {"": "seconds", SPARSE: "≥ 30", MVS: "100", MEANS: "300", SURFACE: "+ 10"}
+    read = list(csv.DictReader(csv_text(found).splitlines()))
+    assert len(read) == 7
+    assert float(read[0]["d1_back_mse"]) == pytest.approx(4.0)
+    text = markdown(found, None)
+    assert text.count("\n| ") == 2 + 8 + 5
+    assert "sparse, against mvs" in text
+
+
+def stored(folder, found):
+    folder.mkdir(exist_ok=True)
+    (folder / "experiment.json").write_text(to_json(document(found)))
+    (folder / "gao.md").write_text(markdown(found, None))
+    return folder
+
+
+def test_a_study_is_read_as_it_was_written(tmp_path):
+    found = study(scene(bends={(MEANS, MVS): BENT}), scene("b", truth=False, views=None, cameras=None, looked_at=None))
+    again = read_study(stored(tmp_path / "a", found))
+    assert tuple(sentences(again)) == found.sentences
+    assert again == found
+    (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": "pcbench.experiment.bend/1"}))
+    with pytest.raises(InputError, match="expected the schema"):
+        read_study(tmp_path / "a")
+    (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": SCHEMA, "scenes": [{}]}))
+    with pytest.raises(InputError, match="damaged"):
+        read_study(tmp_path / "a")
+
+
+def test_pictures(tmp_path, run):
+    pytest.importorskip("matplotlib")
+    image_of = pytest.importorskip("PIL.Image").open
+    folder = stored(tmp_path / "a", study(scene(bends={(MEANS, MVS): BENT}), scene("b", truth=False)))
+    code, out, err = run("plot", folder)
+    assert code == 0, err
+    assert sorted(out.split()) == [f"{folder}/figures/{name}.png" for name in ("directions", "growth", "rings")]
+    for name, color in (("directions", (0xD5, 0x5E, 0)), ("growth", (0xD5, 0x5E, 0)), ("rings", (0, 0x72, 0xB2))):
+        drawn = np.asarray(image_of(folder / f"figures/{name}.png").convert("RGB")).astype(int)
+        assert (np.abs(drawn - color).max(axis=2) < 12).sum() > 200, name
+    lost = tuple(CloudResult(name, failure="no features") for name in (SPARSE, MVS, MEANS, SURFACE))
+    empty = stored(tmp_path / "b", study(scene(references={}, clouds=lost, views=None)))
+    assert not pictures(empty, None)["directions"].draw(tmp_path / "none.png")
+
+
+def test_the_region_is_about_what_cameras_look_at():
+    cameras = rig("circles", 14, Site(100.0, 2.0, 30.0), K)
+    np.testing.assert_allclose(looked_at(cameras), [0, 0, 16], atol=1e-9)
+    x, y, z, radius = map(float, region_of(cameras).removeprefix("sphere:").split(","))
+    assert (x, y, z) == (0, 0, 16)
+    farthest = max(np.linalg.norm(camera.position - [0, 0, 16]) for camera in cameras)
+    assert radius == pytest.approx(0.4 * farthest, abs=1e-3)
+    down = [Camera(f"{k}.png", K, look_at([10.0 * k, 0, 50], [10.0 * k, 0, 0], up=[0, 1, 0])) for k in range(4)]
+    assert looked_at(down) is None
+    assert region_of(down) == "quantile:0.5"
+    outward = [Camera(c.name, K, look_at(c.position, 2 * c.position)) for c in orbit([f"{k}.png" for k in range(6)])]
+    assert looked_at(outward) is None
+
+
+def test_clouds_are_held_against_a_reference_and_kept(tmp_path):
+    """As `compare` does it: the bent one is bent, the one from nowhere is a failure, and none of it is done twice."""
+    rng = np.random.default_rng(0)
+
+    def sample(count, bend=0.0):
+        points, _ = city(0).sample(count, rng)
+        points = points + rng.normal(0, 0.03, points.shape)
+        return warp_of("dome", points, bend).apply(points) if bend else points
+
+    for name, points in {
+        "reference": sample(40_000),
+        "straight": sample(8000),
+        "bent": sample(8000, 0.5),
+        "nowhere": rng.normal(size=(5, 3)),
+    }.items():
+        write_cloud(tmp_path / f"{name}.ply", Cloud(points, unit="m"))
+    clouds = {name: tmp_path / f"{name}.ply" for name in ("straight", "bent", "nowhere")}
+    region = "sphere:0,0,0,150"
+    found = hold(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    inside = np.linalg.norm(points_of(tmp_path / "reference.ply"), axis=1) <= 150
+    assert found.counts == (40_000, inside.sum())
+    straight, bent = found.clouds["straight"], found.clouds["bent"]
+    assert (straight.deformation.verdict, bent.deformation.verdict) == ("none", "non-affine")
+    assert straight.measures.d2_poisson_mse is None
+    assert straight.measures.d2_mse < bent.measures.d2_mse
+    assert 0 < straight.back_mse < straight.measures.chamfer
+    assert "expected" in found.clouds["nowhere"].failure
+    stamp = (found.folder / "comparison.json").stat().st_mtime_ns
+    again = hold(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    assert again == found
+    assert (again.folder / "comparison.json").stat().st_mtime_ns == stamp
+    other = hold(tmp_path / "reference.ply", TRUTH, clouds, "sphere:0,0,0,100", tmp_path, 0)
+    assert other.counts[1] < found.counts[1]
+    assert hold(tmp_path / "reference.ply", TRUTH, {"nowhere": clouds["nowhere"]}, region, tmp_path, 0) is None
+
+
+def test_the_truth_is_what_cameras_saw(tmp_path):
+    points = np.arange(30.0).reshape(10, 3)
+    write_cloud(tmp_path / "cloud.ply", Cloud(points, attributes={"visible": (np.arange(10) < 4).astype(np.uint8)}))
+    assert len(points_of(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 4
+    write_cloud(tmp_path / "cloud.ply", Cloud(points))
+    assert len(points_of(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 10
+
+
+def test_the_paper_s_settings_are_those_of_the_clouds():
+    plan = {method.name: method for method in methods(GaoJob(settings={"steps": "7", "density": "gao2025"}))}
+    assert plan[SPARSE].settings["poses"] == "solve"
+    assert plan[MVS].settings["poses"] == "given"
+    means, surface = plan[MEANS], plan[SURFACE]
+    assert means.workspace == surface.workspace
+    assert {k for k in means.settings if means.settings[k] != surface.settings[k]} == {"cloud"}
+    assert (means.settings["start"], means.settings["steps"], means.settings["density"]) == ("sfm", "7", "gao2025")
+
+
+def test_what_cannot_be_run_is_refused(run, tmp_path):
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("torch")
+    bare = ten_pictures(tmp_path / "bare")
+    few = ten_pictures(tmp_path / "few")
+    for k in range(8, 10):
+        (few / f"images/{k}.png").unlink()
+    write_colmap_model(few / "sparse/0", orbit([f"{k}.png" for k in range(8)]))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes.txt").write_text("mine")
+    for arguments, message in (
+        ((bare,), "has no camera: the experiment needs them"),
+        ((few,), "expected at least 9 images"),
+        ((bare, "--images", "20"), "are those of cities, made where no SCENE is given"),
+        (("--set", "cloud=means"), "settings of splat that the experiment leaves open, got cloud"),
+        (("--set", "hold_out=none"), "new views are measured too"),
+    ):
+        code, _, err = run("experiment", "gao", *arguments, "--out", tmp_path / "out")
+        assert code == 2
+        assert message in err
+        assert one_line(err)
+    code, _, err = run("experiment", "gao", "--out", tmp_path / "mine")
+    assert code == 2
+    assert "holds no such experiment" in err
