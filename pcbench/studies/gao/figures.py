@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pcbench.deformation import Deformation, Trend
+from pcbench.geometry.arrays import FloatArray
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
-from pcbench.studies.gao.results import TRUTH, Against, SceneResult, Study, read_study, references
+from pcbench.studies.gao.results import TRUTH, SceneResult, Study, read_study, references
 
 # Draws the pictures of the folder of an experiment.
 PICTURES = Drawer(f"{__name__}:pictures", ("gao.md",))
@@ -21,6 +22,7 @@ PICTURES = Drawer(f"{__name__}:pictures", ("gao.md",))
 _COLORS = {SPARSE: "#0072b2", MVS: "#009e73", MEANS: "#d55e00", SURFACE: "#cc79a7"}  # Okabe and Ito
 _SHAPES = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D"}
 _GREY, _CAMERA, _PLACE = "#777777", "#0072b2", "#d55e00"
+_THIN = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
@@ -35,21 +37,33 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
 
 
 def rings(scenes: Sequence[SceneResult], path: Path) -> bool:
-    """Where cameras stand, from above and from the side, with the place that they look at; a row a scene."""
-    figure, axes = _canvas(len(scenes), 2, (6.2, 4.4))
+    """Where cameras stand, from above and from the side, with the place that they look at and what is measured;
+    a row a scene."""
+    figure, axes = _canvas(len(scenes), 2, (6.6, 4.6))
     for (above, side), scene in zip(axes, scenes, strict=True):
         positions = np.array(scene.positions)
         place = None if scene.looked_at is None else np.array(scene.looked_at)
         centre = positions.mean(axis=0) if place is None else place
         across = np.linalg.norm(positions[:, :2] - centre[:2], axis=1)
         unit = scene.unit or "units of the cameras"
+        turn = np.linspace(0, 2 * np.pi, 181)
+        for radius in _radii(across):
+            above.plot(centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn), **_THIN)
+        for position, out in zip(positions, across, strict=True):
+            above.plot(*np.stack([position, centre])[:, :2].T, **_THIN)
+            side.plot([out, 0], [position[2], centre[2]], **_THIN)
+        if (measured := _sphere(scene.region)) is not None:
+            *middle, radius = measured
+            style = {"color": _PLACE, "linestyle": "--", "linewidth": 1.2}
+            above.plot(middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn), **style)
+            label = f"measured: within {radius:.0f} {unit}"
+            half = np.linspace(-np.pi / 2, np.pi / 2, 91)
+            side.plot(radius * np.cos(half), middle[2] + radius * np.sin(half), label=label, **style)
         if place is not None:
-            for position, out in zip(positions, across, strict=True):
-                above.plot(*np.stack([position, place])[:, :2].T, color=_GREY, alpha=0.18, linewidth=0.8)
-                side.plot([out, 0], [position[2], place[2]], color=_GREY, alpha=0.18, linewidth=0.8)
-            text = f"looked at: ({', '.join(f'{value:.1f}' for value in place)}) {unit}"
-            above.plot(*place[:2], "+", color=_PLACE, markersize=14, markeredgewidth=2)
-            side.plot(0, place[2], "+", color=_PLACE, markersize=14, markeredgewidth=2, label=text, linestyle="none")
+            at = ", ".join(f"{value + 0.0:.1f}".replace("-0.0", "0.0") for value in place)
+            mark = {"color": _PLACE, "markersize": 14, "markeredgewidth": 2, "linestyle": "none"}
+            above.plot(*place[:2], "+", **mark)
+            side.plot(0, place[2], "+", label=f"looked at: ({at}) {unit}", **mark)
         above.scatter(*positions[:, :2].T, s=22, color=_CAMERA, zorder=3)
         side.scatter(across, positions[:, 2], s=22, color=_CAMERA, zorder=3, label=f"{len(positions)} cameras")
         above.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]", aspect="equal")
@@ -57,63 +71,80 @@ def rings(scenes: Sequence[SceneResult], path: Path) -> bool:
         above.set_title(f"{scene.name}, from above", fontsize=11, loc="left")
         side.set_title("elevation: all turned into one half-plane", fontsize=11, loc="left")
         side.set_xlim(left=-0.03 * float(across.max() or 1.0))
-        side.legend(frameon=False, fontsize=9, loc="upper left")
+        side.legend(frameon=False, fontsize=9, loc="lower right")
     save(figure, path)
     return True
 
 
 def directions(study: Study, path: Path) -> bool:
-    """Root mean square distances from the cloud to the reference and back, a column a scene, a row a reference."""
-    rows = [name for name in (MVS, TRUTH) if any(name in references(scene) for scene in study.scenes)]
-    if not rows:
+    """Root mean square distances from the cloud to the reference and back, a row a scene, a column a reference."""
+    columns = _references(study)
+    if not columns:
         return False
-    figure, axes = _canvas(len(rows), len(study.scenes), (5.0, 4.2), share=True)
-    for line, reference in zip(axes, rows, strict=True):
-        for axis, scene in zip(line, study.scenes, strict=True):
+    figure, axes = _canvas(len(study.scenes), len(columns), (5.4, 4.2), share=True)
+    for line, scene in zip(axes, study.scenes, strict=True):
+        unit = scene.unit or "unit"
+        for axis, reference in zip(line, columns, strict=True):
             for cloud in scene.clouds:
                 of = cloud.held(reference)
                 if of is not None and of.forth_rms and of.back_rms:
                     look = {"color": _COLORS[cloud.name], "marker": _SHAPES[cloud.name]}
                     axis.scatter(of.forth_rms, of.back_rms, s=90, label=cloud.name, zorder=3, **look)
             axis.set(xscale="log", yscale="log")
-            unit = scene.unit or "unit"
             axis.set_xlabel(f"accuracy: cloud to {reference}, RMS [{unit}]")
             axis.set_ylabel(f"completeness: {reference} to cloud, RMS [{unit}]")
             axis.set_title(f"{scene.name}, against {reference}", fontsize=11, loc="left")
             axis.grid(alpha=0.25, which="both")
+            axis.margins(0.15)
+            axis.tick_params(labelbottom=True, labelleft=True)
     _plain_ticks(axes)
-    _legend(figure, axes)
+    _legend(figure, axes, "lower left is better")
     save(figure, path)
     return True
 
 
 def growth(study: Study, path: Path) -> bool:
-    """Vertical displacement with distance and with height, against each reference, a column a scene."""
-    kinds: list[tuple[str, str, Callable[[Deformation], Trend | None]]] = []
-    for reference in (MVS, TRUTH):
-        if any(reference in references(scene) for scene in study.scenes):
-            kinds.append((reference, "horizontal distance from the centre", lambda bend: _trend(bend, "with_distance")))
-            kinds.append((reference, "height above the lowest place", lambda bend: _trend(bend, "with_height")))
-    if not kinds:
+    """Vertical displacement with distance and with height, against each reference; a row a scene."""
+    along = {"with_distance": "distance from the centre", "with_height": "height above the lowest place"}
+    columns = [(reference, which) for reference in _references(study) for which in along]
+    if not columns:
         return False
-    figure, axes = _canvas(len(kinds), len(study.scenes), (5.0, 3.2))
+    figure, axes = _canvas(len(study.scenes), len(columns), (4.6, 3.6))
     drawn = False
-    for line, (reference, along, trend_of) in zip(axes, kinds, strict=True):
-        for axis, scene in zip(line, study.scenes, strict=True):
-            unit = scene.unit or "unit"
+    for line, scene in zip(axes, study.scenes, strict=True):
+        unit = scene.unit or "unit"
+        for axis, (reference, which) in zip(line, columns, strict=True):
             for cloud in scene.clouds:
-                of: Against | None = cloud.held(reference)
-                trend = None if of is None or of.deformation is None else trend_of(of.deformation)
+                of = cloud.held(reference)
+                trend = None if of is None or of.deformation is None else _trend(of.deformation, which)
                 if trend is not None:
                     _profile(axis, trend, _COLORS[cloud.name], cloud.name)
                     drawn = True
             axis.axhline(0, color=_GREY, linewidth=0.8)
-            axis.set(xlabel=f"{along} [{unit}]", ylabel=f"vertical displacement [{unit}]")
+            axis.set(xlabel=f"{along[which]} [{unit}]", ylabel=f"vertical displacement [{unit}]")
             axis.set_title(f"{scene.name}, against {reference}", fontsize=11, loc="left")
             axis.grid(alpha=0.25)
     _legend(figure, axes, "bands: what noise alone would do in 95 % of all cases")
     save(figure, path)
     return drawn
+
+
+def _references(study: Study) -> list[str]:
+    """Those that any scene has."""
+    return [name for name in (MVS, TRUTH) if any(name in references(scene) for scene in study.scenes)]
+
+
+def _radii(across: FloatArray) -> list[float]:
+    """Of circles that several cameras share (N,), none where cameras stand anywhere."""
+    found, counts = np.unique(across.round(1), return_counts=True)
+    shared = found[counts > 1]
+    return [float(radius) for radius in shared] if counts[counts > 1].sum() > 0.8 * len(across) else []
+
+
+def _sphere(region: str) -> list[float] | None:
+    """Centre and radius, where that is what was measured."""
+    kind, _, numbers = region.partition(":")
+    return [float(word) for word in numbers.split(",")] if kind == "sphere" else None
 
 
 def _trend(bend: Deformation, which: str) -> Trend | None:
@@ -132,7 +163,7 @@ def _canvas(rows: int, columns: int, size: tuple[float, float], *, share: bool =
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    shape = (max(2, columns) * size[0], rows * size[1] + 0.6)
+    shape = (columns * size[0], rows * size[1] + 0.6)
     figure = Figure(figsize=shape, dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False, sharex=share, sharey=share)

@@ -3,6 +3,9 @@
 import csv
 import json
 import math
+import subprocess
+import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -369,3 +372,60 @@ def test_what_cannot_be_run_is_refused(run, tmp_path):
     code, _, err = run("experiment", "gao", "--out", tmp_path / "mine")
     assert code == 2
     assert "holds no such experiment" in err
+
+
+SMALL = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")
+
+
+@pytest.mark.slow
+def test_a_small_experiment(run, renderer, tmp_path):
+    """Killed once, with a training that is refused once: what was made stays, and what failed is said."""
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("torch")
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "gao"
+    refused = ("experiment", "gao", "--out", out, *SMALL, "--set", "memory=0.001")
+    killed_when(["pcbench.cli", *map(str, refused)], out / "city_1/runs/sparse/stage.json")
+    first = (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns
+    assert not (out / "experiment.json").exists()
+
+    code, said, err = run(*refused)
+    assert code == 0, err
+    assert "splat-means failed: " in said
+    assert "memory=0.001 allows less" in said
+    found = read_study(out)
+    assert [bool(cloud.failure) for cloud in found.scenes[0].clouds] == [False, False, True, True]
+    assert found.scenes[0].views is None
+    assert "mvs is 0." in said  # what could be measured was
+
+    code, said, err = run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=700")
+    assert code == 0, err
+    assert (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns == first
+    (scene,) = read_study(out).scenes
+    assert scene.references[TRUTH][1] > scene.references[MVS][1] / 100 > 0
+    assert all(not cloud.failure for cloud in scene.clouds)
+    sparse, mvs, means, surface = scene.clouds
+    assert means.points > 1.2 * sparse.points  # it was densified
+    assert surface.seconds < means.seconds  # and trained once
+    assert mvs.held(TRUTH).back_rms < sparse.held(TRUTH).back_rms
+    assert (scene.views.train_views, scene.views.test_views) == (24, 4)
+    for name in ("rings", "directions", "growth"):
+        assert (out / f"figures/{name}.png").stat().st_size > 10_000
+    for name in (SPARSE, MEANS, SURFACE):
+        assert (out / f"city_1/against-mvs/figures/{name}_poisson_distance.png").stat().st_size > 10_000
+    assert (out / "views/figures/city_1_splat.png").stat().st_size > 10_000
+    written = {path: path.read_bytes() for path in (out / "experiment.csv", out / "gao.md")}
+    assert run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=700")[:2] == (0, said)
+    assert all(path.read_bytes() == text for path, text in written.items())
+
+
+def killed_when(module, file, seconds=300.0):
+    """Run `python -m MODULE ...` and kill it as soon as the file is there."""
+    process = subprocess.Popen([sys.executable, "-m", *module], stdout=subprocess.DEVNULL)
+    end = time.monotonic() + seconds
+    while not file.exists():
+        assert process.poll() is None, "it ended before it was killed"
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
