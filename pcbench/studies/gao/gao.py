@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
-from pcbench.geometry.cameras import Camera, Intrinsics
-from pcbench.geometry.transform import robust_similarity
+from pcbench.geometry.cameras import Intrinsics
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.region_text import as_region
 from pcbench.io import read_cloud
 from pcbench.io.files import atomic_write
 from pcbench.plugins import find_plugin
@@ -23,6 +24,7 @@ from pcbench.report.plot import draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.scenes.views import find_views
 from pcbench.scratch import claim
+from pcbench.studies.gao.cameras import camera_errors
 from pcbench.studies.gao.clouds import WORK, Made, make_clouds
 from pcbench.studies.gao.figures import PICTURES
 from pcbench.studies.gao.held import Held, draw_maps, hold, visible_truth
@@ -30,7 +32,6 @@ from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob
 from pcbench.studies.gao.results import (
     DOCUMENT,
     TRUTH,
-    CameraErrors,
     CloudResult,
     NewViews,
     SceneResult,
@@ -160,12 +161,21 @@ def _scene(job: GaoJob, name: str, path: Path, scene: Scene, out: Path, tell: Ca
         positions=tuple(tuple(camera.position.tolist()) for camera in cameras),
         looked_at=None if place is None else tuple(place.tolist()),
         region=crop,
-        cameras=_camera_errors(solved, scene),
+        cameras=camera_errors(solved, scene.cameras, _within(references[TRUTH], crop)) if solved else None,
         references={reference: of.counts for reference, of in held.items()},
         clouds=tuple(_cloud_result(m, held, failed) for m in made),
     )
     drawn = any(m.cloud is not None for m in made if m.method.workspace == SPLAT)
     return _Found(result, list(held.values()), find_views(out / WORK / SPLAT) if drawn else None)
+
+
+def _within(truth: Path | None, crop: str) -> Cloud | None:
+    """What of the truth is measured; None where it is not known."""
+    if truth is None:
+        return None
+    cloud = read_cloud(truth)
+    region = as_region(crop, cloud)
+    return cloud if region is None else cloud.select(np.flatnonzero(region.contains(cloud.points)))
 
 
 def _cloud_result(made: Made, held: Mapping[str, Held], failed: Mapping[str, str]) -> CloudResult:
@@ -183,21 +193,6 @@ def _cloud_result(made: Made, held: Mapping[str, Held], failed: Mapping[str, str
         notes=(*made.notes, *lost),
         failure=made.failure,
     )
-
-
-def _camera_errors(solved: Mapping[str, Camera], scene: Scene) -> CameraErrors | None:
-    """How far solved cameras are from those of the scene."""
-    names = sorted(set(solved) & set(scene.cameras))
-    if len(names) < 3:
-        return None
-    ours = np.stack([solved[name].position for name in names])
-    true = np.stack([scene.cameras[name].position for name in names])
-    try:
-        apart = np.linalg.norm(robust_similarity(ours, true).apply(ours) - true, axis=1)
-    except InputError:  # they stand in one line
-        return None
-    focal = [solved[name].intrinsics.fx / scene.cameras[name].intrinsics.fx for name in names]
-    return CameraErrors(len(names), len(scene), float(np.median(apart)), float(apart.max()), float(np.median(focal)))
 
 
 def _score(folders: Sequence[Path], out: Path, step: Callable[[str], None]) -> ViewStudy | None:

@@ -91,6 +91,8 @@ class CameraErrors:
         solved: images with a camera; given: images.
         median, largest: distances between positions.
         focal_ratio: solved focal length over the scene's, the median.
+        moved, bent: RMS displacement of the true surface along its normals that the cameras make by themselves, beyond
+            a rigid motion and beyond an affine one; None where the truth is not known.
     """
 
     solved: int
@@ -98,6 +100,8 @@ class CameraErrors:
     median: float
     largest: float
     focal_ratio: float
+    moved: float | None = None
+    bent: float | None = None
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from pcbench.studies.gao.results import TRUTH, Against, SceneResult, Study
 from pcbench.studies.gao.table import failures
 
 _ALIKE = 1.1  # a factor of less is no difference
-_SHARED = 2.0  # bends whose sizes differ by less may be one
 _BENT = "non-affine"
 
 Length = Callable[[Against], float | None]
@@ -159,11 +158,15 @@ def _verdicts(found: dict[str, Deformation], unit: str) -> str:
         ("affine", "stretched, not bent"),
         ("similarity", "of another scale, not bent"),
         ("none", "not deformed"),
-        ("undecided", "undecided"),
     ):
         names = [name for name, bend in found.items() if bend.verdict == verdict]
         if names:
             parts.append(f"{joined(names)} {'is' if len(names) == 1 else 'are'} {words}")
+    reasons: dict[str, list[str]] = {}
+    for name, bend in found.items():
+        if bend.verdict == "undecided":
+            reasons.setdefault(str(bend.warnings[0]) if bend.warnings else "", []).append(name)
+    parts += [f"{joined(names)}: undecided{f' ({why})' if why else ''}" for why, names in reasons.items()]
     return "; ".join(parts)
 
 
@@ -189,66 +192,79 @@ def _slope(trend: Trend) -> str:
 
 
 def _causes(scene: SceneResult, study: Study) -> Iterator[str]:
-    """Where a bend can come from, by who shares it."""
-
-    def bent(name: str, reference: str) -> Deformation | None:
-        of = scene.held(name, reference)
-        found = None if of is None else of.deformation
-        return found if found is not None and found.verdict == _BENT else None
-
+    """Where bends can come from: cameras that all clouds share bend none against another, and what they do by
+    themselves is known where the truth is."""
+    yield from _by_cameras(scene)
     names = [cloud.name for cloud in scene.clouds]
-    if not scene.has_truth:
-        if own := [name for name in names if bent(name, MVS)]:
-            yield (
-                f"cameras are the same for all, so what bends {joined(own)} against mvs is its method or that of mvs;"
-                " whether the cameras bend both cannot be told without a truth."
-            )
+    against_mvs = [name for name in names if _is_bent(scene, name, MVS)]
+    if against_mvs:
+        yield (
+            f"{joined([*against_mvs, MVS])} have the same cameras, so cameras are not what bends"
+            f" {'it' if len(against_mvs) == 1 else 'them'} against mvs{_whose(scene, against_mvs)}."
+        )
+    bent = [name for name in names if _is_bent(scene, name, TRUTH)]
+    own = 0.0 if study.poses == "given" else None if scene.cameras is None else scene.cameras.bent
+    if not bent or own is None:
         return
-    others = [name for name in names if name != MVS]
-    shared = [name for name in others if bent(name, TRUTH)]
-    reference = bent(MVS, TRUTH)
-    if reference is not None and shared:
-        sizes = [(bent(name, TRUTH), name) for name in shared]
-        alike = [name for bend, name in sizes if bend is not None and _alike(bend, reference)]
-        if alike and study.poses == "solve":
-            unseen = [name for name in alike if not bent(name, MVS)]
-            hidden = f", and mvs as the reference hides that of {joined(unseen)}" if unseen else ""
-            yield (
-                f"{joined([MVS, *alike])} share a bend of one size{hidden}: the cameras, which all have, explain"
-                f" it.{_errors(scene)}"
-            )
-        elif alike:
-            yield f"{joined([MVS, *alike])} are bent by one size with true cameras: the images are what they share."
-    for name in others:
-        mine, by_mvs = bent(name, TRUTH), bent(name, MVS)
-        if mine is not None and (reference is None or not _alike(mine, reference)):
-            same = "which has the same cameras, is not" if reference is None else "is bent by another size"
-            yield f"the bend of {name} is its own: mvs, {same}."
-        elif by_mvs is not None and mine is None and reference is not None:
-            yield f"what looks like a bend of {name} against mvs is that of mvs: against the truth it shows none."
-        elif by_mvs is not None and mine is None:
-            yield f"what looks like a bend of {name} against mvs does not show against the truth."
-    if reference is None and not shared:
-        yield f"no cloud is bent against the truth beyond what noise would do.{_errors(scene)}"
+    explained = [name for name in bent if own >= _lower(scene, name)]
+    rest = [name for name in bent if name not in explained]
+    if explained:
+        unseen = [name for name in explained if name != MVS and not _is_bent(scene, name, MVS)]
+        hidden = f"; mvs as the reference does not show that of {joined(unseen)}" if unseen else ""
+        yield f"the bend of {joined(explained)} against the truth is no more than what the cameras do{hidden}."
+    if rest:
+        yield (
+            f"the bend of {joined(rest)} against the truth is more than what the cameras do: the method adds to it, or"
+            " noise that it does not know of."
+        )
 
 
-def _alike(a: Deformation, b: Deformation) -> bool:
-    """Whether two bends may be of one size."""
-    if a.amplitude is None or b.amplitude is None:
-        return False
-    sizes = sorted((a.amplitude.rms, b.amplitude.rms))
-    overlap = a.amplitude.ci[0] <= b.amplitude.ci[1] and b.amplitude.ci[0] <= a.amplitude.ci[1]
-    return overlap or sizes[1] < _SHARED * sizes[0]
-
-
-def _errors(scene: SceneResult) -> str:
-    if scene.cameras is None:
-        return ""
+def _by_cameras(scene: SceneResult) -> Iterator[str]:
+    """What solved cameras do by themselves."""
     errors = scene.cameras
-    return (
-        f" Solved cameras are {length(errors.median, scene.unit)} (median) to {length(errors.largest, scene.unit)} from"
-        f" the scene's, with {errors.focal_ratio:.4f} times its focal length."
+    if errors is None:
+        return
+    text = (
+        f"solved cameras are {length(errors.median, scene.unit)} (median) to {length(errors.largest, scene.unit)} from"
+        f" those of the scene, with {errors.focal_ratio:.4f} times their focal length"
     )
+    if errors.bent is not None and errors.moved is not None:
+        text += (
+            f"; by themselves they deform the surface by {length(errors.moved, scene.unit)} RMS beyond a rigid motion,"
+            f" and bend it by {length(errors.bent, scene.unit)} beyond an affine one, in every cloud alike"
+        )
+    yield f"{text}."
+
+
+def _verdict(scene: SceneResult, name: str, reference: str) -> str | None:
+    of = scene.held(name, reference)
+    return None if of is None or of.deformation is None else of.deformation.verdict
+
+
+def _is_bent(scene: SceneResult, name: str, reference: str) -> bool:
+    return _verdict(scene, name, reference) == _BENT
+
+
+def _lower(scene: SceneResult, name: str) -> float:
+    """The lower end of the interval of a cloud's bend against the truth."""
+    of = scene.held(name, TRUTH)
+    assert of is not None and of.deformation is not None
+    size = of.deformation.amplitude
+    return 0.0 if size is None else size.ci[0]
+
+
+def _whose(scene: SceneResult, names: Sequence[str]) -> str:
+    """Which of two clouds a bend between them is of, as far as the truth says so."""
+    if not scene.has_truth:
+        return "; whether cameras bend both cannot be told without a truth"
+    words = []
+    straight = _verdict(scene, MVS, TRUTH) in ("none", "similarity", "affine")
+    for name in names:
+        if _is_bent(scene, name, TRUTH) and straight:
+            words.append(f"against the truth {name} is bent and mvs is not")
+        elif _is_bent(scene, MVS, TRUTH) and not _is_bent(scene, name, TRUTH):
+            words.append(f"against the truth mvs is bent and {name} does not show it")
+    return f"; {'; '.join(words)}" if words else "; against the truth it cannot be told which of the two it is"
 
 
 def _caveats(study: Study) -> Iterator[str]:

@@ -1,0 +1,104 @@
+"""Errors of solved cameras, and what these do by themselves to the surface that they see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import robust_similarity
+from pcbench.geometry.visibility import SEEN_BY, in_frame
+from pcbench.studies.gao.results import CameraErrors
+
+_MOST = 20_000  # points that tell how a surface is bent
+_FIXED = 1e-4  # of the information that rays at right angles would give: less leaves a place open
+_FEWEST = 100  # points
+
+
+def camera_errors(
+    solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud | None
+) -> CameraErrors | None:
+    """How far solved cameras are from true ones, by name; None where fewer than three have both, or stand in a line.
+
+    Args:
+        surface: what they see, perhaps with normals; None: it is not asked what they do to it.
+    """
+    names = sorted(set(solved) & set(true))
+    if len(names) < 3:
+        return None
+    ours = np.stack([solved[name].position for name in names])
+    theirs = np.stack([true[name].position for name in names])
+    try:
+        apart = np.linalg.norm(robust_similarity(ours, theirs).apply(ours) - theirs, axis=1)
+    except InputError:
+        return None
+    focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
+    deformed = None if surface is None else bent_by(solved, true, surface)
+    return CameraErrors(
+        len(names), len(true), float(np.median(apart)), float(apart.max()), float(np.median(focal)), *(deformed or ())
+    )
+
+
+def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> tuple[float, float] | None:
+    """RMS displacement of a surface along its normals that solved cameras make by themselves: beyond a rigid motion,
+    and beyond an affine one. No match and no noise takes part: each point is where its pixels in the true cameras, seen
+    through the solved ones, put it. None where too few points are seen.
+
+    Without normals, all three components of the displacement count.
+    """
+    rng = np.random.default_rng(0)
+    chosen = np.sort(rng.permutation(len(surface))[:_MOST])
+    points = surface.points[chosen]
+    placed, known = seen_through(solved, true, points)
+    if known.sum() < _FEWEST:
+        return None
+    x, u = points[known] - points[known].mean(axis=0), (placed - points)[known]
+    if surface.normals is None:
+        x, u, n = np.repeat(x, 3, axis=0), np.repeat(u, 3, axis=0), np.tile(np.eye(3), (len(x), 1))
+    else:
+        n = surface.normals[chosen][known]
+    along = np.einsum("ni,ni->n", n, u)
+    scale = float(np.abs(x).max()) or 1.0
+    rigid = np.hstack([n, np.cross(x / scale, n)])  # n . (t + w x p) = n . t + w . (p x n)
+    affine = np.hstack([n, (n[:, :, None] * x[:, None, :] / scale).reshape(len(n), 9)])
+    return _left(rigid, along), _left(affine, along)
+
+
+def seen_through(
+    solved: Mapping[str, Camera], true: Mapping[str, Camera], points: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Where solved cameras put points (N, 3) that have their pixels in the true ones, and which (N,) of them at least
+    three cameras fix.
+
+    The place is nearest to the rays in least squares, each weighted by the inverse of the depth: nearly what the least
+    reprojection error gives. Nothing hides anything here.
+    """
+    matrix, vector = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    count = np.zeros(len(points), dtype=np.int64)
+    for name in sorted(set(solved) & set(true)):
+        rows = np.flatnonzero(in_frame(true[name], points))
+        pixels, depths = true[name].project(points[rows])
+        camera = solved[name]
+        rays = camera.intrinsics.directions(pixels) @ camera.cam_from_world.rotation
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        across = (np.eye(3) - rays[:, :, None] * rays[:, None, :]) / np.square(depths)[:, None, None]
+        matrix[rows] += across
+        vector[rows] += across @ camera.position
+        count[rows] += 1
+    known = count >= SEEN_BY
+    least, most = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
+    known &= least > _FIXED * most
+    placed = points.copy()
+    placed[known] = np.linalg.solve(matrix[known], vector[known][:, :, None])[:, :, 0]
+    return placed, known
+
+
+def _left(columns: FloatArray, values: FloatArray) -> float:
+    """RMS of what a linear fit leaves."""
+    fit = np.linalg.lstsq(columns, values, rcond=None)[0]
+    return float(np.sqrt(np.mean(np.square(values - columns @ fit))))
