@@ -12,6 +12,7 @@ from pcbench.cli.options import (
     FILE,
     POSITIVE,
     given,
+    image_scale_option,
     image_size,
     key_value,
     no_figures_option,
@@ -93,6 +94,7 @@ def bend(
     metavar="REGION",
     help="What is measured, as for `compare`.  [default: a sphere about the place that cameras look at]",
 )
+@image_scale_option
 @click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop the work on a cloud after this.")
 @no_figures_option()
 @seed_option("Of everything.")
@@ -109,6 +111,7 @@ def gao(
     poses: Literal["solve", "given"],
     settings: tuple[str, ...],
     crop: str | None,
+    image_scale: float,
     time_limit: float | None,
     no_figures: bool,
     seed: int,
@@ -128,12 +131,14 @@ def gao(
     from pcbench.studies.gao.plan import Cities, GaoJob
     from pcbench.studies.gao.table import console_tables
 
+    if not scenes and image_scale != 1:
+        raise click.UsageError("--image-scale is that of given scenes: cities are photographed at --size")
     if scenes and any(given(context, name) for name in ("cities", "images", "size", "extent")):
         raise click.UsageError(
             "--cities, --images, --size and --extent are those of cities, made where no SCENE is given"
         )
     made = Cities(cities, images, *image_size(size), extent)
-    job = GaoJob(scenes, made, poses, dict(map(key_value, settings)), crop, time_limit, seed)
+    job = GaoJob(scenes, made, poses, dict(map(key_value, settings)), crop, image_scale, time_limit, seed)
     with steps(quiet) as step:
         outcome = run_gao(job, out, figures=not no_figures, step=step)
     if not quiet:

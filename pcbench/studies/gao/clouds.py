@@ -115,8 +115,9 @@ class _Maker:
         resumed = begun.exists()
         begun.touch()
         cameras = "auto" if solved is None else str(solved / CAMERAS)
+        scale = self.scene.image_scale
         made = run(
-            ReconstructionJob(method.plugin, self.path, method.settings, cameras=cameras),
+            ReconstructionJob(method.plugin, self.path, method.settings, cameras=cameras, image_scale=scale),
             workspace,
             self.job.time_limit,
             lambda text: self.tell(Step(f"{self.scene.name}: {method.name}: {text}")),

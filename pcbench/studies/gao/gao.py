@@ -88,7 +88,7 @@ def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str
 
 
 def _run(job: GaoJob, out: Path, figures: bool, step: Callable[[str], None]) -> Outcome:
-    given = {path: _checked(path) for path in job.scenes}  # before hours of work
+    given = {path: _checked(path, job.image_scale) for path in job.scenes}  # before hours of work
     out.mkdir(parents=True, exist_ok=True)
     (out / _MARK).touch()
     paths = list(given) or list(_synthetic(job.cities, out, job.seed, step))
@@ -230,13 +230,13 @@ def _draw(out: Path, held: Sequence[Held], views: ViewStudy | None, step: Callab
     return next(filter(None, problems), None)
 
 
-def _checked(path: Path) -> Scene:
+def _checked(path: Path, image_scale: float = 1.0) -> Scene:
     """The scene.
 
     Raises:
         InputError: it has no cameras, or too few images.
     """
-    scene = read_scene(path)
+    scene = read_scene(path, image_scale=image_scale)
     if len(scene.cameras) < len(scene):
         bare = next(name for name in scene.images if name not in scene.cameras)
         raise InputError(f"{path}: {bare} has no camera: the experiment needs them, of all images")

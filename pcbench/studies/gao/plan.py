@@ -47,6 +47,8 @@ class GaoJob:
         settings: of `splat`, in place of those of `SPLAT_SETTINGS`.
         crop: region that is measured, as `pcbench.geometry.region_text` has it; None: a sphere about the place that the
             cameras look at.
+        image_scale: of the images of given scenes.
+        time_limit: seconds, of one cloud.
     """
 
     scenes: tuple[Path, ...] = ()
@@ -54,6 +56,7 @@ class GaoJob:
     poses: Literal["solve", "given"] = "solve"
     settings: Mapping[str, str] = field(default_factory=dict)
     crop: str | None = None
+    image_scale: float = 1.0
     time_limit: float | None = None
     seed: int = 0
 

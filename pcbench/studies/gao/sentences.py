@@ -42,12 +42,17 @@ def _forth(of: Against) -> float | None:
 
 def _gain(study: Study) -> Iterator[str]:
     """Completeness: how far the reference is from the clouds."""
+    counts = [(s.cloud(SPARSE).points, s.cloud(MEANS).points) for s in study.scenes]
+    both = [(sparse, means) for sparse, means in counts if sparse and means]
+    if both:
+        sparse, means = (sum(pair[k] for pair in both) for k in (0, 1))
+        yield f"Densification makes {means:,} points of {sparse:,} ({means / sparse:.2g} times as many)."
     for reference in (MVS, TRUTH):
         found = _Change.of(study, (SPARSE, reference), (MEANS, reference), _back)
         if found is None:
             continue
         word = found.word("loses completeness", "gains no completeness", "gains completeness")
-        lead = "Densification" if reference == MVS else "Against the truth it"
+        lead = "It" if reference == MVS else "Against the truth it"
         yield f"{lead} {word}: {reference} to cloud (r→c), {found.words}."
 
 

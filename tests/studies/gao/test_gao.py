@@ -104,7 +104,8 @@ def said(*scenes, **more):
 
 def test_gains_and_costs_follow_the_figures():
     words = said(scene())
-    assert "Densification gains completeness: mvs to cloud (r→c), 2 m RMS becomes 0.5 m (4 times less)." in words
+    assert words.startswith("Densification makes 1,000 points of 1,000 (1 times as many). ")
+    assert "It gains completeness: mvs to cloud (r→c), 2 m RMS becomes 0.5 m (4 times less)." in words
     assert "It costs accuracy: cloud to mvs (c→r), 0.1 m RMS becomes 0.4 m (4 times as much)." in words
     assert "Against the truth it costs accuracy: cloud to truth (c→r), 0.141 m RMS becomes 0.412 m" in words
     assert "instead of their centres, against truth: c→r 0.412 m RMS becomes 0.224 m (1.8 times less)" in words
@@ -117,10 +118,10 @@ def test_gains_and_costs_follow_the_figures():
         scene(), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), replace(surface, name=SURFACE))
     )
     words = said(turned)
-    assert "Densification loses completeness: mvs to cloud (r→c), 0.5 m RMS becomes 2 m" in words
+    assert "It loses completeness: mvs to cloud (r→c), 0.5 m RMS becomes 2 m" in words
     assert "It gains accuracy" in words
     same = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface))
-    assert "Densification gains no completeness" in said(same)
+    assert "It gains no completeness" in said(same)
     assert "It costs no accuracy" in said(same)
 
 
@@ -412,6 +413,7 @@ def test_what_cannot_be_run_is_refused(run, tmp_path):
         ((bare,), "has no camera: the experiment needs them"),
         ((few,), "expected at least 9 images"),
         ((bare, "--images", "20"), "are those of cities, made where no SCENE is given"),
+        (("--image-scale", "0.5"), "cities are photographed at --size"),
         (("--set", "cloud=means"), "settings of splat that the experiment leaves open, got cloud"),
         (("--set", "hold_out=none"), "new views are measured too"),
     ):
