@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError, PcbenchError, ReconstructionError
+from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
@@ -39,7 +39,7 @@ from pcbench.studies.gao.results import (
     document,
 )
 from pcbench.studies.gao.sentences import sentences
-from pcbench.studies.gao.table import csv_text, markdown
+from pcbench.studies.gao.table import csv_text, failures, markdown
 from pcbench.studies.views.pictures import PICTURES as VIEWS
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, write_scores
 
@@ -93,7 +93,7 @@ def _run(job: GaoJob, out: Path, figures: bool, step: Callable[[str], None]) -> 
     (out / _MARK).touch()
     paths = list(given) or list(_synthetic(job.cities, out, job.seed, step))
     scenes: list[SceneResult] = []
-    measured: list[Held] = []
+    reports: list[Path] = []
     rendered: dict[str, Path] = {}
     for number, (name, path) in enumerate(_named(paths).items()):
         after = _SCENE_S * (len(paths) - number - 1)
@@ -106,7 +106,7 @@ def _run(job: GaoJob, out: Path, figures: bool, step: Callable[[str], None]) -> 
         folder.mkdir(exist_ok=True)
         found = _scene(job, name, path, given.get(path) or _checked(path), folder, tell)
         scenes.append(found.result)
-        measured += found.held
+        reports += found.reports
         rendered |= {} if found.views is None else {name: found.views}
     views = _score(list(rendered.values()), out, step)
     scored = {} if views is None else dict(zip(rendered, views.scenes, strict=True))
@@ -114,17 +114,16 @@ def _run(job: GaoJob, out: Path, figures: bool, step: Callable[[str], None]) -> 
     study = Study(job.poses, methods(job)[-1].settings, tuple(scenes), provenance=provenance(job.seed))
     study = replace(study, sentences=tuple(sentences(study)))
     _write(out, study, views)
-    without = _draw(out, measured, views, step) if figures else None
-    if not measured:
-        reasons = [f"{s.name}: {c.name}: {c.failure}" for s in scenes for c in s.clouds if c.failure]
-        raise ReconstructionError(f"{out}: no scene could be measured: {'; '.join(reasons[:1])}")
+    without = _draw(out, reports, views, step) if figures else None
+    if not reports:
+        raise ReconstructionError(f"{out}: no cloud could be measured: {next(failures(study), '')}")
     return Outcome(study, views, without)
 
 
 @dataclass(frozen=True)
 class _Found:
     result: SceneResult
-    held: list[Held]
+    reports: list[Path]
     views: Path | None
 
 
@@ -138,20 +137,13 @@ def _scene(job: GaoJob, name: str, path: Path, scene: Scene, out: Path, tell: Ca
     crop = job.crop or region_of(cameras)
     files = {m.method.name: m.cloud for m in made if m.cloud is not None}
     held: dict[str, Held] = {}
-    failed: dict[str, str] = {}
     references = {MVS: files.get(MVS), TRUTH: visible_truth(truth, out) if truth.is_file() else None}
     for reference, file in references.items():
         others = {cloud: there for cloud, there in files.items() if cloud != reference}
         if file is None or not others:
             continue
         tell(Step(f"{name}: measuring against {reference}", _MEASURING_S))
-        try:
-            found = hold(file, reference, others, crop, out, job.seed)
-        except PcbenchError as error:
-            failed[reference] = str(error)
-            continue
-        if found is not None:
-            held[reference] = found
+        held[reference] = hold(file, reference, others, crop, out, job.seed)
     place = looked_at(cameras)
     result = SceneResult(
         name=name,
@@ -162,11 +154,12 @@ def _scene(job: GaoJob, name: str, path: Path, scene: Scene, out: Path, tell: Ca
         looked_at=None if place is None else tuple(place.tolist()),
         region=crop,
         cameras=camera_errors(solved, scene.cameras, _within(references[TRUTH], crop)) if solved else None,
-        references={reference: of.counts for reference, of in held.items()},
-        clouds=tuple(_cloud_result(m, held, failed) for m in made),
+        references={reference: of.counts for reference, of in held.items() if of.counts is not None},
+        clouds=tuple(_cloud_result(m, held) for m in made),
     )
     drawn = any(m.cloud is not None for m in made if m.method.workspace == SPLAT)
-    return _Found(result, list(held.values()), find_views(out / WORK / SPLAT) if drawn else None)
+    reports = [of.folder for of in held.values() if of.folder is not None]
+    return _Found(result, reports, find_views(out / WORK / SPLAT) if drawn else None)
 
 
 def _within(truth: Path | None, crop: str) -> Cloud | None:
@@ -178,10 +171,9 @@ def _within(truth: Path | None, crop: str) -> Cloud | None:
     return cloud if region is None else cloud.select(np.flatnonzero(region.contains(cloud.points)))
 
 
-def _cloud_result(made: Made, held: Mapping[str, Held], failed: Mapping[str, str]) -> CloudResult:
+def _cloud_result(made: Made, held: Mapping[str, Held]) -> CloudResult:
     name = made.method.name
     against = [of.clouds[name] for of in held.values() if name in of.clouds]
-    lost = tuple(f"not measured against {reference}: {why}" for reference, why in failed.items() if reference != name)
     return CloudResult(
         name=name,
         points=None if made.cloud is None else len(read_cloud(made.cloud)),
@@ -190,7 +182,7 @@ def _cloud_result(made: Made, held: Mapping[str, Held], failed: Mapping[str, str
         memory_bytes=made.memory_bytes,
         extra=name == SURFACE,
         against=tuple(against),
-        notes=(*made.notes, *lost),
+        notes=made.notes,
         failure=made.failure,
     )
 
@@ -221,10 +213,10 @@ def _write(out: Path, study: Study, views: ViewStudy | None) -> None:
             written.write(text.encode())
 
 
-def _draw(out: Path, held: Sequence[Held], views: ViewStudy | None, step: Callable[[str], None]) -> str | None:
+def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> str | None:
     """All pictures; what stands in the way of one."""
     step(Step("drawing the pictures", _DRAWING_S))
-    problems = [draw_if_possible(out, PICTURES), *(draw_maps(of.folder) for of in held)]
+    problems = [draw_if_possible(out, PICTURES), *map(draw_maps, reports)]
     if views is not None:
         problems.append(draw_if_possible(out / _VIEWS, VIEWS))
     return next(filter(None, problems), None)

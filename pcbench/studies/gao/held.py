@@ -33,19 +33,18 @@ class Held(NamedTuple):
     """Clouds against one reference.
 
     Attributes:
-        folder: of the report.
-        counts: points of the reference, all and after the crop.
-        clouds: by name.
+        folder: of the report; None where no cloud could be measured.
+        counts: points of the reference, all and after the crop; None as well.
+        clouds: by name, each with what was measured or why it was not.
     """
 
-    folder: Path
-    counts: tuple[int, int]
+    folder: Path | None
+    counts: tuple[int, int] | None
     clouds: dict[str, Against]
 
 
-def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int) -> Held | None:
-    """Register clouds to a reference, crop both and measure; kept in `out`/against-NAME for the next run. None where no
-    cloud can be measured.
+def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int) -> Held:
+    """Register clouds to a reference, crop both and measure; kept in `out`/against-NAME for the next run.
 
     Each is registered by ICP, and all are cropped to the same region. Against `mvs` its Poisson mesh is made too.
 
@@ -68,13 +67,16 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         measured = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
         if measured:
             job = ComparisonJob(reference, measured, settings, {})
-            compare_files(job, Outputs(folder, figures=False), lambda _: None)
+            try:
+                compare_files(job, Outputs(folder, figures=False), lambda _: None)
+            except PcbenchError as error:  # of the reference
+                failed |= dict.fromkeys(measured, str(error))
         (folder / _FAILED).write_text(json.dumps(failed), encoding="utf-8")
 
     folder = stage(out, f"against-{name}", key, make)
     failed = {cloud: Against(name, failure=why) for cloud, why in read_json(folder / _FAILED).items()}
     if not (folder / _COMPARISON).is_file():
-        return None
+        return Held(None, None, failed)
     document = read_json(folder / _COMPARISON)
     found = {row["name"]: _against(name, row) for row in document["candidates"]}
     counts = document["reference"]["points"], document["reference"]["points_in_region"]
