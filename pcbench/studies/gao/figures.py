@@ -77,28 +77,36 @@ def rings(scenes: Sequence[SceneResult], path: Path) -> bool:
 
 
 def directions(study: Study, path: Path) -> bool:
-    """Root mean square distances from the cloud to the reference and back, a row a scene, a column a reference."""
+    """Root mean square distances from the cloud to the reference and back, a panel a reference; a line leads from the
+    sparse cloud of a scene to its splats' centres and to their surface."""
     columns = _references(study)
     if not columns:
         return False
-    figure, axes = _canvas(len(study.scenes), len(columns), (5.4, 4.2), share=True)
-    for line, scene in zip(axes, study.scenes, strict=True):
-        unit = scene.unit or "unit"
-        for axis, reference in zip(line, columns, strict=True):
+    figure, axes = _canvas(1, len(columns), (6.4, 5.0), share=True)
+    unit = study.unit or "unit"
+    for axis, reference in zip(axes[0], columns, strict=True):
+        for scene in study.scenes:
+            places = {}
             for cloud in scene.clouds:
                 of = cloud.held(reference)
                 if of is not None and of.forth_rms and of.back_rms:
+                    places[cloud.name] = of.forth_rms, of.back_rms
                     look = {"color": _COLORS[cloud.name], "marker": _SHAPES[cloud.name]}
-                    axis.scatter(of.forth_rms, of.back_rms, s=90, label=cloud.name, zorder=3, **look)
-            axis.set(xscale="log", yscale="log")
-            axis.set_xlabel(f"accuracy: cloud to {reference}, RMS [{unit}]")
-            axis.set_ylabel(f"completeness: {reference} to cloud, RMS [{unit}]")
-            axis.set_title(f"{scene.name}, against {reference}", fontsize=11, loc="left")
-            axis.grid(alpha=0.25, which="both")
-            axis.margins(0.15)
-            axis.tick_params(labelbottom=True, labelleft=True)
+                    axis.scatter(*places[cloud.name], s=80, label=cloud.name, zorder=3, **look)
+            way = [places[name] for name in (SPARSE, MEANS, SURFACE) if name in places]
+            if way:
+                axis.plot(*zip(*way, strict=True), **_THIN)
+            if len(study.scenes) > 1 and MEANS in places:
+                axis.annotate(scene.name, places[MEANS], (7, 4), textcoords="offset points", fontsize=8)
+        axis.set(xscale="log", yscale="log")
+        axis.set_xlabel(f"accuracy: cloud to {reference}, RMS [{unit}]")
+        axis.set_ylabel(f"completeness: {reference} to cloud, RMS [{unit}]")
+        axis.set_title(f"against {reference}", fontsize=11, loc="left")
+        axis.grid(alpha=0.25, which="both")
+        axis.margins(0.15)
+        axis.tick_params(labelbottom=True, labelleft=True)
     _plain_ticks(axes)
-    _legend(figure, axes, "lower left is better")
+    _legend(figure, axes, "lower left is better; a line: from sparse to splats' centres, and to their surface")
     save(figure, path)
     return True
 

@@ -12,7 +12,9 @@ import numpy as np
 
 from pcbench.deformation import Deformation
 from pcbench.errors import PcbenchError
+from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
+from pcbench.geometry.regions import Region
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.files import digest, read_json
 from pcbench.measure.presets import Gao2025
@@ -63,7 +65,8 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
 
     def make(folder: Path) -> None:
         # A comparison has all candidates or none: those that cannot be measured are found before.
-        failed = {cloud: why for cloud, path in clouds.items() if (why := _why_not(reference, path, crop)) is not None}
+        asked = _Asked.of(read_cloud(reference), crop)
+        failed = {cloud: why for cloud, path in clouds.items() if (why := asked.why_not(path)) is not None}
         measured = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
         if measured:
             job = ComparisonJob(reference, measured, settings, {})
@@ -101,17 +104,27 @@ def visible_truth(truth: Path, out: Path) -> Path:
     return stage(out, "truth", {"cloud": digest(truth), "versions": library_versions()}, make) / "truth.ply"
 
 
-def _why_not(reference: Path, path: Path, crop: str) -> str | None:
-    """One line if a cloud cannot be held against the reference."""
-    target, cloud = read_cloud(reference), read_cloud(path)
-    try:
-        found = register(target, cloud, "icp", target=Target.of(target, local_origin(target)))
-    except PcbenchError as error:
-        return str(error)
-    region = as_region(crop, target)
-    if region is not None and not region.contains(found.T_reference_candidate.apply(cloud.points)).any():
-        return f"the crop {crop} leaves none of its {len(cloud):,} points"
-    return None
+class _Asked(NamedTuple):
+    """A reference and the region of it that is asked for."""
+
+    target: Target
+    cloud: Cloud
+    region: Region | None
+
+    @classmethod
+    def of(cls, cloud: Cloud, crop: str) -> _Asked:
+        return cls(Target.of(cloud, local_origin(cloud)), cloud, as_region(crop, cloud))
+
+    def why_not(self, path: Path) -> str | None:
+        """One line if a cloud cannot be held against it."""
+        cloud = read_cloud(path)
+        try:
+            found = register(self.cloud, cloud, "icp", target=self.target)
+        except PcbenchError as error:
+            return str(error)
+        if self.region is None or self.region.contains(found.T_reference_candidate.apply(cloud.points)).any():
+            return None
+        return f"the region {self.region.describe()} holds none of its {len(cloud):,} points"
 
 
 def _against(name: str, row: Mapping[str, Any]) -> Against:

@@ -123,7 +123,7 @@ def test_clouds_are_held_against_a_reference_and_kept(tmp_path):
     assert (nowhere.folder, nowhere.counts) == (None, None)
     assert "expected" in nowhere.clouds["nowhere"].failure
     outside = hold(tmp_path / "reference.ply", TRUTH, {"bent": clouds["bent"]}, "sphere:900,0,0,1", tmp_path, 0)
-    assert "leaves none" in outside.clouds["bent"].failure
+    assert "holds none of its 6,000 points" in outside.clouds["bent"].failure
 
 
 def test_the_truth_is_what_cameras_saw(tmp_path):
