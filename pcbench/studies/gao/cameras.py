@@ -13,11 +13,12 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import robust_similarity
 from pcbench.geometry.visibility import SEEN_BY, in_frame
-from pcbench.studies.gao.results import CameraErrors
+from pcbench.studies.gao.results import CameraErrors, SurfaceMoved
 
 _MOST = 20_000  # points that tell how a surface is bent
 _FIXED = 1e-4  # of the information that rays at right angles would give: less leaves a place open
 _FEWEST = 100  # points
+_BINS = 8  # of a profile
 
 
 def camera_errors(
@@ -38,16 +39,14 @@ def camera_errors(
     except InputError:
         return None
     focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
-    deformed = None if surface is None else bent_by(solved, true, surface)
-    return CameraErrors(
-        len(names), len(true), float(np.median(apart)), float(apart.max()), float(np.median(focal)), *(deformed or ())
-    )
+    surface_moved = None if surface is None else bent_by(solved, true, surface)
+    places = float(np.median(apart)), float(apart.max())
+    return CameraErrors(len(names), len(true), *places, float(np.median(focal)), surface_moved)
 
 
-def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> tuple[float, float] | None:
-    """RMS displacement of a surface along its normals that solved cameras make by themselves: beyond a rigid motion,
-    and beyond an affine one. No match and no noise takes part: each point is where its pixels in the true cameras, seen
-    through the solved ones, put it. None where too few points are seen.
+def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> SurfaceMoved | None:
+    """What solved cameras make of a surface by themselves. No match and no noise takes part: each point is where its
+    pixels in the true cameras, seen through the solved ones, put it. None where too few points are seen.
 
     Without normals, all three components of the displacement count.
     """
@@ -57,7 +56,8 @@ def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: C
     placed, known = seen_through(solved, true, points)
     if known.sum() < _FEWEST:
         return None
-    x, u = points[known] - points[known].mean(axis=0), (placed - points)[known]
+    points, moved = points[known], (placed - points)[known]
+    x, u = points - points.mean(axis=0), moved
     if surface.normals is None:
         x, u, n = np.repeat(x, 3, axis=0), np.repeat(u, 3, axis=0), np.tile(np.eye(3), (len(x), 1))
     else:
@@ -66,7 +66,15 @@ def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: C
     scale = float(np.abs(x).max()) or 1.0
     rigid = np.hstack([n, np.cross(x / scale, n)])  # n . (t + w x p) = n . t + w . (p x n)
     affine = np.hstack([n, (n[:, :, None] * x[:, None, :] / scale).reshape(len(n), 9)])
-    return _left(rigid, along), _left(affine, along)
+    motion = np.linalg.lstsq(rigid, along, rcond=None)[0]
+    off = points - points.mean(axis=0)
+    rise = (moved - motion[:3] - np.cross(motion[3:], off / scale))[:, 2]
+    return SurfaceMoved(
+        moved=_rms(along - rigid @ motion),
+        bent=_rms(along - affine @ np.linalg.lstsq(affine, along, rcond=None)[0]),
+        with_distance=_profile(np.hypot(off[:, 0], off[:, 1]), rise),
+        with_height=_profile(points[:, 2] - points[:, 2].min(), rise),
+    )
 
 
 def seen_through(
@@ -98,7 +106,11 @@ def seen_through(
     return placed, known
 
 
-def _left(columns: FloatArray, values: FloatArray) -> float:
-    """RMS of what a linear fit leaves."""
-    fit = np.linalg.lstsq(columns, values, rcond=None)[0]
-    return float(np.sqrt(np.mean(np.square(values - columns @ fit))))
+def _profile(along: FloatArray, values: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Where, and mean value, in bins of equal numbers (N,)."""
+    bins = np.array_split(np.argsort(along, kind="stable"), _BINS)
+    return tuple((float(along[rows].mean()), float(values[rows].mean())) for rows in bins)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -19,7 +19,8 @@ from pcbench.studies.gao.results import TRUTH, SceneResult, Study, read_study, r
 # Draws the pictures of the folder of an experiment.
 PICTURES = Drawer(f"{__name__}:pictures", ("gao.md",))
 
-_COLORS = {SPARSE: "#0072b2", MVS: "#009e73", MEANS: "#d55e00", SURFACE: "#cc79a7"}  # Okabe and Ito
+_ALONE = "what solved cameras do alone"
+_COLORS = {SPARSE: "#0072b2", MVS: "#009e73", MEANS: "#d55e00", SURFACE: "#cc79a7", _ALONE: "#444444"}  # Okabe and Ito
 _SHAPES = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D"}
 _GREY, _CAMERA, _PLACE = "#777777", "#0072b2", "#d55e00"
 _THIN = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
@@ -128,6 +129,9 @@ def growth(study: Study, path: Path) -> bool:
                 if trend is not None:
                     _profile(axis, trend, _COLORS[cloud.name], cloud.name)
                     drawn = True
+            if reference == TRUTH and scene.cameras is not None and scene.cameras.surface is not None:
+                alone = getattr(scene.cameras.surface, which)
+                axis.plot(*zip(*alone, strict=True), color=_COLORS[_ALONE], linestyle="--", label=_ALONE)
             axis.axhline(0, color=_GREY, linewidth=0.8)
             axis.set(xlabel=f"{along[which]} [{unit}]", ylabel=f"vertical displacement [{unit}]")
             axis.set_title(f"{scene.name}, against {reference}", fontsize=11, loc="left")
@@ -200,4 +204,4 @@ def _legend(figure: Any, axes: Any, note: str = "") -> None:
     ordered = {name: named[name] for name in _COLORS if name in named}
     if ordered:
         title = {"title": note, "title_fontsize": 9} if note else {}
-        figure.legend(ordered.values(), ordered.keys(), loc="outside lower center", ncols=4, frameon=False, **title)
+        figure.legend(ordered.values(), ordered.keys(), loc="outside lower center", ncols=5, frameon=False, **title)

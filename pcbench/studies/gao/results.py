@@ -84,6 +84,22 @@ class CloudResult:
 
 
 @dataclass(frozen=True)
+class SurfaceMoved:
+    """Displacement of the true surface that solved cameras make by themselves.
+
+    Attributes:
+        moved, bent: RMS along the normals beyond a rigid motion, and beyond an affine one.
+        with_distance, with_height: horizontal distance from the centre, or height above the lowest place, and mean
+            vertical displacement beyond the rigid motion there.
+    """
+
+    moved: float
+    bent: float
+    with_distance: tuple[tuple[float, float], ...] = ()
+    with_height: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class CameraErrors:
     """Of solved cameras, against those of the scene: what the best similarity of their positions leaves.
 
@@ -91,8 +107,7 @@ class CameraErrors:
         solved: images with a camera; given: images.
         median, largest: distances between positions.
         focal_ratio: solved focal length over the scene's, the median.
-        moved, bent: RMS displacement of the true surface along its normals that the cameras make by themselves, beyond
-            a rigid motion and beyond an affine one; None where the truth is not known.
+        surface: what they do by themselves to the true one; None where that is not known.
     """
 
     solved: int
@@ -100,8 +115,7 @@ class CameraErrors:
     median: float
     largest: float
     focal_ratio: float
-    moved: float | None = None
-    bent: float | None = None
+    surface: SurfaceMoved | None = None
 
 
 @dataclass(frozen=True)
@@ -230,11 +244,19 @@ def _scene(values: dict[str, Any]) -> SceneResult:
         **{key: values[key] for key in ("name", "path", "unit", "images", "region")},
         positions=tuple(map(tuple, values["positions"])),
         looked_at=None if place is None else tuple(place),
-        cameras=None if cameras is None else CameraErrors(**cameras),
+        cameras=None if cameras is None else _cameras(cameras),
         references={name: (int(counts[0]), int(counts[1])) for name, counts in values["references"].items()},
         clouds=tuple(map(_cloud, values["clouds"])),
         views=None if views is None else _views(views),
     )
+
+
+def _cameras(values: dict[str, Any]) -> CameraErrors:
+    of = values["surface"]
+    if of is None:
+        return CameraErrors(**values)
+    profiles = {key: tuple(map(tuple, of[key])) for key in ("with_distance", "with_height")}
+    return CameraErrors(**{**values, "surface": SurfaceMoved(of["moved"], of["bent"], **profiles)})
 
 
 def _cloud(values: dict[str, Any]) -> CloudResult:

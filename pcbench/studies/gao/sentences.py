@@ -208,7 +208,8 @@ def _causes(scene: SceneResult, study: Study) -> Iterator[str]:
             f" {'it' if len(against_mvs) == 1 else 'them'} against mvs{_whose(scene, against_mvs)}."
         )
     bent = [name for name in names if _is_bent(scene, name, TRUTH)]
-    own = 0.0 if study.poses == "given" else None if scene.cameras is None else scene.cameras.bent
+    surface = None if scene.cameras is None else scene.cameras.surface
+    own = 0.0 if study.poses == "given" else None if surface is None else surface.bent
     if not bent or own is None:
         return
     explained = [name for name in bent if own >= _lower(scene, name)]
@@ -233,10 +234,10 @@ def _by_cameras(scene: SceneResult) -> Iterator[str]:
         f"solved cameras are {length(errors.median, scene.unit)} (median) to {length(errors.largest, scene.unit)} from"
         f" those of the scene, with {errors.focal_ratio:.4f} times their focal length"
     )
-    if errors.bent is not None and errors.moved is not None:
+    if (surface := errors.surface) is not None:
         text += (
-            f"; by themselves they deform the surface by {length(errors.moved, scene.unit)} RMS beyond a rigid motion,"
-            f" and bend it by {length(errors.bent, scene.unit)} beyond an affine one, in every cloud alike"
+            f"; by themselves they deform the surface by {length(surface.moved, scene.unit)} RMS beyond a rigid motion,"
+            f" and bend it by {length(surface.bent, scene.unit)} beyond an affine one, in every cloud alike"
         )
     yield f"{text}."
 

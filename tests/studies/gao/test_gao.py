@@ -61,29 +61,38 @@ def test_what_cameras_do_to_what_they_see():
     assert known.mean() > 0.9
     np.testing.assert_allclose(placed[known], motion.apply(surface.points[known]), atol=1e-8)
     small = Similarity(np.eye(3), np.array([0.3, 0.2, -0.1]), 1.01)
-    deformed, bent = bent_by(*cameras_with(lambda camera: moved(camera, small)), surface)
-    assert bent < 1e-9  # another scale is no bend, but no rigid motion either
-    assert deformed == pytest.approx(0.01 * np.std(surface.points[known] - surface.points[known].mean(0)), rel=0.05)
+    scaled = bent_by(*cameras_with(lambda camera: moved(camera, small)), surface)
+    assert scaled.bent < 1e-9  # another scale is no bend, but no rigid motion either
+    assert scaled.moved == pytest.approx(0.01 * np.std(surface.points[known] - surface.points[known].mean(0)), rel=0.05)
 
     # A lens taken for longer than it is, by two fits of another kind: Kabsch, and an affine map an axis.
     longer = replace(K, fx=1.02 * K.fx, fy=1.02 * K.fy, distortion=(0.02, 0.0, 0.0, 0.0))
     wrong, true = cameras_with(lambda camera: replace(camera, intrinsics=longer))
-    deformed, bent = bent_by(wrong, true, surface)
+    found = bent_by(wrong, true, surface)
     placed, known = seen_through(wrong, true, surface.points)
     before, after = surface.points[known], placed[known]
     rigid = fit_similarity(before, after, with_scale=False).apply(before) - after
-    assert deformed == pytest.approx(np.sqrt(np.mean(rigid**2)), rel=0.01)
+    assert found.moved == pytest.approx(np.sqrt(np.mean(rigid**2)), rel=0.01)
     columns = np.column_stack([before, np.ones(len(before))])
     rest = after - columns @ np.linalg.lstsq(columns, after, rcond=None)[0]
-    assert bent == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-6)
-    assert 0.01 < bent < deformed
+    assert found.bent == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-6)
+    assert 0.01 < found.bent < found.moved
     up = Cloud(surface.points, normals=np.tile([0.0, 0.0, 1.0], (len(surface), 1)))
-    assert bent_by(wrong, true, up)[1] == pytest.approx(np.sqrt(np.mean(rest[:, 2] ** 2)), rel=1e-6)
+    assert bent_by(wrong, true, up).bent == pytest.approx(np.sqrt(np.mean(rest[:, 2] ** 2)), rel=1e-6)
 
+    # How it grows, by hand: eight rings of as many points.
+    far = np.hypot(*(before - before.mean(axis=0))[:, :2].T)
+    order = np.argsort(far)
+    at, mean = np.array(found.with_distance).T
+    np.testing.assert_allclose(at, [far[rows].mean() for rows in np.array_split(order, 8)])
+    np.testing.assert_allclose(
+        mean, [-rigid[rows, 2].mean() for rows in np.array_split(order, 8)], atol=0.05 * found.moved
+    )
+    assert len(found.with_height) == 8
     errors = camera_errors(wrong, true, surface)
-    assert (errors.solved, errors.given, errors.median, errors.bent) == (28, 28, pytest.approx(0, abs=1e-9), bent)
+    assert (errors.solved, errors.given, errors.median, errors.surface) == (28, 28, pytest.approx(0, abs=1e-9), found)
     assert errors.focal_ratio == pytest.approx(1.02)
-    assert camera_errors(wrong, true, None).bent is None
+    assert camera_errors(wrong, true, None).surface is None
     assert camera_errors(dict(list(wrong.items())[:2]), true, surface) is None
 
 
