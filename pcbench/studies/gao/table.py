@@ -32,25 +32,27 @@ def console_tables(study: Study, views: ViewStudy | None) -> Iterator[list[list[
 
 def measures_table(study: Study) -> Iterator[list[str]]:
     """The paper's table, a row a cloud and reference, a header first."""
-    yield ["", "against", "points", "after crop", *_MEASURES, "verdict", "bend RMS"]
+    yield (head := ["", "against", "points", "after crop", *_MEASURES, "verdict", "bend RMS"])
     for scene in study.scenes:
+        yield from _lead(scene, study, len(head))
         for reference in references(scene):
             for cloud in scene.clouds:
                 if (of := _against(cloud, reference)) is not None:
-                    yield [_title(scene, cloud, study), reference, f"{cloud.points or 0:,}", *_measured(of)]
+                    yield [cloud.name, reference, f"{cloud.points or 0:,}", *_measured(of)]
         for cloud in scene.clouds:
             if cloud.failure:
-                yield [_title(scene, cloud, study), "failed", *[""] * (len(_MEASURES) + 2), "", ""]
+                yield [cloud.name, "failed", *[""] * (len(_MEASURES) + 2), "", ""]
 
 
 def cost_table(study: Study) -> Iterator[list[str]]:
     """What each cloud took, a header first."""
-    yield ["", "points", "seconds", "memory", "images"]
+    yield (head := ["", "points", "seconds", "memory", "images"])
     for scene in study.scenes:
+        yield from _lead(scene, study, len(head))
         for cloud in scene.clouds:
             images = f"{scene.cameras.solved}/{scene.images}" if scene.cameras is not None else str(scene.images)
             points = f"{cloud.points:,}" if cloud.points is not None else "failed"
-            yield [_title(scene, cloud, study), points, seconds(cloud), _memory(cloud), images]
+            yield [cloud.name, points, seconds(cloud), _memory(cloud), images]
 
 
 def seconds(cloud: CloudResult) -> str:
@@ -116,6 +118,12 @@ def csv_text(study: Study) -> str:
 
 def _against(cloud: CloudResult, reference: str) -> Against | None:
     return next((of for of in cloud.against if of.reference == reference), None)
+
+
+def _lead(scene: SceneResult, study: Study, columns: int) -> Iterator[list[str]]:
+    """The name of a scene as a row, where there are several."""
+    if len(study.scenes) > 1:
+        yield [scene.name, *[""] * (columns - 1)]
 
 
 def _title(scene: SceneResult, cloud: CloudResult, study: Study) -> str:
