@@ -60,7 +60,7 @@ def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
     references = {MVS: (5000, 4000), **({TRUTH: (9000, 8000)} if truth else {})}
     rings = tuple((10 * math.cos(a), 10 * math.sin(a), 5.0 + a) for a in np.linspace(0, 6, 12))
     alone = SurfaceMoved(0.5, 0.25, ((5.0, 0.01), (30.0, -0.01)), ((1.0, 0.0), (9.0, 0.02)))
-    errors = CameraErrors(40, 40, 0.1, 0.3, 1.001, alone)
+    errors = CameraErrors(40, 40, 0.1, 0.3, 1.001, 0, alone)
     made = SceneResult(
         name, f"/x/{name}", "m", 40, rings, (0.0, 0.0, 2.0), "sphere:0,0,2,50", errors, references, clouds, views
     )

@@ -18,6 +18,8 @@ from pcbench.studies.gao.results import CameraErrors, SurfaceMoved
 _MOST = 20_000  # points that tell how a surface is bent
 _FIXED = 1e-4  # of the information that rays at right angles would give: less leaves a place open
 _FEWEST = 100  # points
+_ROUNDING = 1e-6  # of the scene: less is no error
+_ASTRAY = 10.0  # times the median error: a camera that is further off is lost
 _BINS = 8  # of a profile
 
 
@@ -39,9 +41,18 @@ def camera_errors(
     except InputError:
         return None
     focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
-    surface_moved = None if surface is None else bent_by(solved, true, surface)
-    places = float(np.median(apart)), float(apart.max())
-    return CameraErrors(len(names), len(true), *places, float(np.median(focal)), surface_moved)
+    near = apart <= max(_ASTRAY * float(np.median(apart)), _ROUNDING * float(np.ptp(theirs)))
+    # One that stands elsewhere agrees with no other: it makes few points, and no method believes it.
+    kept = {name: solved[name] for name, agrees in zip(names, near, strict=True) if agrees}
+    return CameraErrors(
+        solved=len(names),
+        given=len(true),
+        median=float(np.median(apart)),
+        largest=float(apart.max()),
+        focal_ratio=float(np.median(focal)),
+        astray=len(names) - len(kept),
+        surface=None if surface is None else bent_by(kept, true, surface),
+    )
 
 
 def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> SurfaceMoved | None:

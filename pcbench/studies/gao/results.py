@@ -107,7 +107,8 @@ class CameraErrors:
         solved: images with a camera; given: images.
         median, largest: distances between positions.
         focal_ratio: solved focal length over the scene's, the median.
-        surface: what they do by themselves to the true one; None where that is not known.
+        astray: cameras that are more than ten times the median off: they were placed wrongly.
+        surface: what the others do by themselves to the true one; None where that is not known.
     """
 
     solved: int
@@ -115,6 +116,7 @@ class CameraErrors:
     median: float
     largest: float
     focal_ratio: float
+    astray: int = 0
     surface: SurfaceMoved | None = None
 
 

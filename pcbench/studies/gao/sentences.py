@@ -234,10 +234,14 @@ def _by_cameras(scene: SceneResult) -> Iterator[str]:
         f"solved cameras are {length(errors.median, scene.unit)} (median) to {length(errors.largest, scene.unit)} from"
         f" those of the scene, with {errors.focal_ratio:.4f} times their focal length"
     )
+    who = "they"
+    if errors.astray:
+        who = "the others"
+        text += f" ({errors.astray} of {errors.solved} {'is' if errors.astray == 1 else 'are'} lost)"
     if (surface := errors.surface) is not None:
         text += (
-            f"; by themselves they deform the surface by {length(surface.moved, scene.unit)} RMS beyond a rigid motion,"
-            f" and bend it by {length(surface.bent, scene.unit)} beyond an affine one, in every cloud alike"
+            f"; by themselves {who} deform the surface by {length(surface.moved, scene.unit)} RMS beyond a rigid"
+            f" motion, and bend it by {length(surface.bent, scene.unit)} beyond an affine one, in every cloud alike"
         )
     yield f"{text}."
 

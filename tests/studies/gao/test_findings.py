@@ -103,6 +103,11 @@ def test_where_a_bend_comes_from(bends, words):
     assert words in said(scene(bends=bends))
 
 
+def test_lost_cameras_are_said():
+    words = said(scene(cameras=replace(scene().cameras, astray=2)))
+    assert "their focal length (2 of 40 are lost); by themselves the others deform the surface by 0.5 m" in words
+
+
 def test_true_cameras_bend_nothing():
     words = said(scene(bends={(SPARSE, TRUTH): BENT}, cameras=None), poses="given")
     assert "the bend of sparse against the truth is more than what the cameras do" in words

@@ -91,6 +91,17 @@ def test_what_cameras_do_to_what_they_see():
     assert len(found.with_height) == 8
     errors = camera_errors(wrong, true, surface)
     assert (errors.solved, errors.given, errors.median, errors.surface) == (28, 28, pytest.approx(0, abs=1e-9), found)
+    assert errors.astray == 0
+    # One that stands elsewhere is said, and does not bend what the others see.
+    name = next(iter(wrong))
+    lost = {**wrong, name: moved(wrong[name], Similarity(np.eye(3), np.array([200.0, 0, 0])))}
+    jittered = {
+        k: moved(c, Similarity(np.eye(3), np.array([0.001 * (n % 3), 0, 0]))) for n, (k, c) in enumerate(lost.items())
+    }
+    errors = camera_errors(jittered, true, surface)
+    assert (errors.astray, errors.largest) == (1, pytest.approx(200, abs=0.1))
+    assert errors.surface.bent == pytest.approx(found.bent, rel=0.1)
+    errors = camera_errors(wrong, true, surface)
     assert errors.focal_ratio == pytest.approx(1.02)
     assert camera_errors(wrong, true, None).surface is None
     assert camera_errors(dict(list(wrong.items())[:2]), true, surface) is None
