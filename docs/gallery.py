@@ -70,7 +70,7 @@ def gao(folder: Path) -> None:
         picture.save(HERE / f"gao_{name}.png", optimize=True)
     maps = folder / "gao" / "city_1" / "against-mvs" / "figures"
     for name in ("sparse", "splat-means", "splat-surface"):
-        small(maps / f"{name}_poisson_distance.png", f"gao_{name}")
+        small(maps / f"{name}_poisson_distance.png", f"gao_{name.replace('-', '_')}")
     small(folder / "gao" / "views" / "figures" / "city_1_splat.png", "gao_views")
 
 

@@ -19,6 +19,7 @@ _MOST = 20_000  # points that tell how a surface is bent
 _FIXED = 1e-4  # of the information that rays at right angles would give: less leaves a place open
 _FEWEST = 100  # points
 _ROUNDING = 1e-6  # of the scene: less is no error
+_SAME_FRAME = 0.1  # of the extent of the cameras: a solution in another frame is further off
 _ASTRAY = 10.0  # times the median error: a camera that is further off is lost
 _BINS = 8  # of a profile
 
@@ -53,6 +54,18 @@ def camera_errors(
         astray=len(names) - len(kept),
         surface=None if surface is None else bent_by(kept, true, surface),
     )
+
+
+def placed_cameras(solved: Mapping[str, Camera], given: Mapping[str, Camera]) -> Mapping[str, Camera]:
+    """Those by which a scene is described in the frame of its clouds: the given ones where solved ones are in their
+    frame, or there are none, for a solved camera may be lost.
+    """
+    names = sorted(set(solved) & set(given))
+    if not names:
+        return solved or given
+    theirs = np.stack([given[name].position for name in names])
+    apart = np.linalg.norm(np.stack([solved[name].position for name in names]) - theirs, axis=1)
+    return given if np.median(apart) < _SAME_FRAME * float(np.ptp(theirs, axis=0).max()) else solved
 
 
 def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> SurfaceMoved | None:

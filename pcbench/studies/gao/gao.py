@@ -24,7 +24,7 @@ from pcbench.report.plot import draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.scenes.views import find_views
 from pcbench.scratch import claim
-from pcbench.studies.gao.cameras import camera_errors
+from pcbench.studies.gao.cameras import camera_errors, placed_cameras
 from pcbench.studies.gao.clouds import WORK, Made, make_clouds
 from pcbench.studies.gao.figures import PICTURES
 from pcbench.studies.gao.held import Held, draw_maps, hold, visible_truth
@@ -133,7 +133,7 @@ def _scene(job: GaoJob, name: str, path: Path, scene: Scene, out: Path, tell: Ca
     unit = read_cloud(truth).unit if truth.is_file() else "m" if scene.origin is not None else None
     made = make_clouds(job, scene, path, out, unit, tell)
     solved = next(m for m in made if m.method.name == SPARSE).cameras() if job.poses == "solve" else {}
-    cameras = list((solved or scene.cameras).values())
+    cameras = list(placed_cameras(solved, scene.cameras).values())
     crop = job.crop or region_of(cameras)
     files = {m.method.name: m.cloud for m in made if m.cloud is not None}
     held: dict[str, Held] = {}

@@ -17,7 +17,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes.synthetic import city
 from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.warp import turn, warp_of
-from pcbench.studies.gao.cameras import bent_by, camera_errors, seen_through
+from pcbench.studies.gao.cameras import bent_by, camera_errors, placed_cameras, seen_through
 from pcbench.studies.gao.held import hold, visible_truth
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE, GaoJob, looked_at, methods, region_of
 from pcbench.studies.gao.results import (
@@ -101,6 +101,10 @@ def test_what_cameras_do_to_what_they_see():
     errors = camera_errors(jittered, true, surface)
     assert (errors.astray, errors.largest) == (1, pytest.approx(200, abs=0.1))
     assert errors.surface.bent == pytest.approx(found.bent, rel=0.1)
+    assert placed_cameras(lost, true) is true
+    assert placed_cameras({}, true) is true
+    far = {name: moved(camera, Similarity(np.eye(3), np.zeros(3), 0.01)) for name, camera in true.items()}
+    assert placed_cameras(far, true) is far
     errors = camera_errors(wrong, true, surface)
     assert errors.focal_ratio == pytest.approx(1.02)
     assert camera_errors(wrong, true, None).surface is None
@@ -215,7 +219,7 @@ def test_a_small_experiment(run, renderer, tmp_path):
     assert found.scenes[0].views is None
     assert "mvs is 0." in said  # what could be measured was
 
-    code, said, err = run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=700")
+    code, said, err = run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=1200")
     assert code == 0, err
     assert (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns == first
     (scene,) = read_study(out).scenes
@@ -232,7 +236,7 @@ def test_a_small_experiment(run, renderer, tmp_path):
         assert (out / f"city_1/against-mvs/figures/{name}_poisson_distance.png").stat().st_size > 10_000
     assert (out / "views/figures/city_1_splat.png").stat().st_size > 10_000
     written = {path: path.read_bytes() for path in (out / "experiment.csv", out / "gao.md")}
-    assert run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=700")[:2] == (0, said)
+    assert run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=1200")[:2] == (0, said)
     assert all(path.read_bytes() == text for path, text in written.items())
 
 
