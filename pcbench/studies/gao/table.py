@@ -32,7 +32,7 @@ def console_tables(study: Study, views: ViewStudy | None) -> Iterator[list[list[
 
 def measures_table(study: Study) -> Iterator[list[str]]:
     """The paper's table, a row a cloud and reference, a header first."""
-    yield (head := ["", "against", "points", "after crop", *_MEASURES, "verdict", "bend RMS"])
+    yield (head := ["", "against", "points", "cropped", *_MEASURES, "verdict", "bend RMS"])
     for scene in study.scenes:
         yield from _lead(scene, study, len(head))
         for reference in references(scene):

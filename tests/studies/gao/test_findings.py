@@ -165,7 +165,7 @@ def test_tables():
     assert [(row[0], row[1]) for row in rows[:3]] == [(SPARSE, MVS), (MEANS, MVS), (SURFACE, MVS)]
     assert [row[0] for row in rows[3:]] == [SPARSE, MVS, MEANS, SURFACE]
     first = dict(zip(header, rows[0], strict=True))
-    assert (first["points"], first["after crop"]) == ("1,000", "900")
+    assert (first["points"], first["cropped"]) == ("1,000", "900")
     # Mean squares: 0.1 and 2 m.
     assert (first["D1 c→r"], first["D1 r→c"], first["Chamfer"], first["Hausdorff"]) == ("0.01", "4", "4.01", "3")
     assert first["bend RMS"] == "0.01 [0.009, 0.011]"
