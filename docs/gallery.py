@@ -66,8 +66,7 @@ def gao(folder: Path) -> None:
     """Prints the tables and sentences of the page on the paper."""
     pcbench("experiment gao --out FOLDER/gao", folder)
     for name in ("rings", "directions", "growth"):
-        picture = Image.open(folder / "gao" / "figures" / f"{name}.png").convert("RGB")
-        picture.save(HERE / f"gao_{name}.png", optimize=True)
+        small(folder / "gao" / "figures" / f"{name}.png", f"gao_{name}")
     maps = folder / "gao" / "city_1" / "against-mvs" / "figures"
     for name in ("sparse", "splat-means", "splat-surface"):
         small(maps / f"{name}_poisson_distance.png", f"gao_{name.replace('-', '_')}")
