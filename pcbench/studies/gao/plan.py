@@ -124,4 +124,4 @@ def region_of(cameras: Iterable[Camera]) -> str:
     if place is None:
         return "quantile:0.5"
     farthest = max(float(np.linalg.norm(camera.position - place)) for camera in cameras)
-    return Sphere(place.round(3), round(_REACH * farthest, 3)).text
+    return Sphere(place.round(3) + 0.0, round(_REACH * farthest, 3)).text
