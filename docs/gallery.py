@@ -62,8 +62,19 @@ def bend(folder: Path) -> None:
     Image.open(folder / "bend" / "bend.png").convert("RGB").save(HERE / "bend.png", optimize=True)
 
 
+def gao(folder: Path) -> None:
+    """Prints the tables and sentences of the page on the paper."""
+    pcbench("experiment gao --out FOLDER/gao", folder)
+    for name in ("rings", "directions", "growth"):
+        small(folder / "gao" / "figures" / f"{name}.png", f"gao_{name}")
+    maps = folder / "gao" / "city_1" / "against-mvs" / "figures"
+    for name in ("sparse", "splat-means", "splat-surface"):
+        small(maps / f"{name}_poisson_distance.png", f"gao_{name.replace('-', '_')}")
+    small(folder / "gao" / "views" / "figures" / "city_1_splat.png", "gao_views")
+
+
 def main() -> None:
-    pictures = {"demo": demo, "city": city, "bench": bench, "dense": dense, "bend": bend}
+    pictures = {"demo": demo, "city": city, "bench": bench, "dense": dense, "bend": bend, "gao": gao}
     for name in sys.argv[1:] or pictures:
         with TemporaryDirectory() as folder:
             pictures[name](Path(folder))

@@ -11,17 +11,25 @@ from repository import ROOT
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+SLOW = ("gao",)  # it trains
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in NOTEBOOKS],
+)
 def test_notebook_runs(path, request):
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     pytest.importorskip("matplotlib")
-    if path.stem == "reconstructor":  # it takes photographs
+    if path.stem in ("reconstructor", "gao"):  # they take photographs
         pytest.importorskip("pycolmap")
         request.getfixturevalue("renderer")
+    if path.stem == "gao":
+        pytest.importorskip("torch")
     cells = json.loads(path.read_text())["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear the outputs"
     notebook = nbformat.read(path, as_version=4)
-    nbclient.NotebookClient(notebook, timeout=300).execute(cwd=str(path.parent))
+    nbclient.NotebookClient(notebook, timeout=900 if path.stem in SLOW else 300).execute(cwd=str(path.parent))
     drawing = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
     assert drawing
     for cell in drawing:
@@ -39,5 +47,5 @@ def assert_shows_something(cell):
     assert (np.abs(image - background) > 0.05).any(axis=2).mean() > 0.02, cell.source
 
 
-def test_there_are_three():
-    assert [path.stem for path in NOTEBOOKS] == ["bend", "compare", "reconstructor"]
+def test_there_are_four():
+    assert [path.stem for path in NOTEBOOKS] == ["bend", "compare", "gao", "reconstructor"]

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import click
 
 from pcbench import __version__
-from pcbench.cli import clouds, reconstruction, reports, scenes, studies
+from pcbench.cli import clouds, experiments, reconstruction, reports, scenes, studies
 from pcbench.cli.messages import fail
 from pcbench.errors import PcbenchError
 from pcbench.threads import fit_threads
@@ -29,7 +29,7 @@ for _command in (
     *(clouds.info, clouds.crop, clouds.register, clouds.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),
-    *(studies.demo, studies.bench, studies.views, studies.experiment),
+    *(studies.demo, studies.bench, studies.views, experiments.experiment),
 ):
     app.add_command(_command)
 

@@ -219,21 +219,23 @@ def plot(
     quiet: bool,
 ) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
-    a_distance, a_completeness; of a bench speed, accuracy_completeness; of views SCENE_METHOD), as PNG or as their
-    endings say: distribution.svg. They look as the report was made with, but for what is given here. Needs no display.
+    a_distance, a_completeness; of a bench speed, accuracy_completeness; of views SCENE_METHOD; of `experiment gao`
+    rings, directions, growth), as PNG or as their endings say: distribution.svg. They look as the report was made with,
+    but for what is given here. Needs no display.
     """
     from pcbench.progress import Step
     from pcbench.report.figures import recorded_figures
     from pcbench.report.plot import REPORT, draw, drawing_seconds
     from pcbench.scratch import claim
     from pcbench.studies.bench.charts import CHARTS
+    from pcbench.studies.gao.figures import PICTURES as GAO
     from pcbench.studies.views.pictures import PICTURES
 
-    drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES) if drawer.fits(report)), None)
+    drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES, GAO) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
-            f"{report}: expected a report folder (with comparison.json), a bench's (with bench.json) or that of views"
-            " (with scores.json)"
+            f"{report}: expected a report folder (with comparison.json), a bench's (with bench.json), that of views"
+            " (with scores.json) or of `experiment gao` (with gao.md)"
         )
     click.get_current_context().with_resource(claim(report))
     look = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)

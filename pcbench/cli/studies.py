@@ -1,4 +1,4 @@
-"""Commands that run many things to answer one question: demo, bench, views, experiment bend."""
+"""Commands that run many things to answer one question: demo, bench, views."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ from pcbench.cli.options import (
     POSITIVE,
     cameras_option,
     crop_option,
-    given,
     image_scale_option,
-    image_size,
     key_value,
     masks_option,
     no_figures_option,
     quiet_option,
     register_option,
     seed_option,
-    size_option,
 )
 from pcbench.cli.reports import compare_and_print
 from pcbench.errors import ReconstructionError
@@ -246,55 +243,3 @@ def views(
         click.echo(f"views: {out}")
     if without:
         warn(without)
-
-
-@click.group(short_help="Questions answered on scenes whose truth is known.")
-def experiment() -> None:
-    """Answer a question on a scene whose truth is known."""
-
-
-@experiment.command(short_help="Solve the same images in several ways: what bends the cloud?")
-@click.argument("scene", type=FILE, required=False)
-@click.option("--out", type=FILE, required=True, help="Folder for results; a later run goes on from what is there.")
-@click.option(
-    "--images", default=42, show_default=True, type=click.IntRange(12, 9999), help="Of the scene that is made."
-)
-@size_option("800x600")
-@no_figures_option("picture")
-@seed_option("Of everything.")
-@quiet_option
-@click.pass_context
-def bend(
-    context: click.Context,
-    scene: Path | None,
-    out: Path,
-    images: int,
-    size: str,
-    no_figures: bool,
-    seed: int,
-    quiet: bool,
-) -> None:
-    """Solve the same images with the reconstructor sfm and different settings (which images; focal length and
-    distortion known, solved for or ignored; control points), and measure how the clouds are bent against the truth
-    and against each other. SCENE is a folder as pcbench synth city makes it; without one, a drone's survey of a city
-    is made.
-
-    \b
-    Example: pcbench experiment bend --out bend/
-    """
-    from pcbench.report import print_columns
-    from pcbench.studies.bend.bend import Experiment, run_bend
-    from pcbench.studies.bend.findings import table
-
-    if scene is not None and any(given(context, name) for name in ("images", "size")):
-        raise click.UsageError("--images and --size are those of the scene that is made where none is given")
-    settings = Experiment(images, *image_size(size), seed)
-    with steps(quiet) as step:
-        document, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
-    if not quiet:
-        print_columns(table(document))
-        for sentence in document["sentences"]:
-            click.echo(sentence)
-        click.echo(f"report: {out}")
-    if without_figures:
-        warn(without_figures)

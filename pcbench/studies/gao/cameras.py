@@ -1,0 +1,140 @@
+"""Errors of solved cameras, and what these do by themselves to the surface that they see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import robust_similarity
+from pcbench.geometry.visibility import SEEN_BY, in_frame
+from pcbench.studies.gao.results import CameraErrors, SurfaceMoved
+
+_MOST = 20_000  # points that tell how a surface is bent
+_FIXED = 1e-4  # of the information that rays at right angles would give: less leaves a place open
+_FEWEST = 100  # points
+_ROUNDING = 1e-6  # of the scene: less is no error
+_SAME_FRAME = 0.1  # of the extent of the cameras: a solution in another frame is further off
+_ASTRAY = 10.0  # times the median error: a camera that is further off is lost
+_BINS = 8  # of a profile
+
+
+def camera_errors(
+    solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud | None
+) -> CameraErrors | None:
+    """How far solved cameras are from true ones, by name; None where fewer than three have both, or stand in a line.
+
+    Args:
+        surface: what they see, perhaps with normals; None: it is not asked what they do to it.
+    """
+    names = sorted(set(solved) & set(true))
+    if len(names) < 3:
+        return None
+    ours = np.stack([solved[name].position for name in names])
+    theirs = np.stack([true[name].position for name in names])
+    try:
+        apart = np.linalg.norm(robust_similarity(ours, theirs).apply(ours) - theirs, axis=1)
+    except InputError:
+        return None
+    focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
+    near = apart <= max(_ASTRAY * float(np.median(apart)), _ROUNDING * float(np.ptp(theirs)))
+    # One that stands elsewhere agrees with no other: it makes few points, and no method believes it.
+    kept = {name: solved[name] for name, agrees in zip(names, near, strict=True) if agrees}
+    return CameraErrors(
+        solved=len(names),
+        given=len(true),
+        median=float(np.median(apart)),
+        largest=float(apart.max()),
+        focal_ratio=float(np.median(focal)),
+        astray=len(names) - len(kept),
+        surface=None if surface is None else bent_by(kept, true, surface),
+    )
+
+
+def placed_cameras(solved: Mapping[str, Camera], given: Mapping[str, Camera]) -> Mapping[str, Camera]:
+    """Those by which a scene is described in the frame of its clouds: the given ones where solved ones are in their
+    frame, or there are none, for a solved camera may be lost.
+    """
+    names = sorted(set(solved) & set(given))
+    if not names:
+        return solved or given
+    theirs = np.stack([given[name].position for name in names])
+    apart = np.linalg.norm(np.stack([solved[name].position for name in names]) - theirs, axis=1)
+    return given if np.median(apart) < _SAME_FRAME * float(np.ptp(theirs, axis=0).max()) else solved
+
+
+def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> SurfaceMoved | None:
+    """What solved cameras make of a surface by themselves. No match and no noise takes part: each point is where its
+    pixels in the true cameras, seen through the solved ones, put it. None where too few points are seen.
+
+    Without normals, all three components of the displacement count.
+    """
+    rng = np.random.default_rng(0)
+    chosen = np.sort(rng.permutation(len(surface))[:_MOST])
+    points = surface.points[chosen]
+    placed, known = seen_through(solved, true, points)
+    if known.sum() < _FEWEST:
+        return None
+    points, moved = points[known], (placed - points)[known]
+    x, u = points - points.mean(axis=0), moved
+    if surface.normals is None:
+        x, u, n = np.repeat(x, 3, axis=0), np.repeat(u, 3, axis=0), np.tile(np.eye(3), (len(x), 1))
+    else:
+        n = surface.normals[chosen][known]
+    along = np.einsum("ni,ni->n", n, u)
+    scale = float(np.abs(x).max()) or 1.0
+    rigid = np.hstack([n, np.cross(x / scale, n)])  # n . (t + w x p) = n . t + w . (p x n)
+    affine = np.hstack([n, (n[:, :, None] * x[:, None, :] / scale).reshape(len(n), 9)])
+    motion = np.linalg.lstsq(rigid, along, rcond=None)[0]
+    off = points - points.mean(axis=0)
+    rise = (moved - motion[:3] - np.cross(motion[3:], off / scale))[:, 2]
+    return SurfaceMoved(
+        moved=_rms(along - rigid @ motion),
+        bent=_rms(along - affine @ np.linalg.lstsq(affine, along, rcond=None)[0]),
+        with_distance=_profile(np.hypot(off[:, 0], off[:, 1]), rise),
+        with_height=_profile(points[:, 2] - points[:, 2].min(), rise),
+    )
+
+
+def seen_through(
+    solved: Mapping[str, Camera], true: Mapping[str, Camera], points: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Where solved cameras put points (N, 3) that have their pixels in the true ones, and which (N,) of them at least
+    three cameras fix.
+
+    The place is nearest to the rays in least squares, each weighted by the inverse of the depth: nearly what the least
+    reprojection error gives. Nothing hides anything here.
+    """
+    matrix, vector = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    count = np.zeros(len(points), dtype=np.int64)
+    for name in sorted(set(solved) & set(true)):
+        rows = np.flatnonzero(in_frame(true[name], points))
+        pixels, depths = true[name].project(points[rows])
+        camera = solved[name]
+        rays = camera.intrinsics.directions(pixels) @ camera.cam_from_world.rotation
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        across = (np.eye(3) - rays[:, :, None] * rays[:, None, :]) / np.square(depths)[:, None, None]
+        matrix[rows] += across
+        vector[rows] += across @ camera.position
+        count[rows] += 1
+    known = count >= SEEN_BY
+    least, most = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
+    known &= least > _FIXED * most
+    placed = points.copy()
+    placed[known] = np.linalg.solve(matrix[known], vector[known][:, :, None])[:, :, 0]
+    return placed, known
+
+
+def _profile(along: FloatArray, values: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Where, and mean value, in bins of equal numbers (N,)."""
+    bins = np.array_split(np.argsort(along, kind="stable"), _BINS)
+    return tuple((float(along[rows].mean()), float(values[rows].mean())) for rows in bins)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

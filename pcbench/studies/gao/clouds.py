@@ -1,0 +1,137 @@
+"""The clouds of one scene: each by a reconstructor in a process of its own, kept for the next run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pcbench.errors import PcbenchError
+from pcbench.geometry.cameras import Camera
+from pcbench.io import write_cloud
+from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
+from pcbench.io.files import read_json
+from pcbench.plugins.run import ReconstructionJob, describe, run
+from pcbench.plugins.stages import library_versions, stage, stage_key
+from pcbench.progress import Step
+from pcbench.scenes import Scene
+from pcbench.studies.gao.plan import SPARSE, GaoJob, Method, methods
+
+CLOUD, CAMERAS = "cloud.ply", "cameras"
+_RUN, _RUNS, WORK = "run.json", "runs", "work"
+_SECONDS = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # roughly, for progress bars
+
+
+@dataclass(frozen=True)
+class Made:
+    """What became of one method.
+
+    Attributes:
+        folder: with its cloud and cameras; None where there is none.
+        seconds: that its process took.
+        resumed: whether that process found a part of its work done: then it would have taken longer.
+        memory_bytes: the most that the process had; None where it is not known.
+        notes: of the reconstructor.
+        failure: one line where there is no cloud.
+    """
+
+    method: Method
+    folder: Path | None = None
+    seconds: float | None = None
+    resumed: bool = False
+    memory_bytes: int | None = None
+    notes: tuple[str, ...] = ()
+    failure: str = ""
+
+    @property
+    def cloud(self) -> Path | None:
+        return None if self.folder is None else self.folder / CLOUD
+
+    def cameras(self) -> dict[str, Camera]:
+        """By image name; none where there is no cloud."""
+        if self.folder is None:
+            return {}
+        return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS)}
+
+
+def make_clouds(
+    job: GaoJob, scene: Scene, path: Path, out: Path, unit: str | None, tell: Callable[[Step], None]
+) -> list[Made]:
+    """All clouds of a scene, in the order of `methods`; what fails is said in its place.
+
+    Args:
+        path: of the scene, as `read_scene` took it.
+        out: an existing folder, where everything is kept.
+        unit: of the scene's cameras, if known: that of clouds which have none.
+        tell: gets what is done; the seconds of a step are of this scene.
+    """
+    maker = _Maker(job, scene, path, out, unit, tell)
+    done: list[Made] = []
+    for number, method in enumerate(plan := methods(job)):
+        seconds = _SECONDS[method.plugin]
+        later = sum(_SECONDS[m.plugin] for m in plan[number + 1 :])
+        tell(Step(f"{scene.name}: {method.name}", seconds, later))
+        done.append(maker.make(method, done))
+    return done
+
+
+@dataclass(frozen=True)
+class _Maker:
+    job: GaoJob
+    scene: Scene
+    path: Path
+    out: Path
+    unit: str | None
+    tell: Callable[[Step], None]
+
+    def make(self, method: Method, before: Sequence[Made]) -> Made:
+        sparse = next((made for made in before if made.method.name == SPARSE), None)
+        if sparse is not None and self.job.poses == "solve" and sparse.folder is None:
+            return Made(method, failure=f"no cameras: {sparse.failure}")
+        if twin := next((m for m in before if m.method.workspace == method.workspace and m.failure), None):
+            return Made(method, failure=twin.failure)
+        solved = sparse.folder if sparse is not None and self.job.poses == "solve" else None
+        for place in (_RUNS, WORK):
+            (self.out / place).mkdir(exist_ok=True)
+        key = {
+            "plugin": describe(method.plugin).sha256,
+            "settings": method.settings,
+            "scene": self.scene.fingerprint(),
+            "cameras": None if solved is None else stage_key(solved),
+            "unit": self.unit,
+            "versions": library_versions(),
+        }
+        try:
+            folder = stage(self.out / _RUNS, method.name, key, lambda target: self._run(method, solved, target))
+        except PcbenchError as error:
+            return Made(method, failure=str(error))
+        known: Mapping[str, Any] = read_json(folder / _RUN)
+        return Made(method, folder, **{**known, "notes": tuple(known["notes"])})
+
+    def _run(self, method: Method, solved: Path | None, target: Path) -> None:
+        workspace, begun = self.out / WORK / method.workspace, self.out / WORK / f"{method.name}.begun"
+        resumed = begun.exists()
+        begun.touch()
+        cameras = "auto" if solved is None else str(solved / CAMERAS)
+        scale = self.scene.image_scale
+        made = run(
+            ReconstructionJob(method.plugin, self.path, method.settings, cameras=cameras, image_scale=scale),
+            workspace,
+            self.job.time_limit,
+            lambda text: self.tell(Step(f"{self.scene.name}: {method.name}: {text}")),
+        )
+        result = made.required()
+        cloud = result.cloud
+        if cloud.unit is None and result.gauge == "georeferenced":
+            cloud = replace(cloud, unit=self.unit)
+        write_cloud(target / CLOUD, cloud)
+        write_colmap_model(target / CAMERAS, list(result.cameras.values()))
+        known = {
+            "seconds": made.wall_s,
+            "resumed": resumed,
+            "memory_bytes": made.peak_rss_bytes,
+            "notes": [*made.warnings, *result.notes],
+        }
+        (target / _RUN).write_text(json.dumps(known, indent=1), encoding="utf-8")

@@ -1,0 +1,273 @@
+"""`pcbench experiment gao`: all that Gao et al. 2025 show, of any scenes, with the truth beside their reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+
+from pcbench.errors import InputError, ReconstructionError
+from pcbench.geometry.cameras import Intrinsics
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.region_text import as_region
+from pcbench.io import read_cloud
+from pcbench.io.files import atomic_write
+from pcbench.plugins import find_plugin
+from pcbench.plugins.stages import library_versions, stage
+from pcbench.progress import Step
+from pcbench.report import to_json
+from pcbench.report.document import provenance
+from pcbench.report.plot import draw_if_possible
+from pcbench.scenes import Scene, read_scene
+from pcbench.scenes.views import find_views
+from pcbench.scratch import claim
+from pcbench.studies.gao.cameras import camera_errors, placed_cameras
+from pcbench.studies.gao.clouds import WORK, Made, make_clouds
+from pcbench.studies.gao.figures import PICTURES
+from pcbench.studies.gao.held import Held, draw_maps, hold, visible_truth
+from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob, looked_at, methods, region_of
+from pcbench.studies.gao.results import (
+    DOCUMENT,
+    TRUTH,
+    CloudResult,
+    NewViews,
+    SceneResult,
+    Study,
+    document,
+)
+from pcbench.studies.gao.sentences import sentences
+from pcbench.studies.gao.table import csv_text, failures, markdown
+from pcbench.studies.views.pictures import PICTURES as VIEWS
+from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, write_scores
+
+_MARK = ".experiment-gao"
+_SCENES, _VIEWS = "scenes", "views"
+_POINTS = 1_000_000  # of a synthetic truth
+_FOV = 40.0  # degrees, vertically
+_MAKING_S, _MEASURING_S, _DRAWING_S = 60.0, 90.0, 60.0  # of one scene, roughly, for progress bars
+_SCENE_S = 600.0
+_MIN_IMAGES = 9  # one in eight is held out
+
+# What tells the synthetic cities apart beside their seeds, as density, median height and relief: a usual one, a low one
+# with wide gaps, a high and hilly one.
+_KINDS = ((0.85, 9.0, 2.0), (0.5, 6.0, 2.0), (0.85, 14.0, 3.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A study, the scores of its new views, and why pictures are missing where there should be some."""
+
+    study: Study
+    views: ViewStudy | None
+    without_figures: str | None = None
+
+
+def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str], None] = lambda _: None) -> Outcome:
+    """Run the experiment into the folder `out`: experiment.json, experiment.csv, gao.md, figures/; of each scene a
+    folder with its clouds and the reports against both references; views/ with the scores of new views. What is made
+    on the way stays too, and a later run with the same settings goes on from it.
+
+    Raises:
+        InputError: a scene or a setting is not usable, `out` is something else, or another run is writing there.
+        ReconstructionError: no scene gave a cloud that could be measured.
+        PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder, got a file")
+    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
+        raise InputError(f"{out}: the folder is not empty and holds no such experiment: choose another, or empty it")
+    for name in dict.fromkeys(method.plugin for method in methods(job)):
+        if missing := find_plugin(name).missing:
+            raise InputError(missing)
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with claim(out):
+        return _run(job, out, figures, step)
+
+
+def _run(job: GaoJob, out: Path, figures: bool, step: Callable[[str], None]) -> Outcome:
+    given = {path: _checked(path, job.image_scale) for path in job.scenes}  # before hours of work
+    out.mkdir(parents=True, exist_ok=True)
+    (out / _MARK).touch()
+    paths = list(given) or list(_synthetic(job.cities, out, job.seed, step))
+    scenes: list[SceneResult] = []
+    reports: list[Path] = []
+    rendered: dict[str, Path] = {}
+    for number, (name, path) in enumerate(_named(paths).items()):
+        after = _SCENE_S * (len(paths) - number - 1)
+
+        def tell(text: str, after: float = after) -> None:
+            of = text if isinstance(text, Step) else Step(text)
+            step(Step(text, of.expected, of.after + after))
+
+        folder = out / name
+        folder.mkdir(exist_ok=True)
+        found = _scene(job, name, path, given.get(path) or _checked(path), folder, tell)
+        scenes.append(found.result)
+        reports += found.reports
+        rendered |= {} if found.views is None else {name: found.views}
+    views = _score(list(rendered.values()), out, step)
+    scored = {} if views is None else dict(zip(rendered, views.scenes, strict=True))
+    scenes = [replace(s, views=_new_views(scored[s.name]) if s.name in scored else None) for s in scenes]
+    study = Study(job.poses, methods(job)[-1].settings, tuple(scenes), provenance=provenance(job.seed))
+    study = replace(study, sentences=tuple(sentences(study)))
+    _write(out, study, views)
+    without = _draw(out, reports, views, step) if figures else None
+    if not reports:
+        raise ReconstructionError(f"{out}: no cloud could be measured: {next(failures(study), '')}")
+    return Outcome(study, views, without)
+
+
+@dataclass(frozen=True)
+class _Found:
+    result: SceneResult
+    reports: list[Path]
+    views: Path | None
+
+
+def _scene(job: GaoJob, name: str, path: Path, scene: Scene, out: Path, tell: Callable[[str], None]) -> _Found:
+    """Everything of one scene but the scores of its views."""
+    truth = path / "truth" / "cloud.ply"
+    unit = read_cloud(truth).unit if truth.is_file() else "m" if scene.origin is not None else None
+    made = make_clouds(job, scene, path, out, unit, tell)
+    solved = next(m for m in made if m.method.name == SPARSE).cameras() if job.poses == "solve" else {}
+    cameras = list(placed_cameras(solved, scene.cameras).values())
+    crop = job.crop or region_of(cameras)
+    files = {m.method.name: m.cloud for m in made if m.cloud is not None}
+    held: dict[str, Held] = {}
+    references = {MVS: files.get(MVS), TRUTH: visible_truth(truth, out) if truth.is_file() else None}
+    for reference, file in references.items():
+        others = {cloud: there for cloud, there in files.items() if cloud != reference}
+        if file is None or not others:
+            continue
+        tell(Step(f"{name}: measuring against {reference}", _MEASURING_S))
+        held[reference] = hold(file, reference, others, crop, out, job.seed)
+    place = looked_at(cameras)
+    result = SceneResult(
+        name=name,
+        path=str(path),
+        unit=unit,
+        images=len(scene),
+        positions=tuple(tuple(camera.position.tolist()) for camera in cameras),
+        looked_at=None if place is None else tuple(place.tolist()),
+        region=crop,
+        cameras=camera_errors(solved, scene.cameras, _within(references[TRUTH], crop)) if solved else None,
+        references={reference: of.counts for reference, of in held.items() if of.counts is not None},
+        clouds=tuple(_cloud_result(m, held) for m in made),
+    )
+    drawn = any(m.cloud is not None for m in made if m.method.workspace == SPLAT)
+    reports = [of.folder for of in held.values() if of.folder is not None]
+    return _Found(result, reports, find_views(out / WORK / SPLAT) if drawn else None)
+
+
+def _within(truth: Path | None, crop: str) -> Cloud | None:
+    """What of the truth is measured; None where it is not known."""
+    if truth is None:
+        return None
+    cloud = read_cloud(truth)
+    region = as_region(crop, cloud)
+    return cloud if region is None else cloud.select(np.flatnonzero(region.contains(cloud.points)))
+
+
+def _cloud_result(made: Made, held: Mapping[str, Held]) -> CloudResult:
+    name = made.method.name
+    against = [of.clouds[name] for of in held.values() if name in of.clouds]
+    return CloudResult(
+        name=name,
+        points=None if made.cloud is None else len(read_cloud(made.cloud)),
+        seconds=made.seconds,
+        resumed=made.resumed,
+        memory_bytes=made.memory_bytes,
+        extra=name == SURFACE,
+        against=tuple(against),
+        notes=made.notes,
+        failure=made.failure,
+    )
+
+
+def _score(folders: Sequence[Path], out: Path, step: Callable[[str], None]) -> ViewStudy | None:
+    """Of the new views in folders, in their order."""
+    if not folders:
+        return None
+    study = score_views(folders, step)
+    (out / _VIEWS).mkdir(exist_ok=True)
+    write_scores(out / _VIEWS, study)
+    return study
+
+
+def _new_views(scored: ScoredScene) -> NewViews:
+    train, test = (len(scored.of(test=kind)) for kind in (False, True))
+    return NewViews(scored.mean(test=False), scored.mean(test=True), train, test, scored.standard_error())
+
+
+def _write(out: Path, study: Study, views: ViewStudy | None) -> None:
+    texts = {
+        DOCUMENT: to_json(document(study)),
+        "experiment.csv": csv_text(study),
+        "gao.md": markdown(study, views),
+    }
+    for file, text in texts.items():
+        with atomic_write(out / file) as written:
+            written.write(text.encode())
+
+
+def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> str | None:
+    """All pictures; what stands in the way of one."""
+    step(Step("drawing the pictures", _DRAWING_S))
+    problems = [draw_if_possible(out, PICTURES), *map(draw_maps, reports)]
+    if views is not None:
+        problems.append(draw_if_possible(out / _VIEWS, VIEWS))
+    return next(filter(None, problems), None)
+
+
+def _checked(path: Path, image_scale: float = 1.0) -> Scene:
+    """The scene.
+
+    Raises:
+        InputError: it has no cameras, or too few images.
+    """
+    scene = read_scene(path, image_scale=image_scale)
+    if len(scene.cameras) < len(scene):
+        bare = next(name for name in scene.images if name not in scene.cameras)
+        raise InputError(f"{path}: {bare} has no camera: the experiment needs them, of all images")
+    if len(scene) < _MIN_IMAGES:
+        raise InputError(
+            f"{path}: expected at least {_MIN_IMAGES} images, of which one in 8 is held out, got {len(scene)}"
+        )
+    return scene
+
+
+def _synthetic(cities: Cities, out: Path, seed: int, step: Callable[[str], None]) -> Iterator[Path]:
+    """Cities under the paper's seven circles, each of another kind."""
+    from pcbench.scenes.synthetic.files import SceneSettings, write_scene
+    from pcbench.scenes.synthetic.plan import CitySettings
+
+    if cities.images < _MIN_IMAGES:
+        raise InputError(f"expected at least {_MIN_IMAGES} images, got {cities.images}")
+    (out / _SCENES).mkdir(exist_ok=True)
+    intrinsics = Intrinsics.from_fov(cities.width, cities.height, _FOV)
+    for number, (density, height, relief) in zip(range(cities.count), cycle(_KINDS), strict=False):
+        town = CitySettings(cities.extent, density, height, relief, seed=seed + number)
+        made = SceneSettings(town, cities.images, intrinsics, "circles", points=_POINTS)
+        step(Step(f"photographing city {number + 1} of {cities.count}", _MAKING_S, _SCENE_S * cities.count))
+        key = {"settings": repr(made), "versions": library_versions()}
+
+        def make(folder: Path, made: SceneSettings = made) -> None:
+            write_scene(folder, made)
+
+        yield stage(out / _SCENES, f"city_{number + 1}", key, make)
+
+
+def _named(paths: Sequence[Path]) -> dict[str, Path]:
+    """By the names of their folders, numbered where several are alike, or are those of the experiment's own."""
+    named: dict[str, Path] = {}
+    for path in paths:
+        stem = path.resolve().name or "scene"
+        name, number = stem, 1
+        while name in named or name in (_SCENES, _VIEWS, "figures"):
+            number += 1
+            name = f"{stem}_{number}"
+        named[name] = path
+    return named

@@ -1,0 +1,332 @@
+"""What the figures of the experiment say, in sentences that are computed from them alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+from pcbench.deformation import Deformation, Trend
+from pcbench.report.words import joined, length
+from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
+from pcbench.studies.gao.results import TRUTH, Against, SceneResult, Study
+from pcbench.studies.gao.table import failures
+
+_ALIKE = 1.1  # a factor of less is no difference
+_BENT = "non-affine"
+
+Length = Callable[[Against], float | None]
+
+
+def sentences(study: Study) -> Iterator[str]:
+    """What densification gains and costs, what a reference of the same images hides, what is bent and why as far as can
+    be told, and what the figures do not say."""
+    yield from failures(study)
+    yield from _gain(study)
+    yield from _cost(study)
+    yield from _surface(study)
+    yield from _time(study)
+    yield from _hidden(study)
+    yield from _views(study)
+    for scene in study.scenes:
+        yield from _bends(scene, study)
+    yield from _caveats(study)
+
+
+def _back(of: Against) -> float | None:
+    return of.back_rms
+
+
+def _forth(of: Against) -> float | None:
+    return of.forth_rms
+
+
+def _gain(study: Study) -> Iterator[str]:
+    """Completeness: how far the reference is from the clouds."""
+    counts = [(s.cloud(SPARSE).points, s.cloud(MEANS).points) for s in study.scenes]
+    both = [(sparse, means) for sparse, means in counts if sparse and means]
+    if both:
+        sparse, means = (sum(pair[k] for pair in both) for k in (0, 1))
+        yield f"Densification makes {means:,} points of {sparse:,} ({means / sparse:.2g} times as many)."
+    for reference in (MVS, TRUTH):
+        found = _Change.of(study, (SPARSE, reference), (MEANS, reference), _back)
+        if found is None:
+            continue
+        word = found.word("loses completeness", "gains no completeness", "gains completeness")
+        lead = "It" if reference == MVS else "Against the truth it"
+        yield f"{lead} {word}: {reference} to cloud (r→c), {found.words}."
+
+
+def _cost(study: Study) -> Iterator[str]:
+    """Accuracy: how far the clouds are from the reference."""
+    for reference in (MVS, TRUTH):
+        found = _Change.of(study, (SPARSE, reference), (MEANS, reference), _forth)
+        if found is None:
+            continue
+        word = found.word("costs accuracy", "costs no accuracy", "gains accuracy")
+        lead = "It" if reference == MVS else "Against the truth it"
+        yield f"{lead} {word}: cloud to {reference} (c→r), {found.words}."
+
+
+def _surface(study: Study) -> Iterator[str]:
+    """The other cloud of the same training."""
+    reference = TRUTH if any(scene.has_truth for scene in study.scenes) else MVS
+    forth = _Change.of(study, (MEANS, reference), (SURFACE, reference), _forth)
+    back = _Change.of(study, (MEANS, reference), (SURFACE, reference), _back)
+    if forth is not None and back is not None:
+        yield (
+            f"The surface that the same Gaussians show, instead of their centres, against {reference}:"
+            f" c→r {forth.words}; r→c {back.words}."
+        )
+
+
+def _time(study: Study) -> Iterator[str]:
+    """Seconds and memory, beside those of the dense reference."""
+    rows = [[scene.cloud(name) for name in (SPARSE, MVS, MEANS)] for scene in study.scenes]
+    whole = [row for row in rows if all(cloud.seconds is not None and not cloud.resumed for cloud in row)]
+    if not whole:
+        return
+    sparse, mvs, means = (_mean([row[k].seconds or 0.0 for row in whole]) for k in range(3))
+    memory = [max((row[k].memory_bytes or 0) for row in whole) / 2**20 for k in range(3)]
+    yield (
+        f"Time a scene: {sparse:.0f} s sparse, {mvs:.0f} s more for mvs, {means:.0f} s more for splats"
+        f" ({means / mvs:.2g} times mvs); memory up to {memory[0]:,.0f}, {memory[1]:,.0f} and {memory[2]:,.0f} MiB."
+    )
+
+
+def _hidden(study: Study) -> Iterator[str]:
+    """What mvs as the reference does not show, where the truth is known."""
+    own = [of for scene in study.scenes if (of := scene.held(MVS, TRUTH)) is not None]
+    if not own:
+        yield "The truth is not known: errors that clouds share with mvs, made of the same images, cannot be seen here."
+        return
+    forth, back = (_mean([value for of in own if (value := rms(of)) is not None]) for rms in (_forth, _back))
+    yield (
+        f"A reference made of the same images hides its own errors: mvs is {length(forth, study.unit)} RMS off the"
+        f" truth (c→r), and the truth that cameras saw is {length(back, study.unit)} RMS from it (r→c)."
+    )
+    for name in (SPARSE, MEANS, SURFACE):
+        found = _Change.of(study, (name, MVS), (name, TRUTH), _forth)
+        if found is not None:
+            word = found.word("worse than mvs says", "as far off as mvs says", "better than mvs says")
+            yield f"By the truth {name} is {word}: c→r {found.words}."
+    by = {reference: _order(study, reference) for reference in (MVS, TRUTH)}
+    if by[MVS] and by[TRUTH]:
+        same = "the same" if by[MVS] == by[TRUTH] else "another"
+        of_mvs = _order(study, TRUTH, [MVS, *by[TRUTH]])
+        yield (
+            f"By Chamfer, mvs ranks {_ranked(by[MVS])}, and the truth gives {same} order; with mvs among them:"
+            f" {_ranked(of_mvs)}."
+        )
+
+
+def _order(study: Study, reference: str, names: Sequence[str] = (SPARSE, MEANS, SURFACE)) -> list[str]:
+    """Clouds from the best, by their Chamfer distance in the geometric mean over the scenes that have all of them."""
+    rows = [[scene.held(name, reference) for name in names] for scene in study.scenes]
+    chamfers = [[of.measures.chamfer for of in row if of is not None and of.measures is not None] for row in rows]
+    whole = [row for row in chamfers if len(row) == len(names)]
+    if not whole:
+        return []
+    means = [_mean([row[k] for row in whole]) for k in range(len(names))]
+    return [name for _, name in sorted(zip(means, names, strict=True))]
+
+
+def _ranked(names: Sequence[str]) -> str:
+    return " before ".join(names)
+
+
+def _views(study: Study) -> Iterator[str]:
+    """What new views say, which is not what clouds say."""
+    rows = [scene.views for scene in study.scenes if scene.views is not None]
+    pairs = [(row.train, row.test) for row in rows if row.train is not None and row.test is not None]
+    if pairs:
+        train, test = (sum(pair[k].psnr for pair in pairs) / len(pairs) for k in (0, 1))
+        yield (
+            f"Views that were not trained on are rendered at {test:.1f} dB PSNR, those that were at {train:.1f} dB: a"
+            f" gap of {train - test:.1f} dB."
+        )
+
+
+def _bends(scene: SceneResult, study: Study) -> Iterator[str]:
+    """What is bent, how that grows, and where it can come from."""
+    lead = f"{scene.name}: " if len(study.scenes) > 1 else ""
+    for reference in (MVS, TRUTH):
+        found = {c.name: of.deformation for c in scene.clouds if (of := c.held(reference)) and of.deformation}
+        if found:
+            yield f"{lead}against {reference}, {_verdicts(found, scene.unit or '')}."
+    for text in _causes(scene, study):
+        yield f"{lead}{text}"
+
+
+def _verdicts(found: dict[str, Deformation], unit: str) -> str:
+    parts = [f"{name} is bent by {_bend(bend, unit)}" for name, bend in found.items() if bend.verdict == _BENT]
+    for verdict, words in (
+        ("affine", "stretched, not bent"),
+        ("similarity", "of another scale, not bent"),
+        ("none", "not deformed"),
+    ):
+        names = [name for name, bend in found.items() if bend.verdict == verdict]
+        if names:
+            parts.append(f"{joined(names)} {'is' if len(names) == 1 else 'are'} {words}")
+    reasons: dict[str, list[str]] = {}
+    for name, bend in found.items():
+        if bend.verdict == "undecided":
+            reasons.setdefault(str(bend.warnings[0]) if bend.warnings else "", []).append(name)
+    parts += [f"{joined(names)}: undecided{f' ({why})' if why else ''}" for why, names in reasons.items()]
+    return "; ".join(parts)
+
+
+def _bend(bend: Deformation, unit: str) -> str:
+    size, growth = bend.amplitude, bend.growth
+    text = "an unknown size"
+    if size is not None:
+        low, high = size.ci
+        text = f"{size.rms:.2g} [{low:.2g}, {high:.2g}] {unit}".rstrip() + " RMS"
+    if growth is None:
+        return text
+    trends = [("distance", growth.with_distance), ("height", growth.with_height)]
+    grown = [f"{_slope(trend)} with {what}" for what, trend in trends if trend is not None and _grows(trend)]
+    return f"{text} ({' and '.join(grown)})" if grown else f"{text} (no trend with distance or height)"
+
+
+def _grows(trend: Trend) -> bool:
+    return trend.ci[0] > 0 or trend.ci[1] < 0
+
+
+def _slope(trend: Trend) -> str:
+    return f"{'rising' if trend.slope > 0 else 'sinking'} by {1000 * abs(trend.slope):.2g} ‰"
+
+
+def _causes(scene: SceneResult, study: Study) -> Iterator[str]:
+    """Where bends can come from: cameras that all clouds share bend none against another, and what they do by
+    themselves is known where the truth is."""
+    yield from _by_cameras(scene)
+    names = [cloud.name for cloud in scene.clouds]
+    against_mvs = [name for name in names if _is_bent(scene, name, MVS)]
+    if against_mvs:
+        yield (
+            f"{joined([*against_mvs, MVS])} have the same cameras, so cameras are not what bends"
+            f" {'it' if len(against_mvs) == 1 else 'them'} against mvs{_whose(scene, against_mvs)}."
+        )
+    bent = [name for name in names if _is_bent(scene, name, TRUTH)]
+    surface = None if scene.cameras is None else scene.cameras.surface
+    own = 0.0 if study.poses == "given" else None if surface is None else surface.bent
+    if not bent or own is None:
+        return
+    explained = [name for name in bent if own >= _lower(scene, name)]
+    rest = [name for name in bent if name not in explained]
+    if explained:
+        unseen = [name for name in explained if name != MVS and not _is_bent(scene, name, MVS)]
+        hidden = f"; mvs as the reference does not show that of {joined(unseen)}" if unseen else ""
+        yield f"the bend of {joined(explained)} against the truth is no more than what the cameras do{hidden}."
+    if rest:
+        yield (
+            f"the bend of {joined(rest)} against the truth is more than what the cameras do: the method adds to it, or"
+            " noise that it does not know of."
+        )
+
+
+def _by_cameras(scene: SceneResult) -> Iterator[str]:
+    """What solved cameras do by themselves."""
+    errors = scene.cameras
+    if errors is None:
+        return
+    text = (
+        f"solved cameras are {length(errors.median, scene.unit)} (median) to {length(errors.largest, scene.unit)} from"
+        f" those of the scene, with {errors.focal_ratio:.4f} times their focal length"
+    )
+    who = "they"
+    if errors.astray:
+        who = "the others"
+        text += f" ({errors.astray} of {errors.solved} {'is' if errors.astray == 1 else 'are'} lost)"
+    if (surface := errors.surface) is not None:
+        text += (
+            f"; by themselves {who} deform the surface by {length(surface.moved, scene.unit)} RMS beyond a rigid"
+            f" motion, and bend it by {length(surface.bent, scene.unit)} beyond an affine one, in every cloud alike"
+        )
+    yield f"{text}."
+
+
+def _verdict(scene: SceneResult, name: str, reference: str) -> str | None:
+    of = scene.held(name, reference)
+    return None if of is None or of.deformation is None else of.deformation.verdict
+
+
+def _is_bent(scene: SceneResult, name: str, reference: str) -> bool:
+    return _verdict(scene, name, reference) == _BENT
+
+
+def _lower(scene: SceneResult, name: str) -> float:
+    """The lower end of the interval of a cloud's bend against the truth."""
+    of = scene.held(name, TRUTH)
+    assert of is not None and of.deformation is not None
+    size = of.deformation.amplitude
+    return 0.0 if size is None else size.ci[0]
+
+
+def _whose(scene: SceneResult, names: Sequence[str]) -> str:
+    """Which of two clouds a bend between them is of, as far as the truth says so."""
+    if not scene.has_truth:
+        return "; whether cameras bend both cannot be told without a truth"
+    words = []
+    straight = _verdict(scene, MVS, TRUTH) in ("none", "similarity", "affine")
+    for name in names:
+        if _is_bent(scene, name, TRUTH) and straight:
+            words.append(f"against the truth {name} is bent and mvs is not")
+        elif _is_bent(scene, MVS, TRUTH) and not _is_bent(scene, name, TRUTH):
+            words.append(f"against the truth mvs is bent and {name} does not show it")
+    return f"; {'; '.join(words)}" if words else "; against the truth it cannot be told which of the two it is"
+
+
+def _caveats(study: Study) -> Iterator[str]:
+    """What else has to be known."""
+    if any(scene.views is not None for scene in study.scenes):
+        yield "Images that were held out of the training of splats took part in sparse and mvs all the same."
+    steps, rules = study.splat.get("steps"), study.splat.get("density")
+    if steps is not None and steps.isdigit() and int(steps) < 30_000:
+        yield (
+            f"Splats were trained for {int(steps):,} steps (density={rules}); the paper trains for 30,000 to 50,000 on"
+            " larger images."
+        )
+
+
+class _Change:
+    """A length in two cases, over the scenes that have both: geometric means."""
+
+    def __init__(self, pairs: Sequence[tuple[float, float]], unit: str) -> None:
+        self.before, self.after = (_mean([pair[k] for pair in pairs]) for k in (0, 1))
+        self._ratios, self._unit = [after / before for before, after in pairs], unit
+
+    @classmethod
+    def of(cls, study: Study, before: tuple[str, str], after: tuple[str, str], rms: Length) -> _Change | None:
+        """From one cloud and reference to another; None where no scene has both."""
+        pairs = []
+        for scene in study.scenes:
+            of = [scene.held(*which) for which in (before, after)]
+            values = [rms(one) for one in of if one is not None]
+            if len(values) == 2 and values[0] and values[1]:
+                pairs.append((values[0], values[1]))
+        return cls(pairs, study.unit) if pairs else None
+
+    @property
+    def ratio(self) -> float:
+        return self.after / self.before
+
+    def word(self, more: str, alike: str, less: str) -> str:
+        """What is said where the length grows, stays and falls."""
+        return more if self.ratio > _ALIKE else less if self.ratio < 1 / _ALIKE else alike
+
+    @property
+    def words(self) -> str:
+        """Both, their ratio, and in how many scenes it goes the same way."""
+        ratio = self.ratio
+        change = f"{ratio:.2g} times as much" if ratio >= 1 else f"{1 / ratio:.2g} times less"
+        if abs(math.log(ratio)) < math.log(_ALIKE):
+            change = "about the same"
+        same = sum((value > 1) == (ratio > 1) for value in self._ratios)
+        count = f", in {same} of {len(self._ratios)} scenes" if len(self._ratios) > 1 else ""
+        return f"{length(self.before, self._unit)} RMS becomes {length(self.after, self._unit)} ({change}{count})"
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Geometric."""
+    return math.exp(sum(math.log(max(value, 1e-300)) for value in values) / len(values))

@@ -1,0 +1,179 @@
+"""The tables of the experiment: the paper's with both directions, what clouds took, and all of it as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from pcbench.deformation import Deformation
+from pcbench.measure.presets import Gao2025
+from pcbench.studies.gao.results import Against, CloudResult, SceneResult, Study, references
+from pcbench.studies.views.scores import ViewStudy
+from pcbench.studies.views.table import markdown as views_markdown
+from pcbench.studies.views.table import table as views_table
+
+_NONE = "–"
+_MEASURES = ("D1 c→r", "D1 r→c", "D2", "D2 mesh", "Hausdorff", "Chamfer")
+LEGEND = (
+    "D1 and Chamfer: mean squares [{unit}²], c→r as in the paper, r→c the other way; D2 to tangent planes, D2 mesh"
+    " to the reference's Poisson mesh; Hausdorff [{unit}] symmetric, unsquared; bend: RMS beyond affine [{unit}], 95 %"
+)
+
+
+def console_tables(study: Study, views: ViewStudy | None) -> Iterator[list[list[str]]]:
+    """What is printed: the paper's table, what clouds took, and its table of new views."""
+    yield list(measures_table(study))
+    yield list(cost_table(study))
+    if views is not None:
+        yield views_table(views)
+
+
+def measures_table(study: Study) -> Iterator[list[str]]:
+    """The paper's table, a row a cloud and reference, a header first."""
+    yield (head := ["", "against", "points", "cropped", *_MEASURES, "verdict", "bend RMS"])
+    for scene in study.scenes:
+        yield from _lead(scene, study, len(head))
+        for reference in references(scene):
+            for cloud in scene.clouds:
+                if (of := _against(cloud, reference)) is not None:
+                    yield [cloud.name, reference, f"{cloud.points or 0:,}", *_measured(of)]
+        for cloud in scene.clouds:
+            if cloud.failure:
+                yield [cloud.name, "failed", *[""] * (len(_MEASURES) + 2), "", ""]
+
+
+def cost_table(study: Study) -> Iterator[list[str]]:
+    """What each cloud took, a header first."""
+    yield (head := ["", "points", "seconds", "memory", "images"])
+    for scene in study.scenes:
+        yield from _lead(scene, study, len(head))
+        for cloud in scene.clouds:
+            images = f"{scene.cameras.solved}/{scene.images}" if scene.cameras is not None else str(scene.images)
+            points = f"{cloud.points:,}" if cloud.points is not None else "failed"
+            yield [cloud.name, points, seconds(cloud), _memory(cloud), images]
+
+
+def seconds(cloud: CloudResult) -> str:
+    """Of its process; on top of those of the training before it, or at least."""
+    if cloud.seconds is None:
+        return _NONE
+    return ("≥ " if cloud.resumed else "+ " if cloud.extra else "") + f"{cloud.seconds:.0f}"
+
+
+def failures(study: Study) -> Iterator[str]:
+    """What failed, a line each."""
+    for scene in study.scenes:
+        for cloud in scene.clouds:
+            if cloud.failure:
+                yield f"{_title(scene, cloud, study)} failed: {cloud.failure}"
+            for of in cloud.against:
+                if of.failure:
+                    yield f"{_title(scene, cloud, study)} could not be measured against {of.reference}: {of.failure}"
+
+
+def markdown(study: Study, views: ViewStudy | None) -> str:
+    """All tables, sentences, verdicts and notes as Markdown."""
+    unit = study.unit or "unit"
+    parts = ["# The paper, reproduced", "\n".join(f"- {text}" for text in study.sentences)]
+    parts += ["## Clouds against both references", LEGEND.format(unit=unit), _grid(measures_table(study), 2)]
+    parts += ["## What they took", _grid(cost_table(study), 1)]
+    if views is not None:
+        parts += ["## New views", views_markdown(views).rstrip()]
+    parts += ["## Verdicts", "\n".join(f"- {text}" for text in verdicts(study)) or _NONE]
+    parts += ["## Notes", "\n".join(f"- {text}" for text in _notes(study)) or _NONE]
+    return "\n\n".join(parts) + "\n"
+
+
+def verdicts(study: Study) -> Iterator[str]:
+    """Every verdict in its own words."""
+    for scene in study.scenes:
+        for reference in references(scene):
+            for cloud in scene.clouds:
+                of = cloud.held(reference)
+                if of is not None and of.deformation is not None:
+                    name = f"{_title(scene, cloud, study)}, against {reference}"
+                    yield of.deformation.sentence(name, scene.unit or "")
+
+
+def csv_text(study: Study) -> str:
+    """A line a cloud and reference; a failed cloud has one."""
+    text = io.StringIO()
+    fields = list(Gao2025.__annotations__)
+    bend = ("verdict", "model", "bend_rms", "bend_low", "bend_high", "detectable")
+    head = ["scene", "cloud", "points", "seconds", "resumed", "memory_bytes", "reference", "points_in_region"]
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*head, *fields, "d1_back_mse", "d1_floor", *bend, "failure"])
+    for scene in study.scenes:
+        for cloud in scene.clouds:
+            first = [scene.name, cloud.name, cloud.points, cloud.seconds, cloud.resumed, cloud.memory_bytes]
+            for of in cloud.against or (Against("", failure=cloud.failure),):
+                values = [None if of.measures is None else getattr(of.measures, field) for field in fields]
+                rest = [of.back_mse, of.floor, *_bend_values(of.deformation), of.failure or cloud.failure]
+                row = [*first, of.reference, of.points, *values, *rest]
+                writer.writerow(["" if value is None else value for value in row])
+    return text.getvalue()
+
+
+def _against(cloud: CloudResult, reference: str) -> Against | None:
+    return next((of for of in cloud.against if of.reference == reference), None)
+
+
+def _lead(scene: SceneResult, study: Study, columns: int) -> Iterator[list[str]]:
+    """The name of a scene as a row, where there are several."""
+    if len(study.scenes) > 1:
+        yield [scene.name, *[""] * (columns - 1)]
+
+
+def _title(scene: SceneResult, cloud: CloudResult, study: Study) -> str:
+    return f"{scene.name} {cloud.name}" if len(study.scenes) > 1 else cloud.name
+
+
+def _measured(of: Against) -> list[str]:
+    if of.measures is None:
+        return ["failed", *[""] * len(_MEASURES), "", ""]
+    m, bend = of.measures, of.deformation
+    values = (m.d1_mse, of.back_mse, m.d2_mse, m.d2_poisson_mse, m.hausdorff, m.chamfer)
+    size = _NONE if bend is None or bend.amplitude is None else _size(bend)
+    return [f"{of.points or 0:,}", *map(number, values), _NONE if bend is None else bend.verdict, size]
+
+
+def number(value: float | None) -> str:
+    """Three digits, without an exponent where that is as short."""
+    if value is None:
+        return _NONE
+    return f"{value:.3g}" if not 0 < abs(value) < 1e-3 else f"{value:.1e}".replace("e-0", "e-")
+
+
+def _size(bend: Deformation) -> str:
+    assert bend.amplitude is not None
+    low, high = bend.amplitude.ci
+    return f"{bend.amplitude.rms:.2g} [{low:.2g}, {high:.2g}]"
+
+
+def _bend_values(bend: Deformation | None) -> Sequence[object]:
+    if bend is None:
+        return (None,) * 6
+    size = (None,) * 3 if bend.amplitude is None else (bend.amplitude.rms, *bend.amplitude.ci)
+    return bend.verdict, bend.model, *size, bend.minimum_detectable_rms
+
+
+def _memory(cloud: CloudResult) -> str:
+    return _NONE if cloud.memory_bytes is None else f"{cloud.memory_bytes / 2**20:,.0f} MiB"
+
+
+def _notes(study: Study) -> Iterator[str]:
+    for scene in study.scenes:
+        yield f"{scene.name} ({Path(scene.path).name}): measured in {scene.region}"
+        for cloud in scene.clouds:
+            doubts = [f"against {of.reference}: {text}" for of in cloud.against for text in of.doubts]
+            yield from (f"{scene.name} {cloud.name}: {note}" for note in (*cloud.notes, *doubts))
+
+
+def _grid(rows: Iterable[Sequence[str]], labels: int) -> str:
+    header, *rest = rows
+    rule = ["---"] * labels + ["---:"] * (len(header) - labels)
+    return "\n".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, rule, *rest)
+    )

@@ -1,0 +1,252 @@
+"""`pcbench experiment gao`: its clouds, cameras and comparisons, and all of it on a small city."""
+
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import one_line
+from scene_folders import orbit, ten_pictures
+
+from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.scenes.synthetic import city
+from pcbench.scenes.synthetic.rigs import Site, rig
+from pcbench.scenes.synthetic.warp import turn, warp_of
+from pcbench.studies.gao.cameras import bent_by, camera_errors, placed_cameras, seen_through
+from pcbench.studies.gao.held import hold, visible_truth
+from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE, GaoJob, looked_at, methods, region_of
+from pcbench.studies.gao.results import (
+    TRUTH,
+    read_study,
+)
+from reconstructors.sfm.alignment import moved
+
+K = Intrinsics.from_fov(320, 180, 40.0)
+
+
+def points_of(path):
+    return read_cloud(path).points
+
+
+def test_the_region_is_about_what_cameras_look_at():
+    cameras = rig("circles", 14, Site(100.0, 2.0, 30.0), K)
+    np.testing.assert_allclose(looked_at(cameras), [0, 0, 16], atol=1e-9)
+    x, y, z, radius = map(float, region_of(cameras).removeprefix("sphere:").split(","))
+    assert (x, y, z) == (0, 0, 16)
+    farthest = max(np.linalg.norm(camera.position - [0, 0, 16]) for camera in cameras)
+    assert radius == pytest.approx(0.4 * farthest, abs=1e-3)
+    down = [Camera(f"{k}.png", K, look_at([10.0 * k, 0, 50], [10.0 * k, 0, 0], up=[0, 1, 0])) for k in range(4)]
+    assert looked_at(down) is None
+    assert region_of(down) == "quantile:0.5"
+    outward = [Camera(c.name, K, look_at(c.position, 2 * c.position)) for c in orbit([f"{k}.png" for k in range(6)])]
+    assert looked_at(outward) is None
+
+
+def cameras_with(move):
+    true = {camera.name: camera for camera in rig("circles", 28, Site(100.0, 0.0, 20.0), K)}
+    return {name: move(camera) for name, camera in true.items()}, true
+
+
+def test_what_cameras_do_to_what_they_see():
+    points = city(0).sample(4000, np.random.default_rng(0))[0]
+    surface = Cloud(points[np.linalg.norm(points, axis=1) < 40])
+    motion = Similarity(turn((3, 5, 20), (1, 2, 3), 1.0).rotation, np.array([3.0, -2.0, 1.0]), 1.03)
+    solved, true = cameras_with(lambda camera: moved(camera, motion))
+    placed, known = seen_through(solved, true, surface.points)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(placed[known], motion.apply(surface.points[known]), atol=1e-8)
+    small = Similarity(np.eye(3), np.array([0.3, 0.2, -0.1]), 1.01)
+    scaled = bent_by(*cameras_with(lambda camera: moved(camera, small)), surface)
+    assert scaled.bent < 1e-9  # another scale is no bend, but no rigid motion either
+    assert scaled.moved == pytest.approx(0.01 * np.std(surface.points[known] - surface.points[known].mean(0)), rel=0.05)
+
+    # A lens taken for longer than it is, by two fits of another kind: Kabsch, and an affine map an axis.
+    longer = replace(K, fx=1.02 * K.fx, fy=1.02 * K.fy, distortion=(0.02, 0.0, 0.0, 0.0))
+    wrong, true = cameras_with(lambda camera: replace(camera, intrinsics=longer))
+    found = bent_by(wrong, true, surface)
+    placed, known = seen_through(wrong, true, surface.points)
+    before, after = surface.points[known], placed[known]
+    rigid = fit_similarity(before, after, with_scale=False).apply(before) - after
+    assert found.moved == pytest.approx(np.sqrt(np.mean(rigid**2)), rel=0.01)
+    columns = np.column_stack([before, np.ones(len(before))])
+    rest = after - columns @ np.linalg.lstsq(columns, after, rcond=None)[0]
+    assert found.bent == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-6)
+    assert 0.01 < found.bent < found.moved
+    up = Cloud(surface.points, normals=np.tile([0.0, 0.0, 1.0], (len(surface), 1)))
+    assert bent_by(wrong, true, up).bent == pytest.approx(np.sqrt(np.mean(rest[:, 2] ** 2)), rel=1e-6)
+
+    # How it grows, by hand: eight rings of as many points.
+    far = np.hypot(*(before - before.mean(axis=0))[:, :2].T)
+    order = np.argsort(far)
+    at, mean = np.array(found.with_distance).T
+    np.testing.assert_allclose(at, [far[rows].mean() for rows in np.array_split(order, 8)])
+    np.testing.assert_allclose(
+        mean, [-rigid[rows, 2].mean() for rows in np.array_split(order, 8)], atol=0.05 * found.moved
+    )
+    assert len(found.with_height) == 8
+    errors = camera_errors(wrong, true, surface)
+    assert (errors.solved, errors.given, errors.median, errors.surface) == (28, 28, pytest.approx(0, abs=1e-9), found)
+    assert errors.astray == 0
+    # One that stands elsewhere is said, and does not bend what the others see.
+    name = next(iter(wrong))
+    lost = {**wrong, name: moved(wrong[name], Similarity(np.eye(3), np.array([200.0, 0, 0])))}
+    jittered = {
+        k: moved(c, Similarity(np.eye(3), np.array([0.001 * (n % 3), 0, 0]))) for n, (k, c) in enumerate(lost.items())
+    }
+    errors = camera_errors(jittered, true, surface)
+    assert (errors.astray, errors.largest) == (1, pytest.approx(200, abs=0.1))
+    assert errors.surface.bent == pytest.approx(found.bent, rel=0.1)
+    assert placed_cameras(lost, true) is true
+    assert placed_cameras({}, true) is true
+    far = {name: moved(camera, Similarity(np.eye(3), np.zeros(3), 0.01)) for name, camera in true.items()}
+    assert placed_cameras(far, true) is far
+    errors = camera_errors(wrong, true, surface)
+    assert errors.focal_ratio == pytest.approx(1.02)
+    assert camera_errors(wrong, true, None).surface is None
+    assert camera_errors(dict(list(wrong.items())[:2]), true, surface) is None
+
+
+def test_clouds_are_held_against_a_reference_and_kept(tmp_path):
+    """As `compare` does it: the bent one is bent, the one from nowhere is a failure, and none of it is done twice."""
+    rng = np.random.default_rng(0)
+
+    def sample(count, bend=0.0):
+        points, _ = city(0).sample(count, rng)
+        points = points + rng.normal(0, 0.03, points.shape)
+        return warp_of("dome", points, bend).apply(points) if bend else points
+
+    for name, points in {
+        "reference": sample(20_000),
+        "straight": sample(6000),
+        "bent": sample(6000, 0.5),
+        "nowhere": rng.normal(size=(5, 3)),
+    }.items():
+        write_cloud(tmp_path / f"{name}.ply", Cloud(points, unit="m"))
+    clouds = {name: tmp_path / f"{name}.ply" for name in ("straight", "bent", "nowhere")}
+    region = "sphere:0,0,0,150"
+    found = hold(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    inside = np.linalg.norm(points_of(tmp_path / "reference.ply"), axis=1) <= 150
+    assert found.counts == (20_000, inside.sum())
+    straight, bent = found.clouds["straight"], found.clouds["bent"]
+    assert (straight.deformation.verdict, bent.deformation.verdict) == ("none", "non-affine")
+    assert straight.measures.d2_poisson_mse is None
+    assert straight.measures.d2_mse < bent.measures.d2_mse
+    assert 0 < straight.back_mse < straight.measures.chamfer
+    assert "expected" in found.clouds["nowhere"].failure
+    stamp = (found.folder / "comparison.json").stat().st_mtime_ns
+    again = hold(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    assert again == found
+    assert (again.folder / "comparison.json").stat().st_mtime_ns == stamp
+    # Another question is asked anew.
+    nowhere = hold(tmp_path / "reference.ply", TRUTH, {"nowhere": clouds["nowhere"]}, region, tmp_path, 0)
+    assert (nowhere.folder, nowhere.counts) == (None, None)
+    assert "expected" in nowhere.clouds["nowhere"].failure
+    outside = hold(tmp_path / "reference.ply", TRUTH, {"bent": clouds["bent"]}, "sphere:900,0,0,1", tmp_path, 0)
+    assert "holds none of its 6,000 points" in outside.clouds["bent"].failure
+
+
+def test_the_truth_is_what_cameras_saw(tmp_path):
+    points = np.arange(30.0).reshape(10, 3)
+    write_cloud(tmp_path / "cloud.ply", Cloud(points, attributes={"visible": (np.arange(10) < 4).astype(np.uint8)}))
+    assert len(points_of(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 4
+    write_cloud(tmp_path / "cloud.ply", Cloud(points))
+    assert len(points_of(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 10
+
+
+def test_the_paper_s_settings_are_those_of_the_clouds():
+    plan = {method.name: method for method in methods(GaoJob(settings={"steps": "7", "density": "gao2025"}))}
+    assert plan[SPARSE].settings["poses"] == "solve"
+    assert plan[MVS].settings["poses"] == "given"
+    means, surface = plan[MEANS], plan[SURFACE]
+    assert means.workspace == surface.workspace
+    assert {k for k in means.settings if means.settings[k] != surface.settings[k]} == {"cloud"}
+    assert (means.settings["start"], means.settings["steps"], means.settings["density"]) == ("sfm", "7", "gao2025")
+
+
+def test_what_cannot_be_run_is_refused(run, tmp_path):
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("torch")
+    bare = ten_pictures(tmp_path / "bare")
+    few = ten_pictures(tmp_path / "few")
+    for k in range(8, 10):
+        (few / f"images/{k}.png").unlink()
+    write_colmap_model(few / "sparse/0", orbit([f"{k}.png" for k in range(8)]))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes.txt").write_text("mine")
+    for arguments, message in (
+        ((bare,), "has no camera: the experiment needs them"),
+        ((few,), "expected at least 9 images"),
+        ((bare, "--images", "20"), "are those of cities, made where no SCENE is given"),
+        (("--image-scale", "0.5"), "cities are photographed at --size"),
+        (("--set", "cloud=means"), "settings of splat that the experiment leaves open, got cloud"),
+        (("--set", "hold_out=none"), "new views are measured too"),
+    ):
+        code, _, err = run("experiment", "gao", *arguments, "--out", tmp_path / "out")
+        assert code == 2
+        assert message in err
+        assert one_line(err)
+    code, _, err = run("experiment", "gao", "--out", tmp_path / "mine")
+    assert code == 2
+    assert "holds no such experiment" in err
+
+
+SMALL = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")
+
+
+@pytest.mark.slow
+def test_a_small_experiment(run, renderer, tmp_path):
+    """Killed once, with a training that is refused once: what was made stays, and what failed is said."""
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("torch")
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "gao"
+    refused = ("experiment", "gao", "--out", out, *SMALL, "--set", "memory=0.001")
+    killed_when(["pcbench.cli", *map(str, refused)], out / "city_1/runs/sparse/stage.json")
+    first = (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns
+    assert not (out / "experiment.json").exists()
+
+    code, said, err = run(*refused)
+    assert code == 0, err
+    assert "splat-means failed: " in said
+    assert "memory=0.001 allows less" in said
+    found = read_study(out)
+    assert [bool(cloud.failure) for cloud in found.scenes[0].clouds] == [False, False, True, True]
+    assert found.scenes[0].views is None
+    assert "mvs is 0." in said  # what could be measured was
+
+    code, said, err = run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=1200")
+    assert code == 0, err
+    assert (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns == first
+    (scene,) = read_study(out).scenes
+    assert scene.references[TRUTH][1] > scene.references[MVS][1] / 100 > 0
+    assert all(not cloud.failure for cloud in scene.clouds)
+    sparse, mvs, means, surface = scene.clouds
+    assert means.points > 1.2 * sparse.points  # it was densified
+    assert surface.seconds < means.seconds  # and trained once
+    assert mvs.held(TRUTH).back_rms < sparse.held(TRUTH).back_rms
+    assert (scene.views.train_views, scene.views.test_views) == (24, 4)
+    for name in ("rings", "directions", "growth"):
+        assert (out / f"figures/{name}.png").stat().st_size > 10_000
+    for name in (SPARSE, MEANS, SURFACE):
+        assert (out / f"city_1/against-mvs/figures/{name}_poisson_distance.png").stat().st_size > 10_000
+    assert (out / "views/figures/city_1_splat.png").stat().st_size > 10_000
+    written = {path: path.read_bytes() for path in (out / "experiment.csv", out / "gao.md")}
+    assert run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=1200")[:2] == (0, said)
+    assert all(path.read_bytes() == text for path, text in written.items())
+
+
+def killed_when(module, file, seconds=300.0):
+    """Run `python -m MODULE ...` and kill it as soon as the file is there."""
+    process = subprocess.Popen([sys.executable, "-m", *module], stdout=subprocess.DEVNULL)
+    end = time.monotonic() + seconds
+    while not file.exists():
+        assert process.poll() is None, "it ended before it was killed"
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
