@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
     """Make a small city whose geometry is known exactly, a dense reference of it, a sparse and a densified candidate
     with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
-    city and bench sparse SfM and dense MVS on it, each at two image scales, SfM with finer and coarser features, and the
-    centres and the surface of Gaussian splats (needs the extras plot, sfm, mvs, splat).
+    city and bench sparse SfM and dense MVS on it, each at two image scales, SfM with finer and coarser features, and
+    the centres and the surface of Gaussian splats (needs the extras plot, sfm, mvs, splat).
     """
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
