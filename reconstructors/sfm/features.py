@@ -85,14 +85,16 @@ def working_images(scene: Scene, workspace: Path) -> Path:
 
 
 def _write_masks(scene: Scene, folder: Path) -> Path | None:
-    """The masks at the working size, under the names that COLMAP looks for."""
+    """The masks at the working size, under the names that COLMAP looks for; None where no image has one."""
     from PIL import Image
 
-    for name in scene.masks:
+    for name in scene.images if scene.masks else ():
         path = folder / "masks" / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         mask = scene.read_mask(name)
-        assert mask is not None
+        if mask is None:  # COLMAP finds no features in an image whose mask is not there
+            width, height = scene.size(name)
+            mask = np.ones((height, width), dtype=bool)
         Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(path)
     return folder / "masks" if scene.masks else None
 

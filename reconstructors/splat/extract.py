@@ -118,7 +118,7 @@ def surface(
     if not kept:
         raise ReconstructionError(
             f"no surface: no depth is seen alike by {criteria.views} images: train for longer, check the cameras, or"
-            " ask for less (views, confidence)"
+            " take the means of the Gaussians (cloud=means)"
         )
     points = voxels.fused()
     return Cloud(

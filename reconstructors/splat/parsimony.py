@@ -108,7 +108,12 @@ class Curve:
         words = f"{taken.gaussians:,} Gaussians of degree {taken.degree} are enough: {taken.mean:.2f} dB"
         if taken is best and taken.gaussians == most:
             fewer = max((b for b in self.budgets if b.gaussians < most), key=lambda b: b.mean, default=None)
-            less = "" if fewer is None else f", {fewer.gaussians:,} have {fewer.mean:.2f} dB"
+            if fewer is None:
+                return (
+                    f"{taken.gaussians:,} Gaussians of degree {taken.degree} have {taken.mean:.2f} dB of photographs"
+                    " that were not trained on; so few are not halved"
+                )
+            less = f", {fewer.gaussians:,} have {fewer.mean:.2f} dB"
             return (
                 f"all {most:,} Gaussians are needed: {taken.mean:.2f} dB of photographs that were not trained on{less};"
                 " more may be better still"

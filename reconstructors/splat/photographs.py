@@ -39,6 +39,11 @@ class Photograph(NamedTuple):
     color: Tensor
     valid: Tensor | None
 
+    @property
+    def shows(self) -> bool:
+        """Whether its mask leaves anything to train on, or to judge by."""
+        return self.valid is None or bool(self.valid.any())
+
     def target(self) -> Tensor:
         """(H, W, 3) float32 from 0 to 1, 0 where a mask hides it."""
         color = self.color.float() / 255

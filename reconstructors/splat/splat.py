@@ -157,7 +157,10 @@ class GaussianSplatting:
             "train": list(split.train),
         }
         made = stage(
-            workspace, "model", inputs, lambda folder: self._train(folder, photographs, split, begun, frame, workspace)
+            workspace,
+            "model",
+            inputs,
+            lambda folder: self._train(folder, photographs, split, begun, frame, workspace, repr(inputs)),
         )
         model = load_model(made / NUMBERS, device)
         if (made / CURVE).is_file():
@@ -214,9 +217,10 @@ class GaussianSplatting:
         pixel = _PIXEL_BYTES + _DEPTH_BYTES * self._supervised
         needed = (gaussian * self.gaussians + pixel * pixels) / _GIGA
         if needed > self.memory:
+            longest = max(max(c.intrinsics.width, c.intrinsics.height) for c in pinholes.values())
             raise InputError(
-                f"{self.gaussians:,} Gaussians and {len(pinholes)} photographs of {self.image_side} pixels take some"
-                f" {needed:.1f} GB, memory={self.memory:g} allows less: set fewer gaussians, a smaller image_side, or"
+                f"{self.gaussians:,} Gaussians and {len(pinholes)} photographs of {longest} pixels take some"
+                f" {needed:.2g} GB, memory={self.memory:g} allows less: set fewer gaussians, a smaller image_side, or"
                 " more memory"
             )
 
@@ -243,12 +247,15 @@ class GaussianSplatting:
         self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
     ) -> tuple[Density, list[Pyramid]]:
         """Which Gaussians there are, and the photographs that training begins with."""
-        seen = [photographs[name] for name in split.train]
+        names = [name for name in split.train if photographs[name][0].shows]
+        if not names:
+            raise InputError(f"the masks hide all of the {len(split.train)} photographs to train on: black is left out")
+        seen = [photographs[name] for name in names]
         if self.density == "fixed" or (self.density == "parsimonious" and len(seen) < _CHOOSING):
             return Density(), seen
         if self.density != "parsimonious":
             return replace(GAO2025 if self.density == "gao2025" else Classic(), most=self.gaussians), seen
-        choosing = for_choosing(split.train, {name: camera.position for name, camera in cameras.items()})
+        choosing = for_choosing(names, {name: camera.position for name, camera in cameras.items()})
         judges = [[photographs[name] for name in block] for block in choosing.blocks]
         return Parsimonious(judges), [photographs[name] for name in choosing.train]
 
@@ -260,6 +267,7 @@ class GaussianSplatting:
         begun: Reconstruction,
         frame: LocalFrame,
         workspace: Path,
+        key: str,
     ) -> None:
         progress("placing Gaussians")
         of = {pyramid[0].name: pyramid for pyramid in photographs}
@@ -280,7 +288,7 @@ class GaussianSplatting:
             density,
             supervision,
         )
-        model = trained(training, workspace / "checkpoint.pt", repr((self._of_training(), split.train)))
+        model = trained(training, workspace / "checkpoint.pt", key)
         if isinstance(density, Parsimonious) and density.curve is not None:
             density.curve.write(folder / CURVE)
         save_model(folder / NUMBERS, model)

@@ -92,6 +92,8 @@ def _make(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], Non
 def _check(job: ViewsJob, out: Path) -> None:
     if not job.scenes:
         raise InputError("expected at least one scene or folder of rendered views")
+    if job.settings.get("hold_out") == "none":  # before hours of work
+        raise InputError("expected hold_out=every or hold_out=blocks, got none: views are measured of held-out images")
     if missing := [path for path in job.scenes if not path.exists()]:
         raise InputError(f"{missing[0]}: no such file or folder: expected a scene or a folder of rendered views")
     if out.exists() and not out.is_dir():

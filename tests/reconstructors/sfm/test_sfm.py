@@ -16,6 +16,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors
+from reconstructors.sfm.features import count_features, extract_features
 from reconstructors.sfm.mapping import largest_component
 from reconstructors.sfm.sfm import ColmapSfm
 
@@ -194,6 +195,15 @@ def test_scale_masks_and_undistortion(photographs, tmp_path):
     with Image.open(tmp_path / "undistorted/images/000.png") as image:
         assert abs(image.width - 360) <= 2
     assert len(read_scene(tmp_path / "undistorted", cameras=tmp_path / "undistorted/sparse").cameras) == 7
+
+
+def test_images_without_a_mask_keep_their_features(photographs, tmp_path):
+    masked = tmp_path / "masked"
+    masked.mkdir()
+    Image.fromarray(np.zeros((360, 480), np.uint8)).save(masked / "003.png.png")
+    scene = read_scene(photographs, masks=masked)
+    counts = count_features(extract_features(scene, tmp_path, 500, upsample=False))
+    assert [name for name in scene.images if not counts[name]] == ["003.png"]
 
 
 def write_scene(folder, images):

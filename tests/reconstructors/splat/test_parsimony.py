@@ -33,6 +33,7 @@ def test_the_smallest_within_one_standard_error_is_chosen():
     # The same number with plainer colours is smaller.
     assert chosen([best, within, less, within._replace(degree=0)]) == 3
     assert "800 Gaussians" in Curve((best, less)).sentence and "needed" in Curve((best, less)).sentence
+    assert "needed" not in Curve((best,)).sentence and "so few are not halved" in Curve((best,)).sentence
     assert Curve((best, within, less)).sentence.startswith("200 Gaussians of degree 2 are enough: 24.93 dB")
 
 

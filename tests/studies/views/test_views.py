@@ -223,3 +223,12 @@ def test_a_method_without_views_is_said(tmp_path, name):
     scene = ten_pictures(tmp_path / "one")
     with pytest.raises(Exception, match=r"no scene has rendered views: .*(made a cloud but no|there is no 'Nobody')"):
         run_views(ViewsJob((scene,), f"{tmp_path}/painter.py:{name}"), tmp_path / "out")
+
+
+def test_views_without_held_out_images_are_refused_at_once(tmp_path, run):
+    code, _, err = run(
+        "views", str(ten_pictures(tmp_path / "one")), "--out", str(tmp_path / "o"), "--set", "hold_out=none"
+    )
+    assert code == 2
+    assert one_line(err) and "expected hold_out=every or hold_out=blocks" in err
+    assert not (tmp_path / "o").exists()

@@ -1,0 +1,75 @@
+"""The reconstructor around the training: what masks hide, what a checkpoint is of, what memory is asked for."""
+
+import numpy as np
+import pytest
+import textured_corner as corner
+from PIL import Image
+
+from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.plugins import Reconstruction
+from pcbench.scenes import read_scene
+
+torch = pytest.importorskip("torch")
+
+from reconstructors.splat import splat as plugin  # noqa: E402
+
+QUICK = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
+
+
+class Points:
+    """Stands in for `sfm`: points at random."""
+
+    def __init__(self, **_):
+        pass
+
+    def reconstruct(self, scene, workspace):
+        points = np.random.default_rng(4).uniform(0, corner.SIDE, (400, 3))
+        return Reconstruction(Cloud(points, colors=np.full((400, 3), 128, np.uint8)), "georeferenced", scene.cameras)
+
+
+@pytest.fixture
+def train(tmp_path, monkeypatch):
+    """Trains with settings on eight photographs, of which masks hide some whole."""
+    monkeypatch.setattr(plugin, "ColmapSfm", Points)
+    folder = tmp_path / "corner"
+    folder.mkdir()
+    corner.write_scene(folder, corner.cameras(8, corner.standard_intrinsics(64, 48)))
+    (tmp_path / "work").mkdir()
+
+    def run(hidden=(), **settings):
+        masks = tmp_path / f"masks_{len(hidden)}"
+        masks.mkdir(exist_ok=True)
+        for number in hidden:
+            Image.fromarray(np.zeros((48, 64), np.uint8)).save(masks / f"{number:03}.png.png")
+        scene = read_scene(folder, masks=masks if hidden else None)
+        settings = {**QUICK, "start": "sfm", **settings}
+        return plugin.GaussianSplatting(**settings).reconstruct(scene, tmp_path / "work")
+
+    return run
+
+
+def test_a_photograph_that_is_hidden_judges_nothing(train, tmp_path):
+    assert "nan" not in " ".join(train(hidden=[0, 3]).notes)
+    assert "nan" not in (tmp_path / "work/model/curve.csv").read_text()
+    with pytest.raises(InputError, match="the masks hide all of the 8 photographs"):
+        train(hidden=range(8))
+
+
+def test_a_checkpoint_of_other_photographs_is_not_gone_on_from(train, monkeypatch):
+    keys = []
+
+    def stopped(training, checkpoint, key):
+        keys.append(key)
+        raise InterruptedError
+
+    monkeypatch.setattr(plugin, "trained", stopped)
+    for hidden in ((), (2,), ()):
+        with pytest.raises(InterruptedError):
+            train(hidden)
+    assert keys[0] == keys[2] != keys[1]
+
+
+def test_memory_is_asked_for_in_numbers_that_are_so(train):
+    with pytest.raises(InputError, match=r"8 photographs of 64 pixels take some 0\.0009 GB"):
+        train(memory=1e-6)
