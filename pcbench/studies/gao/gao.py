@@ -12,7 +12,7 @@ import numpy as np
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.region_text import as_region
+from pcbench.geometry.region_text import as_region, parse_region
 from pcbench.io import read_cloud
 from pcbench.io.files import atomic_write
 from pcbench.plugins import find_plugin
@@ -79,9 +79,13 @@ def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str
         raise InputError(f"{out}: expected a folder, got a file")
     if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
         raise InputError(f"{out}: the folder is not empty and holds no such experiment: choose another, or empty it")
-    for name in dict.fromkeys(method.plugin for method in methods(job)):
-        if missing := find_plugin(name).missing:
-            raise InputError(missing)
+    for method in methods(job):  # before hours of work
+        plugin = find_plugin(method.plugin)
+        if plugin.missing:
+            raise InputError(plugin.missing)
+        plugin.configure(method.settings)
+    if job.crop is not None:
+        parse_region(job.crop, Cloud(np.arange(30.0).reshape(10, 3)))  # for its words: any points will do
     out.absolute().parent.mkdir(parents=True, exist_ok=True)
     with claim(out):
         return _run(job, out, figures, step)

@@ -185,11 +185,15 @@ def test_what_cannot_be_run_is_refused(run, tmp_path):
         (("--image-scale", "0.5"), "cities are photographed at --size"),
         (("--set", "cloud=means"), "settings of splat that the experiment leaves open, got cloud"),
         (("--set", "hold_out=none"), "new views are measured too"),
+        (("--set", "foo=1"), "splat has no setting 'foo'"),
+        (("--set", "steps=0"), "expected at least one step, got 0"),
+        (("--crop", "blah"), "region 'blah': expected none, box"),
     ):
         code, _, err = run("experiment", "gao", *arguments, "--out", tmp_path / "out")
         assert code == 2
         assert message in err
         assert one_line(err)
+        assert not (tmp_path / "out").exists()
     code, _, err = run("experiment", "gao", "--out", tmp_path / "mine")
     assert code == 2
     assert "holds no such experiment" in err
