@@ -78,9 +78,14 @@ class Loss(NamedTuple):
         return self.mean <= self.error
 
 
+def highest(budgets: Sequence[Budget]) -> Budget:
+    """That of the highest PSNR."""
+    return max(budgets, key=lambda budget: budget.mean)
+
+
 def chosen(budgets: Sequence[Budget]) -> int:
     """The number of the smallest budget that is within one standard error of the best; of two blocks at least."""
-    best = Curve(tuple(budgets)).best
+    best = highest(budgets)
     good = [k for k, budget in enumerate(budgets) if budget is best or Loss.of(budget, best).is_none]
     return min(good, key=lambda k: budgets[k].numbers)
 
@@ -99,7 +104,7 @@ class Curve:
     @property
     def best(self) -> Budget:
         """That of the highest PSNR."""
-        return max(self.budgets, key=lambda budget: budget.mean)
+        return highest(self.budgets)
 
     @property
     def sentence(self) -> str:
@@ -107,16 +112,16 @@ class Curve:
         taken, best, most = self.chosen, self.best, self.budgets[0].gaussians
         words = f"{taken.gaussians:,} Gaussians of degree {taken.degree} are enough: {taken.mean:.2f} dB"
         if taken is best and taken.gaussians == most:
-            fewer = max((b for b in self.budgets if b.gaussians < most), key=lambda b: b.mean, default=None)
-            if fewer is None:
+            smaller = [budget for budget in self.budgets if budget.gaussians < most]
+            if not smaller:
                 return (
                     f"{taken.gaussians:,} Gaussians of degree {taken.degree} have {taken.mean:.2f} dB of photographs"
                     " that were not trained on; so few are not halved"
                 )
-            less = f", {fewer.gaussians:,} have {fewer.mean:.2f} dB"
+            fewer = highest(smaller)
             return (
-                f"all {most:,} Gaussians are needed: {taken.mean:.2f} dB of photographs that were not trained on{less};"
-                " more may be better still"
+                f"all {most:,} Gaussians are needed: {taken.mean:.2f} dB of photographs that were not trained on,"
+                f" {fewer.gaussians:,} have {fewer.mean:.2f} dB; more may be better still"
             )
         if taken is best:
             return f"{words} of photographs that were not trained on, more have less"

@@ -42,6 +42,7 @@ from reconstructors.splat.train import Schedule, Training, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
 NUMBERS = "model.pt"  # beside it, in the frame of training
+STEPS = "steps.txt"  # beside it: after which step training ended
 CURVE = "curve.csv"  # beside it, where the number of Gaussians was chosen
 
 # Points to begin at may be less sure than points to measure: training moves them, and fills no place that has none.
@@ -96,6 +97,8 @@ class GaussianSplatting:
     def __post_init__(self) -> None:
         if not 0 <= self.min_opacity <= 1:
             raise ValueError(f"expected a least opacity from 0 to 1, got {self.min_opacity}")
+        if self.min_opacity and self.cloud != "means":
+            raise ValueError("min_opacity is of the centres of Gaussians: set cloud=means too")
         if self.steps < 1:
             raise ValueError(f"expected at least one step, got {self.steps}")
         if self.gaussians < 2:
@@ -134,6 +137,7 @@ class GaussianSplatting:
         if len(scene) < _FEWEST:
             raise InputError(f"expected at least {_FEWEST} images, got {len(scene)}")
         device, note = computing_on(self.device)
+        hold_out(scene.images, self.hold_out)  # too few are refused before hours of work
         begun = self._begun(scene, workspace)
         cameras = begun.cameras
         split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
@@ -167,7 +171,9 @@ class GaussianSplatting:
             notes.append(f"{Curve.read(made / CURVE).sentence}; all that were tried: {made / CURVE}")
         elif self.density == "parsimonious":
             notes.append(f"fewer than {_CHOOSING} images to train on: how many Gaussians are enough was not asked")
-        notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}")
+        took = int((made / STEPS).read_text(encoding="utf-8"))
+        early = f" of {self.steps:,}: the photographs got no better" if took < self.steps else ""
+        notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after step {took:,}{early}")
         if split.test:
             self._write_views(workspace / RENDERED, scene, split, model, photographs)
             notes.append(f"renderings: pcbench views {workspace / RENDERED}")
@@ -241,7 +247,7 @@ class GaussianSplatting:
                 f"expected points to begin with, got {len(points)}: begin at random (start=random)"
             )
         shades = np.full((len(points), 3), 0.5) if colors is None else colors / 255
-        return Gaussians.at_points(points, shades, frame).to(computing_on(self.device).device)
+        return Gaussians.at_points(points, shades, frame)
 
     def _density(
         self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
@@ -277,7 +283,7 @@ class GaussianSplatting:
             shown = [of[name] for name in split.train]
             supervision = read_supervision(workspace / self.start / MAPS, shown, frame.unit)
         training = Training(
-            self._first_model(begun, frame),
+            self._first_model(begun, frame).to(photographs[0][0].color.device),
             seen,
             Schedule(
                 steps=self.steps,
@@ -291,6 +297,7 @@ class GaussianSplatting:
         model = trained(training, workspace / "checkpoint.pt", key)
         if isinstance(density, Parsimonious) and density.curve is not None:
             density.curve.write(folder / CURVE)
+        (folder / STEPS).write_text(str(training.step), encoding="utf-8")
         save_model(folder / NUMBERS, model)
         write_model(folder / MODEL, model, frame)
 

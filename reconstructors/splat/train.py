@@ -153,7 +153,7 @@ class Training:
             self._one_step()
             self.density.control(self)
             self._look_back()
-            if self.step % _CHECKED == 0 or self.step == until:
+            if self.step % _CHECKED == 0 or self.step == until or self.ended:
                 self._check()
             if each is not None:
                 each(self)

@@ -284,8 +284,8 @@ def _caveats(study: Study) -> Iterator[str]:
     steps, rules = study.splat.get("steps"), study.splat.get("density")
     if steps is not None and steps.isdigit() and int(steps) < 30_000:
         yield (
-            f"Splats were trained for {int(steps):,} steps (density={rules}); the paper trains for 30,000 to 50,000 on"
-            " larger images."
+            f"Splats were trained for at most {int(steps):,} steps (density={rules}); the paper trains for 30,000 to"
+            " 50,000 on larger images."
         )
 
 

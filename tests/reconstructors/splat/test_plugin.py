@@ -13,6 +13,7 @@ from pcbench.scenes import read_scene
 torch = pytest.importorskip("torch")
 
 from reconstructors.splat import splat as plugin  # noqa: E402
+from reconstructors.splat.train import Schedule  # noqa: E402
 
 QUICK = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
 
@@ -73,3 +74,18 @@ def test_a_checkpoint_of_other_photographs_is_not_gone_on_from(train, monkeypatc
 def test_memory_is_asked_for_in_numbers_that_are_so(train):
     with pytest.raises(InputError, match=r"8 photographs of 64 pixels take some 0\.0009 GB"):
         train(memory=1e-6)
+
+
+def test_what_cannot_be_is_refused_before_any_work(train, monkeypatch):
+    with pytest.raises(ValueError, match="set cloud=means"):
+        train(cloud="surface", min_opacity=0.5)
+    monkeypatch.setattr(Points, "reconstruct", lambda *_: pytest.fail("work was begun"))
+    with pytest.raises(InputError, match="of which every 8th is for testing"):
+        train(hold_out="every")
+
+
+def test_the_note_says_after_which_step_training_ended(train, monkeypatch):
+    assert "400 Gaussians, harmonics of degree 0, after step 12" in train(density="fixed").notes
+    monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, halved=(0, 0)))
+    said = train(density="fixed", steps=100).notes
+    assert "400 Gaussians, harmonics of degree 0, after step 30 of 100: the photographs got no better" in said

@@ -101,6 +101,17 @@ def test_what_is_not_finite_ends_with_a_sentence():
         training.run(5)
 
 
+def test_what_is_not_finite_does_not_end_as_a_plateau():
+    training = begun(steps=100, plateau=np.inf)
+
+    def spoiled(now):
+        if now.step == 29:
+            now.model.means[3] = np.nan  # the rasterizer skips it
+
+    with pytest.raises(ReconstructionError, match="diverged: at step 30 "):
+        training.run(100, spoiled)
+
+
 def test_a_model_that_vanished_ends_with_a_sentence():
     training = begun(Classic(first=5, every=5, faint=1.0))
     with pytest.raises(ReconstructionError, match="no Gaussian is left at step 5"):

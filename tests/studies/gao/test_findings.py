@@ -30,7 +30,7 @@ def test_gains_and_costs_follow_the_figures():
     assert "instead of their centres, against truth: c→r 0.412 m RMS becomes 0.224 m (1.8 times less)" in words
     assert "30 s sparse, 100 s more for mvs, 300 s more for splats (3 times mvs); memory up to 256, 256" in words
     assert "at 25.0 dB PSNR, those that were at 30.0 dB: a gap of 5.0 dB" in words
-    assert "trained for 2,000 steps (density=classic)" in words
+    assert "trained for at most 2,000 steps (density=classic)" in words
     # The other way round: means that are nearer than the sparse points, and miss more.
     sparse, mvs, means, surface = scene().clouds
     turned = replace(
