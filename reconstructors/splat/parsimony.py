@@ -157,14 +157,14 @@ class Curve:
 
 class _Kept(NamedTuple):
     budget: Budget
-    snapshot: Snapshot
+    begun: Snapshot  # before the steps after which it was judged
 
 
 class Parsimonious(Density):
-    """Begins with all Gaussians and halves their number again and again: those stay of which the photographs show most.
-    Then a degree of the harmonics is taken away, and another. Each of these models is trained for as many steps, at the
-    same rates and with the same photographs. The smallest that is as good as the best is trained again, with all
-    photographs.
+    """Trains all Gaussians for half of the steps. From that model others are made that are smaller: half of the
+    Gaussians stay, of which the photographs show most, then half of these, and so on; then a degree of the harmonics is
+    taken away, and another. Each is trained for as many steps more, at the same rates and with the same photographs,
+    and judged. The smallest that is as good as the best is trained again, with all photographs.
 
     Args:
         judges: photographs by block, two blocks at least. `Training` begins without them.
@@ -175,23 +175,25 @@ class Parsimonious(Density):
             raise ValueError(f"expected at least two blocks of photographs to judge by, got {len(judges)}")
         self._judges = judges
         self._kept: list[_Kept] = []
+        self._begun: Snapshot | None = None  # of the model that is trained to be judged
         self._plainer = False  # whether it is the harmonics' turn
         self._clock: tuple[int, float] | None = None
         self.curve: Curve | None = None
 
     def control(self, training: Training) -> None:
-        if self.curve is not None:
-            return
         steps = training.schedule.steps
-        before = round(_BEFORE * steps)
-        if self._clock is None or training.step == before:
-            self._clock = training.step, time.process_time()
-        if training.step < before + max(1, round(_EACH * steps)):
+        if self.curve is not None or training.step < max(1, round(_BEFORE * steps)):
             return
-        self._kept.append(_Kept(self._judged(training), training.snapshot()))
-        if self._made_smaller(training):
-            training.step = before
+        if self._begun is None:
+            self._begun = training.snapshot()
+        if self._clock is None:
             self._clock = training.step, time.process_time()
+        due = self._begun.step + max(1, round(_EACH * steps))
+        if training.step < min(due, steps):
+            return
+        self._kept.append(_Kept(self._judged(training), self._begun))
+        if due <= steps and self._made_smaller(training):
+            self._begun, self._clock = training.snapshot(), None
         else:
             self._choose(training)
 
@@ -212,34 +214,39 @@ class Parsimonious(Density):
         if not self._plainer:
             fewer = len(training.model) // _HALF
             if fewer >= _FEWEST and last - taken < _REFUSED:
+                training.return_to(self._kept[last].begun)
                 shown = training.shown()
                 training.keep(shown.argsort(descending=True, stable=True)[:fewer].sort().values)
                 return True
             self._plainer = True
-            training.return_to(self._kept[taken].snapshot)
         elif taken < last:
             return False
-        if training.model.degree == 0:
+        degree = self._kept[taken].budget.degree
+        if degree == 0:
             return False
-        training.limit_degree(training.model.degree - 1)
+        training.return_to(self._kept[taken].begun)
+        training.limit_degree(degree - 1)
         return True
 
     def _choose(self, training: Training) -> None:
         self.curve = Curve(tuple(kept.budget for kept in self._kept))
         kept = self._kept[chosen(self.curve.budgets)]
-        training.return_to(kept.snapshot)
+        training.return_to(kept.begun)
         training.step = round(_AGAIN * training.schedule.steps)
         training.limit_degree(kept.budget.degree)
         training.train_on(self._all(training))
         self._kept.clear()
+        self._begun = None
 
     def state(self) -> object:
-        kept = [(tuple(k.budget), k.snapshot.plain()) for k in self._kept]
+        kept = [(tuple(k.budget), k.begun.plain()) for k in self._kept]
+        begun = None if self._begun is None else self._begun.plain()
         curve = None if self.curve is None else [tuple(budget) for budget in self.curve.budgets]
-        return {"plainer": self._plainer, "kept": kept, "curve": curve}
+        return {"plainer": self._plainer, "begun": begun, "kept": kept, "curve": curve}
 
     def restore(self, training: Training, state: Any) -> None:
         self._plainer, self._clock = state["plainer"], None
+        self._begun = None if state["begun"] is None else Snapshot.of(state["begun"])
         self._kept = [_Kept(Budget(*budget), Snapshot.of(plain)) for budget, plain in state["kept"]]
         if self._plainer:
             training.limit_degree(training.model.degree)

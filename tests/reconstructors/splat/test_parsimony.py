@@ -69,6 +69,22 @@ def test_what_is_chosen_is_trained_on_with_all_photographs():
     assert len(training.photographs) == 8
 
 
+def test_each_budget_has_as_many_steps():
+    training, seen = begun(), []
+
+    def each(now):
+        if now.density.curve is None:
+            seen.append((now.step, len(now.model), now.model.degree))
+
+    training.run(120, each)
+    curve = training.density.curve
+    # After half of the steps every model has the same ten more; the last of them is judged within `control`.
+    for budget in curve.budgets:
+        steps = [step for step, gaussians, degree in seen if (gaussians, degree) == (budget.gaussians, budget.degree)]
+        assert set(range(61, 70)) <= set(steps) <= set(range(121))
+        assert max(steps) < 70
+
+
 def test_a_choice_that_goes_on_equals_an_unbroken_one(tmp_path):
     whole = begun()
     whole.run(120)
