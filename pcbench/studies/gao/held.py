@@ -63,17 +63,23 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         "versions": library_versions(),
     }
 
+    def compare(those: dict[str, Path], folder: Path) -> str | None:
+        """Why it cannot be done, if so."""
+        try:
+            compare_files(ComparisonJob(reference, those, settings, {}), Outputs(folder, figures=False), lambda _: None)
+        except PcbenchError as error:
+            return str(error)
+        return None
+
     def make(folder: Path) -> None:
-        # A comparison has all candidates or none: those that cannot be measured are found before.
-        asked = _Asked.of(read_cloud(reference), crop)
-        failed = {cloud: why for cloud, path in clouds.items() if (why := asked.why_not(path)) is not None}
-        measured = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
-        if measured:
-            job = ComparisonJob(reference, measured, settings, {})
-            try:
-                compare_files(job, Outputs(folder, figures=False), lambda _: None)
-            except PcbenchError as error:  # of the reference
-                failed |= dict.fromkeys(measured, str(error))
+        failed: dict[str, str] = {}
+        # A comparison has all candidates or none: where it has none, those that cannot be measured are found.
+        if compare(dict(clouds), folder) is not None:
+            asked = _Asked.of(read_cloud(reference), crop)
+            failed = {cloud: why for cloud, path in clouds.items() if (why := asked.why_not(path)) is not None}
+            others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
+            if others and (why := compare(others, folder)) is not None:  # the reference cannot
+                failed |= dict.fromkeys(others, why)
         (folder / _FAILED).write_text(json.dumps(failed), encoding="utf-8")
 
     folder = stage(out, f"against-{name}", key, make)
