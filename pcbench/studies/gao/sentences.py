@@ -47,24 +47,23 @@ def _gain(study: Study) -> Iterator[str]:
     if both:
         sparse, means = (sum(pair[k] for pair in both) for k in (0, 1))
         yield f"Densification makes {means:,} points of {sparse:,} ({means / sparse:.2g} times as many)."
-    for reference in (MVS, TRUTH):
-        found = _Change.of(study, (SPARSE, reference), (MEANS, reference), _back)
-        if found is None:
-            continue
+    for reference, it, found in _densified(study, _back):
         word = found.word("loses completeness", "gains no completeness", "gains completeness")
-        lead = "It" if reference == MVS else "Against the truth it"
-        yield f"{lead} {word}: {reference} to cloud (r→c), {found.words}."
+        yield f"{it} {word}: {reference} to cloud (r→c), {found.words}."
 
 
 def _cost(study: Study) -> Iterator[str]:
     """Accuracy: how far the clouds are from the reference."""
-    for reference in (MVS, TRUTH):
-        found = _Change.of(study, (SPARSE, reference), (MEANS, reference), _forth)
-        if found is None:
-            continue
+    for reference, it, found in _densified(study, _forth):
         word = found.word("costs accuracy", "costs no accuracy", "gains accuracy")
-        lead = "It" if reference == MVS else "Against the truth it"
-        yield f"{lead} {word}: cloud to {reference} (c→r), {found.words}."
+        yield f"{it} {word}: cloud to {reference} (c→r), {found.words}."
+
+
+def _densified(study: Study, rms: Length) -> Iterator[tuple[str, str, _Change]]:
+    """Against each reference what densification changes, and what a sentence on it begins with."""
+    for reference, it in ((MVS, "It"), (TRUTH, "Against the truth it")):
+        if (found := _Change.of(study, (SPARSE, reference), (MEANS, reference), rms)) is not None:
+            yield reference, it, found
 
 
 def _surface(study: Study) -> Iterator[str]:
