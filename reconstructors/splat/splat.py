@@ -230,25 +230,6 @@ class GaussianSplatting:
                 " more memory"
             )
 
-    def _first_model(self, begun: Reconstruction, frame: LocalFrame) -> Gaussians:
-        points, colors = begun.cloud.points, begun.cloud.colors
-        if self.start == "random":
-            lower, upper = robust_bounds(points)
-            rng = np.random.default_rng([self.seed, 2])
-            points = rng.uniform(lower, upper, size=(self.gaussians, 3))
-            colors = None
-        elif len(points) > self.gaussians:
-            # At random: a dense cloud has more points where photographs are closer, and so shall the model.
-            rng = np.random.default_rng([self.seed, 2])
-            which = np.sort(rng.choice(len(points), self.gaussians, replace=False))
-            points, colors = points[which], None if colors is None else colors[which]
-        if len(points) < 2:
-            raise ReconstructionError(
-                f"expected points to begin with, got {len(points)}: begin at random (start=random)"
-            )
-        shades = np.full((len(points), 3), 0.5) if colors is None else colors / 255
-        return Gaussians.at_points(points, shades, frame)
-
     def _density(
         self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
     ) -> tuple[Density, list[Pyramid]]:
@@ -282,8 +263,9 @@ class GaussianSplatting:
         if self._supervised:
             shown = [of[name] for name in split.train]
             supervision = read_supervision(workspace / self.start / MAPS, shown, frame.unit)
+        first = first_model(begun.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
         training = Training(
-            self._first_model(begun, frame).to(photographs[0][0].color.device),
+            first.to(photographs[0][0].color.device),
             seen,
             Schedule(
                 steps=self.steps,
@@ -319,3 +301,27 @@ class GaussianSplatting:
         if self.cloud == "means":
             return extract.means(model, frame, min_opacity=self.min_opacity or None)
         return extract.surface(model, frame, pinholes)
+
+
+def first_model(cloud: Cloud, frame: LocalFrame, most: int, seed: int, *, random: bool = False) -> Gaussians:
+    """What training begins with: Gaussians at points of a cloud, or at random places in their box.
+
+    Args:
+        most: Gaussians.
+
+    Raises:
+        ReconstructionError: there is less than two points.
+    """
+    points, colors = cloud.points, cloud.colors
+    rng = np.random.default_rng([seed, 2])
+    if random:
+        lower, upper = robust_bounds(points)
+        points, colors = rng.uniform(lower, upper, size=(most, 3)), None
+    elif len(points) > most:
+        # At random: a dense cloud has more points where photographs are closer, and so shall the model.
+        which = np.sort(rng.choice(len(points), most, replace=False))
+        points, colors = points[which], None if colors is None else colors[which]
+    if len(points) < 2:
+        raise ReconstructionError(f"expected points to begin with, got {len(points)}: begin at random (start=random)")
+    shades = np.full((len(points), 3), 0.5) if colors is None else colors / 255
+    return Gaussians.at_points(points, shades, frame)

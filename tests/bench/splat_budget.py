@@ -14,12 +14,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+import torch
 from measure import setting
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from splat_cities import CASES, EXTENT, CloudScore, city, score_cloud
-from splat_train import SEED, Begun, begin
+from splat_train import Begun, begin
 
 from pcbench.scenes.splits import for_choosing
 from reconstructors.splat import extract
@@ -27,6 +28,7 @@ from reconstructors.splat.density import Density
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.parsimony import Budget, Loss, Parsimonious
 from reconstructors.splat.photographs import Pyramid
+from reconstructors.splat.splat import first_model
 from reconstructors.splat.train import Schedule, Training, evaluate
 
 DEGREE = 2
@@ -53,16 +55,12 @@ def surface(begun: Begun, model: Gaussians) -> CloudScore:
     return score_cloud(begun.city.truth, extract.surface(model, begun.frame, begun.cameras).points)
 
 
-def first(begun: Begun, count: int) -> Gaussians:
-    cloud, rng = begun.dense.cloud, np.random.default_rng([0, SEED])
-    which = np.sort(rng.choice(len(cloud), min(count, len(cloud)), replace=False))
-    return Gaussians.at_points(cloud.points[which], cloud.colors[which] / 255, begun.frame)
-
-
 def trained(begun: Begun, count: int, steps: int, density: Density, shown: list[Pyramid]) -> tuple[Training, float]:
     """And the CPU seconds of it."""
     schedule = Schedule(steps=steps, sh_degree=DEGREE)
-    training = Training(first(begun, count), shown, schedule, density, begun.supervision)
+    training = Training(
+        first_model(begun.dense.cloud, begun.frame, count, 0), shown, schedule, density, begun.supervision
+    )
     start = time.process_time()
     training.run(steps)
     return training, time.process_time() - start
@@ -116,7 +114,7 @@ def main() -> None:
             made = city((options.folder or Path(temporary)) / label, case, options.images, options.size)
             work = Path(temporary) / f"{label}.work"
             work.mkdir()
-            begun = begin(made, work, "cpu")
+            begun = begin(made, work, torch.device("cpu"))
             print(f"\n{options.images} images of {options.size} of a city of {EXTENT} m ({case}); {begun.split.words}")
             compare(begun, options.gaussians, options.steps)
 

@@ -36,7 +36,7 @@ from reconstructors.splat.density import Density
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
 from reconstructors.splat.reference import Gaussians
-from reconstructors.splat.splat import BEGINNING, GaussianSplatting
+from reconstructors.splat.splat import BEGINNING, first_model
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate
 from reconstructors.splat.view import View
@@ -87,9 +87,8 @@ def begin(made: City, work: Path, device: torch.device) -> Begun:
 
 
 def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: int, device: torch.device) -> Run:
-    first = GaussianSplatting(gaussians=count, seed=seed, device=device.type)._first_model(begun.dense, begun.frame)
     training = Training(
-        first,
+        first_model(begun.dense.cloud, begun.frame, count, seed).to(device),
         begun.shown,
         Schedule(steps=steps, sh_degree=2, seed=seed),
         Density(),
