@@ -171,6 +171,11 @@ class GaussianSplatting:
             notes.append(f"{Curve.read(made / CURVE).sentence}; all that were tried: {made / CURVE}")
         elif self.density == "parsimonious":
             notes.append(f"fewer than {_CHOOSING} images to train on: how many Gaussians are enough was not asked")
+        if (rules := self._rules) is not None and rules.first > rules.last * self.steps:
+            notes.append(
+                f"no Gaussian was added: density={self.density} begins at step {rules.first:,} and ends after"
+                f" {rules.last:.0%} of the steps"
+            )
         took = int((made / STEPS).read_text(encoding="utf-8"))
         early = f" of {self.steps:,}: the photographs got no better" if took < self.steps else ""
         notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after step {took:,}{early}")
@@ -200,6 +205,11 @@ class GaussianSplatting:
             self.image_side,
             self.seed,
         )
+
+    @property
+    def _rules(self) -> Classic | None:
+        """By which Gaussians are added and taken away."""
+        return {"classic": Classic(), "gao2025": GAO2025}.get(self.density)
 
     @property
     def _supervised(self) -> bool:
@@ -240,8 +250,8 @@ class GaussianSplatting:
         seen = [photographs[name] for name in names]
         if self.density == "fixed" or (self.density == "parsimonious" and len(seen) < _CHOOSING):
             return Density(), seen
-        if self.density != "parsimonious":
-            return replace(GAO2025 if self.density == "gao2025" else Classic(), most=self.gaussians), seen
+        if self._rules is not None:
+            return replace(self._rules, most=self.gaussians), seen
         choosing = for_choosing(names, {name: camera.position for name, camera in cameras.items()})
         judges = [[photographs[name] for name in block] for block in choosing.blocks]
         return Parsimonious(judges), [photographs[name] for name in choosing.train]

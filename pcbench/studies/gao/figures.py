@@ -19,6 +19,7 @@ from pcbench.studies.gao.results import TRUTH, SceneResult, Study, read_study, r
 # Draws the pictures of the folder of an experiment.
 PICTURES = Drawer(f"{__name__}:pictures", ("gao.md",))
 
+_UNKNOWN = "units of the cameras"
 _ALONE = "what solved cameras do alone"
 _COLORS = {SPARSE: "#0072b2", MVS: "#009e73", MEANS: "#d55e00", SURFACE: "#cc79a7", _ALONE: "#444444"}  # Okabe and Ito
 _SHAPES = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D"}
@@ -46,7 +47,7 @@ def rings(scenes: Sequence[SceneResult], path: Path) -> bool:
         place = None if scene.looked_at is None else np.array(scene.looked_at)
         centre = positions.mean(axis=0) if place is None else place
         across = np.linalg.norm(positions[:, :2] - centre[:2], axis=1)
-        unit = scene.unit or "units of the cameras"
+        unit = scene.unit or _UNKNOWN
         turn = np.linspace(0, 2 * np.pi, 181)
         for radius in _radii(across):
             above.plot(centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn), **_THIN)
@@ -84,7 +85,7 @@ def directions(study: Study, path: Path) -> bool:
     if not columns:
         return False
     figure, axes = _canvas(1, len(columns), (6.4, 5.0), share=True)
-    unit = study.unit or "unit"
+    unit = study.unit or _UNKNOWN
     for axis, reference in zip(axes[0], columns, strict=True):
         for scene in study.scenes:
             places = {}
@@ -121,7 +122,7 @@ def growth(study: Study, path: Path) -> bool:
     figure, axes = _canvas(len(study.scenes), len(columns), (4.6, 3.6))
     drawn = False
     for line, scene in zip(axes, study.scenes, strict=True):
-        unit = scene.unit or "unit"
+        unit = scene.unit or _UNKNOWN
         for axis, (reference, which) in zip(line, columns, strict=True):
             for cloud in scene.clouds:
                 of = cloud.held(reference)

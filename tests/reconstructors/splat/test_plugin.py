@@ -89,3 +89,9 @@ def test_the_note_says_after_which_step_training_ended(train, monkeypatch):
     monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, halved=(0, 0)))
     said = train(density="fixed", steps=100).notes
     assert "400 Gaussians, harmonics of degree 0, after step 30 of 100: the photographs got no better" in said
+
+
+def test_rules_that_a_training_is_too_short_for_are_told(train):
+    told = "no Gaussian was added: density=classic begins at step 500 and ends after 50% of the steps"
+    assert told in train(density="classic").notes
+    assert not any("was added" in note for note in train(density="fixed").notes)
