@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test lint types docs slow sanitize compilers bench gallery clean
+.PHONY: demo test lint types docs slow sanitize compilers bench gallery wording clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -57,6 +57,10 @@ sanitize: $(VENV)/.all
 compilers: $(VENV)/.all
 	$(call other_core,g++,g++,CMAKE_COMPILE_WARNING_AS_ERROR=ON)
 	$(call other_core,clang++,clang++,CMAKE_COMPILE_WARNING_AS_ERROR=ON)
+
+# Texts that users read stand in tests/wording.txt. `make wording TESTS=tests/report` renews those of one folder.
+wording: $(VENV)/.all
+	$(BIN)/python -m pytest -n 2 --renew-wording $(TESTS)
 
 lint: $(VENV)/.all
 	$(BIN)/ruff check .

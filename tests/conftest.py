@@ -16,11 +16,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
+import wording
 
 from pcbench import cli
 from pcbench.errors import MissingExtra
 from pcbench.opengl import NoFiguresError
 from pcbench.scenes.synthetic.render import check_renderer
+
+GOLDEN, RENEWED = pytest.StashKey[wording.Texts](), pytest.StashKey[wording.Texts | None]()
 
 
 def pytest_report_header():
@@ -42,6 +45,38 @@ def pytest_xdist_make_scheduler(config, log):
             return file if _shares_fixtures(config.rootpath / file) else nodeid
 
     return Scheduler(config, log)
+
+
+def pytest_addoption(parser):
+    parser.addoption("--renew-wording", action="store_true", help="write tests/wording.txt anew (see tests/wording.py)")
+
+
+def pytest_configure(config):
+    config.stash[GOLDEN] = wording.read()
+    config.stash[RENEWED] = {} if config.getoption("--renew-wording") else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    with wording.spoken_by(item.nodeid, item.config.stash[GOLDEN], item.config.stash[RENEWED]):
+        return (yield)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """A worker of pytest-xdist has ended: its renewed texts are taken over."""
+    if node.config.stash[RENEWED] is not None:
+        node.config.stash[RENEWED] |= node.workeroutput.get("wording", {})
+
+
+def pytest_sessionfinish(session):
+    renewed = session.config.stash[RENEWED]
+    if renewed is None:
+        return
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["wording"] = renewed
+    else:
+        wording.renew(renewed)
 
 
 @cache
