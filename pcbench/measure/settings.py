@@ -14,7 +14,7 @@ from pcbench.geometry.regions import Region
 from pcbench.geometry.splats import check_limits
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
-from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.registration import Method, as_method, as_similarity
 
 MAPS = ("poisson", "m3c2")

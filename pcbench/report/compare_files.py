@@ -10,7 +10,7 @@ from typing import TypeVar
 from pcbench.errors import InputError
 from pcbench.io import FILTERED
 from pcbench.io.files import atomic_write, check_output, named_file, reading_seconds
-from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.progress import Plan
 from pcbench.report.comparison import Comparison, compare_inputs

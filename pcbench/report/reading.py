@@ -11,7 +11,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
 from pcbench.io.files import digest, named_file
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.folder import UNPRINTABLE, check_name
 from pcbench.report.inputs import InputFile
