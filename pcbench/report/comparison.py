@@ -148,7 +148,7 @@ def _without_faint_splats(reference: Any, candidates: dict[str, Any], settings: 
 
 def _named(candidates: Any) -> dict[str, Any]:
     """Candidates by name: as given, else the file's, else by their number."""
-    from pcbench.report.reading import names_of
+    from pcbench.report.names import names_of
 
     if isinstance(candidates, Mapping):
         return dict(candidates)

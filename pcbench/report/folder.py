@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,6 +27,7 @@ from pcbench.report.comparison import Comparison
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import FORMATS, Figures
 from pcbench.report.inputs import InputFile, Inputs
+from pcbench.report.names import check_name
 from pcbench.report.table import Row, markdown, rows
 from pcbench.scratch import claim, scratch_folder
 
@@ -36,8 +35,6 @@ SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report
 _DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
 _DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
-_LONGEST_NAME = 220  # bytes: names of files have 255, and what stands after it is `_poisson_distance.png` at most
-UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what breaks the lines of tables
 _SUFFIXES = (
     "_deformation.csv",
     "_deformation.ply",
@@ -126,23 +123,6 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         return Settings(**chosen), Inputs(_recorded(values["reference"]), candidates, files)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: settings are incomplete or damaged: {error}") from error
-
-
-def check_name(name: Any) -> str:
-    """A candidate's name becomes part of file names.
-
-    Raises:
-        InputError: it is empty, reserved, too long, or would lead out of the report's folder.
-    """
-    reserved = ("", ".", "..", "reference")
-    if not isinstance(name, str) or name in reserved or UNPRINTABLE.search(name) or any(c in name for c in "/\\"):
-        raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
-    if (size := len(os.fsencode(name))) > _LONGEST_NAME:
-        raise InputError(
-            f"{name[:20]}...: expected a candidate's name of at most {_LONGEST_NAME} bytes, as the report's files are"
-            f" called by it, got {size}: call the file by a shorter one"
-        )
-    return name
 
 
 def _recorded(row: dict[str, Any]) -> InputFile:
