@@ -23,10 +23,9 @@ from pcbench.io import write_cloud
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, largest_but_strays, ranges
-from pcbench.report.comparison import Comparison
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import FORMATS, Figures
-from pcbench.report.inputs import InputFile, Inputs
+from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.names import check_name
 from pcbench.report.table import Row, markdown, rows
 from pcbench.scratch import claim, scratch_folder
@@ -75,7 +74,7 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise
 
 
-def write_report(folder: Path, comparison: Comparison, figures: Figures | None = None) -> None:
+def write_report(folder: Path, comparison: SourcedComparison, figures: Figures | None = None) -> None:
     """Write everything but the pictures of a comparison into an empty folder.
 
     `figures` says how pictures shall look: its range also colours the clouds, and settings.json holds it.
@@ -145,7 +144,7 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
     }
 
 
-def _csv(comparison: Comparison) -> str:
+def _csv(comparison: SourcedComparison) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(Row._fields)
@@ -153,7 +152,7 @@ def _csv(comparison: Comparison) -> str:
     return text.getvalue()
 
 
-def _write_maps(folder: Path, comparison: Comparison, figures: Figures) -> None:
+def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -> None:
     """NAME_deviation.ply (and .laz where a LAS file came in), NAME_completeness.ply, NAME_m3c2.ply: named scalars, and
     RGB for all viewers.
     """
@@ -177,7 +176,7 @@ def _write_maps(folder: Path, comparison: Comparison, figures: Figures) -> None:
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)
 
 
-def _coloured(deviation: DeviationMap, scale: Range, comparison: Comparison) -> Cloud:
+def _coloured(deviation: DeviationMap, scale: Range, comparison: SourcedComparison) -> Cloud:
     return Cloud(
         deviation.points,
         colors=scale.colors(deviation.scalars["distance"]),
@@ -214,7 +213,7 @@ def write_field(stem: str, deformation: Deformation, crs: str | None, unit: str 
     write_cloud(f"{stem}.csv", Cloud(field.places, attributes=columns))
 
 
-def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
+def _m3c2_cloud(found: M3C2, comparison: SourcedComparison) -> Cloud:
     attributes = {
         "m3c2_distance": found.distances.astype(np.float32),
         "lod95": found.lod.astype(np.float32),
