@@ -130,16 +130,20 @@ def _without_faint_splats(reference: Any, candidates: dict[str, Any], settings: 
     limits = settings.min_opacity, settings.max_axis
     if limits == (None, None):
         return reference, candidates
-    named = {"the reference": reference, **candidates}
-    splats = {name for name, cloud in named.items() if isinstance(cloud, Cloud) and splat_model(cloud) is not None}
-    if not splats:
+    if not any(_is_splat_model(cloud) for cloud in (reference, *candidates.values())):
         raise InputError("a least opacity and a largest axis filter Gaussian splats: none of the clouds is a model")
-    for name in splats:
+
+    def kept(name: str, cloud: Any) -> Any:
         try:
-            named[name] = filter_splats(named[name], *limits)
+            return filter_splats(cloud, *limits) if _is_splat_model(cloud) else cloud
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
-    return named.pop("the reference"), named
+
+    return kept("the reference", reference), {name: kept(name, cloud) for name, cloud in candidates.items()}
+
+
+def _is_splat_model(cloud: Any) -> bool:
+    return isinstance(cloud, Cloud) and splat_model(cloud) is not None
 
 
 def _named(candidates: Any) -> dict[str, Any]:
