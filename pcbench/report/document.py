@@ -143,6 +143,7 @@ def _registration(registration: Registration) -> dict[str, Any]:
         "weakest_sigma": registration.weakest_sigma,
         "check_points": [point._asdict() for point in registration.check_points],
         "scale_solved": registration.solved_scale,
+        "contrast": registration.contrast,
         "warnings": [notice.text for notice in registration.warnings],
         "warning_codes": [notice.code for notice in registration.warnings],
     }

@@ -17,7 +17,6 @@ LABELS = {
     **{metric.name: metric.label for metric in MEAN_METRICS},
 }
 _ROUNDING = 1e-9  # of the scene's extent
-_CELLS_ALONG = 28  # the extent, of the cells of the intervals
 
 
 def number(value: float | None, ci: Interval | None = None) -> str:
@@ -80,7 +79,7 @@ def _as_many(text: str, width: int) -> str:
 
 def rounding(comparison: SourcedComparison) -> float:
     """Distances up to this are no distances, in the clouds' unit."""
-    return _ROUNDING * _CELLS_ALONG * comparison.reference.block_side
+    return _ROUNDING * comparison.reference.extent
 
 
 def title(comparison: SourcedComparison) -> str:
