@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pcbench.io.crop import crop as crop
     from pcbench.io.meshes import read_mesh as read_mesh
     from pcbench.measure import metrics as metrics
-    from pcbench.measure.m3c2 import M3C2Settings as M3C2Settings
+    from pcbench.measure.m3c2_settings import M3C2Settings as M3C2Settings
     from pcbench.measure.settings import Settings as Settings
     from pcbench.registration import IcpSettings as IcpSettings
     from pcbench.registration import Registration as Registration
@@ -41,7 +41,7 @@ _ROOMS = {
     "Comparison": "report.comparison",
     "IcpSettings": "registration",
     "Index": "geometry.neighbors",
-    "M3C2Settings": "measure.m3c2",
+    "M3C2Settings": "measure.m3c2_settings",
     "Mesh": "geometry.mesh",
     "PcbenchError": "errors",
     "Polygon": "geometry.regions",

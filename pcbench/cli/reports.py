@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 )
 @las_options("LAS files")
 @splat_options
-@seed_option("Of the bootstrap.")
+@seed_option("Random seed: points sampled from a mesh and for floors, folds of the cross-validation.")
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
 @click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
 @no_figures_option()
@@ -151,7 +151,7 @@ def compare_and_print(
 @register_option()
 @crop_option
 @no_figures_option()
-@seed_option("Of the bootstrap.")
+@seed_option("Random seed: folds of the cross-validation.")
 @background_option
 @format_option
 @quiet_option

@@ -26,7 +26,8 @@ from pcbench.geometry.normals import Surface
 from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction, from_candidate, from_reference
-from pcbench.measure.m3c2 import M3C2Settings, compare_along_normals, m3c2_warnings
+from pcbench.measure.m3c2 import compare_along_normals, m3c2_warnings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, Comparison, Difference
 from pcbench.measure.scores import Measurement, measure

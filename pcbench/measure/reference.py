@@ -124,6 +124,7 @@ class Reference:
             points=len(self.points),
             points_in_region=int(np.count_nonzero(self.inside)),
             spacing_median=self.spacing,
+            extent=robust_extent(self.points),
             crs=self.cloud.crs,
             unit=self.cloud.unit,
             normals="given" if self.cloud.normals is not None else "estimated" if self.has_normals else None,

@@ -181,6 +181,7 @@ class ReferenceSummary:
     Attributes:
         points, points_in_region: how many there are, and how many are measured.
         spacing_median: see `pcbench.geometry.neighbors.median_spacing`; of all points.
+        extent: diagonal of the box that holds the inner 98 % of all points along each axis.
         crs, unit: of the coordinates, if known.
         normals: "given" with the points, "estimated", or None where there are too few points for normals.
         faces: of the mesh that the reference is; None for a cloud.
@@ -190,6 +191,7 @@ class ReferenceSummary:
     points: int
     points_in_region: int
     spacing_median: float
+    extent: float
     crs: str | None
     unit: str | None
     normals: str | None
@@ -224,7 +226,7 @@ class Candidate:
 
 
 class Difference(NamedTuple):
-    """Is candidate `a` better than `b`? a - b in one metric with its interval over the same replicates of the scene.
+    """Is candidate `a` better than `b`? a - b in one metric, with an interval from the paired differences of each cell.
 
     `metric` is named as in comparison.json: "d1_mse/candidate_to_reference", "chamfer/sum_squared", "fscore/0.1".
     """

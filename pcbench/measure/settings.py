@@ -14,7 +14,7 @@ from pcbench.geometry.regions import Region
 from pcbench.geometry.splats import check_limits
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
-from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.registration import Method, as_method, as_similarity
 
 MAPS = ("poisson", "m3c2")
@@ -34,7 +34,8 @@ class Settings:
         maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
             the reference) and `m3c2`.
         m3c2: how M3C2 is computed: an `M3C2Settings`, or its text such as `radius=0.5,depth=2`; the map is made then.
-        seed: of the bootstrap.
+        seed: of everything random: the points sampled from a mesh as the reference, those that the floor of D2 from
+            reference to candidate is taken over, and the folds of the cross-validation of deformation models.
         normal_neighbors: points a normal of the reference is estimated from where the file has none.
         classes, returns: which points of LAS files count, see `pcbench.read_cloud`.
         min_opacity, max_axis: which Gaussian splats count, of those clouds that are models of some, see there.

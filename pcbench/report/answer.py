@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from pcbench.measure.intervals import Interval
 from pcbench.measure.results import BACK, FORTH, Candidate
-from pcbench.report.comparison import Comparison
+from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.words import joined, length, rounding, shortened
 
@@ -37,7 +37,7 @@ class _Distance(NamedTuple):
         return self.floor is None or self.value <= _NEAR_FLOOR * self.floor
 
 
-def answer(comparison: Comparison) -> list[str]:
+def answer(comparison: SourcedComparison) -> list[str]:
     """Two to four sentences. Where no registration can be trusted no verdict is given."""
     trusted = [c for c in comparison if not c.registration.doubtful]
     doubtful = [c for c in comparison if c.registration.doubtful]
@@ -52,7 +52,7 @@ def answer(comparison: Comparison) -> list[str]:
 class _Writer:
     """Writes sentences on a comparison's candidates: knows the unit, and short names where names are long."""
 
-    def __init__(self, comparison: Comparison) -> None:
+    def __init__(self, comparison: SourcedComparison) -> None:
         self.comparison = comparison
         names = [c.name for c in comparison]
         short = [shortened(name, _LONGEST_NAME) for name in names]

@@ -10,7 +10,7 @@ from typing import TypeVar
 from pcbench.errors import InputError
 from pcbench.io import FILTERED
 from pcbench.io.files import atomic_write, check_output, named_file, reading_seconds
-from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.progress import Plan
 from pcbench.report.comparison import Comparison, compare_inputs
@@ -18,8 +18,9 @@ from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
+from pcbench.report.names import names_of
 from pcbench.report.plot import draw_if_possible, drawing_seconds
-from pcbench.report.reading import names_of, paths_in
+from pcbench.report.reading import paths_in
 
 _Setting = TypeVar("_Setting")
 

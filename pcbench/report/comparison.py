@@ -19,19 +19,22 @@ from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
 from pcbench.progress import Plan
+from pcbench.report import plot
 from pcbench.report.figures import Figures
-from pcbench.report.inputs import InputFile, Inputs
+from pcbench.report.folder import report_folder, write_report
+from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
+from pcbench.report.names import names_of
+from pcbench.report.reading import named_files, read_candidate, read_reference
+from pcbench.report.table import html
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(results.Comparison):
+class Comparison(SourcedComparison):
     """A reference, its candidates, and the differences between them. `comparison["a"]` is the candidate named a.
 
     Attributes:
         inputs: the files that the clouds came from; None where one came from memory.
     """
-
-    inputs: Inputs | None = None
 
     @classmethod
     def of(cls, measured: results.Comparison, inputs: Inputs | None = None) -> Comparison:
@@ -51,20 +54,15 @@ class Comparison(results.Comparison):
                 part of file names.
             OSError: the folder cannot be written.
         """
-        from pcbench.report.folder import report_folder, write_report
-        from pcbench.report.plot import draw_if_possible
-
         with report_folder(Path(folder), keep=[] if self.inputs is None else self.inputs.paths()) as scratch:
             look = figures if isinstance(figures, Figures) else Figures()
             write_report(scratch, self, look)
-            problem = draw_if_possible(scratch, figures=look) if figures else None
+            problem = plot.draw_if_possible(scratch, figures=look) if figures else None
         if problem is not None:
             warnings.warn(problem, stacklevel=2)
 
     def _repr_html_(self) -> str:
         """The table, for notebooks."""
-        from pcbench.report.table import html
-
         return html(self)
 
 
@@ -106,8 +104,6 @@ def compare_inputs(
     step: Callable[[str], None],
 ) -> Comparison:
     """`compare` that leaves the readers' warnings in the result."""
-    from pcbench.report.reading import named_files, read_candidate, read_reference
-
     files: dict[str, InputFile] = {}
     of_reference, of_settings = None, named_files(settings)
     if isinstance(reference, str | os.PathLike):
@@ -134,22 +130,24 @@ def _without_faint_splats(reference: Any, candidates: dict[str, Any], settings: 
     limits = settings.min_opacity, settings.max_axis
     if limits == (None, None):
         return reference, candidates
-    named = {"the reference": reference, **candidates}
-    splats = {name for name, cloud in named.items() if isinstance(cloud, Cloud) and splat_model(cloud) is not None}
-    if not splats:
+    if not any(_is_splat_model(cloud) for cloud in (reference, *candidates.values())):
         raise InputError("a least opacity and a largest axis filter Gaussian splats: none of the clouds is a model")
-    for name in splats:
+
+    def kept(name: str, cloud: Any) -> Any:
         try:
-            named[name] = filter_splats(named[name], *limits)
+            return filter_splats(cloud, *limits) if _is_splat_model(cloud) else cloud
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
-    return named.pop("the reference"), named
+
+    return kept("the reference", reference), {name: kept(name, cloud) for name, cloud in candidates.items()}
+
+
+def _is_splat_model(cloud: Any) -> bool:
+    return isinstance(cloud, Cloud) and splat_model(cloud) is not None
 
 
 def _named(candidates: Any) -> dict[str, Any]:
     """Candidates by name: as given, else the file's, else by their number."""
-    from pcbench.report.reading import names_of
-
     if isinstance(candidates, Mapping):
         return dict(candidates)
     if isinstance(candidates, Cloud | np.ndarray) or is_path(candidates):

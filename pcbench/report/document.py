@@ -24,13 +24,12 @@ from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.presets import Open3d, Preset, Tnt
 from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, Metrics, ThresholdScores
 from pcbench.registration import Registration
-from pcbench.report.comparison import Comparison
-from pcbench.report.inputs import InputFile
+from pcbench.report.inputs import InputFile, SourcedComparison
 
 SCHEMA = "pcbench.comparison/1"
 
 
-def document(comparison: Comparison) -> dict[str, Any]:
+def document(comparison: SourcedComparison) -> dict[str, Any]:
     """The comparison as JSON-ready values."""
     inputs = comparison.inputs
     values = {
@@ -144,6 +143,7 @@ def _registration(registration: Registration) -> dict[str, Any]:
         "weakest_sigma": registration.weakest_sigma,
         "check_points": [point._asdict() for point in registration.check_points],
         "scale_solved": registration.solved_scale,
+        "contrast": registration.contrast,
         "warnings": [notice.text for notice in registration.warnings],
         "warning_codes": [notice.code for notice in registration.warnings],
     }

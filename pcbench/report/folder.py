@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,10 +23,10 @@ from pcbench.io import write_cloud
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, largest_but_strays, ranges
-from pcbench.report.comparison import Comparison
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import FORMATS, Figures
-from pcbench.report.inputs import InputFile, Inputs
+from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
+from pcbench.report.names import check_name
 from pcbench.report.table import Row, markdown, rows
 from pcbench.scratch import claim, scratch_folder
 
@@ -36,8 +34,6 @@ SETTINGS_SCHEMA = "pcbench.settings/1"
 _MARK = "comparison.json"  # a folder that holds it is a report
 _DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
 _DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
-_LONGEST_NAME = 220  # bytes: names of files have 255, and what stands after it is `_poisson_distance.png` at most
-UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what breaks the lines of tables
 _SUFFIXES = (
     "_deformation.csv",
     "_deformation.ply",
@@ -78,7 +74,7 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise
 
 
-def write_report(folder: Path, comparison: Comparison, figures: Figures | None = None) -> None:
+def write_report(folder: Path, comparison: SourcedComparison, figures: Figures | None = None) -> None:
     """Write everything but the pictures of a comparison into an empty folder.
 
     `figures` says how pictures shall look: its range also colours the clouds, and settings.json holds it.
@@ -128,23 +124,6 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         raise InputError(f"{path}: settings are incomplete or damaged: {error}") from error
 
 
-def check_name(name: Any) -> str:
-    """A candidate's name becomes part of file names.
-
-    Raises:
-        InputError: it is empty, reserved, too long, or would lead out of the report's folder.
-    """
-    reserved = ("", ".", "..", "reference")
-    if not isinstance(name, str) or name in reserved or UNPRINTABLE.search(name) or any(c in name for c in "/\\"):
-        raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
-    if (size := len(os.fsencode(name))) > _LONGEST_NAME:
-        raise InputError(
-            f"{name[:20]}...: expected a candidate's name of at most {_LONGEST_NAME} bytes, as the report's files are"
-            f" called by it, got {size}: call the file by a shorter one"
-        )
-    return name
-
-
 def _recorded(row: dict[str, Any]) -> InputFile:
     if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
         raise ValueError("path and sha256 have to be text")
@@ -165,7 +144,7 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
     }
 
 
-def _csv(comparison: Comparison) -> str:
+def _csv(comparison: SourcedComparison) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(Row._fields)
@@ -173,7 +152,7 @@ def _csv(comparison: Comparison) -> str:
     return text.getvalue()
 
 
-def _write_maps(folder: Path, comparison: Comparison, figures: Figures) -> None:
+def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -> None:
     """NAME_deviation.ply (and .laz where a LAS file came in), NAME_completeness.ply, NAME_m3c2.ply: named scalars, and
     RGB for all viewers.
     """
@@ -197,7 +176,7 @@ def _write_maps(folder: Path, comparison: Comparison, figures: Figures) -> None:
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)
 
 
-def _coloured(deviation: DeviationMap, scale: Range, comparison: Comparison) -> Cloud:
+def _coloured(deviation: DeviationMap, scale: Range, comparison: SourcedComparison) -> Cloud:
     return Cloud(
         deviation.points,
         colors=scale.colors(deviation.scalars["distance"]),
@@ -234,7 +213,7 @@ def write_field(stem: str, deformation: Deformation, crs: str | None, unit: str 
     write_cloud(f"{stem}.csv", Cloud(field.places, attributes=columns))
 
 
-def _m3c2_cloud(found: M3C2, comparison: Comparison) -> Cloud:
+def _m3c2_cloud(found: M3C2, comparison: SourcedComparison) -> Cloud:
     attributes = {
         "m3c2_distance": found.distances.astype(np.float32),
         "lod95": found.lod.astype(np.float32),

@@ -1,10 +1,12 @@
-"""Which files a comparison read, so that a report can say so and be made again."""
+"""The files that a comparison read, so that a report can name them and be made again."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from pcbench.measure import results
 
 
 @dataclass(frozen=True)
@@ -29,3 +31,14 @@ class Inputs:
 
     def paths(self) -> list[Path]:
         return [Path(file.path) for file in self.all()]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SourcedComparison(results.Comparison):
+    """A measured comparison and the files that its clouds came from: what every output is written from.
+
+    Attributes:
+        inputs: the files; None where a cloud came from memory.
+    """
+
+    inputs: Inputs | None = None

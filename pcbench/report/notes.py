@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
-from pcbench.report.comparison import Comparison
+from pcbench.report.inputs import SourcedComparison
 from pcbench.report.words import LABELS, joined, length
 
 CLAIMS = ("similarity", "affine", "non-affine")  # of a deformation
@@ -14,7 +14,7 @@ _SMALL_OVERLAP = 0.8  # from which down distances tell more of what is not there
 _TOLD = (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared")  # whose differences are told
 
 
-def warnings(comparison: Comparison) -> list[str]:
+def warnings(comparison: SourcedComparison) -> list[str]:
     """What a reader has to know before any number, each text once, with the names that it concerns."""
     found: dict[str, list[str]] = {}
     inputs = comparison.inputs
@@ -28,7 +28,7 @@ def warnings(comparison: Comparison) -> list[str]:
     return [f"{joined(names)}: {text}" if names else text for text, names in found.items()]
 
 
-def details(comparison: Comparison) -> Iterator[str]:
+def details(comparison: SourcedComparison) -> Iterator[str]:
     """Is a candidate deformed, and is a better than b? Of every candidate, and of every pair whose poses are right."""
     for candidate in comparison:
         yield bend_sentence(comparison, candidate, candidate.name)
@@ -38,7 +38,7 @@ def details(comparison: Comparison) -> Iterator[str]:
             yield _difference_words(difference)
 
 
-def bend_sentence(comparison: Comparison, candidate: Candidate, name: str) -> str:
+def bend_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
     """The verdict on deformation; none is claimed under a pose that the geometry leaves open."""
     if is_open(candidate) and candidate.deformation.verdict in CLAIMS:
         return f"whether {name} is deformed is not said: the geometry does not fix its pose"
@@ -50,12 +50,12 @@ def is_open(candidate: Candidate) -> bool:
     return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
 
 
-def overlaps_little(comparison: Comparison, candidate: Candidate) -> bool:
+def overlaps_little(comparison: SourcedComparison, candidate: Candidate) -> bool:
     """Whether much of a candidate lies off the reference, and is measured all the same."""
     return comparison.settings.crop == "none" and candidate.registration.overlap < _SMALL_OVERLAP
 
 
-def _of_candidate(comparison: Comparison, candidate: Candidate) -> Iterator[str]:
+def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterator[str]:
     yield from map(str, candidate.warnings)
     registration, everywhere = candidate.registration, comparison.settings.crop == "none"
     for notice in registration.warnings:

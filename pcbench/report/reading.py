@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,8 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERED, read_cloud
 from pcbench.io.files import digest, named_file
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
-from pcbench.report.folder import UNPRINTABLE, check_name
 from pcbench.report.inputs import InputFile
 
 
@@ -50,23 +48,3 @@ def paths_in(settings: Settings) -> list[Path]:
 def named_files(settings: Settings) -> tuple[InputFile, ...]:
     """What the report says of the files that settings name."""
     return tuple(InputFile(str(path), digest(path)) for path in paths_in(settings))
-
-
-def names_of(paths: Sequence[Path]) -> list[str]:
-    """A name for each candidate: its file's stem, with a number where stems are equal.
-
-    Raises:
-        InputError: a stem cannot be part of file names.
-    """
-    result: list[str] = []
-    stems = [UNPRINTABLE.sub("_", path.stem) for path in paths]
-    taken = {*stems, "reference"}
-    for stem in stems:
-        name, number = stem or "candidate", 2
-        if name in result or name == "reference":
-            while f"{stem}_{number}" in taken:
-                number += 1
-            name = f"{stem}_{number}"
-            taken.add(name)
-        result.append(check_name(name))
-    return result

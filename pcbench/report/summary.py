@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from pcbench.measure.deviation import Spread
 from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, ThresholdScores
-from pcbench.report.comparison import Comparison
+from pcbench.report.inputs import SourcedComparison
 from pcbench.report.table import Line
 from pcbench.report.words import UNKNOWN, columns, number, rounding, shortened
 
@@ -28,7 +28,7 @@ class Column(NamedTuple):
         return max(map(columns, (*self.head, *self.cells)))
 
 
-def main_lines(comparison: Comparison) -> list[Line]:
+def main_lines(comparison: SourcedComparison) -> list[Line]:
     """For candidates side by side: metrics down, both directions across, the floor below what it belongs to."""
     candidates = list(comparison)
     show = _shown(comparison)
@@ -62,7 +62,7 @@ def main_lines(comparison: Comparison) -> list[Line]:
     return rows + wanted[: _MOST_ROWS - len(rows)]
 
 
-def main_columns(comparison: Comparison, width: int) -> list[Column]:
+def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
     """For a row each: as many as `width` columns of a terminal hold beside the names, the most telling ones first."""
     candidates = list(comparison)
     show = _shown(comparison, digits=3)
@@ -110,11 +110,11 @@ def _names(candidates: list[Candidate], width: int) -> list[str]:
     return names
 
 
-def _measured(comparison: Comparison) -> int:
+def _measured(comparison: SourcedComparison) -> int:
     return comparison.reference.points_in_region
 
 
-def _map_lines(candidates: list[Candidate], comparison: Comparison) -> Iterator[Line]:
+def _map_lines(candidates: list[Candidate], comparison: SourcedComparison) -> Iterator[Line]:
     """Of the maps that were asked for, or that a mesh brings."""
     for name in candidates[0].deviation.maps:
         if name != "plane_distance":
@@ -127,7 +127,7 @@ def _map_lines(candidates: list[Candidate], comparison: Comparison) -> Iterator[
         yield Line("  median LoD95, significant", [(number(m.median_lod), number(m.significant_share)) for m in found])
 
 
-def _score_lines(comparison: Comparison) -> Iterator[Line]:
+def _score_lines(comparison: SourcedComparison) -> Iterator[Line]:
     for at in _thresholds(comparison):
         scores = [_score(c, at) for c in comparison]
         yield Line(f"F-score at {number(at)}", [(number(s.fscore.value), "") for s in scores])
@@ -135,7 +135,7 @@ def _score_lines(comparison: Comparison) -> Iterator[Line]:
             yield Line("  precision, recall", [(number(s.precision.value), number(s.recall.value)) for s in scores])
 
 
-def _score_column(comparison: Comparison, at: float) -> Column:
+def _score_column(comparison: SourcedComparison, at: float) -> Column:
     values = [_score(c, at).fscore.value for c in comparison]
     return Column(("F-score", f"{at:.3g}"), [UNKNOWN if value is None else f"{value:.3f}" for value in values])
 
@@ -144,7 +144,7 @@ def _score(candidate: Candidate, at: float) -> ThresholdScores:
     return next(score for score in candidate.metrics.fscores if score.threshold == at)
 
 
-def _thresholds(comparison: Comparison) -> list[float]:
+def _thresholds(comparison: SourcedComparison) -> list[float]:
     """Those that were asked for; of the three that nobody asked for the one in the middle."""
     found = [score.threshold for score in comparison.candidates[0].metrics.fscores]
     return found if comparison.settings.thresholds is not None else found[len(found) // 2 :][:1]
@@ -155,7 +155,7 @@ def _bend_size(candidate: Candidate, show: Callable[[float | None], str]) -> str
     return show(bend.amplitude.rms) if bend.amplitude is not None and bend.verdict == "non-affine" else ""
 
 
-def _shown(comparison: Comparison, digits: int = 4) -> Callable[[float | None], str]:
+def _shown(comparison: SourcedComparison, digits: int = 4) -> Callable[[float | None], str]:
     """How lengths are shown: what is rounding is 0."""
     least = rounding(comparison)
 

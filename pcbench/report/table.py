@@ -14,7 +14,7 @@ from pcbench.measure.metrics import FScore
 from pcbench.measure.presets import BothWays, Preset
 from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Estimate
 from pcbench.report.answer import answer
-from pcbench.report.comparison import Comparison
+from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import details, warnings
 from pcbench.report.words import LABELS, number, title
 
@@ -42,7 +42,7 @@ class Row(NamedTuple):
     ci_high: float | None = None
 
 
-def rows(comparison: Comparison) -> Iterator[Row]:
+def rows(comparison: SourcedComparison) -> Iterator[Row]:
     """Every number of a comparison, tidy."""
     unit = comparison.reference.unit or "unit"
     for candidate in comparison.candidates:
@@ -147,7 +147,7 @@ class Line(NamedTuple):
     cells: list[tuple[str, str]]  # (c→r, r→c); the second is empty where one number stands for both
 
 
-def lines(comparison: Comparison, *, intervals: bool = False) -> Iterator[Line | None]:
+def lines(comparison: SourcedComparison, *, intervals: bool = False) -> Iterator[Line | None]:
     """All rows of the table, with 95 % intervals if asked for; None stands for a rule."""
     candidates = comparison.candidates
     registered = [c.registration for c in candidates]
@@ -238,7 +238,7 @@ def _bend_lines(candidates: Sequence[Candidate]) -> Iterator[Line]:
     yield Line("  bend RMS, detectable", cells)
 
 
-def markdown(comparison: Comparison) -> str:
+def markdown(comparison: SourcedComparison) -> str:
     """`table.md`: the answer and the warnings, the table with 95 % intervals, the definitions, and every difference."""
     names = [candidate.name.replace("|", "\\|") for candidate in comparison]
     header = ["", *(f"{name} {arrow}" for name in names for arrow in ARROWS.values())]
@@ -260,7 +260,7 @@ def markdown(comparison: Comparison) -> str:
     return "\n".join(text).rstrip() + "\n"
 
 
-def html(comparison: Comparison) -> str:
+def html(comparison: SourcedComparison) -> str:
     """For a notebook: the answer and the warnings, the table, and every difference; names are escaped."""
     right, left = "text-align:right;padding:1px 10px", "text-align:left;padding:1px 10px"
     names = "".join(f'<th colspan="2" style="text-align:center">{escape(c.name)}</th>' for c in comparison)
@@ -286,7 +286,7 @@ def _list(sentences: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
 
 
-def _legend(comparison: Comparison) -> str:
+def _legend(comparison: SourcedComparison) -> str:
     return _LEGEND.format(unit=comparison.reference.unit or "the files' unit")
 
 

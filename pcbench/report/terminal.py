@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcbench.report.answer import answer
-from pcbench.report.comparison import Comparison
+from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import details, warnings
 from pcbench.report.summary import MOST_ACROSS, main_columns, main_lines
 from pcbench.report.table import Line, lines
@@ -22,7 +22,7 @@ _GAP = "  "
 _ARROWS = ("c→r", "r→c")
 
 
-def print_comparison(comparison: Comparison, *, full: bool = False, folder: Path | None = None) -> None:
+def print_comparison(comparison: SourcedComparison, *, full: bool = False, folder: Path | None = None) -> None:
     """The answer, the warnings, the main numbers (`full`: all of them, and every sentence), and where the rest lies.
 
     Sentences are broken between words where the width is known: on a terminal, or by COLUMNS; in a file or a pipe each

@@ -8,7 +8,7 @@ from itertools import accumulate
 
 from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.intervals import Interval
-from pcbench.report.comparison import Comparison
+from pcbench.report.inputs import SourcedComparison
 
 UNKNOWN = "–"
 LABELS = {
@@ -17,7 +17,6 @@ LABELS = {
     **{metric.name: metric.label for metric in MEAN_METRICS},
 }
 _ROUNDING = 1e-9  # of the scene's extent
-_CELLS_ALONG = 28  # the extent, of the cells of the intervals
 
 
 def number(value: float | None, ci: Interval | None = None) -> str:
@@ -78,12 +77,12 @@ def _as_many(text: str, width: int) -> str:
     return text[: sum(end <= width for end in ends)]
 
 
-def rounding(comparison: Comparison) -> float:
+def rounding(comparison: SourcedComparison) -> float:
     """Distances up to this are no distances, in the clouds' unit."""
-    return _ROUNDING * _CELLS_ALONG * comparison.reference.block_side
+    return _ROUNDING * comparison.reference.extent
 
 
-def title(comparison: Comparison) -> str:
+def title(comparison: SourcedComparison) -> str:
     """The reference, in one line."""
     reference = comparison.reference
     unit = f" {reference.unit}" if reference.unit else ""

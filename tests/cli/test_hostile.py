@@ -16,8 +16,8 @@ from command_line import one_line
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.report.names import names_of
 from pcbench.report.plot import REPORT, worker
-from pcbench.report.reading import names_of
 from pcbench.studies.bench.charts import CHARTS
 
 DEEP = "[" * 100_000 + "]" * 100_000

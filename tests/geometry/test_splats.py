@@ -73,6 +73,9 @@ def test_a_comparison_leaves_faint_and_long_splats_out(tmp_path):
         found = pcbench.compare(plane, candidate, **limits)
         assert next(iter(found)).points == 900
         assert next(iter(found)).metrics.hausdorff.symmetric_max == 0
+    called = pcbench.compare(plane, {"the reference": splats}, **limits)
+    assert [(c.name, c.points) for c in called] == [("the reference", 900)]
+    assert called.reference.points == 900
     with pytest.raises(InputError, match="none of the clouds is a model"):
         pcbench.compare(plane, plane, **limits)
     with pytest.raises(InputError, match="candidate_1: none of 1200 splats is left"):

@@ -206,7 +206,7 @@ def test_document_keys_and_null_instead_of_nan(pair):
     reference, candidate = pair
     doc = json.loads(to_json(document(compare(reference, {"x": candidate, "copy": reference}, NONE))))
     assert doc["schema"] == "pcbench.comparison/1"
-    expected = {"path", "points", "points_in_region", "spacing_median", "crs", "sha256"}
+    expected = {"path", "points", "points_in_region", "spacing_median", "extent", "crs", "sha256"}
     assert expected <= doc["reference"].keys()
     assert {"version", "commit", "seed", "machine", "command", "created"} <= doc["provenance"].keys()
     first, copy = doc["candidates"]

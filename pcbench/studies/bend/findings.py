@@ -87,7 +87,7 @@ def findings(
     Args:
         truth: the true surface.
         intrinsics: the true ones.
-        seed: of the bootstrap.
+        seed: of the folds of the cross-validation.
     """
     first: tuple[str, Cloud] | None = None
     rows = []

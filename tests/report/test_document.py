@@ -1,0 +1,59 @@
+"""What comparison.json holds beside the metrics, and what its numbers depend on."""
+
+import numpy as np
+import pytest
+import shapes
+
+from pcbench import compare
+from pcbench.geometry.voxels import robust_extent
+from pcbench.measure import intervals
+from pcbench.report import document
+from pcbench.report.words import rounding
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    rng, candidate = np.random.default_rng(0), shapes.terrain(500, seed=2)[0]
+    return shapes.terrain(900, seed=1)[0], candidate + rng.normal(0, 0.05, candidate.shape)
+
+
+def leaves(value, path=()):
+    """Every value of nested JSON by its path."""
+    if not isinstance(value, dict | list):
+        return {path: value}
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    return {key: leaf for name, item in items for key, leaf in leaves(item, (*path, name)).items()}
+
+
+def test_the_contrast_that_decides_a_doubtful_pose_is_there(clouds):
+    found = compare(*clouds, register="none")
+    (candidate,) = document(found)["candidates"]
+    assert candidate["registration"]["contrast"] == found["candidate_1"].registration.contrast
+    assert candidate["registration"]["contrast"] > 0
+    corners = np.eye(3)
+    assert document(compare(corners, corners, register="none"))["candidates"][0]["registration"]["contrast"] is None
+
+
+def test_the_extent_is_that_of_the_points_whatever_the_cells(clouds, monkeypatch):
+    reference = clouds[0]
+    found = compare(reference, clouds[1], register="none")
+    assert document(found)["reference"]["extent"] == found.reference.extent
+    # The bounds are taken of coordinates from which an origin was subtracted.
+    assert found.reference.extent == pytest.approx(robust_extent(reference), rel=1e-12)
+    monkeypatch.setattr(intervals, "_CELLS_ALONG", 14)
+    coarse = compare(reference, clouds[1], register="none")
+    assert coarse.reference.block_side == pytest.approx(2 * found.reference.block_side)
+    assert rounding(coarse) == rounding(found) == 1e-9 * found.reference.extent
+
+
+def test_the_seed_drives_a_floor_and_the_folds_and_nothing_else():
+    """As the help of --seed says; a mesh as the reference is sampled by it too."""
+    dense, sparse = (shapes.city(count, noise=0.02, seed=count)[0] for count in (6000, 700))
+    documents = [leaves(document(compare(dense, sparse, seed=seed))["candidates"][0]) for seed in (0, 1)]
+    one, other = ({p: v for p, v in d.items() if p[0] not in ("timings_s", "peak_rss_bytes")} for d in documents)
+    changed = {path for path in one if one[path] != other[path]}
+    floors = {path for path in changed if "floor" in path}
+    assert floors
+    assert all(path[-1] == "reference_to_candidate" and path[1][:3] == "d2_" for path in floors)
+    assert changed - floors
+    assert all(path[:2] == ("deformation", "rungs") and path[-1][:3] == "cv_" for path in changed - floors)
