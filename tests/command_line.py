@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 # Files that every report's folder has.
-REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json"}
+REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json", "manifest.json"}
 
 
 def doc(folder):

@@ -225,12 +225,14 @@ def plot(
     """
     from pcbench.progress import Step
     from pcbench.report.figures import recorded_figures
+    from pcbench.report.manifest import complete_replacement
     from pcbench.report.plot import REPORT, draw, drawing_seconds
     from pcbench.scratch import claim
     from pcbench.studies.bench.charts import CHARTS
     from pcbench.studies.gao.figures import PICTURES as GAO
     from pcbench.studies.views.pictures import PICTURES
 
+    complete_replacement(report)
     drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES, GAO) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(

@@ -24,49 +24,41 @@ from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, largest_but_strays, ranges
 from pcbench.report.document import document, to_json
-from pcbench.report.figures import FORMATS, Figures
+from pcbench.report.figures import Figures
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
+from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.names import check_name
 from pcbench.report.table import Row, markdown, rows
 from pcbench.scratch import claim, scratch_folder
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
-_MARK = "comparison.json"  # a folder that holds it is a report
-_DEFORM_MARK = "deformation.json"  # one of `pcbench deform`
-_DEFORM_FILES = (_DEFORM_MARK, "deformation.ply", "deformation.csv", "aligned.ply", "T.txt")
-_SUFFIXES = (
-    "_deformation.csv",
-    "_deformation.ply",
-    "_deviation.ply",
-    "_deviation.laz",
-    "_completeness.ply",
-    "_m3c2.ply",
-    "_T.txt",
-)
+_COMPARISON = "comparison.json"
 
 
 @contextmanager
 def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
     """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when it does not.
 
-    In an existing report the old report's files are replaced; files of others are left alone.
+    In an existing report the files that its manifest lists are replaced; other files stay as they are.
 
     Raises:
-        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs);
-            or another run is writing there.
+        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs); its
+            `figures` is a link; a file that no report wrote has the name of a new one; or another run is writing there.
     """
     for path in keep:
         if path.resolve().is_relative_to(out.resolve()):
             raise InputError(f"{out}: the report would replace its own input {path}: choose another folder")
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the report to, got a file")
-    if out.is_dir() and any(out.iterdir()) and not any((out / mark).is_file() for mark in (_MARK, _DEFORM_MARK)):
+    complete_replacement(out)
+    if out.is_dir() and any(out.iterdir()) and not is_report(out):
         raise InputError(f"{out}: the folder is not empty and holds no report: choose another one, or empty it")
+    check_figures_folder(out)
     created = _make_parents(out.absolute().parent)
     try:
         with claim(out), scratch_folder(out) as scratch:
             yield scratch
-            _move_into_place(scratch, out)
+            replace_report(scratch, out)
     except BaseException:
         for folder in reversed(created):
             if not any(folder.iterdir()):
@@ -86,7 +78,7 @@ def write_report(folder: Path, comparison: SourcedComparison, figures: Figures |
     """
     for candidate in comparison:
         check_name(candidate.name)
-    (folder / _MARK).write_text(to_json(document(comparison)), encoding="utf-8")
+    (folder / _COMPARISON).write_text(to_json(document(comparison)), encoding="utf-8")
     # File names need not be Unicode.
     (folder / "metrics.csv").write_text(_csv(comparison), encoding="utf-8", errors="backslashreplace")
     (folder / "table.md").write_text(markdown(comparison), encoding="utf-8", errors="backslashreplace")
@@ -105,6 +97,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     Raises:
         InputError: the file is not one, or was damaged.
     """
+    complete_replacement(path.parent)
     try:
         values = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
@@ -190,7 +183,7 @@ def write_deformation(
     folder: Path, deformation: Deformation, aligned: Cloud, transform: Similarity, crs: str | None, unit: str | None
 ) -> None:
     """Write what `pcbench deform` leaves, but for the pictures, into an empty folder."""
-    (folder / _DEFORM_MARK).write_text(to_json(deformation), encoding="utf-8")
+    (folder / "deformation.json").write_text(to_json(deformation), encoding="utf-8")
     write_field(f"{folder}/deformation", deformation, crs, unit)
     write_cloud(folder / "aligned.ply", aligned)
     (folder / "T.txt").write_text(format_matrix(transform), encoding="utf-8")
@@ -230,32 +223,3 @@ def _make_parents(folder: Path) -> list[Path]:
     missing = [p for p in (folder, *folder.parents) if not p.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     return missing[::-1]
-
-
-def _move_into_place(scratch: Path, out: Path) -> None:
-    if not out.exists():
-        scratch.rename(out)
-        return
-    for old in _report_files(out):
-        if not (scratch / old.relative_to(out)).exists():
-            old.unlink()
-    for new in sorted(p for p in scratch.rglob("*") if p.is_file()):
-        target = out / new.relative_to(scratch)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        new.replace(target)
-
-
-def _report_files(out: Path) -> list[Path]:
-    """Files in an existing folder that an earlier report wrote."""
-    names = {_MARK, "metrics.csv", "table.md", "settings.json"}
-    try:
-        doc = json.loads((out / _MARK).read_text(encoding="utf-8"))
-        candidates = [check_name(candidate["name"]) for candidate in doc["candidates"]]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        candidates = []
-    if (out / _DEFORM_MARK).is_file():
-        names |= set(_DEFORM_FILES)
-    names |= {f"{name}{suffix}" for name in candidates for suffix in _SUFFIXES}
-    return [out / name for name in sorted(names) if (out / name).is_file()] + sorted(
-        path for ending in FORMATS for path in out.glob(f"figures/*.{ending}")
-    )

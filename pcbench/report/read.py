@@ -15,6 +15,7 @@ from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.results import BACK
+from pcbench.report.manifest import complete_replacement
 
 _MESH_SAMPLES = 500_000
 
@@ -83,6 +84,7 @@ def read_report(folder: Path) -> Report:
         InputError: a file of it is damaged.
         OSError: comparison.json is missing.
     """
+    complete_replacement(folder)
     with damage_in_one_line(folder):
         document = read_json(folder / "comparison.json")
         reference = document["reference"]
@@ -101,6 +103,7 @@ def read_deformation(folder: Path) -> Deformation:
         InputError: deformation.json is damaged.
         OSError: it is missing.
     """
+    complete_replacement(folder)
     with damage_in_one_line(folder):
         return Deformation.from_json(read_json(folder / "deformation.json"))
 

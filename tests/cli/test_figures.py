@@ -57,7 +57,7 @@ def test_plot_draws_as_the_report_was_made_but_for_what_is_given(files, run):
     assert "svg" in json.loads(Path("one/settings.json").read_text())["figures"]["format"]
     # A new report in the folder leaves no picture of the old one.
     assert run("compare", "ref.ply", "b.ply", "--out", "one", "-q")[0] == 0
-    assert not list(Path("one/figures").iterdir())
+    assert not list(Path("one").glob("figures/*"))
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.opengl import OFF_SCREEN, NoFiguresError
 from pcbench.report.figures import Figures, recorded_figures
+from pcbench.report.manifest import check_figures_folder, complete_replacement, record_files
 
 _MAX_SECONDS = 600
 
@@ -67,11 +68,13 @@ def draw(
         The files that were written.
 
     Raises:
-        InputError: the folder is not of the drawer's kind, or no picture has that name.
+        InputError: the folder is not of the drawer's kind, its `figures` is a link, or no picture has that name.
         NoFiguresError, MissingExtra: matplotlib is missing or fails.
     """
+    complete_replacement(report)
     if not drawer.fits(report):
         raise InputError(f"{report}: expected a report folder (with {' or '.join(drawer.documents)})")
+    check_figures_folder(report)
     check_library()
     look = figures or recorded_figures(report / "settings.json")
     done = run_module(
@@ -90,6 +93,7 @@ def draw(
         raise InputError(lines[-1])
     if done.code != 0:
         raise NoFiguresError(f"no pictures: drawing failed ({done.last_words or 'it crashed'})")
+    record_files(report, lines)
     return [report / line for line in lines]
 
 

@@ -1,0 +1,193 @@
+"""The files of a report folder: which of them the report wrote, and how a new report takes their place.
+
+`manifest.json` lists the files that were written. Only these are replaced or removed by the next report; everything
+else in the folder is the user's. A new report is built in a scratch folder, which one rename puts into the old report.
+From then on the new report is the valid one: the next reader or run moves the files that were not moved yet.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from pcbench.errors import InputError
+from pcbench.io.files import atomic_write, read_json
+from pcbench.report.figures import FORMATS
+
+MANIFEST = "manifest.json"
+SCHEMA = "pcbench.manifest/1"
+FIGURES = "figures"
+_PENDING = ".pcbench-replacement"  # a complete new report whose files still have to be moved
+_OWN = ".old-manifest.json"
+
+# The files of reports without a manifest, those of earlier versions.
+_COMPARISON_FILES = ("comparison.json", "metrics.csv", "table.md", "settings.json")
+_DEFORMATION_FILES = ("deformation.json", "deformation.ply", "deformation.csv", "aligned.ply", "T.txt", "settings.json")
+_CANDIDATE_SUFFIXES = (
+    "_deformation.csv",
+    "_deformation.ply",
+    "_deviation.ply",
+    "_deviation.laz",
+    "_completeness.ply",
+    "_m3c2.ply",
+    "_T.txt",
+)
+_PICTURES = ("distribution", "reference", "deformation", "displacement")
+_CANDIDATE_PICTURES = (
+    "_distance",
+    "_plane_distance",
+    "_mesh_distance",
+    "_poisson_distance",
+    "_m3c2_distance",
+    "_completeness",
+    "_deformation",
+    "_displacement",
+)
+
+
+def is_report(folder: Path) -> bool:
+    """Whether a report is in the folder, of this version or of an earlier one without a manifest."""
+    return (
+        _listed(folder / MANIFEST) is not None
+        or str(_values(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
+        or {"verdict", "model"} <= _values(folder / "deformation.json").keys()
+    )
+
+
+def check_figures_folder(folder: Path) -> None:
+    """Raises:
+    InputError: `figures` is a link or a file: pictures are written into a folder of the report's own.
+    """
+    figures = folder / FIGURES
+    if figures.is_symlink():
+        raise InputError(f"{figures}: expected a folder of the report's own, got a link: remove it, or choose another")
+    if figures.exists() and not figures.is_dir():
+        raise InputError(f"{figures}: expected a folder for pictures, got a file: rename it, or choose another folder")
+
+
+def replace_report(scratch: Path, out: Path) -> None:
+    """Make the complete report in `scratch`, a folder beside `out`, the one in `out`.
+
+    Raises:
+        InputError: a file that no report wrote has the name of a new one; nothing was changed then.
+        OSError: a file cannot be moved. If that is after the new report is in `out`, `complete_replacement` goes on.
+    """
+    new = {path.relative_to(scratch).as_posix() for path in scratch.rglob("*") if path.is_file()}
+    _write(scratch / MANIFEST, new)
+    if not out.exists():
+        scratch.rename(out)
+        return
+    own = _own(out)
+    _check_free(out, new | {MANIFEST}, own)
+    if own and not (out / MANIFEST).exists():  # so that what is left of a report without one stays known
+        _write(scratch / _OWN, own)
+        (scratch / _OWN).replace(out / MANIFEST)
+    scratch.rename(out / _PENDING)
+    complete_replacement(out)
+
+
+def complete_replacement(folder: Path) -> None:
+    """Move the files of a new report that was put into the folder by a run that did not live to move them.
+
+    Raises:
+        InputError: a file that no report wrote has by now the name of one of them.
+        OSError: a file cannot be moved.
+    """
+    pending = folder / _PENDING
+    if not pending.is_dir():
+        return
+    new = _listed(pending / MANIFEST)
+    if new is not None:
+        own = _own(folder)
+        left = {name for name in new if (pending / name).is_file()}
+        _check_free(folder, left, own)
+        for name in sorted(own - new):
+            if not (folder / name).is_dir():
+                (folder / name).unlink(missing_ok=True)
+        for name in [*sorted(left), MANIFEST]:  # until the manifest is there, the files of the old report are known
+            (folder / name).parent.mkdir(exist_ok=True)
+            with suppress(FileNotFoundError):  # another process has completed it
+                (pending / name).replace(folder / name)
+    for empty in (pending / FIGURES, pending, folder / FIGURES):
+        with suppress(OSError):
+            empty.rmdir()
+
+
+def record_files(folder: Path, names: Iterable[str]) -> None:
+    """Add files to a report's manifest, where the folder has one."""
+    listed = _listed(folder / MANIFEST)
+    if listed is not None and not (added := set(names)) <= listed:
+        _write(folder / MANIFEST, listed | added)
+
+
+def _check_free(folder: Path, names: Iterable[str], own: set[str]) -> None:
+    check_figures_folder(folder)
+    for name in sorted(names):
+        path = folder / name
+        if os.path.lexists(path) and (path.is_dir() or name not in own | {MANIFEST}):
+            raise InputError(
+                f"{path}: no report wrote it, and the new one has such a file: rename it, or choose another"
+            )
+    if os.path.lexists(folder / MANIFEST) and _listed(folder / MANIFEST) is None:
+        raise InputError(f"{folder / MANIFEST}: expected that of a report: rename it, or choose another folder")
+
+
+def _own(folder: Path) -> set[str]:
+    """Names of the files that an earlier report wrote into a folder, whether they are still there or not."""
+    listed = _listed(folder / MANIFEST)
+    if listed is not None:
+        return listed
+    names: set[str] = set()
+    pictures: set[str] = set()
+    candidates: list[Any] = []
+    if (folder / "comparison.json").is_file():
+        rows = _values(folder / "comparison.json").get("candidates")
+        candidates = [row.get("name") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+        names |= {*_COMPARISON_FILES, *(f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_SUFFIXES)}
+        pictures |= {f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_PICTURES}
+    if (folder / "deformation.json").is_file():
+        names |= {*_DEFORMATION_FILES}
+    if names:
+        pictures |= {*_PICTURES}
+    names |= {f"{FIGURES}/{picture}.{ending}" for picture in pictures for ending in FORMATS}
+    return set(filter(_is_inside, names))
+
+
+def _listed(manifest: Path) -> set[str] | None:
+    """The files that a manifest lists; None where there is none."""
+    values = _values(manifest)
+    files = values.get("files")
+    if values.get("schema") != SCHEMA or not isinstance(files, list):
+        return None
+    return {name for name in files if _is_inside(name)}
+
+
+def _is_inside(name: Any) -> bool:
+    """Whether a name is that of a file in a report's folder or in its `figures`: a manifest may be forged."""
+    if not isinstance(name, str) or "\0" in name:
+        return False
+    parts = PurePosixPath(name).parts
+    return (
+        name == "/".join(parts)
+        and ".." not in parts
+        and (len(parts) == 1 or (len(parts) == 2 and parts[0] == FIGURES))
+        and parts[0] != "/"
+    )
+
+
+def _values(path: Path) -> dict[str, Any]:
+    """The object that a JSON file holds; empty where it holds something else, or cannot be read."""
+    try:
+        values = read_json(path)
+    except (OSError, InputError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def _write(manifest: Path, names: Iterable[str]) -> None:
+    with atomic_write(manifest) as file:
+        file.write((json.dumps({"schema": SCHEMA, "files": sorted(names)}, indent=1) + "\n").encode())

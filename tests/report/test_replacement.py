@@ -1,0 +1,188 @@
+"""Replacing a report: only its own files go, and a run that is killed leaves the old report or the new one."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcbench import Cloud, compare
+from pcbench.errors import InputError
+from pcbench.report import report_folder
+from pcbench.report.manifest import complete_replacement, is_report
+from pcbench.report.plot import draw
+from pcbench.report.read import read_report
+
+OLD = {"comparison.json": "old", "a_T.txt": "old", "table.md": "old", "figures/a.png": "old", "figures/b.png": "old"}
+NEW = {"comparison.json": "new", "c_T.txt": "new", "table.md": "new", "figures/b.png": "new", "figures/c.svg": "new"}
+MINE = {"notes.txt": "mine", "figures/for_my_paper.png": "mine", "figures/plan.svg": "mine", "more/deep/x.bin": "mine"}
+
+
+def write(folder, files):
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def held(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "manifest.json"
+    }
+
+
+def save(out, files):
+    with report_folder(out) as folder:
+        write(folder, files)
+
+
+def save_and_die(out, files, at):
+    """Write a report in another process, which is killed before the `at`-th change of names; false if it was not."""
+    child = os.fork()
+    if child == 0:
+        left = [at]
+
+        def dying(change):
+            def changed(*arguments, **options):
+                left[0] -= 1
+                if left[0] == 0:
+                    os._exit(9)
+                return change(*arguments, **options)
+
+            return changed
+
+        for name in ("rename", "replace", "unlink", "rmdir", "mkdir"):
+            setattr(os, name, dying(getattr(os, name)))
+        code = 1
+        try:
+            save(out, files)
+            code = 0
+        finally:
+            os._exit(code)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, 9)
+    return code == 9
+
+
+def reader(out):
+    complete_replacement(out)
+
+
+def next_run(out):
+    """One that fails before it has anything to write."""
+    with pytest.raises(ZeroDivisionError), report_folder(out):
+        raise ZeroDivisionError
+
+
+@pytest.mark.parametrize("comes_next", [reader, next_run])
+@pytest.mark.parametrize("before", ["a report", "an old report", "an empty folder", "nothing"])
+def test_a_kill_at_any_step_leaves_a_whole_report(tmp_path, before, comes_next):
+    seen = []
+    for at in range(1, 100):
+        out = tmp_path / str(at) / "report"
+        out.parent.mkdir()
+        old, mine = {}, {}
+        if before == "a report":
+            old, mine = OLD, MINE
+            save(out, old)
+        elif before == "an old report":  # without a manifest
+            document = {"schema": "pcbench.comparison/1", "candidates": [{"name": "a"}, {"name": "../../x"}]}
+            old, mine = {"comparison.json": json.dumps(document), "a_T.txt": "", "figures/distribution.png": ""}, MINE
+            write(out, old)
+        elif before == "an empty folder":
+            out.mkdir()
+        write(out, mine)
+        killed = save_and_die(out, NEW, at)
+        if out.exists() or comes_next is next_run:
+            comes_next(out)
+        found = held(out) if out.exists() else {}
+        assert found in ({**old, **mine}, {**NEW, **mine}), at
+        seen.append({**NEW, **mine} == found)
+        assert not [path for path in out.parent.glob(".*") if comes_next is next_run], at
+        if not killed:
+            break
+        save(out, NEW)  # and the next one succeeds
+        assert held(out) == {**NEW, **mine}
+    assert seen == sorted(seen)
+    assert not seen[0]
+    assert seen[-1]
+    # The first report is there by one rename; another one has at least one kill of each side of its point of no return.
+    assert before == "nothing" or seen.count(True) > 2
+
+
+def test_only_files_that_the_report_wrote_are_replaced(tmp_path):
+    save(tmp_path / "report", OLD)
+    write(tmp_path / "report", MINE)
+    save(tmp_path / "report", NEW)
+    assert held(tmp_path / "report") == {**NEW, **MINE}
+    assert sorted(json.loads((tmp_path / "report/manifest.json").read_text())["files"]) == sorted(NEW)
+
+
+def test_a_file_of_the_user_in_the_way_is_refused(tmp_path):
+    save(tmp_path / "report", OLD)
+    write(tmp_path / "report", {"c_T.txt": "mine"})
+    with pytest.raises(InputError, match=r"c_T\.txt"):
+        save(tmp_path / "report", NEW)
+    assert held(tmp_path / "report") == {**OLD, "c_T.txt": "mine"}
+    (tmp_path / "report/c_T.txt").unlink()
+    (tmp_path / "report/c_T.txt").mkdir()
+    with pytest.raises(InputError, match=r"c_T\.txt"):
+        save(tmp_path / "report", NEW)
+    assert held(tmp_path / "report") == OLD
+
+
+def test_linked_figures_are_refused(tmp_path):
+    save(tmp_path / "report", OLD)
+    write(tmp_path / "pictures", {"a.png": "mine", "b.png": "mine"})
+    for name in ("a.png", "b.png"):
+        (tmp_path / "report/figures" / name).unlink()
+    (tmp_path / "report/figures").rmdir()
+    (tmp_path / "report/figures").symlink_to(tmp_path / "pictures")
+    before = held(tmp_path)
+    with pytest.raises(InputError, match="figures: expected a folder of the report's own, got a link"):
+        save(tmp_path / "report", NEW)
+    with pytest.raises(InputError, match="figures: expected a folder of the report's own, got a link"):
+        draw(tmp_path / "report")
+    assert held(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["../mine.txt", "/mine.txt", "figures/../../mine.txt", "more/mine.txt", "", ".", "..", "a\0b", 5, None]
+)
+def test_a_forged_manifest_removes_nothing_elsewhere(tmp_path, name):
+    write(tmp_path, {"mine.txt": "mine", "report/more/mine.txt": "mine"})
+    listed = {"schema": "pcbench.manifest/1", "files": [name, "stale.txt"]}
+    write(tmp_path / "report", {"manifest.json": json.dumps(listed), "stale.txt": ""})
+    save(tmp_path / "report", NEW)
+    assert held(tmp_path) == {"mine.txt": "mine", "report/more/mine.txt": "mine"} | {
+        f"report/{key}": text for key, text in NEW.items()
+    }
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", '{"schema": "other/1"}', '{"schema": 5}', "{", '{"candidates": []}'])
+def test_a_document_of_something_else_makes_no_report(tmp_path, text):
+    for name in ("comparison.json", "deformation.json", "manifest.json"):
+        folder = tmp_path / name
+        write(folder, {name: text})
+        assert not is_report(folder)
+        with pytest.raises(InputError, match="holds no report"):
+            save(folder, NEW)
+        assert (folder / name).read_text() == text
+
+
+def test_pictures_that_are_drawn_later_are_the_report_s_own(tmp_path):
+    pytest.importorskip("matplotlib")
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(0, 10, (400, 2)), np.zeros(400)])
+    found = compare(Cloud(points), Cloud(points[::2] + rng.normal(0, 0.01, (200, 3))), register="none")
+    out = tmp_path / "report"
+    found.save(out, figures=False)
+    write(out / "figures", {"mine.svg": "mine"})
+    (drawn,) = draw(out, ("distribution.svg",))
+    found.save(out, figures=False)
+    assert not drawn.exists()
+    assert [path.name for path in (out / "figures").iterdir()] == ["mine.svg"]
+    assert read_report(out).candidates[0].name == "candidate_1"
+    assert Path(out / "manifest.json").is_file()
