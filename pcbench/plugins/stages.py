@@ -11,10 +11,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from pcbench.io.files import digest
 from pcbench.plugins.code import code_digest
 
 _KEY = "stage.json"
+# COLMAP adds one to these counters in the header of a database whenever it opens it, though it changes nothing.
+_SQLITE, _SQLITE_COUNTERS = b"SQLite format 3\0", (slice(24, 28), slice(92, 96))
 _LIBRARIES = ("pcbench", "numpy", "scipy", "pillow", "pycolmap", "torch", "open3d", "pyvista")
 
 
@@ -87,7 +88,7 @@ def _is_whole(folder: Path, inputs: Mapping[str, Any]) -> bool:
         return (
             json.dumps(record["inputs"], sort_keys=True) == json.dumps(inputs, sort_keys=True)
             and all(path.stat().st_size == size for path, size, _ in files)
-            and all(digest(path) == known for path, _, known in files)
+            and all(_digest(path) == known for path, _, known in files)
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):  # no stage, or what is left of one
         return False
@@ -96,4 +97,15 @@ def _is_whole(folder: Path, inputs: Mapping[str, Any]) -> bool:
 def _files(folder: Path) -> dict[str, tuple[int, str]]:
     """Sizes and digests of a folder's files by name; a link's file belongs to another stage."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-    return {path.relative_to(folder).as_posix(): (path.stat().st_size, digest(path)) for path in files}
+    return {path.relative_to(folder).as_posix(): (path.stat().st_size, _digest(path)) for path in files}
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file; of a database as if nobody had opened it."""
+    with path.open("rb") as file:
+        head = bytearray(file.read(_SQLITE_COUNTERS[-1].stop))
+        if head.startswith(_SQLITE):
+            for counter in _SQLITE_COUNTERS:
+                head[counter] = bytes(len(head[counter]))
+        whole = hashlib.sha256(head)
+        return hashlib.file_digest(file, lambda: whole).hexdigest()

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 
@@ -102,6 +103,28 @@ def test_files_beside_those_that_were_made_do_not_matter(made):
     (folder / "journal").write_text("of a reader")
     ask()
     assert maker.calls == 1
+
+
+def test_a_database_that_was_opened_is_the_same_and_one_with_other_rows_is_not(tmp_path):
+    def fill(folder):
+        calls.append(1)
+        execute(folder / "d.db", "PRAGMA journal_mode=wal; CREATE TABLE t (x); INSERT INTO t VALUES (1)")
+
+    def execute(path, script):
+        connection = sqlite3.connect(path)
+        connection.executescript(script)
+        connection.close()
+
+    calls = []
+    folder = stage(tmp_path, "features", {}, fill)
+    before = (folder / "d.db").read_bytes()
+    execute(folder / "d.db", "PRAGMA user_version = 0")  # as COLMAP does when it opens one
+    assert (folder / "d.db").read_bytes() != before
+    stage(tmp_path, "features", {}, fill)
+    assert len(calls) == 1
+    execute(folder / "d.db", "UPDATE t SET x = 2")
+    stage(tmp_path, "features", {}, fill)
+    assert len(calls) == 2
 
 
 def test_a_linked_file_belongs_to_another_stage(tmp_path):
