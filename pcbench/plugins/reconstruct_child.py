@@ -18,6 +18,7 @@ from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.files import atomic_write
 from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
+from pcbench.plugins.code import running
 from pcbench.plugins.run import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
 from pcbench.scenes import Scene, read_scene
 
@@ -40,6 +41,7 @@ def main(workspace: Path) -> None:
 
 def _prepare(job: dict[str, Any], warnings: list[str]) -> tuple[Plugin, Reconstructor, Scene]:
     plugin = find_plugin(job["plugin"])
+    running(plugin.cls.__module__)
     reconstructor = plugin.configure(job["settings"])
     if missing := plugin.missing:
         raise InputError(f"{plugin.name} cannot run here: {missing}")
@@ -65,6 +67,10 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
     if not isinstance(result, Reconstruction):
         what = type(result).__name__
         return {"status": "garbage", "message": f"expected {plugin.name} to return a Reconstruction, got {what}"}
+    named = {*result.cameras, *(camera.name for camera in result.cameras.values())}
+    if strange := sorted(map(str, named.difference(scene.images))):
+        message = f"{plugin.name} returned a camera of {strange[0]!r}, which is not an image of the scene"
+        return {"status": "garbage", "message": f"{message}: name cameras as scene.images does"}
     write_cloud(workspace / CLOUD, result.cloud)
     shutil.rmtree(workspace / CAMERAS, ignore_errors=True)
     if result.cameras:

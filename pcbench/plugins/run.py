@@ -236,7 +236,8 @@ class Description:
     Args:
         settings: the names of its settings.
         origin: its package with version, or its file.
-        sha256: of the file that its class is in; None where there is none.
+        sha256: digest of its code, sources and compiled modules: of its package, or of its file and what lies beside
+            it (`pcbench.plugins.code.plugin_files`); None where nothing is known of it.
         problem: why nothing is known of it; None where all is well.
         help, more: the first paragraph of its docstring, and the rest.
         missing: what keeps it from running here, by its own account.

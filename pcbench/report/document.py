@@ -28,6 +28,8 @@ from pcbench.report.inputs import InputFile, SourcedComparison
 
 SCHEMA = "pcbench.comparison/1"
 
+_CODE = ("pcbench", "reconstructors", "CMakeLists.txt", "pyproject.toml")  # what a build is made of
+
 
 def document(comparison: SourcedComparison) -> dict[str, Any]:
     """The comparison as JSON-ready values."""
@@ -191,15 +193,21 @@ def provenance(seed: int | None) -> dict[str, Any]:
     }
 
 
-def _commit() -> str | None:
-    root = Path(pcbench.__file__).parents[1]
+def _commit(root: Path = Path(pcbench.__file__).parents[1]) -> str | None:
+    """The commit of the source tree at `root`, and whether its code differs from it; None where there is none."""
     if not (root / ".git").exists():
         return None
     try:
-        command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
+        commit = _git(root, "rev-parse", "HEAD")
+        changed = _git(root, "status", "--porcelain", "--", *_CODE)
     except (OSError, subprocess.SubprocessError):
         return None
+    return f"{commit} with uncommitted changes" if changed else commit
+
+
+def _git(root: Path, *words: str) -> str:
+    command = ["git", "--no-optional-locks", "-C", str(root), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
 
 
 def _plain(value: Any) -> Any:

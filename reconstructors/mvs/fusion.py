@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import ReconstructionError
+from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
@@ -25,6 +25,7 @@ from pcbench.io.meshes import read_mesh
 from pcbench.scenes.synthetic.files import write_mesh_ply
 from reconstructors.mvs.filter import world_points
 from reconstructors.mvs.maps import DEPTH, NORMAL, DepthMap
+from reconstructors.sfm.model import check_written, not_written
 
 FUSED = "fused.ply"  # in the folder of the stage, with the images of each point in fused.ply.vis
 
@@ -86,6 +87,7 @@ def write_workspace(
         _link(folder / "images" / short, images[name])
     (folder / "stereo/fusion.cfg").write_text("".join(f"{short}\n" for short in short_names(cameras)))
     workspace_model(cameras, tracks).write(folder / "sparse")
+    check_written(folder / "sparse")
 
 
 def link_maps(folder: Path, maps: Mapping[str, Path]) -> None:
@@ -142,6 +144,9 @@ def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], normal_deg: 
     Args:
         workspace: as `write_workspace` and `link_maps` make it.
         normal_deg: between the normals of pixels that are merged, at most.
+
+    Raises:
+        ReconstructionError: a file could not be written whole, which COLMAP does not say.
     """
     import pycolmap
 
@@ -155,6 +160,11 @@ def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], normal_deg: 
     pixels = max(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
     options.cache_size = max(_MIN_CACHE, (_NEIGHBOURS + 4) * pixels * _BYTES / 2**30)
     pycolmap.stereo_fusion(out, workspace, input_type="geometric", options=options, output_type="PLY")
+    try:
+        if len(visibility(_visibility_file(out))[0]):  # a cloud without points is said later
+            read_cloud(out, on_warning=lambda _: None)
+    except (InputError, OSError) as error:
+        raise not_written(out) from error
 
 
 def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, Path], least: int) -> Cloud:
@@ -169,7 +179,7 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
     Raises:
         ReconstructionError: nothing was fused.
     """
-    point, image = visibility(path.with_name(path.name + ".vis"))
+    point, image = visibility(_visibility_file(path))
     if not len(point):
         raise ReconstructionError(
             "nothing is fused: no depth is confirmed by enough images; take more images with more overlap, check the"
@@ -190,18 +200,30 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
 def visibility(path: Path) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Numbers of points and of images (M,), a pair for each image that a point comes from, of a .vis file of COLMAP:
     the uint64 number of points, then each point's uint32 count and so many uint32 numbers of images, from 0.
+
+    Raises:
+        InputError: the file was cut short.
     """
     words = np.fromfile(path, dtype="<u4")
-    count = int(words[:2].view("<u8")[0])
+    if len(words) < 2 or len(words) < 2 + (count := int(words[:2].view("<u8")[0])):
+        raise InputError(f"{path}: truncated")
     # A view, and no list: that would take ten times the memory of the file.
     numbers, starts, place = words.data, np.empty(count, dtype=np.int64), 2
     for point in range(count):
+        if place >= len(words):
+            raise InputError(f"{path}: truncated")
         starts[point] = place
         place += 1 + numbers[place]
+    if place > len(words):
+        raise InputError(f"{path}: truncated")
     lengths = words[starts]
     is_image = np.ones(place, dtype=np.bool_)
     is_image[:2] = is_image[starts] = False
     return np.repeat(np.arange(count, dtype=np.int32), lengths), words[:place][is_image].view(np.int32)
+
+
+def _visibility_file(fused: Path) -> Path:
+    return fused.with_name(fused.name + ".vis")
 
 
 def tracks_of(found: Mapping[str, Links], cameras: Collection[str]) -> list[Track]:
@@ -234,7 +256,7 @@ def write_mesh(fused: Path, out: Path, origin: FloatArray, unit: str | None) -> 
 
     # An octree as deep as the points are dense, were they spread evenly; and surface is left where they are this dense
     # but for three levels, not where it was made up to close holes.
-    count = int(np.fromfile(fused.with_name(fused.name + ".vis"), dtype="<u8", count=1)[0])
+    count = int(np.fromfile(_visibility_file(fused), dtype="<u8", count=1)[0])
     depth = int(np.clip(np.ceil(0.5 * np.log2(count)), 6, 13))
     options = pycolmap.PoissonMeshingOptions()
     options.depth, options.trim = depth, float(depth - 3)

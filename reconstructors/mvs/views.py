@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
-from pcbench.plugins.stages import library_versions, stage
+from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image, decode_mask
 from reconstructors.mvs.maps import read_depth, read_map
@@ -54,7 +54,6 @@ def in_folder(root: Path, name: str) -> tuple[Path, str]:
 def view_stage(scene: Scene, camera: Camera, target: Camera, workspace: Path) -> Path:
     """The stage with the photograph of `camera` as the pinhole `target` of the same place takes it."""
     inputs = {
-        "versions": library_versions(),
         "photograph": scene.select([camera.name]).fingerprint(cameras=False),
         "camera": repr(camera.intrinsics),
         "pinhole": repr(target.intrinsics),

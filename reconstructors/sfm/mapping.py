@@ -10,7 +10,7 @@ from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
 from reconstructors.sfm.features import DATABASE, some, working_images
-from reconstructors.sfm.model import Refine
+from reconstructors.sfm.model import Refine, check_written
 
 Mapper = Literal["incremental", "global"]
 
@@ -35,6 +35,8 @@ def map_images(
             shutil.copyfile(verified / DATABASE, database)
             pycolmap.global_mapping(database, images, folder, _global_options(refine, seed))
             database.unlink()
+        for model in folder.iterdir():
+            check_written(model)
 
     inputs = {"matches": stage_key(verified), "mapping": mapper, "refine": refine, "seed": seed}
     return stage(workspace, name or mapper, inputs, make)
@@ -82,6 +84,7 @@ def triangulate(verified: Path, scene: Scene, workspace: Path, seed: int) -> Pat
             options=_incremental_options("none", seed),
             refine_intrinsics=False,
         )
+        check_written(folder / "0")
 
     inputs = {"matches": stage_key(verified), "scene": scene.fingerprint(), "seed": seed}
     return stage(workspace, "triangulation", inputs, make)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +16,54 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import intrinsics_from_colmap
 
 Refine = Literal["all", "focal", "distortion", "none"]  # which intrinsics are solved for
+
+
+def check_written(folder: Path) -> None:
+    """Refuse a binary model that COLMAP could not write whole: it ignores a full disk and goes on.
+
+    Raises:
+        ReconstructionError: a file is missing or was cut short.
+    """
+    try:
+        for name, read_entry in _ENTRIES.items():
+            data = (folder / name).read_bytes()
+            (count,) = struct.unpack_from("<Q", data)
+            place = 8
+            for _ in range(count):
+                place = read_entry(data, place)
+            if place > len(data):
+                raise ValueError("truncated")
+    except (OSError, ValueError, struct.error) as error:
+        raise not_written(folder) from error
+
+
+def _end_of_image(data: bytes, place: int) -> int:
+    """Number, pose and camera; the name, which ends with a zero; x, y and point of each feature."""
+    name_end = data.index(b"\0", place + 64) + 1
+    return name_end + 8 + 24 * int(struct.unpack_from("<Q", data, name_end)[0])
+
+
+def _end_of_point(data: bytes, place: int) -> int:
+    """Number, place, colour and error; image and feature of each element of the track."""
+    return place + 51 + 8 * int(struct.unpack_from("<Q", data, place + 43)[0])
+
+
+# Where an entry of a file of a model ends. Every camera is a rig of its own here, and has three parameters at least.
+_ENTRIES: dict[str, Callable[[bytes, int], int]] = {
+    "cameras.bin": lambda data, place: place + 24 + 8 * 3,
+    "images.bin": _end_of_image,
+    "points3D.bin": _end_of_point,
+    "rigs.bin": lambda data, place: place + 16,
+    "frames.bin": lambda data, place: place + 84,
+}
+
+
+def not_written(path: Path) -> ReconstructionError:
+    """The error for a file or folder that COLMAP has cut short without a word."""
+    return ReconstructionError(
+        f"{path.name} could not be written whole: the disk is full or the size of files is limited; make room and run"
+        " it again"
+    )
 
 
 def cameras_of(model: Any) -> dict[str, Camera]:

@@ -31,7 +31,7 @@ from reconstructors.sfm.features import (
 from reconstructors.sfm.images import readable
 from reconstructors.sfm.mapping import Mapper, triangulate
 from reconstructors.sfm.matches import check_verified, match_pairs, verify_matches
-from reconstructors.sfm.model import Refine, cameras_of, cloud_of, largest_angle_deg, quality
+from reconstructors.sfm.model import Refine, cameras_of, check_written, cloud_of, largest_angle_deg, quality
 from reconstructors.sfm.pairs import Matching, choose_pairs
 from reconstructors.sfm.solve import solve
 
@@ -186,6 +186,7 @@ def _write(model: Any, folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     model.write(folder)
+    check_written(folder)
 
 
 def _undistort(workspace: Path, images: Path) -> None:

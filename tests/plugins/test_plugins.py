@@ -19,7 +19,6 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.image_header import read_image_header
 from pcbench.plugins import Reconstruction, find_plugin
 from pcbench.plugins.run import ReconstructionJob, run
-from pcbench.plugins.stages import stage, stage_key
 
 POINTS = np.random.default_rng(0).normal(size=(30, 3))
 
@@ -118,10 +117,14 @@ def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
         ("return Reconstruction(Cloud(np.full((5, 3), np.nan)), 'metric')", "failed", "finite coordinates"),
         ("return Reconstruction(scene.points, 'feet')", "failed", "gauge"),
         (
-            "camera = next(iter(scene.cameras.values()));"
-            " return Reconstruction(scene.points, 'metric', {'a\\nb': replace(camera, name='a\\nb')})",
+            "return Reconstruction(scene.points, 'metric', {'a\\nb': replace(scene.cameras['0.png'], name='a\\nb')})",
             "garbage",
-            "images.txt",
+            r"mine.py:Mine returned a camera of 'a\\nb', which is not an image of the scene",
+        ),
+        (  # the name inside counts too: it is what the camera is written under
+            "return Reconstruction(scene.points, 'metric', {'0.png': replace(scene.cameras['0.png'], name='9.png')})",
+            "garbage",
+            r"a camera of '9\.png', which is not an image",
         ),
     ],
 )
@@ -221,34 +224,6 @@ def test_entry_points(monkeypatch):
         find_plugin("two")
     with pytest.raises(InputError, match="there are one, two"):
         find_plugin("three")
-
-
-def test_stages_are_made_once_for_each_input(tmp_path):
-    made = []
-
-    def make(folder):
-        made.append(folder)
-        (folder / "a.txt").write_text(str(len(made)))
-
-    first = stage(tmp_path, "features", {"n": 1}, make)
-    assert stage(tmp_path, "features", {"n": 1}, make) == first
-    assert len(made) == 1
-    assert (first / "a.txt").read_text() == "1"
-    key = stage_key(first)
-    stage(tmp_path, "features", {"n": 2}, make)
-    assert (first / "a.txt").read_text() == "2"
-    assert stage_key(first) != key
-    assert stage_key(tmp_path / "none") is None
-
-    def killed(folder):
-        (folder / "half.txt").write_text("")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        stage(tmp_path, "features", {"n": 3}, killed)
-    assert stage_key(first) is None  # neither the old result nor half a new one
-    stage(tmp_path, "features", {"n": 3}, make)
-    assert sorted(p.name for p in first.iterdir()) == ["a.txt", "stage.json"]
 
 
 def test_a_killed_run_goes_on_where_it_stopped(scene, plugin, tmp_path):

@@ -270,23 +270,30 @@ def test_wrong_poses_are_said(photographs, tmp_path):
     fails(replace(scene, cameras=turned), tmp_path, "the given cameras do not fit the images: [0-9.]+% of")
 
 
-def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photographs, tmp_path):
+def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photographs, tmp_path, monkeypatch):
     import pycolmap
+
+    verify = pycolmap.geometric_verification
+
+    def verify_wrongly(file, **options):
+        """As if one thing stood in several places: four pairs get matches of features that have nothing in common."""
+        verify(file, **options)
+        database = pycolmap.Database.open(file)
+        rng = np.random.default_rng(0)
+        for a, b in ((1, 5), (2, 6), (3, 7), (1, 7)):
+            geometry = database.read_two_view_geometry(a, b)
+            counts = [database.num_keypoints_for_image(number) for number in (a, b)]
+            geometry.inlier_matches = np.stack([rng.permutation(n)[:150] for n in counts], axis=1).astype(np.uint32)
+            database.update_two_view_geometry(a, b, geometry)
+        database.close()
 
     scene = read_scene(photographs)
     settings = {"poses": "solve", "refine": "none", **QUICK}
     first = ColmapSfm(**settings).reconstruct(scene, tmp_path)
     assert first.gauge == "georeferenced"
     assert not any(note.startswith("warning: ") for note in first.notes)
-    # As if one thing stood in several places: four pairs get matches of features that have nothing in common.
-    database = pycolmap.Database.open(tmp_path / "verified/database.db")
-    rng = np.random.default_rng(0)
-    for a, b in ((1, 5), (2, 6), (3, 7), (1, 7)):
-        geometry = database.read_two_view_geometry(a, b)
-        counts = [database.num_keypoints_for_image(number) for number in (a, b)]
-        geometry.inlier_matches = np.stack([rng.permutation(n)[:150] for n in counts], axis=1).astype(np.uint32)
-        database.update_two_view_geometry(a, b, geometry)
-    database.close()
+    monkeypatch.setattr(pycolmap, "geometric_verification", verify_wrongly)
+    shutil.rmtree(tmp_path / "verified")
     made = ColmapSfm(**settings).reconstruct(scene, tmp_path)
     assert (made.gauge, made.cloud.unit) == ("arbitrary", None)
     (note,) = [note for note in made.notes if note.startswith("warning: ")]

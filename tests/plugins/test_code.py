@@ -1,0 +1,133 @@
+"""The digest of code: every source and compiled module that decides a result is in it, of bundled and other plugins."""
+
+import importlib
+import sys
+
+import pytest
+
+from pcbench.plugins.code import _files_of_packages, digest_files, plugin_files
+from pcbench.plugins.run import ReconstructionJob, describe, run
+from pcbench.plugins.stages import library_versions
+
+PLUGIN = """
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from pcbench import Cloud
+from pcbench.plugins import Reconstruction
+from pcbench.plugins.stages import stage
+@dataclass(frozen=True)
+class Mine:
+    def reconstruct(self, scene, workspace):
+        {importing}
+        def make(folder):
+            print("made")
+            np.save(folder / "points.npy", np.full((3, 3), value()))
+        folder = stage(workspace, "points", {{}}, make)
+        return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package on the path, with sources, a kernel, a header, a compiled module and what is none of these."""
+    folder = tmp_path / "path" / "some_plugin"
+    (folder / "cuda").mkdir(parents=True)
+    (folder / "__init__.py").write_text("")
+    (folder / "mine.py").write_text(PLUGIN.format(importing="from some_plugin.beside import value"))
+    (folder / "beside.py").write_text("def value(): return 1.0\n")
+    (folder / "cuda/kernel.cu").write_text("// 1")
+    (folder / "cuda/maths.h").write_text("// 1")
+    (folder / "_core.cpython-311-x86_64-linux-gnu.so").write_bytes(b"1")
+    (folder / "README.md").write_text("1")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "path"))  # of the processes that run it
+    monkeypatch.syspath_prepend(tmp_path / "path")
+    yield folder
+    for name in [name for name in sys.modules if name.partition(".")[0] == "some_plugin"]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize(
+    "edited, counts",
+    [
+        ("mine.py", True),
+        ("beside.py", True),
+        ("cuda/kernel.cu", True),
+        ("cuda/maths.h", True),
+        ("_core.cpython-311-x86_64-linux-gnu.so", True),
+        ("new.py", True),
+        ("README.md", False),
+        ("beside.pyc", False),
+    ],
+)
+def test_edits_of_a_plugins_package(package, edited, counts):
+    importlib.import_module("some_plugin.mine")
+    before = digest_files(plugin_files("some_plugin.mine"))
+    assert digest_files(plugin_files("some_plugin.mine")) == before
+    with (package / edited).open("ab") as file:
+        file.write(b"\n")
+    assert (digest_files(plugin_files("some_plugin.mine")) != before) == counts
+
+
+def test_all_code_of_ours_counts():
+    files = dict(_files_of_packages(["pcbench", "reconstructors"]))
+    compiled = {name.partition(".")[0] for name, file in files.items() if file.suffix == ".so"}
+    assert {
+        "pcbench/native/_core",
+        "reconstructors/mvs/native/_patchmatch",
+        "reconstructors/splat/cpu/_rasterizer",
+    } <= compiled
+    assert {"reconstructors/splat/train.py", "reconstructors/splat/maths.h", "pcbench/measure/scores.py"} <= set(files)
+    assert any(name.startswith("reconstructors/splat/cuda/") and name.endswith(".cu") for name in files)
+    assert len(library_versions()["code"]) == 64
+
+
+def test_a_bundled_plugin_is_described_by_its_whole_package():
+    assert describe("splat").sha256 == describe("reconstructors.mvs.mvs:DenseMvs").sha256
+
+
+@pytest.fixture
+def photographs(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    (tmp_path / "photos/images").mkdir(parents=True)
+    image.new("RGB", (40, 30)).save(tmp_path / "photos/images/0.png")
+    return tmp_path / "photos"
+
+
+def test_a_stage_is_made_again_after_an_edit_beside_the_plugin(package, photographs, tmp_path):
+    job = ReconstructionJob("some_plugin.mine:Mine", photographs)
+
+    def once():
+        result = run(job, tmp_path / "work")
+        return result.log.read_text(), result.required().cloud.points[0, 0]
+
+    assert once() == ("made\n", 1.0)
+    assert once() == ("", 1.0)
+    before = describe(job.plugin).sha256
+    (package / "beside.py").write_text("def value(): return 2.0\n")
+    assert once() == ("made\n", 2.0)
+    (package / "cuda/kernel.cu").write_text("// 2")
+    assert once() == ("made\n", 2.0)
+    assert describe(job.plugin).sha256 != before
+
+
+def test_a_stage_of_a_file_is_made_again_after_an_edit_beside_it(photographs, tmp_path):
+    """A plugin that is one file may import from beside it, in the function that needs it too."""
+    folder = tmp_path / "loose"
+    (folder / "below").mkdir(parents=True)
+    head = "import sys, pathlib; sys.path.insert(0, str(pathlib.Path(__file__).parent)); import below.deep\n"
+    (folder / "mine.py").write_text(head + PLUGIN.format(importing="from beside import value"))
+    (folder / "beside.py").write_text("def value(): return 1.0\n")
+    (folder / "below/deep.py").write_text("")
+    job = ReconstructionJob(f"{folder}/mine.py:Mine", photographs)
+
+    def log():
+        return run(job, tmp_path / "work").log.read_text()
+
+    assert (log(), log()) == ("made\n", "")
+    (folder / "beside.py").write_text("def value(): return 2.0\n")
+    assert (log(), log()) == ("made\n", "")
+    (folder / "below/deep.py").write_text("# edited")
+    assert (log(), log()) == ("made\n", "")
+    (folder / "notes.txt").write_text("not code")
+    assert log() == ""

@@ -1,0 +1,83 @@
+"""Files that COLMAP could not write whole, or that were cut later: refused, and made again."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import textured_corner as corner
+
+from pcbench.errors import ReconstructionError
+from pcbench.scenes import read_scene
+from reconstructors.sfm.model import check_written
+from reconstructors.sfm.sfm import ColmapSfm
+
+pytest.importorskip("pycolmap")
+
+QUICK = ColmapSfm(upsample=False, features=1000)
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("corner")
+    return corner.write_scene(folder, corner.cameras(5, corner.standard_intrinsics()))
+
+
+@pytest.fixture(scope="module")
+def workspace(photographs, tmp_path_factory):
+    """After a reconstruction."""
+    folder = tmp_path_factory.mktemp("work")
+    QUICK.reconstruct(read_scene(photographs), folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"])
+def test_a_cut_model_is_refused(workspace, tmp_path, name):
+    for file in (workspace / "model").iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    check_written(tmp_path)
+    size = (tmp_path / name).stat().st_size
+    for left in (size // 2, 8, 0):
+        os.truncate(tmp_path / name, left)
+        with pytest.raises(ReconstructionError, match="could not be written whole"):
+            check_written(tmp_path)
+    (tmp_path / name).unlink()
+    with pytest.raises(ReconstructionError, match="could not be written whole"):
+        check_written(tmp_path)
+
+
+@pytest.mark.parametrize("cut", ["features/database.db", "verified/database.db", "triangulation/0/images.bin"])
+def test_a_cut_stage_is_made_again(photographs, workspace, cut):
+    scene = read_scene(photographs)
+    before = QUICK.reconstruct(scene, workspace)
+    whole = (workspace / cut).stat().st_size
+    os.truncate(workspace / cut, whole // 2)
+    again = QUICK.reconstruct(scene, workspace)
+    np.testing.assert_array_equal(again.cloud.points, before.cloud.points)
+    assert (workspace / cut).stat().st_size == whole
+
+
+def test_a_limit_on_files_is_an_error_and_leaves_no_stage(photographs, tmp_path):
+    """The limit begins before COLMAP writes the model, of which the file of images alone is larger."""
+    code = f"""
+import resource, sys
+from pathlib import Path
+from pcbench.scenes import read_scene
+from reconstructors.sfm import mapping
+from reconstructors.sfm.sfm import ColmapSfm
+triangulated = mapping._posed_model
+def limited(*arguments):  # from here on, and more than a database takes when it is opened
+    model = triangulated(*arguments)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
+    return model
+if sys.argv[1] == "limited":
+    mapping._posed_model = limited
+ColmapSfm(upsample=False, features=1000).reconstruct(read_scene({str(photographs)!r}), Path({str(tmp_path)!r}))
+"""
+    limited = subprocess.run([sys.executable, "-c", code, "limited"], capture_output=True, text=True)
+    assert limited.returncode != 0
+    assert not (tmp_path / "triangulation/stage.json").exists()
+    assert "ReconstructionError" in limited.stderr
+    assert subprocess.run([sys.executable, "-c", code, "free"]).returncode == 0
+    check_written(tmp_path / "triangulation/0")
