@@ -13,8 +13,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.regions import AXES, Polygon, Union
-
-_MAX_FILE_BYTES = 32 << 20
+from pcbench.regular_files import read_bytes
 
 
 def read_polygon(path: str | Path) -> Polygon | Union:
@@ -29,9 +28,8 @@ def read_polygon(path: str | Path) -> Polygon | Union:
         InputError: the file cannot be read or is none of these.
     """
     try:
-        with Path(path).open("rb") as file:
-            data = file.read(_MAX_FILE_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        data = read_bytes(path)
+    except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read a polygon: {getattr(error, 'strerror', None) or error}") from error
     try:
         polygon = _polygon_from(data)
@@ -43,8 +41,6 @@ def read_polygon(path: str | Path) -> Polygon | Union:
 
 def _polygon_from(data: bytes) -> Polygon | Union:
     expected = "expected a polygon as GeoJSON, WKT or SelectionPolygonVolume"
-    if len(data) > _MAX_FILE_BYTES:
-        raise InputError(f"{expected}, got a file of more than {_MAX_FILE_BYTES >> 20} MiB")
     try:
         text = data.decode("utf-8-sig").strip()
     except UnicodeDecodeError as error:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
+from pcbench.regular_files import read_text
 
 _MAX_REWEIGHTINGS = 30
 
@@ -293,11 +294,9 @@ def read_matrix(path: str | Path) -> Similarity:
         InputError: the file is not such a matrix.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or 'not a text file'}"
-        ) from error
+        text = read_text(path)
+    except (InputError, OSError) as error:
+        raise InputError(f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or error}") from error
     rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
     try:
         values = [[float(word) for word in row] for row in rows if row]

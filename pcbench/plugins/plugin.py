@@ -20,6 +20,7 @@ from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
+from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
 
 GROUP = "pcbench.reconstructors"
@@ -173,8 +174,14 @@ def _import(spec: str, module: str) -> types.ModuleType:
 
 
 def _load_file(path: Path) -> types.ModuleType:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file: expected a Python file with a reconstructor, as FILE.py:CLASS")
+    try:
+        regular_status(path)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except OSError:
+        raise InputError(
+            f"{path}: no such file: expected a Python file with a reconstructor, as FILE.py:CLASS"
+        ) from None
     name = f"pcbench_plugin_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None

@@ -24,6 +24,7 @@ from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
+from pcbench.regular_files import read_text
 from pcbench.report.colors import Range, largest_but_strays, ranges
 from pcbench.report.comparison import Comparison
 from pcbench.report.document import document, to_json
@@ -110,7 +111,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         InputError: the file is not one, or was damaged.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8-sig"))
+        values = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot read settings: {getattr(error, 'strerror', None) or error}") from error
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
@@ -270,7 +271,7 @@ def _report_files(out: Path) -> list[Path]:
     """Files in an existing folder that an earlier report wrote."""
     names = {_MARK, "metrics.csv", "table.md", "settings.json"}
     try:
-        doc = json.loads((out / _MARK).read_text(encoding="utf-8"))
+        doc = json.loads(read_text(out / _MARK))
         candidates = [check_name(candidate["name"]) for candidate in doc["candidates"]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         candidates = []

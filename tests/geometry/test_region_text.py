@@ -102,7 +102,7 @@ KNOWN = "none, box:xmin,ymin,zmin,xmax,ymax,zmax, sphere:x,y,z,r, polygon:FILE, 
         ("quantile:1.01", "expected a quantile in (0, 1], such as 0.99, got 1.01"),
         ("quantile:99%", "expected finite numbers (q), got '99%'"),
         ("polygon:/nowhere/a.json", "/nowhere/a.json: cannot read a polygon: No such file or directory"),
-        ("polygon:/", "/: cannot read a polygon: Is a directory"),
+        ("polygon:/", "/: cannot read a polygon: expected a file, got a folder"),
         ("polygon:a\0b", "cannot read a polygon"),
     ],
 )
