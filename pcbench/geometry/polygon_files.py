@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -160,7 +161,10 @@ def _list(what: str, value: Any) -> list[Any]:
 def number(what: str, value: Any) -> float:
     # bool is an int in Python, and integers of any length come out of JSON.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_COORDINATE:
-        raise InputError(f"expected {what} as a finite number, got {brief(value)}")
+        expected = "a finite number"
+        if isinstance(value, float) and math.isfinite(value):
+            expected += f" below {MAX_COORDINATE:g}"
+        raise InputError(f"expected {what} as {expected}, got {brief(value)}")
     return float(value)
 
 

@@ -99,8 +99,12 @@ class Similarity:
             )
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
+        if (largest := np.abs(translation).max()) > MAX_COORDINATE:
+            raise InputError(f"expected a translation up to {MAX_COORDINATE:g}, got {largest:g}")
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise InputError(f"expected a positive scale, got {self.scale}")
+        if not 1 / MAX_COORDINATE <= self.scale <= MAX_COORDINATE:
+            raise InputError(f"expected a scale of {1 / MAX_COORDINATE:g} to {MAX_COORDINATE:g}, got {self.scale:g}")
         # 1e-6: matrices printed with seven digits still count as rotations.
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
             raise InputError("expected a rotation matrix: orthonormal rows and determinant +1")
@@ -124,6 +128,8 @@ class Similarity:
             raise InputError(f"expected a 4x4 matrix, got shape {m.shape}")
         if not np.isfinite(m).all():
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
+        if (largest := np.abs(m).max()) > MAX_COORDINATE:
+            raise InputError(f"expected a matrix of numbers up to {MAX_COORDINATE:g}, got {largest:g}")
         if not np.allclose(m[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
             raise InputError(f"expected the last row 0 0 0 1, got {' '.join(f'{v:g}' for v in m[3])}")
         determinant = np.linalg.det(m[:3, :3])

@@ -16,6 +16,9 @@ _IMAGES = ("images", "train", "rgb", "footage")
 _MODELS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # where a COLMAP model may stand in a scene's folder
 _TRANSFORMS = ("transforms.json", "transforms_train.json")
 _CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # where Strecha's files may
+_CALIBRATION = re.compile(
+    r"(k|.*_par|(intrinsics?|calib|calibration|cameras?|cam)([_-].*)?)\.(txt|xml|json|ya?ml|csv|npz|bin)|transforms.*\.json"
+)
 _UNREAD = (".tif", ".tiff", ".webp", ".bmp", ".heic", ".jp2", ".dng", ".gif")
 
 
@@ -52,6 +55,19 @@ def scene_name(folder: Path) -> str:
     like."""
     path = folder.resolve()
     return (path.parent if path.name in _IMAGES else path).name
+
+
+def unread_calibrations(folder: Path, cameras: Path | None) -> tuple[str, ...]:
+    """The names of files among the images that look like a calibration and are not what the cameras are read from.
+
+    Args:
+        folder: of the images.
+        cameras: the file or folder that the cameras are read from; None where there is none.
+    """
+    if cameras is not None and cameras.resolve() == folder.resolve():
+        return ()
+    names = sorted(path.name for path in folder.iterdir() if _CALIBRATION.fullmatch(path.name.lower()))
+    return tuple(name for name in names if cameras is None or (folder / name).resolve() != cameras.resolve())
 
 
 def find_cameras(path: Path) -> Path | None:

@@ -24,7 +24,7 @@ from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
 from pcbench.regular_files import has_entry, read_text
 from pcbench.scenes.decode import Size
-from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio
+from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, unread_calibrations
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
@@ -143,6 +143,9 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     if choice == "none":
         return scene
     source = find_cameras(path) if choice == "auto" else Path(choice)
+    if unread := unread_calibrations(scene.folder, source):
+        there = "there are no cameras" if source is None else f"cameras are those of {source}"
+        warn(f"{scene.folder / unread[0]}: looks like a calibration and is not read: {there}")
     if source is None:
         if projects := sorted(path.glob("*.esp")):
             warn(f"{projects[0]}: {PROJECT}")
