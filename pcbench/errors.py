@@ -3,6 +3,7 @@
 The command line prints either as one line.
 """
 
+import logging
 from dataclasses import dataclass
 
 
@@ -44,3 +45,12 @@ class Notice:
 
     def __str__(self) -> str:
         return self.text
+
+
+def recorded(error: BaseException) -> str:
+    """The message of an error that becomes part of a result instead of ending the run.
+
+    The traceback goes to the logger `pcbench`, at the level of debugging: `pcbench --log FILE` keeps it.
+    """
+    logging.getLogger("pcbench").debug("recorded in the result: %s", error, exc_info=error)
+    return str(error)

@@ -2,9 +2,11 @@
 
 import io
 import sys
+import time
 
 import pytest
 
+from pcbench.cli import messages
 from pcbench.cli.messages import duration, steps
 from pcbench.progress import Estimate, Plan, Step
 
@@ -54,9 +56,41 @@ def test_durations_are_short(seconds, text):
     assert duration(seconds) == text
 
 
-def test_nothing_is_shown_where_no_terminal_is(capsys):
+def test_what_is_done_at_once_says_nothing_where_no_terminal_is(capsys):
     with steps(False) as step:
         step("reading")
+    assert capsys.readouterr() == ("", "")
+
+
+def _said(capsys, enough):
+    """What is written to standard error until there is enough of it, or half a minute has gone."""
+    text, end = "", time.monotonic() + 30
+    while not enough(text) and time.monotonic() < end:
+        time.sleep(0.01)
+        text += capsys.readouterr().err
+    return text
+
+
+def test_long_steps_are_told_in_lines_where_no_terminal_is(capsys, monkeypatch):
+    assert messages._MAX_SILENCE_S < 10
+    monkeypatch.setattr(messages, "_MAX_SILENCE_S", 0.01)
+    with steps(False) as step:
+        step(Step("reading a.ply", 30.0, 60.0))
+        lines = _said(capsys, lambda text: text.count("reading a.ply\n") > 2).splitlines()
+        step("registering")
+        later = _said(capsys, lambda text: text.count("registering\n") > 1)
+    assert lines[-1] == "1 s, 90 s left: reading a.ply"
+    assert "1 s: registering" in later
+    capsys.readouterr()
+    time.sleep(0.05)
+    assert capsys.readouterr().err == ""
+
+
+def test_quiet_runs_say_nothing_however_long_they_take(capsys, monkeypatch):
+    monkeypatch.setattr(messages, "_MAX_SILENCE_S", 0.001)
+    with steps(True) as step:
+        step("reading")
+        time.sleep(0.05)
     assert capsys.readouterr() == ("", "")
 
 
@@ -71,8 +105,6 @@ def test_a_terminal_shows_a_bar_with_the_time_left(monkeypatch):
     with steps(False) as step:
         step(Step("registering [a]", 30.0, 60.0))
         shown = sys.stderr
-        import time
-
         time.sleep(0.3)
     assert "registering [a]" in shown.getvalue()
     assert "90 s left" in shown.getvalue()

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import errno
-import io
-import os
 import signal
 import sys
+from pathlib import Path
 from typing import Any, NoReturn
 
 import click
 
 from pcbench import __version__
 from pcbench.cli import clouds, experiments, reconstruction, reports, scenes, studies
+from pcbench.cli.log import LOGGER, end_log, log_settings, start_log
 from pcbench.cli.messages import fail
+from pcbench.cli.options import FILE
+from pcbench.cli.streams import discard, finish_output, is_of_a_stream, prepare_streams
 from pcbench.errors import PcbenchError
 from pcbench.threads import fit_threads
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="pcbench")
-def app() -> None:
+@click.option("--log", type=FILE, help="Log steps, settings, versions, warnings and errors to FILE.")
+def app(log: Path | None) -> None:
     """How far is this point cloud from that one, where, why, and which numbers can be trusted?"""
+    if log is not None:
+        start_log(log)
 
 
 for _command in (
@@ -31,21 +35,38 @@ for _command in (
     *(reconstruction.plugins, reconstruction.reconstruct),
     *(studies.demo, studies.bench, studies.views, experiments.experiment),
 ):
+    log_settings(_command)
     app.add_command(_command)
+
+_BROKEN_PIPE = 1  # the exit code by which click, and nothing of pcbench, ends where nobody reads the output
 
 
 def main() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2; anything else keeps its traceback."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal without arrows still gets its table
-            stream.reconfigure(errors="replace")
+    prepare_streams()
     for name in ("SIGTERM", "SIGHUP"):  # batch systems stop jobs by these: clean up as after Ctrl-C
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _stop)
     try:
+        _run()
+    except SystemExit as stop:
+        if stop.code == _BROKEN_PIPE:
+            _end_unheard()
+        raise
+    except BrokenPipeError:
+        _end_unheard()
+    except Exception:
+        LOGGER.critical("an error of pcbench itself", exc_info=True)
+        raise
+    finally:
+        end_log()
+
+
+def _run() -> None:
+    try:
         fit_threads()
         app(standalone_mode=False)
-        sys.stdout.flush()
+        finish_output()
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -54,20 +75,26 @@ def main() -> None:
         help_of = error.ctx.command_path if error.ctx else "pcbench"
         fail(f"{error.format_message()} (see {help_of} --help)")
     except (click.Abort, KeyboardInterrupt):
+        LOGGER.error("interrupted", exc_info=True)
         click.echo("interrupted", err=True)
         sys.exit(130)
-    except BrokenPipeError:  # the reader of our output has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(2)
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        if error.filename is None and error.errno in (errno.ENOSPC, errno.EFBIG):  # files name themselves
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if is_of_a_stream(error):
+            discard(sys.stdout)
             fail(f"standard output: {error.strerror}")
         fail(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
     except MemoryError:
         fail("not enough memory for these clouds: crop or downsample them first")
     except (PcbenchError, click.ClickException) as error:
         fail(str(error))
+
+
+def _end_unheard() -> NoReturn:
+    """End quietly: the reader of our output has gone."""
+    discard(sys.stdout, sys.stderr)
+    sys.exit(2)
 
 
 def _stop(number: int, _: Any) -> NoReturn:

@@ -245,7 +245,7 @@ def _as_points(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 def _check_length(value: float, name: str) -> None:
     if not 0 <= value <= MAX_COORDINATE:
-        raise InputError(f"{name}: expected a finite length of at least 0, got {value}")
+        raise InputError(f"{name}: expected a finite length of 0 to {MAX_COORDINATE:g}, got {value}")
 
 
 def _explain(error: ValueError, rows: NDArray[np.float64], name: str) -> NoReturn:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -13,8 +14,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.regions import AXES, Polygon, Union
-
-_MAX_FILE_BYTES = 32 << 20
+from pcbench.regular_files import read_bytes
 
 
 def read_polygon(path: str | Path) -> Polygon | Union:
@@ -29,9 +29,8 @@ def read_polygon(path: str | Path) -> Polygon | Union:
         InputError: the file cannot be read or is none of these.
     """
     try:
-        with Path(path).open("rb") as file:
-            data = file.read(_MAX_FILE_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        data = read_bytes(path)
+    except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read a polygon: {getattr(error, 'strerror', None) or error}") from error
     try:
         polygon = _polygon_from(data)
@@ -43,8 +42,6 @@ def read_polygon(path: str | Path) -> Polygon | Union:
 
 def _polygon_from(data: bytes) -> Polygon | Union:
     expected = "expected a polygon as GeoJSON, WKT or SelectionPolygonVolume"
-    if len(data) > _MAX_FILE_BYTES:
-        raise InputError(f"{expected}, got a file of more than {_MAX_FILE_BYTES >> 20} MiB")
     try:
         text = data.decode("utf-8-sig").strip()
     except UnicodeDecodeError as error:
@@ -164,7 +161,10 @@ def _list(what: str, value: Any) -> list[Any]:
 def number(what: str, value: Any) -> float:
     # bool is an int in Python, and integers of any length come out of JSON.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_COORDINATE:
-        raise InputError(f"expected {what} as a finite number, got {brief(value)}")
+        expected = "a finite number"
+        if isinstance(value, float) and math.isfinite(value):
+            expected += f" below {MAX_COORDINATE:g}"
+        raise InputError(f"expected {what} as {expected}, got {brief(value)}")
     return float(value)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pcbench.errors import InputError
@@ -75,7 +77,10 @@ def _numbers(text: str, names: str) -> list[float]:
     values = []
     for word in words:
         try:
-            values.append(number(names, float(word)))
-        except ValueError as error:
-            raise InputError(f"expected finite numbers ({names}), got {brief(word.strip())}") from error
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(f"expected finite numbers ({names}), got {brief(word.strip())}")
+        values.append(number(names, value))
     return values

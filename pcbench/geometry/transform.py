@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
+from pcbench.regular_files import read_text
 
 _MAX_REWEIGHTINGS = 30
 
@@ -98,8 +99,12 @@ class Similarity:
             )
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
+        if (largest := np.abs(translation).max()) > MAX_COORDINATE:
+            raise InputError(f"expected a translation up to {MAX_COORDINATE:g}, got {largest:g}")
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise InputError(f"expected a positive scale, got {self.scale}")
+        if not 1 / MAX_COORDINATE <= self.scale <= MAX_COORDINATE:
+            raise InputError(f"expected a scale of {1 / MAX_COORDINATE:g} to {MAX_COORDINATE:g}, got {self.scale:g}")
         # 1e-6: matrices printed with seven digits still count as rotations.
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
             raise InputError("expected a rotation matrix: orthonormal rows and determinant +1")
@@ -123,6 +128,8 @@ class Similarity:
             raise InputError(f"expected a 4x4 matrix, got shape {m.shape}")
         if not np.isfinite(m).all():
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
+        if (largest := np.abs(m).max()) > MAX_COORDINATE:
+            raise InputError(f"expected a matrix of numbers up to {MAX_COORDINATE:g}, got {largest:g}")
         if not np.allclose(m[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
             raise InputError(f"expected the last row 0 0 0 1, got {' '.join(f'{v:g}' for v in m[3])}")
         determinant = np.linalg.det(m[:3, :3])
@@ -293,11 +300,9 @@ def read_matrix(path: str | Path) -> Similarity:
         InputError: the file is not such a matrix.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or 'not a text file'}"
-        ) from error
+        text = read_text(path)
+    except (InputError, OSError) as error:
+        raise InputError(f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or error}") from error
     rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
     try:
         values = [[float(word) for word in row] for row in rows if row]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.files import Fields, Warn, finite_cloud, read_named
+from pcbench.regular_files import has_entry
 
 NAMES = ("points3D.bin", "points3D.txt")  # binary first: it keeps every digit
 _MODELS = (".", "0", "sparse", "sparse/0")  # where COLMAP and its relatives put a model inside a folder
@@ -47,7 +48,7 @@ def model_file(path: Path) -> Path:
     try:
         for place in _MODELS if path.is_dir() else ():
             for name in NAMES:
-                if (path / place / name).is_file():
+                if has_entry(path / place / name):
                     return path / place / name
     except OSError:  # a folder that must not be looked into
         pass

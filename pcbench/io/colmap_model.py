@@ -17,6 +17,7 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write
+from pcbench.regular_files import has_entry, open_regular, read_bytes
 
 # Name and number of parameters, by COLMAP's number of the model.
 _MODELS = {
@@ -29,12 +30,14 @@ _MODELS = {
 _PARAMETERS = dict(_MODELS.values())
 
 
+_MAX_MODEL_BYTES = 64 << 30  # of cameras or images, which hold every keypoint
+
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # that are written
 
 
 def is_colmap_model(folder: Path) -> bool:
     """Whether a folder holds the cameras and images of a model, in text or binary."""
-    return any((folder / f"cameras{e}").is_file() and (folder / f"images{e}").is_file() for e in (".bin", ".txt"))
+    return any(has_entry(folder / f"cameras{e}") and has_entry(folder / f"images{e}") for e in (".bin", ".txt"))
 
 
 def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
@@ -44,13 +47,13 @@ def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
         InputError: there is no model, it is damaged, a camera model is not supported, or a quaternion is no rotation;
             the message starts with the path.
     """
-    binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
+    binary = has_entry(folder / "cameras.bin") and has_entry(folder / "images.bin")
     names = ("cameras.bin", "images.bin") if binary else ("cameras.txt", "images.txt")
     intrinsics: dict[int, Intrinsics] = {}
     for name in names:
         path = folder / name
         try:
-            data = path.read_bytes()
+            data = read_bytes(path, _MAX_MODEL_BYTES)
             if name.startswith("cameras"):
                 intrinsics = _binary_intrinsics(data) if binary else _text_intrinsics(data)
             else:
@@ -159,15 +162,23 @@ def _binary_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Ca
 
 
 def has_points(folder: Path) -> bool:
-    """Whether a model has points: one of known poses alone has a points3D file all the same, an empty one."""
+    """Whether a model has points: one of known poses alone has a points3D file all the same, an empty one.
+
+    Raises:
+        InputError: points3D is no regular file; the message starts with the path.
+        OSError: it cannot be read.
+    """
     binary, text = folder / "points3D.bin", folder / "points3D.txt"
-    if binary.is_file():
-        with binary.open("rb") as file:
-            return any(file.read(8))
-    if not text.is_file():
+    path = binary if has_entry(binary) else text
+    if not has_entry(path):
         return False
-    with text.open("rb") as file:
-        return any(line.strip() and not line.lstrip().startswith(b"#") for line in file)
+    try:
+        with open_regular(path) as file:
+            if path == binary:
+                return any(file.read(8))
+            return any(line.strip() and not line.lstrip().startswith(b"#") for line in file)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def check_model_output(folder: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import stat
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,11 +17,13 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
+from pcbench.regular_files import open_regular, read_text, regular_status
 from pcbench.scratch import scratch_file
 
 Warn = Callable[[str], None]
 T = TypeVar("T")
 
+_MAX_JSON_BYTES = 1 << 30  # of results and cameras
 _NAMING_A_FILE = ("matrix", "points", "polygon")  # kinds of settings that do
 
 
@@ -41,11 +42,13 @@ def read_json(path: Path) -> Any:
     """What a JSON file holds.
 
     Raises:
-        InputError: it is no JSON, or nested too deeply; the message does not name the path.
+        InputError: it is no regular file, no JSON, or nested too deeply; the message does not name the path.
         OSError: it cannot be read.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(read_text(path, _MAX_JSON_BYTES))
+    except InputError:  # a ValueError too, but it says all already
+        raise
     except RecursionError:
         raise InputError("expected JSON, got some that is nested too deeply to be read") from None
     except ValueError as error:
@@ -111,22 +114,16 @@ def as_path(given: object) -> Path:
 
 
 def check_readable(path: Path) -> None:
-    """Refuses what no reader should open: opening a pipe, for one, would wait for ever.
+    """Refuse a file that cannot hold a cloud or a mesh, before its reader opens it.
 
     Raises:
         InputError: the path is missing, a folder, not a regular file, or empty.
         OSError: the path cannot be looked at.
     """
     try:
-        status = path.stat()
+        status = regular_status(path)
     except FileNotFoundError:
         raise InputError("no such file: check the name and the folder") from None
-    except ValueError:
-        raise InputError("expected a file name, got one with a NUL character") from None
-    if stat.S_ISDIR(status.st_mode):
-        raise InputError("expected a file, got a folder: name the file inside it")
-    if not stat.S_ISREG(status.st_mode):
-        raise InputError("expected a regular file, got a pipe or a device: save the data to a file first")
     if not status.st_size:
         raise InputError("expected a point cloud, got an empty file (0 bytes)")
 
@@ -141,10 +138,18 @@ def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file in hexadecimal digits; of a folder, over the names and contents of the files in it."""
+    """SHA-256 of a file in hexadecimal digits; of a folder, over the names and contents of the files in it.
+
+    Raises:
+        InputError: it is a pipe or a device; the message starts with the path.
+        OSError: it is missing, or cannot be read.
+    """
     if not path.is_dir():
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        try:
+            with open_regular(path) as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
     whole = hashlib.sha256()
     for inner in sorted(p for p in path.iterdir() if p.is_file()):
         whole.update(inner.name.encode() + b"\0" + bytes.fromhex(digest(inner)))

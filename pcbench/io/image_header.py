@@ -18,6 +18,7 @@ from typing import BinaryIO, NamedTuple
 from pcbench.errors import InputError
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.exif_gps import gps_from_exif
+from pcbench.regular_files import open_regular
 
 EXTENSIONS = (".jpg", ".jpeg", ".png")
 
@@ -42,7 +43,7 @@ def read_image_header(path: Path) -> ImageHeader:
         InputError: the file is missing, empty, cut off, or neither format; the message starts with the path.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             start = file.read(8)
             if not start:
                 raise InputError("expected an image, got an empty file (0 bytes): copy it again or remove it")

@@ -12,6 +12,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, rotation_from
 from pcbench.geometry.transform import Similarity
+from pcbench.regular_files import read_text
 
 
 def read_strecha(path: Path) -> Camera:
@@ -21,7 +22,7 @@ def read_strecha(path: Path) -> Camera:
         InputError: it is no such file, is distorted, or its R is no rotation; the message starts with the path.
     """
     try:
-        values = np.array([float(word) for word in path.read_text().split()])
+        values = np.array([float(word) for word in read_text(path).split()])
         if values.shape != (26,):
             raise InputError(f"expected 26 numbers (K, distortion, R, C, width and height), got {len(values)}")
         k, distortion, rotation, centre, size = np.split(values, [9, 12, 21, 24])

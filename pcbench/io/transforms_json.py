@@ -63,9 +63,10 @@ def read_transforms(
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a transforms.json: {error}") from None
+    names = [frame.get("file_path") if isinstance(frame, dict) else None for frame in document["frames"]]
+    _check_once(path, names, size_of)  # before poses are read: a file may repeat one frame many times
     cameras = []
-    for number, frame in enumerate(document["frames"]):
-        name = frame.get("file_path") if isinstance(frame, dict) else None
+    for number, (name, frame) in enumerate(zip(names, document["frames"], strict=True)):
         try:
             if not isinstance(name, str):
                 raise InputError("expected a file_path")
@@ -82,6 +83,16 @@ def read_transforms(
     if ignored := [key for key, nothing in _NOT_OBEYED.items() if any(v.get(key, nothing) != nothing for v in said)]:
         warn(f"{path}: not obeyed: {', '.join(ignored)}; cameras and lenses are read as they stand without")
     return tuple(cameras)
+
+
+def _check_once(path: Path, names: Sequence[Any], size_of: Callable[[str], Size | None]) -> None:
+    """Refuse two frames for one image that is there."""
+    seen: set[str] = set()
+    for number, name in enumerate(names):
+        if isinstance(name, str):
+            if name in seen and size_of(name) is not None:
+                raise InputError(f"{path}: frame {number}: two cameras for the image {name}: remove one of them")
+            seen.add(name)
 
 
 def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import re
 import sys
 import types
 from collections.abc import Mapping, Sequence
@@ -20,9 +21,11 @@ from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
+from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
 
 GROUP = "pcbench.reconstructors"
+_INTEGERS = range(-(2**31), 2**31)  # that settings may be: those of C++ libraries have 32 bits
 
 Gauge = Literal["arbitrary", "metric", "georeferenced"]
 
@@ -173,8 +176,14 @@ def _import(spec: str, module: str) -> types.ModuleType:
 
 
 def _load_file(path: Path) -> types.ModuleType:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file: expected a Python file with a reconstructor, as FILE.py:CLASS")
+    try:
+        regular_status(path)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except OSError:
+        raise InputError(
+            f"{path}: no such file: expected a Python file with a reconstructor, as FILE.py:CLASS"
+        ) from None
     name = f"pcbench_plugin_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
@@ -254,11 +263,26 @@ def _convert(name: str, text: str, kind: Any) -> Any:
     elif kind is bool:
         if text.lower() in ("true", "yes", "on", "1", "false", "no", "off", "0"):
             return text.lower() in ("true", "yes", "on", "1")
-    elif kind in (int, float, str, Path):
+    elif kind is int:
+        if (number := _whole(text)) is not None:
+            if number not in _INTEGERS:
+                raise InputError(f"expected {name} from {_INTEGERS[0]} to {_INTEGERS[-1]}, got {text[:40]!r}")
+            return number
+    elif kind in (float, str, Path):
         try:
             return kind(text)
         except ValueError:
             pass
     else:
         raise InputError(f"the setting {name!r} is a {_type_name(kind)}, which --set cannot give")
-    raise InputError(f"expected {name} as {_type_name(kind)}, got {text!r}")
+    raise InputError(f"expected {name} as {_type_name(kind)}, got {text[:60]!r}")
+
+
+def _whole(text: str) -> int | None:
+    """The whole number that a text is, however long; None where it is none."""
+    if re.fullmatch(r"\s*[+-]?\d[\d_]{20,}\s*", text):
+        return _INTEGERS[-1] + 1  # of any length: Python converts no more than 4,300 digits
+    try:
+        return int(text)
+    except ValueError:
+        return None

@@ -13,6 +13,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration.result import CheckPoint
+from pcbench.regular_files import read_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +95,9 @@ def _points(values: ArrayLike, name: str) -> FloatArray:
 
 def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]]]:
     try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
-        raise InputError(f"{path}: cannot read the pairs: {reason}") from error
+        lines = read_text(path).splitlines()
+    except (InputError, OSError) as error:
+        raise InputError(f"{path}: cannot read the pairs: {getattr(error, 'strerror', None) or error}") from error
     names, rows = [], []
     for number, line in enumerate(lines, 1):
         words = line.split("#")[0].replace(",", " ").replace(";", " ").split()

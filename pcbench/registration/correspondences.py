@@ -6,7 +6,6 @@ Several are kept: which of them is right, and whether one is, the pairs alone do
 
 from __future__ import annotations
 
-import importlib.util
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from pcbench.errors import InputError, MissingExtra, RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration import kiss_child
+from pcbench.registration.advice import has_global
 from pcbench.scratch import scratch_folder
 
 RUNG = 1.2  # features stand a tenth more or less of scale, so poses are looked for within this factor
@@ -44,7 +44,7 @@ def matched(clouds: list[Pairs]) -> list[Pairs]:
         MissingExtra: KISS-Matcher is not installed.
         RegistrationError: it failed.
     """
-    if importlib.util.find_spec("kiss_matcher") is None:
+    if not has_global():
         raise MissingExtra("kiss-matcher", "global", "to register from nothing")
     with scratch_folder() as folder:
         source, target = folder / "clouds.npz", folder / "pairs.npz"

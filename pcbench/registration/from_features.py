@@ -87,7 +87,7 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
     judge = _Judge(_View(seen[0]), _View(seen[1]), icp)
     poses = judge.found()
     if not poses:
-        raise _nothing_fits("none could be refined")
+        raise _nothing_fits("none could be refined", settings)
     # Full resolution may end elsewhere than the views: the pose that is returned is the one that is compared.
     start, fit = poses[0], judge.finished(poses[0], target, local)
     if len(poses) > 1 and judge.evidence(fit.T_local) < judge.evidence(poses[1]):
@@ -99,7 +99,7 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
     quality = assess_given(target, points, _unshifted(pose, middle), origin, settings.text).quality
     if quality.contrast is None or quality.contrast < _MIN_CONTRAST:
         raise _nothing_fits(
-            f"moving away from the best one costs {max(quality.contrast or 0, 0):.0%} of what it should"
+            f"moving away from the best one costs {max(quality.contrast or 0, 0):.0%} of what it should", settings
         )
     warnings = [notice for notice in fit.quality.warnings if notice.code == NO_CONVERGENCE]
     rivals = [p for p in poses if p is not start and judge.differ(p, pose)]
@@ -116,11 +116,13 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
     return Fit(_unshifted(pose, middle), quality, fit.iterations, fit.converged)
 
 
-def _nothing_fits(why: str) -> RegistrationError:
+def _nothing_fits(why: str, settings: FeatureSettings) -> RegistrationError:
+    reasons = ["they show different scenes", "overlap too little"]
+    if not settings.with_scale:
+        reasons.append("differ in scale (--register global-similarity)")
     return RegistrationError(
-        f"no pose of the candidate fits the reference ({why}): they show different scenes, overlap too little, or"
-        " differ in scale (--register global-similarity). Align them coarsely first (--register points:FILE or"
-        " matrix:FILE)"
+        f"no pose of the candidate fits the reference ({why}): {', '.join(reasons[:-1])} or {reasons[-1]}. Align them"
+        " coarsely first (--register points:FILE or matrix:FILE)"
     )
 
 

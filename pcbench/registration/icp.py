@@ -18,7 +18,8 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.geometry.voxels import voxel_downsample, voxel_downsample_to
 from pcbench.native import _core
-from pcbench.registration.quality import COARSELY, MAX_OFF_SURFACE, MIN_EXTENT, MIN_POINTS, Fit, Quality, assess
+from pcbench.registration.advice import align_coarsely
+from pcbench.registration.quality import MAX_OFF_SURFACE, MIN_EXTENT, MIN_POINTS, Fit, Quality, assess
 from pcbench.registration.result import NO_CONVERGENCE
 from pcbench.registration.target import Target
 from pcbench.registration.weighted_pairs import WeightedPairs, weigh
@@ -295,7 +296,7 @@ def _iterate(
             raise RegistrationError(
                 f"the candidate does not overlap the reference: {pairs.near} of {len(sample)} sampled points"
                 f" lie within {max_distance:.3g} of it. Check that both clouds use the same unit and coordinate system;"
-                f" {COARSELY}"
+                f" {align_coarsely()}"
             )
         if settings.residuals == "point":
             delta, size = _point_step(target, pairs)

@@ -9,6 +9,7 @@ import numpy as np
 from pcbench.errors import Notice
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import crs_name, same_crs
+from pcbench.registration.advice import find_any_scale
 from pcbench.registration.result import UNIT_MISMATCH
 
 _METRES = {  # a unit's length by its names
@@ -58,7 +59,7 @@ def before_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_scal
         said.append(f"sizes differ by a factor of about {found.factor:.4g}: {found.question}")
     if not said:
         return ""
-    cure = "" if any_scale else ", or use --register global-similarity, which finds any pose and scale"
+    cure = "" if any_scale else f", or {find_any_scale()}"
     return f"{' and '.join(said)}{'' if said[-1].endswith('?') else '.'} Convert one of them{cure}: "
 
 

@@ -11,6 +11,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample_to
+from pcbench.registration.advice import align_coarsely
 from pcbench.registration.contrast import LEAST, SURE, contrast
 from pcbench.registration.degeneracy import observability
 from pcbench.registration.result import DOUBTFUL_POSE, FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE, WEAKLY_OBSERVABLE
@@ -19,10 +20,6 @@ from pcbench.registration.weighted_pairs import weigh
 
 MIN_EXTENT = 1e-150  # of a reference: squares of less are lost
 MIN_POINTS = 10  # that a fit is judged by
-COARSELY = (  # what helps where a pose is far from the right one
-    "align them from any pose (--register global, or global-similarity where the scale may differ) or coarsely first"
-    " (--register points:FILE or matrix:FILE)"
-)
 MAX_OFF_SURFACE = 0.25  # share of the candidate near the reference that does not lie on it, before others are tried
 
 _MAX_SAMPLE = 30_000  # candidate points that a given pose is judged by
@@ -183,7 +180,7 @@ def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin
         raise RegistrationError(
             f"the candidate does not overlap the reference after --register {text}: their bounding boxes lie apart"
             f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)}):"
-            f" {COARSELY}"
+            f" {align_coarsely()}"
         )
     return Fit(T_local, assess(target, sample, T_local, plane=True, with_scale=T_local.scale != 1, given=True))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.errors import InputError
+from pcbench.regular_files import read_text
 
 FORMATS = ("png", "svg", "pdf")
 _NAMED = {"dark": "#1a1c20", "white": "#ffffff", "black": "#000000"}
@@ -66,7 +67,7 @@ class Figures:
 def recorded_figures(settings_file: Path) -> Figures:
     """Those that a report's settings.json has; the usual ones where there are none."""
     try:
-        return Figures(**json.loads(settings_file.read_text(encoding="utf-8-sig")).get("figures", {}))
+        return Figures(**json.loads(read_text(settings_file)).get("figures", {}))
     except (OSError, AttributeError, TypeError, ValueError, RecursionError):
         return Figures()
 

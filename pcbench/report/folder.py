@@ -22,6 +22,7 @@ from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
+from pcbench.regular_files import read_text
 from pcbench.report.colors import Range, largest_but_strays, ranges
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures
@@ -99,7 +100,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     """
     complete_replacement(path.parent)
     try:
-        values = json.loads(path.read_text(encoding="utf-8-sig"))
+        values = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot read settings: {getattr(error, 'strerror', None) or error}") from error
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:

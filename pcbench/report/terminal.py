@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,8 +17,10 @@ from pcbench.report.words import columns, padded, shortened, title
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 _GAP = "  "
+_UNBOUNDED = 100_000  # columns of a pipe or a file, which have no width
 _ARROWS = ("c→r", "r→c")
 
 
@@ -26,10 +28,12 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
     """The answer, the warnings, the main numbers (`full`: all of them, and every sentence), and where the rest lies.
 
     Sentences are broken between words where the width is known: on a terminal, or by COLUMNS; in a file or a pipe each
-    is a line.
+    is a line, and the table has every column.
     """
     console = _console()
     wraps = console.is_terminal or "COLUMNS" in os.environ
+    if not wraps:
+        console.width = _UNBOUNDED
 
     def say(text: str, style: str = "") -> None:
         if wraps:  # paths and names stay whole
@@ -65,18 +69,29 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
 
 def print_columns(rows: Iterable[Sequence[str]]) -> None:
     """A table on the terminal: the first row is its header, the first column its labels."""
-    from rich.table import Table
+    from rich.text import Text
 
     header, *rest = ([*row] for row in rows)
+    print_table(header, [[*map(Text, line)] for line in rest], left={0})
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[Text]], left: Collection[int]) -> None:
+    """A table as wide as its cells: no number or word is broken, on a narrow terminal, in a pipe or in a file.
+
+    Args:
+        left: the numbers of the columns that are aligned to the left.
+    """
+    from rich.measure import Measurement
+    from rich.table import Table
+
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     for number, column in enumerate(header):
-        table.add_column(column, no_wrap=True, justify="right" if number else "left")
-    for line in rest:
-        table.add_row(*line)
+        table.add_column(column, no_wrap=True, justify="left" if number in left else "right")
+    for row in rows:
+        table.add_row(*row)
     console = _console()
-    # Wider than a narrow terminal rather than cut.
-    widths = [max(columns(line[k]) for line in [header, *rest]) for k in range(len(header))]
-    console.width = max(console.width, sum(widths) + 2 * len(widths))
+    console.width = _UNBOUNDED
+    console.width = Measurement.get(console, console.options, table).maximum
     console.print(table)
 
 

@@ -9,12 +9,16 @@ from pcbench.errors import InputError
 from pcbench.io.colmap_model import is_colmap_model
 from pcbench.io.files import read_json
 from pcbench.io.image_header import EXTENSIONS
+from pcbench.regular_files import has_entry, read_bytes
 
 # COLMAP and nerfstudio; NeRF's synthetic sets; RGB-D sets; Earth Studio's download.
 _IMAGES = ("images", "train", "rgb", "footage")
 _MODELS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # where a COLMAP model may stand in a scene's folder
 _TRANSFORMS = ("transforms.json", "transforms_train.json")
 _CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # where Strecha's files may
+_CALIBRATION = re.compile(
+    r"(k|.*_par|(intrinsics?|calib|calibration|cameras?|cam)([_-].*)?)\.(txt|xml|json|ya?ml|csv|npz|bin)|transforms.*\.json"
+)
 _UNREAD = (".tif", ".tiff", ".webp", ".bmp", ".heic", ".jp2", ".dng", ".gif")
 
 
@@ -34,7 +38,7 @@ def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
     # Only a folder of images is searched to its depths: beside it stand masks, depth maps and results.
     folders = [(path / name, list((path / name).rglob("*"))) for name in _IMAGES if (path / name).is_dir()]
     for folder, found in [*folders, (path, list(path.iterdir()))]:
-        files = [p.relative_to(folder) for p in found if p.is_file()]
+        files = [p.relative_to(folder) for p in found if not p.is_dir()]
         visible = [p for p in files if not any(part.startswith(".") for part in p.parts)]
         unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNREAD)
         if unread:
@@ -53,6 +57,19 @@ def scene_name(folder: Path) -> str:
     return (path.parent if path.name in _IMAGES else path).name
 
 
+def unread_calibrations(folder: Path, cameras: Path | None) -> tuple[str, ...]:
+    """The names of files among the images that look like a calibration and are not what the cameras are read from.
+
+    Args:
+        folder: of the images.
+        cameras: the file or folder that the cameras are read from; None where there is none.
+    """
+    if cameras is not None and cameras.resolve() == folder.resolve():
+        return ()
+    names = sorted(path.name for path in folder.iterdir() if _CALIBRATION.fullmatch(path.name.lower()))
+    return tuple(name for name in names if cameras is None or (folder / name).resolve() != cameras.resolve())
+
+
 def find_cameras(path: Path) -> Path | None:
     """The cameras that belong to a scene's folder: the first of the known formats that is there.
 
@@ -63,7 +80,7 @@ def find_cameras(path: Path) -> Path | None:
         if is_colmap_model(path / place):
             return path / place
     for name in _TRANSFORMS:
-        if (path / name).is_file():
+        if has_entry(path / name):
             return path / name
     for place in _CAMERA_FOLDERS:
         if any((path / place).glob("*.camera")):
@@ -75,11 +92,20 @@ def find_cameras(path: Path) -> Path | None:
 
 
 def is_earth_studio(path: Path) -> bool:
-    """Whether a file is a camera export of Earth Studio."""
+    """Whether a file is a camera export of Earth Studio.
+
+    Raises:
+        InputError: it is no regular file; the message starts with the path.
+    """
     try:
         document = read_json(path)
-    except InputError:  # an export that is damaged is one all the same, and no reason to see no cameras
-        return b'"cameraFrames"' in path.read_bytes()
+    except InputError as error:  # an export that is damaged is one all the same, and no reason to see no cameras
+        try:
+            return b'"cameraFrames"' in read_bytes(path)
+        except InputError:
+            raise InputError(f"{path}: {error}") from error
+        except OSError:
+            return False
     except OSError:
         return False
     return isinstance(document, dict) and "cameraFrames" in document

@@ -22,8 +22,9 @@ from pcbench.io.earth_studio import PROJECT, read_earth_studio, sphere_in_words
 from pcbench.io.image_header import ImageHeader, read_image_header
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
+from pcbench.regular_files import has_entry, read_text
 from pcbench.scenes.decode import Size
-from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio
+from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, unread_calibrations
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
@@ -80,10 +81,8 @@ def read_scene(
 def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
     """Measured positions, lines of an image's name and x y z in metres; lines that start with # are comments."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        return {}
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(path).splitlines() if has_entry(path) else []
+    except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from error
     find = ImageNames(images)
     found: dict[str, FloatArray] = {}
@@ -125,7 +124,7 @@ def _masks(
     found: dict[str, Path] = {}
     for name in names:
         for candidate in (masks / f"{name}.png", masks / Path(name).with_suffix(".png")):
-            if candidate.is_file():
+            if has_entry(candidate):
                 mask, image = read_image_header(candidate), headers[name]
                 if (mask.width, mask.height) != (image.width, image.height):
                     raise InputError(
@@ -144,6 +143,9 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     if choice == "none":
         return scene
     source = find_cameras(path) if choice == "auto" else Path(choice)
+    if unread := unread_calibrations(scene.folder, source):
+        there = "there are no cameras" if source is None else f"cameras are those of {source}"
+        warn(f"{scene.folder / unread[0]}: looks like a calibration and is not read: {there}")
     if source is None:
         if projects := sorted(path.glob("*.esp")):
             warn(f"{projects[0]}: {PROJECT}")

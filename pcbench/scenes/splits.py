@@ -62,9 +62,11 @@ def every(names: Sequence[str], n: int = 8) -> Split:
     Raises:
         InputError: there are no more than n images, or n is less than 2.
     """
-    if n < 2 or len(names) <= n:
+    if n < 2:
+        raise InputError(f"expected every second image or fewer for testing, got one in {n}")
+    if len(names) <= n:
         raise InputError(
-            f"expected images for training and for testing, got {len(names)} of which every {n}th is for testing"
+            f"expected at least {n + 1} images to train on and to test with one in {n} of them, got {len(names)}"
         )
     test = names[::n]
     return Split(_without(names, test), tuple((name,) for name in test), f"one image in {n}")

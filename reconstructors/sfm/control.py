@@ -11,6 +11,7 @@ import numpy as np
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
+from pcbench.regular_files import read_text
 from reconstructors.sfm.model import Refine
 
 # Points beyond either are left out after the adjustment: COLMAP's own limits.
@@ -45,9 +46,9 @@ def read_control(path: Path) -> tuple[ControlPoint, ...]:
         InputError: a line is something else, a point has two positions, or fewer than two observations.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        what = getattr(error, "strerror", None) or "not a text file"
+        lines = read_text(path).splitlines()
+    except (InputError, OSError) as error:
+        what = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot read control points: {what}") from error
     positions: dict[str, FloatArray] = {}
     observations: dict[str, list[Observation]] = {}

@@ -319,6 +319,9 @@ BLOB = np.random.default_rng(7).normal(size=(5, 3))
         (lambda: Similarity(np.eye(3), np.zeros(3), 0), "expected a positive scale, got 0"),
         (lambda: Similarity(np.eye(3), np.zeros(3), -1), "expected a positive scale, got -1"),
         (lambda: Similarity(np.eye(3), np.zeros(3), np.inf), "expected a positive scale, got inf"),
+        (lambda: Similarity(np.eye(3), np.zeros(3), 1e101), "expected a scale of 1e-100 to 1e+100, got 1e+101"),
+        (lambda: Similarity(np.eye(3), [1e308] * 3), "expected a translation up to 1e+100, got 1e+308"),
+        (lambda: Similarity.from_matrix(1e308 * np.eye(4)), "expected a matrix of numbers up to 1e+100, got 1e+308"),
         (lambda: Similarity(2 * np.eye(3), np.zeros(3)), "expected a rotation matrix: orthonormal rows"),
         (
             lambda: Similarity(np.diag([1, 1, -1]), np.zeros(3)),

@@ -193,6 +193,18 @@ def test_settings_are_converted(plugin):
             found.configure({name: text})
 
 
+@pytest.mark.parametrize("text", ["99999999999999999999", "2147483648", "-2147483649", "9" * 5000, "1_" + "0" * 30])
+def test_whole_numbers_of_settings_have_a_range(plugin, text):
+    """Libraries in C++ refuse others with the signatures of all their functions."""
+    found = find_plugin(plugin(GOOD, "n: int = 2\nmaybe: int | None = None"))
+    assert found.configure({"n": "2147483647"}).n == 2**31 - 1
+    for name in ("n", "maybe"):
+        with pytest.raises(InputError, match=f"expected {name} ") as caught:
+            found.configure({name: text})
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 200
+
+
 def test_help_is_the_docstring(plugin):
     assert find_plugin(plugin(GOOD)).help == ""  # not the signature that dataclasses put there
     assert find_plugin(plugin(GOOD, '"""What it\n    does.\n\n    More."""')).help == "What it does."

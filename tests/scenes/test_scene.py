@@ -91,7 +91,7 @@ def test_splits(photographs):
     assert test.images == ("4.png", "5.png")
     assert len(train) == 8
     for refused in (lambda: scene.split_every(1), lambda: scene.split_every(8)[1].split_blocks(8)):
-        with pytest.raises(InputError, match="for training and for testing"):
+        with pytest.raises(InputError, match="images"):
             refused()
     with pytest.raises(InputError, match="got 'x'"):
         scene.select(["x"])
@@ -353,3 +353,38 @@ def test_a_project_of_earth_studio_is_not_its_export(photographs):
     assert "3D camera export as JSON" in told[0]
     with pytest.raises(InputError, match=r"rome.esp: an Earth Studio project .* 3D camera export as JSON"):
         read_scene(photographs, cameras=photographs / "rome.esp")
+
+
+def test_a_repeated_frame_is_refused_before_poses_are_read(photographs, monkeypatch):
+    """However often it is repeated: a pose takes a fifth of a millisecond."""
+    frame = {"file_path": "images/3.png", "transform_matrix": np.eye(4).tolist()}
+    document = {"fl_x": 50, "w": 64, "h": 48, "frames": [frame] * 1000}
+    (photographs / "transforms.json").write_text(json.dumps(document))
+    monkeypatch.setattr("pcbench.io.transforms_json._pose", lambda _: pytest.fail("a pose was read"))
+    with pytest.raises(InputError, match=r"transforms\.json: frame 1: two cameras for the image images/3\.png"):
+        read_scene(photographs)
+
+
+@pytest.mark.parametrize("name", ["K.txt", "intrinsics.json", "calib.yml", "calibration_left.xml", "fountain_par.txt"])
+def test_a_calibration_among_the_images_that_is_not_read_is_said(photographs, name):
+    (photographs / "images" / name).write_text("50 0 32\n0 50 24\n0 0 1\n")
+    (photographs / "images" / "readme.txt").write_text("photographs of a kiosk")
+    told = []
+    read_scene(photographs, on_warning=told.append)
+    assert len(told) == 1
+    assert told[0].startswith(f"{photographs / 'images' / name}: ")
+    assert "there are no cameras" in told[0]
+    write_colmap_model(photographs / "sparse", orbit(NAMES))
+    told.clear()
+    read_scene(photographs, on_warning=told.append)
+    assert [str(photographs / "sparse") in text for text in told] == [True]
+    told.clear()
+    read_scene(photographs, cameras="none", on_warning=told.append)
+    assert not told
+
+
+def test_cameras_among_the_images_are_read_and_not_warned_of(photographs):
+    write_colmap_model(photographs / "images", orbit(NAMES))
+    told = []
+    assert len(read_scene(photographs, cameras=photographs / "images", on_warning=told.append).cameras) == len(NAMES)
+    assert not told

@@ -54,6 +54,14 @@ def test_every_eighth_begins_with_the_first():
     assert split.blocks == (("0.jpg",), ("8.jpg",), ("16.jpg",))
 
 
+def test_it_is_said_how_many_images_are_needed():
+    assert len(every(named(9)).train) == 7
+    with pytest.raises(InputError, match=r"at least 9 images .* got 8"):
+        every(named(8))
+    with pytest.raises(InputError, match="one in 1"):
+        every(named(8), 1)
+
+
 def test_settings_name_splits():
     names = named(40)
     assert hold_out(names, "none").train == names
@@ -92,7 +100,7 @@ def test_one_place_for_all_keeps_the_names():
 
 def test_too_few_images_are_refused():
     for count, n in ((8, 8), (1, 8), (0, 8), (10, 1)):
-        with pytest.raises(InputError, match="for training and for testing"):
+        with pytest.raises(InputError, match=r"for testing|to test with"):
             every(named(count), n)
     with pytest.raises(InputError, match="8 blocks of 2 that are held out at least 32 images, got 31"):
         in_blocks(named(31))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.children import Limits, run_module
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import InputError, MissingExtra, PcbenchError, recorded
 from pcbench.opengl import OFF_SCREEN, NoFiguresError
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.manifest import check_figures_folder, complete_replacement, record_files
@@ -107,7 +107,7 @@ def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | N
     try:
         draw(report, drawer=drawer, figures=figures)
     except PcbenchError as error:
-        return str(error)
+        return recorded(error)
     return None
 
 

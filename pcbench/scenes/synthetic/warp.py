@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.io import write_cloud
@@ -168,8 +168,8 @@ def warp_of(kind: str, points: FloatArray, rms: float, after: Similarity | None 
     """
     if kind not in _FIELDS:
         raise InputError(f"unknown kind of warp {kind!r}: choose one of {', '.join(KINDS)}")
-    if not (np.isfinite(rms) and rms > 0):
-        raise InputError(f"expected a positive RMS of the deformation, got {rms:g}")
+    if not 0 < rms <= MAX_COORDINATE:
+        raise InputError(f"expected a positive RMS of the deformation up to {MAX_COORDINATE:g}, got {rms:g}")
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low) / 2
     # The field's x runs along the longest horizontal direction.

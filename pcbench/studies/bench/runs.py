@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError, PcbenchError
+from pcbench.errors import InputError, PcbenchError, recorded
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
@@ -316,9 +316,9 @@ def _measure(inputs: _Inputs, yardstick: Yardstick, folder: Path, identity: str)
     try:
         values = score(yardstick, read_reconstruction(folder), folder).row()
     except PcbenchError as error:
-        values = {"status": "unmeasured", "message": str(error)}
+        values = {"status": "unmeasured", "message": recorded(error)}
     except (ValueError, ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:  # nonsense has many forms
-        values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(str(error).split())}"}
+        values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(recorded(error).split())}"}
     _keep(folder / _SCORE, {"key": key, **values})
     return values, False
 

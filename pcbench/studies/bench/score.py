@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, recorded
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.crop import points_inside
@@ -61,7 +61,7 @@ def alignment(made: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
         try:
             fit = robust_similarity(found, true, with_scale=free_scale)
         except InputError as error:
-            notes = (f"not registered by cameras: {error}",)
+            notes = (f"not registered by cameras: {recorded(error)}",)
         else:
             errors = np.linalg.norm(fit.apply(found) - true, axis=1)
             spread = f"{np.median(errors):.3g} (median), {errors.max():.3g} (largest)"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pcbench.report.terminal import print_table
 from pcbench.studies.bench.pareto import Configuration, choice_words, configurations
 
 _BEST, _SECOND = "¹", "²"
@@ -82,29 +83,18 @@ def _text(value: float | None, column: _Column, c: Configuration) -> str:
 
 def print_bench(doc: dict[str, Any]) -> None:
     """The table on the terminal, followed by what failed and what is to be known."""
-    from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
-    console = Console(markup=False, emoji=False, highlight=False)
-    console.width = max(console.width, 170)  # wider than a narrow terminal rather than cut
     columns = [column for column in _COLUMNS if column.in_terminal]
-    table = Table(box=None, padding=(0, 1), pad_edge=False)
-    for name in _HEAD:
-        table.add_column(name, overflow="fold")
-    for column in columns:
-        table.add_column(column.header, justify="right", no_wrap=True)
-    table.add_column("Pareto")
+    header = [*_HEAD, *(column.header for column in columns), "Pareto"]
     styles = {0: "", 1: "bold green", 2: "underline"}
     marks = {0: " ", 1: _BEST, 2: _SECOND}
+    rows = []
     for line in _lines(doc, columns):
         cells = [Text(f"{text}{marks[place]}", styles[place]) for text, place in line.cells]
-        table.add_row(*map(Text, line.head), *cells, "*" if line.on_front else "")
-    console.print(table)
-    console.print()
-    console.print(f"{_BEST} best, {_SECOND} second")
-    for sentence in _sentences(doc):
-        console.print(sentence, soft_wrap=True)
+        rows.append([*map(Text, line.head), *cells, Text("*" if line.on_front else "")])
+    print_table(header, rows, left={*range(len(_HEAD)), len(header) - 1})
+    print(f"\n{_BEST} best, {_SECOND} second", *_sentences(doc), sep="\n")
 
 
 def bench_markdown(doc: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import InputError, MissingExtra, PcbenchError, recorded
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
@@ -139,7 +139,7 @@ def _run(
         try:
             draw_bend(document, out / "bend.png")
         except MissingExtra as error:
-            without_figures = str(error)
+            without_figures = recorded(error)
     return document, without_figures
 
 
@@ -304,7 +304,7 @@ def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
         cameras = {camera.name: camera for camera in read_colmap_cameras(folder / "cameras")}
         cloud = in_the_world(read_cloud(folder / "cloud.ply"), cameras, inputs.scene.cameras, surface)
     except PcbenchError as error:
-        return Solution(variant, len(images), failure=str(error))
+        return Solution(variant, len(images), failure=recorded(error))
     notes = json.loads((folder / "notes.json").read_text(encoding="utf-8"))
     intrinsics = next(iter(cameras.values())).intrinsics
     return Solution(variant, len(images), len(cameras), cloud, intrinsics, tuple(notes))

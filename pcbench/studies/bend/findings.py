@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation, deform
-from pcbench.errors import Notice, PcbenchError
+from pcbench.errors import Notice, PcbenchError, recorded
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
@@ -228,7 +228,7 @@ def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> 
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
     except PcbenchError as error:
-        return Deformation.unanswered(Notice("not-registered", str(error))), candidate
+        return Deformation.unanswered(Notice("not-registered", recorded(error))), candidate
     return found, candidate.transformed(registration.T_reference_candidate)
 
 

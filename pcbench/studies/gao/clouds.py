@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import PcbenchError
+from pcbench.errors import PcbenchError, recorded
 from pcbench.geometry.cameras import Camera
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
@@ -106,7 +106,7 @@ class _Maker:
         try:
             folder = stage(self.out / _RUNS, method.name, key, lambda target: self._run(method, solved, target))
         except PcbenchError as error:
-            return Made(method, failure=str(error))
+            return Made(method, failure=recorded(error))
         known: Mapping[str, Any] = read_json(folder / _RUN)
         return Made(method, folder, **{**known, "notes": tuple(known["notes"])})
 

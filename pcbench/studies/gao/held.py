@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.deformation import Deformation
-from pcbench.errors import PcbenchError
+from pcbench.errors import PcbenchError, recorded
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
@@ -68,7 +68,7 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         try:
             compare_files(ComparisonJob(reference, those, settings, {}), Outputs(folder, figures=False), lambda _: None)
         except PcbenchError as error:
-            return str(error)
+            return recorded(error)
         return None
 
     def make(folder: Path) -> None:
@@ -127,7 +127,7 @@ class _Asked(NamedTuple):
         try:
             found = register(self.cloud, cloud, "icp", target=self.target)
         except PcbenchError as error:
-            return str(error)
+            return recorded(error)
         if self.region is None or self.region.contains(found.T_reference_candidate.apply(cloud.points)).any():
             return None
         return f"the region {self.region.describe()} holds none of its {len(cloud):,} points"

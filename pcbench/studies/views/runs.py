@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pcbench.errors import InputError, Notice, PcbenchError, ReconstructionError
+from pcbench.errors import InputError, Notice, PcbenchError, ReconstructionError, recorded
 from pcbench.io.files import atomic_write
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.progress import Step
@@ -63,7 +63,7 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
             try:
                 folders.append(_make(job, scene, out / _RUNS / name, step))
             except PcbenchError as error:
-                failed.append(Notice("no-views", f"{scene}: {error}"))
+                failed.append(Notice("no-views", f"{scene}: {recorded(error)}"))
         if not folders:
             raise ReconstructionError(f"no scene has rendered views: {failed[0]}")
         study = score_views(folders, step)

@@ -1,9 +1,10 @@
 """The table of a bench."""
 
+import pytest
 from benches import row
 
 from pcbench.studies.bench.pareto import mark_front
-from pcbench.studies.bench.table import bench_markdown
+from pcbench.studies.bench.table import bench_markdown, print_bench
 
 
 def test_best_and_second_are_marked():
@@ -50,3 +51,25 @@ def test_floors_stand_beside_scores_and_every_threshold_has_its_row():
     assert "| b |  |" not in text.split("of seen | F of seen")[1]
     assert "at 0.5 m, 5 pixels;" in text
     assert "measured to the reference's points" in text
+
+
+@pytest.mark.parametrize("columns", [None, "40", "80"])
+def test_the_printed_table_breaks_no_number_and_no_word(capsys, monkeypatch, columns):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", columns)
+    choices = {"image_scale": 0.125, "features": 8192, "matching": "exhaustive", "a_long_name_of_a_setting": "value"}
+    rows = [row("a.very.long.module:Method", 1.0, 0.5), row("b", 2.0, 0.9)]
+    for r in rows:
+        r |= {"registration": "global-similarity", "points": 12_345_678, "threshold": 0.1, "choices": choices}
+        r |= {"precision": 0.9, "precision_floor": 0.93, "recall": 0.4, "peak_rss_bytes": 123_456_789_012}
+    mark_front(rows)
+    reference = {"path": "r", "unit": "m", "visible_share": None, "visibility": ""}
+    print_bench({"scene": {"path": "s"}, "reference": reference, "rows": rows, "notes": []})
+    header, first, second, *_ = capsys.readouterr().out.splitlines()
+    assert header.split()[:3] == ["method", "settings", "runs"]
+    assert first.split()[0] == "a.very.long.module:Method"
+    assert second.split()[0] == "b"
+    for line in (first, second):
+        assert {"global-similarity", "12,345,678", "(0.93)"} <= set(line.split())
+        assert "features=8192" in line and "a_long_name_of_a_setting=value" in line

@@ -1,0 +1,139 @@
+"""The log of a run: every step, setting, version, warning and error with its time, in a file that a user names."""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+import shlex
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pcbench import __version__
+from pcbench.errors import InputError
+from pcbench.regular_files import open_regular
+
+LOGGER = logging.getLogger("pcbench")
+LOGGER.addHandler(logging.NullHandler())  # else Python prints warnings that nobody handles
+
+_FIRST_LINE = "# pcbench log\n"  # by which a log is known again
+_LIBRARIES = ("numpy", "scipy", "pycolmap", "torch", "open3d", "pyvista", "lazrs", "trimesh", "kiss-matcher", "pillow")
+_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "CUDA_VISIBLE_DEVICES", "COLUMNS")
+
+
+class _LogFile(logging.FileHandler):
+    """A file that log records are added to, and what Python shows of a warning until the log ends."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, encoding="utf-8", errors="backslashreplace")
+        self.path, self.show_warning = path.resolve(), warnings.showwarning
+        formatter = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
+        formatter.converter = time.gmtime
+        self.setFormatter(formatter)
+
+
+def start_log(path: Path) -> None:
+    """Log to a file until `end_log`: a new one, or an earlier log, which is continued.
+
+    Raises:
+        InputError: the file is something else than a log, which is not overwritten.
+        OSError: it cannot be written.
+    """
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(_FIRST_LINE)
+    except FileExistsError:
+        _check_is_log(path)
+    handler = _LogFile(path)
+    LOGGER.addHandler(handler)
+    LOGGER.setLevel(logging.DEBUG)
+    LOGGER.propagate = False
+
+    def show(message: Any, category: Any, filename: str, lineno: int, *rest: Any, **options: Any) -> None:
+        LOGGER.warning("%s: %s (%s, line %d)", category.__name__, message, filename, lineno)
+        handler.show_warning(message, category, filename, lineno, *rest, **options)
+
+    warnings.showwarning = show
+    LOGGER.info("command: %s", shlex.join(["pcbench", *sys.argv[1:]]))
+    LOGGER.info("folder: %s", Path.cwd())
+    LOGGER.info("pcbench %s, Python %s, %s", __version__, platform.python_version(), platform.platform())
+    LOGGER.info("libraries: %s", ", ".join(_versions()))
+    LOGGER.info(
+        "environment: %s", ", ".join(f"{k}={os.environ[k]}" for k in _VARIABLES if k in os.environ) or "default"
+    )
+
+
+def end_log() -> None:
+    """Close the log, if there is one."""
+    for handler in LOGGER.handlers[:]:
+        if isinstance(handler, _LogFile):
+            warnings.showwarning = handler.show_warning
+            LOGGER.removeHandler(handler)
+            handler.close()
+            LOGGER.setLevel(logging.NOTSET)
+            LOGGER.propagate = True
+
+
+def log_settings(command: click.Command) -> None:
+    """Let a command, or those of a group, log the values of its arguments and options before it runs."""
+    for inner in command.commands.values() if isinstance(command, click.Group) else ():
+        log_settings(inner)
+    if command.callback is not None and not isinstance(command, click.Group):
+        command.callback = _logged(command.callback)
+
+
+def _logged(callback: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(callback)
+    def run(*arguments: Any, **options: Any) -> Any:
+        context = click.get_current_context()
+        for name, value in context.params.items():
+            source = context.get_parameter_source(name)
+            LOGGER.info("setting: %s = %r (%s)", name, value, "" if source is None else source.name.lower())
+        for handler in LOGGER.handlers:
+            if isinstance(handler, _LogFile):
+                _check_apart(handler.path, context.params.values())
+        start = time.monotonic()
+        result = callback(*arguments, **options)
+        LOGGER.info("finished in %.1f s", time.monotonic() - start)
+        return result
+
+    return run
+
+
+def _check_apart(log: Path, values: Any) -> None:
+    """Refuse a log that a command would read or write under the same name."""
+    for value in values:
+        for part in value if isinstance(value, tuple) else (value,):
+            if isinstance(part, str | Path) and os.path.realpath(part) == str(log):
+                raise InputError(f"{part}: the log is written there: choose another name for one of them")
+
+
+def _check_is_log(path: Path) -> None:
+    try:
+        with open_regular(path) as file:
+            first = file.read(len(_FIRST_LINE))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    if first and first != _FIRST_LINE.encode():
+        raise InputError(
+            f"{path}: expected a new file or an earlier log of pcbench, got another file: choose a new name"
+        )
+
+
+def _versions() -> list[str]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = []
+    for library in _LIBRARIES:
+        try:
+            found.append(f"{library} {version(library)}")
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,95 @@
+"""`pcbench --log FILE`: what a run did, in a file of its own."""
+
+import logging
+import re
+from pathlib import Path
+
+import pytest
+from command_line import one_line
+
+from pcbench import __version__
+from pcbench.errors import InputError, recorded
+
+RECORD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (DEBUG|INFO|WARNING|ERROR|CRITICAL) (.*)")
+
+
+def records(path):
+    """(level, text) of each record; lines of tracebacks belong to the one above."""
+    first, *lines = Path(path).read_text().splitlines()
+    assert first == "# pcbench log"
+    found = []
+    for line in lines:
+        if match := RECORD.fullmatch(line):
+            found.append([match[1], match[2]])
+        else:
+            found[-1][1] += f"\n{line}"
+    return [tuple(record) for record in found]
+
+
+def test_steps_settings_and_versions_are_logged(files, run):
+    code, _, err = run("--log", "run.log", "crop", "a.ply", "b.ply", "--crop", "quantile:0.5", "-q")
+    assert (code, err) == (0, "")
+    texts = [text for _, text in records("run.log")]
+    assert texts[0] == "command: pcbench --log run.log crop a.ply b.ply --crop quantile:0.5 -q"
+    assert any(text.startswith(f"pcbench {__version__}, Python ") for text in texts)
+    assert any("numpy" in text for text in texts if text.startswith("libraries: "))
+    assert "setting: crop = 'quantile:0.5' (commandline)" in texts
+    assert "setting: quiet = True (commandline)" in texts
+    steps = [text for text in texts if text.startswith("step: ")]
+    assert steps == ["step: reading a.ply", "step: cropping", "step: writing b.ply"]
+    assert texts[-1].startswith("finished in ")
+    assert not [h for h in logging.getLogger("pcbench").handlers if isinstance(h, logging.FileHandler)]
+
+
+def test_errors_are_logged_with_where_they_came_from(files, run):
+    code, _, err = run("--log", "run.log", "register", "ref.ply", "none.ply")
+    assert (code, one_line(err)) == (2, True)
+    level, text = records("run.log")[-1]
+    assert level == "ERROR"
+    assert text.startswith("none.ply: no such file")
+    assert "Traceback (most recent call last)" in text
+    assert "read_cloud" in text
+
+
+def test_warnings_are_logged_though_the_run_is_quiet(files, run):
+    Path("nan.xyz").write_text("0 0 0\n1 1 1\nnan 2 2\n")
+    code, _, err = run("--log", "run.log", "convert", "nan.xyz", "b.ply", "-q")
+    assert (code, err) == (0, "")
+    assert [text for level, text in records("run.log") if level == "WARNING"] == [
+        "nan.xyz: dropped 1 of 3 points with NaN or Inf coordinates"
+    ]
+
+
+def test_errors_that_end_in_a_result_are_logged(files, run, monkeypatch):
+    def read(*_, **__):
+        try:
+            raise InputError("swallowed")
+        except InputError as error:
+            raise InputError(recorded(error)) from None
+
+    monkeypatch.setattr("pcbench.io.read_cloud", read)
+    run("--log", "run.log", "info", "a.ply")
+    swallowed = [text for level, text in records("run.log") if level == "DEBUG"]
+    assert len(swallowed) == 1
+    assert "InputError: swallowed" in swallowed[0]
+
+
+def test_a_log_is_continued(files, run):
+    for _ in range(2):
+        assert run("--log", "run.log", "info", "a.ply")[0] == 0
+    assert sum(text.startswith("command: ") for _, text in records("run.log")) == 2
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["--log a.ply info a.ply", "--log new.ply crop a.ply new.ply --crop none", "--log . info a.ply",
+     "--log none/run.log info a.ply", "--log pipe info a.ply"],
+)  # fmt: skip
+def test_a_log_replaces_nothing(files, run, command):
+    import os
+
+    os.mkfifo("pipe")
+    before = (files / "a.ply").read_bytes()
+    code, _, err = run(*command.split())
+    assert (code, one_line(err)) == (2, True), err
+    assert (files / "a.ply").read_bytes() == before

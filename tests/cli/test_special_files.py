@@ -1,0 +1,146 @@
+"""Pipes and devices where a file is expected: one line, at once, for every option that names a file."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scene_folders
+from command_line import one_line
+
+from pcbench import Cloud, write_cloud
+from pcbench.errors import InputError
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.regular_files import open_regular, read_bytes, read_text
+
+# A command that hangs or fills the memory ends the child, and no more than it: seconds and bytes of address space.
+_MAX_SECONDS, _MAX_MEMORY = 240, 6 << 30
+
+# Runs each line of its input as a command and says after each how it ended.
+_RUNNER = f"""
+import contextlib, io, json, resource, sys
+resource.setrlimit(resource.RLIMIT_AS, ({_MAX_MEMORY}, {_MAX_MEMORY}))
+from pcbench import cli
+for line in sys.stdin.read().splitlines():
+    sys.argv = ["pcbench", *line.split()]
+    code, errors = 0, io.StringIO()
+    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            cli.main()
+        except SystemExit as stop:
+            code = stop.code
+    print(json.dumps([line, code, errors.getvalue()]), flush=True)
+"""
+
+NAMED = {
+    "a cloud": "info FILE.ply",
+    "a reference": "compare FILE.ply a.ply --no-figures",
+    "a polygon": "crop a.ply out.ply --crop polygon:FILE",
+    "a polygon of a comparison": "compare a.ply a.ply --no-figures --crop polygon:FILE",
+    "a matrix": "register a.ply a.ply --register matrix:FILE",
+    "a matrix of a comparison": "compare a.ply a.ply --no-figures --register matrix:FILE",
+    "pairs of points": "register a.ply a.ply --register points:FILE",
+    "settings": "compare --settings FILE",
+    "core points": "compare a.ply a.ply --no-figures --m3c2 radius=1,cores=FILE.ply",
+    "cameras": "scene photos --cameras FILE",
+    "control points": "reconstruct sfm photos -o out.ply --set control=FILE",
+    "a plugin": "reconstruct FILE.py:Mine photos -o out.ply",
+}
+# What a scene's folder may hold in the place of a file, and the file that is replaced by it.
+IN_A_SCENE = {
+    "COLMAP's cameras": "sparse/0/cameras.txt",
+    "COLMAP's images": "sparse/0/images.txt",
+    "COLMAP's points": "sparse/0/points3D.txt",
+    "transforms.json": "transforms.json",
+    "an export of Earth Studio": "export.json",
+    "a camera of Strecha's": "0.png.camera",
+    "positions": "gps.txt",
+    "an image": "images/0.png",
+    "a mask": "masks/0.png",
+}
+
+
+def _pipe(path):
+    os.mkfifo(path)
+
+
+def _device(path):
+    path.symlink_to("/dev/zero")
+
+
+@pytest.fixture(scope="module", params=[_pipe, _device], ids=["pipe", "device"])
+def ended(request, tmp_path_factory):
+    """Each command with its exit code and what it wrote to standard error."""
+    folder = tmp_path_factory.mktemp(request.param.__name__)
+    for name in ("FILE", "FILE.ply", "FILE.py"):
+        request.param(folder / name)
+    write_cloud(folder / "a.ply", Cloud(np.random.default_rng(0).normal(size=(500, 3))))
+    scene_folders.ten_pictures(folder / "photos")
+    commands = dict(NAMED)
+    for number, (what, name) in enumerate(IN_A_SCENE.items()):
+        scene = scene_folders.ten_pictures(folder / f"scene{number}")
+        if "sparse" in name:
+            write_colmap_model(scene / "sparse/0", scene_folders.orbit(scene_folders.NAMES))
+            (scene / name).unlink()
+        elif "images" in name:
+            (scene / name).unlink()
+        (scene / name).parent.mkdir(exist_ok=True)
+        request.param(scene / name)
+        commands[what] = f"scene scene{number}"
+    child = [sys.executable, "-c", _RUNNER]
+    with (folder / "errors").open("w") as errors:
+        try:
+            lines = subprocess.run(
+                child,
+                input="\n".join(commands.values()),
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                cwd=folder,
+                timeout=_MAX_SECONDS,
+            ).stdout
+        except subprocess.TimeoutExpired as expired:
+            lines = (expired.stdout or b"").decode()
+    found = {line: (code, err) for line, code, err in map(json.loads, lines.splitlines())}
+    nothing = (None, "it did not end")
+    return {what: found.get(command, nothing) for what, command in commands.items()}
+
+
+@pytest.mark.parametrize("what", [*NAMED, *IN_A_SCENE])
+def test_a_pipe_or_a_device_is_refused_in_one_line(ended, what):
+    code, err = ended[what]
+    assert (code, one_line(err)) == (2, True), err
+    assert "a pipe or a device" in err
+
+
+def test_links_to_regular_files_are_read(tmp_path):
+    (tmp_path / "a").write_bytes(b"\xef\xbb\xbftext")
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    assert read_text(tmp_path / "link") == "text"
+    with open_regular(tmp_path / "link") as file:
+        assert file.read() == b"\xef\xbb\xbftext"
+
+
+def test_texts_are_bounded(tmp_path):
+    """A file that is larger than it takes on the disk: nothing of it is read."""
+    with (tmp_path / "a").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(InputError, match="at most 64 MiB"):
+        read_bytes(tmp_path / "a")
+    (tmp_path / "b").write_bytes(bytes(11))
+    assert read_bytes(tmp_path / "b", 11) == bytes(11)
+    with pytest.raises(InputError):
+        read_bytes(tmp_path / "b", 10)
+
+
+def test_what_is_no_text_is_said(tmp_path):
+    (tmp_path / "a").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not a text file"):
+        read_text(tmp_path / "a")
+    with pytest.raises(InputError, match="got a folder"):
+        read_text(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        read_text(Path(tmp_path / "none"))
