@@ -91,6 +91,7 @@ from pcbench.native import _core
 from reconstructors.mvs.native import _patchmatch
 
 vertices, faces = triangle_soup(50_000)
+_core.MeshIndex(*triangle_soup(10))  # all threads are there
 failed, room = 0, 0
 _, most = resource.getrlimit(resource.RLIMIT_AS)
 while True:
@@ -109,11 +110,15 @@ print(failed, len(tree))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_a_mesh_beyond_memory_is_a_memory_error():
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_mesh_beyond_memory_is_a_memory_error(threads):
     """A little more memory each time, so that every allocation of the building is once the one that fails."""
     code = SHORT_OF_MEMORY.format(path=[str(TESTS)])
     done = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True
+        [sys.executable, "-c", code],
+        env={**os.environ, "OMP_NUM_THREADS": str(threads)},
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     failed, size = map(int, done.stdout.split())

@@ -2,14 +2,13 @@
 // CPU's vector unit.
 #pragma once
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
-#include <new>
 #include <vector>
 
+#include "common/first_error.h"
 #include "common/interrupt.h"
 
 namespace pcbench::mesh {
@@ -65,17 +64,11 @@ public:
         std::vector<Job> jobs;
         grow(nodes, Range(items_, 0, size), 0, std::max(1u << 14, size / 64), &jobs);
         std::vector<std::vector<Node>> parts(jobs.size());
-        std::atomic<bool> out_of_memory{false};  // no exception may leave a parallel region
+        FirstError error;
 #pragma omp parallel for schedule(dynamic, 1)
-        for (size_t j = 0; j < jobs.size(); ++j) {
-            if (out_of_memory) continue;
-            try {
-                grow(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr);
-            } catch (const std::bad_alloc&) {
-                out_of_memory = true;
-            }
-        }
-        if (out_of_memory) throw std::bad_alloc();
+        for (size_t j = 0; j < jobs.size(); ++j)
+            error.guard([&] { grow(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr); });
+        error.rethrow();
         for (size_t j = 0; j < jobs.size(); ++j) {
             const uint32_t offset = static_cast<uint32_t>(nodes.size());
             nodes[jobs[j].node].first[jobs[j].slot] = offset;

@@ -5,10 +5,23 @@
 
 namespace pcbench::mvs::PCB_ISA {
 
-inline Planes planes_at(const State& state, Ints pixels) {
-    const Ints at = pixels * Ints(4);
-    return {gather(state.plane, at), gather(state.plane + 1, at), gather(state.plane + 2, at),
-            gather(state.plane + 3, at)};
+// The numbers that an array holds for some pixels, `width` for each. Pixels times width may exceed 2^31; the distance
+// of these pixels from the group, a few rows at most, does not.
+class Records {
+public:
+    Records(const float* array, int width, const Group& group, Ints pixels)
+        : nearby_(array + static_cast<int64_t>(group.pixel[0]) * width),
+          offsets_((pixels - Ints(group.pixel[0])) * Ints(width)) {}
+    Floats operator[](int column) const { return gather(nearby_ + column, offsets_); }
+
+private:
+    const float* nearby_;  // the record of the group's first pixel
+    Ints offsets_;
+};
+
+inline Planes planes_at(const State& state, const Group& group, Ints pixels) {
+    const Records planes(state.plane, 4, group, pixels);
+    return {planes[0], planes[1], planes[2], planes[3]};
 }
 
 inline Planes chosen(Mask which, const Planes& yes, const Planes& no) {

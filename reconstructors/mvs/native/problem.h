@@ -9,7 +9,9 @@ namespace pcbench::mvs {
 
 constexpr int kMaxSources = 16;
 constexpr int kMostSide = 32000;  // pixels: coordinates in a source are 16.16 fixed-point numbers
-constexpr float kWorst = 2.0f;    // the cost of what cannot be compared: one less the smallest correlation
+static_assert(int64_t{kMostSide} * kMostSide <= INT32_MAX,
+              "pixels are numbered in 32 bits, what is stored of them in 64");
+constexpr float kWorst = 2.0f;  // the cost of what cannot be compared: one less the smallest correlation
 
 struct Source {
     const int32_t* quads = nullptr;  // of each pixel: itself, that to its right, that below, that below right, a signed

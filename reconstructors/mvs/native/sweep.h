@@ -34,8 +34,7 @@ class Search {
 public:
     Search(const Problem& problem, State& state, int y, int first)
         : problem_(problem), state_(state), group_(problem, y, first), sources_(problem.source_count) {
-        const Ints at = load(group_.pixel);
-        plane_ = planes_at(state, at);
+        plane_ = planes_at(state, group_, load(group_.pixel));
     }
 
     // The costs of the planes there are; pixels without one get one at random.
@@ -57,8 +56,8 @@ public:
 
     void improve(int number) {
         if (!bits(group_.valid)) return;
-        const Ints first = load(group_.pixel) * Ints(sources_);
-        for (int s = 0; s < sources_; ++s) view_costs_[s] = gather(state_.view_costs + s, first);
+        const Records costs(state_.view_costs, sources_, group_, load(group_.pixel));
+        for (int s = 0; s < sources_; ++s) view_costs_[s] = costs[s];
         spread();
         vary(number);
         write();
@@ -72,7 +71,7 @@ private:
         Planes planes[kRegions];
         for (int r = 0; r < kRegions; ++r) {
             const Neighbor best = best_of_region(problem_, state_, group_, r);
-            planes[r] = planes_at(state_, best.pixel);
+            planes[r] = planes_at(state_, group_, best.pixel);
             planes[r].depth = depth_here(planes[r], best);
             there[r] = best.found & sensible(planes[r]);
             mine[r] = there[r] & same(planes[r], plane_);

@@ -64,6 +64,7 @@ public:
         check(sized(transmittance) && (!geometry || (sized(*depth) && sized(*normal) && sized(*median_depth))),
               "expected pictures of one size");
         // The derivative reads them again.
+        ready_ = false;
         kept_ = {means, quaternions, scales, opacities, harmonics, color, transmittance, depth, normal};
         const Model model = {static_cast<int64_t>(count),
                              means.data(),

@@ -7,7 +7,9 @@
 #include <stdexcept>
 #include <utility>
 
+#include "common/block.h"
 #include "common/choose_kernels.h"
+#include "common/first_error.h"
 
 namespace pcbench::splat {
 
@@ -33,17 +35,16 @@ void Rasterizer::forward(const Model& model, const Pinhole& pinhole, const float
     sort_by_depth();
     distribute();
     const int tiles = frame_.tiles_across * frame_.tiles_down;
-#pragma omp parallel
-    {
-        std::vector<float> scratch;
-        std::vector<uint32_t> listed;
-#pragma omp for schedule(dynamic)
-        for (int tile = 0; tile < tiles; ++tile) {
-            const size_t count = starts_[tile + 1] - starts_[tile];
-            scratch.resize(std::max(scratch.size(), count * kSplatFloats));
-            listed.resize(std::max(listed.size(), count + 1));
-            kernels().blend(frame_, tile, scratch.data(), listed.data());
-        }
+    // Room for each thread, taken before any of them starts: a tile's splats, and a list of them.
+    size_t most = 1;
+    for (int tile = 0; tile < tiles; ++tile) most = std::max<size_t>(most, starts_[tile + 1] - starts_[tile]);
+    const size_t threads = static_cast<size_t>(omp_get_max_threads());
+    const Block<float> splats = allocate<float>(threads * most * kSplatFloats);
+    const Block<uint32_t> listed = allocate<uint32_t>(threads * (most + 1));
+#pragma omp parallel for schedule(dynamic)
+    for (int tile = 0; tile < tiles; ++tile) {
+        const size_t thread = static_cast<size_t>(omp_get_thread_num());
+        kernels().blend(frame_, tile, splats.get() + thread * most * kSplatFloats, listed.get() + thread * (most + 1));
     }
 }
 
@@ -52,7 +53,8 @@ void Rasterizer::project() {
     const size_t slots = static_cast<size_t>(groups_) * kGroup;
     if (boxes_.size() < slots) {
         splats_.resize(slots * kSplatFloats);
-        depths_.resize(slots), boxes_.resize(slots), ids_.resize(slots), first_.resize(slots), count_.resize(slots);
+        depths_.resize(slots), ids_.resize(slots), first_.resize(slots), count_.resize(slots);
+        boxes_.resize(slots);  // the last: it says that there was memory for all of them
     }
     drawn_.resize(groups_), rows_.resize(groups_ + 1);
     frame_.splats = splats_.data(), frame_.depths = depths_.data(), frame_.boxes = boxes_.data();
@@ -94,6 +96,28 @@ void Rasterizer::sort_by_depth() {
     for (size_t i = 0; i < count; ++i) order_[i] = static_cast<uint32_t>(keys_[i]);
 }
 
+// The instances of a range of the order of depth, tile by tile of each splat.
+void Rasterizer::fill(Part& part, int64_t begin, int64_t end) {
+    part.count = 0;
+    part.next.assign(static_cast<size_t>(frame_.tiles_across) * frame_.tiles_down, 0);
+    for (int64_t rank = begin; rank < end; ++rank) {
+        const uint32_t slot = order_[rank];
+        const Box& box = boxes_[slot];
+        const size_t most = part.count + static_cast<size_t>(box.right - box.left + 1) * (box.bottom - box.top + 1);
+        if (part.tiles.size() < most) {
+            const size_t room = most + most / 2;
+            part.slots.resize(room), part.blocks.resize(room);
+            part.tiles.resize(room);  // the last: it says that there was memory for all of them
+        }
+        const int covered = kernels().cover(frame_, slot, &part.tiles[part.count], &part.blocks[part.count]);
+        first_[slot] = static_cast<uint32_t>(part.count), count_[slot] = static_cast<uint32_t>(covered);
+        for (int i = 0; i < covered; ++i, ++part.count) {
+            part.slots[part.count] = slot;
+            ++part.next[part.tiles[part.count]];
+        }
+    }
+}
+
 // The instances by tile, in each tile by depth. The order of depth is cut into parts; whatever their number, an
 // instance comes to the same place.
 void Rasterizer::distribute() {
@@ -101,27 +125,11 @@ void Rasterizer::distribute() {
     const int64_t count = static_cast<int64_t>(drawn());
     const int part_count = static_cast<int>(std::clamp<int64_t>(count / 256, 1, 4 * omp_get_max_threads()));
     parts_.resize(part_count);
+    FirstError error;
 #pragma omp parallel for schedule(dynamic)
-    for (int p = 0; p < part_count; ++p) {
-        Part& part = parts_[p];
-        part.count = 0;
-        part.next.assign(tiles, 0);
-        for (int64_t rank = count * p / part_count; rank < count * (p + 1) / part_count; ++rank) {
-            const uint32_t slot = order_[rank];
-            const Box& box = boxes_[slot];
-            const size_t most = part.count + static_cast<size_t>(box.right - box.left + 1) * (box.bottom - box.top + 1);
-            if (part.tiles.size() < most) {
-                const size_t room = most + most / 2;
-                part.slots.resize(room), part.tiles.resize(room), part.blocks.resize(room);
-            }
-            const int covered = kernels().cover(frame_, slot, &part.tiles[part.count], &part.blocks[part.count]);
-            first_[slot] = static_cast<uint32_t>(part.count), count_[slot] = static_cast<uint32_t>(covered);
-            for (int i = 0; i < covered; ++i, ++part.count) {
-                part.slots[part.count] = slot;
-                ++part.next[part.tiles[part.count]];
-            }
-        }
-    }
+    for (int p = 0; p < part_count; ++p)
+        error.guard([&] { fill(parts_[p], count * p / part_count, count * (p + 1) / part_count); });
+    error.rethrow();
     size_t total = 0;
     for (const Part& part : parts_) total += part.count;
     if (total > UINT32_MAX)
@@ -177,18 +185,20 @@ LossParts image_loss(const float* x, const float* y, int height, int width, floa
     const size_t size = static_cast<size_t>(height) * length;
     std::vector<float> by_mean(size), by_square(size), by_product(size);
     std::vector<double> sums(2 * static_cast<size_t>(height));
+    const size_t room = 4 * static_cast<size_t>(length + 64);  // floats of each thread
+    const Block<float> scratch = allocate<float>(room * static_cast<size_t>(omp_get_max_threads()));
 #pragma omp parallel
     {
-        std::vector<float> scratch(4 * static_cast<size_t>(length + 64));
+        float* own = scratch.get() + room * static_cast<size_t>(omp_get_thread_num());
 #pragma omp for schedule(static)
         for (int row = 0; row < height; ++row) {
             const size_t at = static_cast<size_t>(length) * row;
-            kernels().similarity(x, y, height, length, row, scratch.data(), by_mean.data() + at, by_square.data() + at,
+            kernels().similarity(x, y, height, length, row, own, by_mean.data() + at, by_square.data() + at,
                                  by_product.data() + at, sums.data() + 2 * row);
         }
 #pragma omp for schedule(static)
         for (int row = 0; row < height; ++row)
-            kernels().loss_gradient(x, y, height, length, row, weight, scratch.data(), by_mean.data(), by_square.data(),
+            kernels().loss_gradient(x, y, height, length, row, weight, own, by_mean.data(), by_square.data(),
                                     by_product.data(), gradient);
     }
     LossParts total{0.0, 0.0};

@@ -26,6 +26,8 @@ private:
     void project();
     void sort_by_depth();
     void distribute();
+    struct Part;
+    void fill(Part& part, int64_t begin, int64_t end);
 
     Frame frame_{};
     int64_t groups_ = 0;

@@ -1,0 +1,50 @@
+"""Pictures whose planes and costs are more than 2^31 numbers."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from repository import ROOT
+
+from reconstructors.mvs.patchmatch import MAX_SIDE
+
+COMPILER = shutil.which(os.environ.get("CXX", "c++"))
+SOURCE = Path(__file__).with_name("large_picture.cpp")
+
+pytestmark = [
+    pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler"),
+    pytest.mark.skipif(sys.platform != "linux", reason="reserves memory without taking it"),
+]
+
+
+@pytest.fixture(scope="module")
+def search(tmp_path_factory):
+    program = tmp_path_factory.mktemp("search") / "large_picture"
+    folders = [f"-I{ROOT / folder}" for folder in ("pcbench/native", "reconstructors/mvs/native")]
+    flags = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fopenmp"]
+    interrupt = ROOT / "pcbench" / "native" / "common" / "interrupt.cpp"
+    command = [COMPILER, *flags, *folders, str(SOURCE), str(interrupt), "-o", str(program)]
+    built = subprocess.run(command, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    return program
+
+
+@pytest.mark.parametrize(
+    "side",
+    [
+        pytest.param(200, id="small"),
+        pytest.param(11_700, id="costs of 16 sources beyond 2^31"),
+        pytest.param(23_300, id="planes beyond 2^31"),
+        pytest.param(MAX_SIDE, id="the largest"),
+    ],
+)
+def test_the_last_pixels_are_searched_as_in_a_small_picture(search, side):
+    """Only the pages of the last rows are touched: the largest picture takes no more memory than the small one."""
+    done = subprocess.run([search, str(side)], capture_output=True, text=True)
+    if done.stdout.strip() == "no address space":
+        pytest.skip("this machine reserves no memory that it does not have")
+    assert done.returncode == 0, f"ended with {done.returncode}"
+    assert done.stdout == "256 of 256 costs kept, 16 of 16 planes taken\n"
