@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 import shlex
 import subprocess
@@ -26,6 +25,7 @@ from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, Metr
 from pcbench.registration import Registration
 from pcbench.report.comparison import Comparison
 from pcbench.report.inputs import InputFile
+from pcbench.systems import cpus
 
 SCHEMA = "pcbench.comparison/1"
 
@@ -184,7 +184,7 @@ def provenance(seed: int | None) -> dict[str, Any]:
         "version": pcbench.__version__,
         "commit": _commit(),
         "seed": seed,
-        "machine": f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores,"
+        "machine": f"{platform.system()} {platform.machine()}, {cpus()} cores,"
         f" Python {platform.python_version()}, numpy {np.__version__}",
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
