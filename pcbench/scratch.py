@@ -8,7 +8,6 @@ the second is refused.
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
 import os
 import platform
@@ -17,12 +16,13 @@ import secrets
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from pcbench.errors import InputError
+from pcbench.systems import NO_FOLLOW, NO_WAIT, close_and_remove, is_own, lock, open_folder
 
 _PREFIX = ".pcbench-"
 _LOCK = ".lock"  # how the names of claims end
@@ -48,15 +48,14 @@ def claim(output: Path) -> Iterator[None]:
     target = output.resolve()
     sweep(target.parent)
     path = target.with_name(f"{_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}{_LOCK}")
-    lock = _claimed(path)
-    if lock is None:
+    claimed = _claimed(path)
+    if claimed is None:
         raise InputError(f"{output}: another run is writing there: wait for it, or choose another name")
     try:
         yield
     finally:
-        if lock != _NO_LOCK:
-            path.unlink(missing_ok=True)
-            os.close(lock)
+        if claimed != _NO_LOCK:
+            close_and_remove(path, claimed)
 
 
 @contextmanager
@@ -70,7 +69,7 @@ def scratch_file(output: Path) -> Iterator[tuple[Path, BinaryIO]]:
     sweep(folder)
     path = folder / f"{_OURS}{secrets.token_hex(8)}.tmp"
     with naming(output, path):
-        descriptor = _kept(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), path)
+        descriptor = _open_locked(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
         try:
             with os.fdopen(descriptor, "wb") as file:
                 yield path, file
@@ -92,18 +91,14 @@ def scratch_folder(output: Path | None = None) -> Iterator[Path]:
     parent = Path(tempfile.gettempdir()) if output is None else output.absolute().parent
     sweep(parent)
     path = parent / f"{_OURS}{secrets.token_hex(8)}"
-
-    def make() -> int:
-        path.mkdir(0o700 if output is None else 0o777)
-        return os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-
     with naming(output or path, path):
-        descriptor = _kept(make, path)
+        descriptor = _make_locked_folder(path, 0o700 if output is None else 0o777)
         try:
             yield path
         finally:
             shutil.rmtree(path, ignore_errors=True)
-            os.close(descriptor)
+            if descriptor is not None:
+                os.close(descriptor)
 
 
 def sweep(folder: Path) -> None:
@@ -137,11 +132,11 @@ def _claimed(path: Path) -> int | None:
     """A descriptor of a claim's file with its lock, `_NO_LOCK` where there can be none, None where another has it."""
     for _ in range(_ATTEMPTS):
         try:
-            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | NO_FOLLOW, 0o666)
         except OSError:
             return _NO_LOCK
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(descriptor, wait=False)
             if _is_at(path, descriptor):
                 return descriptor
         except BlockingIOError:  # perhaps a sweep that is through with it in a moment
@@ -153,15 +148,34 @@ def _claimed(path: Path) -> int | None:
     return None
 
 
-def _kept(make: Callable[[], int], path: Path) -> int:
-    """A descriptor of what `make` makes at a path, locked where the disk knows locks."""
+def _open_locked(path: Path, flags: int) -> int:
+    """Descriptor of a new file, locked where the disk knows locks."""
     while True:
-        descriptor = make()
-        with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        if _is_at(path, descriptor):
+        descriptor = os.open(path, flags, 0o666)
+        if _locked_at(path, descriptor):
             return descriptor
-        os.close(descriptor)  # a sweep came before the lock
+
+
+def _make_locked_folder(path: Path, mode: int) -> int | None:
+    """Descriptor of a new folder, locked where the disk knows locks; None where the system opens no folders."""
+    while True:
+        path.mkdir(mode)
+        try:
+            descriptor = open_folder(path)
+        except FileNotFoundError:  # a sweep came before it was opened
+            continue
+        if descriptor is None or _locked_at(path, descriptor):
+            return descriptor
+
+
+def _locked_at(path: Path, descriptor: int) -> bool:
+    """Lock what was made at a path, if the disk knows locks; False, and closed, where a sweep came before the lock."""
+    with suppress(OSError):
+        lock(descriptor, wait=True)
+    if _is_at(path, descriptor):
+        return True
+    os.close(descriptor)
+    return False
 
 
 def _is_at(path: Path, descriptor: int) -> bool:
@@ -172,11 +186,11 @@ def _is_at(path: Path, descriptor: int) -> bool:
 
 
 def _sweep(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    descriptor = os.open(path, os.O_RDONLY | NO_FOLLOW | NO_WAIT)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # a living run has it
+        lock(descriptor, wait=False)  # a living run has it
         status = os.fstat(descriptor)
-        if status.st_uid != os.geteuid():
+        if not is_own(status):
             return
         mine = path.name.startswith(_OURS) or path.name.endswith(_LOCK)
         if not mine and time.time() - status.st_mtime < _MAX_FOREIGN_AGE_S:

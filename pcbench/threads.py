@@ -5,9 +5,9 @@ where a thread of theirs does not start.
 from __future__ import annotations
 
 import os
-import resource
 
 from pcbench.errors import InputError
+from pcbench.systems import cpus, memory_limit
 
 _MAX_THREADS = 1024  # and as many as there are CPUs, where these are more
 _COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -28,17 +28,12 @@ def fit_threads() -> None:
     asked = {name: _first(os.environ.get(name, "")) for name in _COUNTS}
     if (count := asked["OMP_NUM_THREADS"]) is not None and count > most:
         raise InputError(f"OMP_NUM_THREADS={count}: expected at most {most} threads: give fewer, or unset it")
-    memory, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if memory != resource.RLIM_INFINITY:
+    memory = memory_limit()
+    if memory is not None:
         room = max(1, memory // _MEMORY)
         for name, count in asked.items():
             if (count or cpus()) > room:
                 os.environ[name] = str(room)
-
-
-def cpus() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _first(text: str) -> int | None:

@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from processes import ends
 
 import pcbench
+from pcbench import children
 from pcbench.children import Limits, run_module, run_script
 
 
@@ -153,6 +155,61 @@ def test_it_ends_with_its_parent(script, tmp_path):
     pids = [int(word) for word in pid.read_text().split()]
     assert len(pids) == 2
     assert all(ends(pid) for pid in pids)
+
+
+LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux ends children with their parent")
+
+
+@LINUX
+def test_it_ends_with_a_parent_that_ends_at_once(script, tmp_path):
+    """Before the child has asked to be told of it."""
+    started = tmp_path / "started"
+    child = script("import time", f"open({str(started)!r}, 'w').close()", "time.sleep(600)")
+    code = (
+        "import os, subprocess",
+        "from pcbench.children import run_script",
+        "class Popen(subprocess.Popen):",
+        "    def __init__(self, *arguments, **options):",
+        "        super().__init__(*arguments, **options)",
+        "        print(self.pid, flush=True)",
+        "        os._exit(1)",
+        "subprocess.Popen = Popen",
+        f"run_script({str(child)!r})",
+    )
+    for _ in range(3):  # however fast a child starts
+        parent = subprocess.run([sys.executable, "-c", "\n".join(code)], stdout=subprocess.PIPE, text=True)
+        pid = int(parent.stdout)
+        try:
+            assert ends(pid)
+        finally:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGTERM)
+    assert not started.exists()
+
+
+@LINUX
+def test_a_program_does_not_start_without_its_watch(script, tmp_path):
+    """The process that waits is killed before the program's own has asked to be told of it."""
+    started = tmp_path / "started"
+    program = script(f"open({str(started)!r}, 'w').close()")
+    code = (
+        "import os, runpy, sys, time",
+        "fork = os.fork",
+        "def killed_after_fork():",
+        "    watch = os.getpid()",
+        "    if child := fork():",
+        "        print(child, flush=True)",
+        "        os.kill(watch, 9)",
+        "    while os.getppid() == watch: time.sleep(0.01)",
+        "    return 0",
+        "os.fork = killed_after_fork",
+        f"sys.argv = ['start.py', str(os.getppid()), '0', '0', '0', {str(program)!r}]",
+        f"runpy.run_path({children._START!r}, run_name='__main__')",
+    )
+    watch = subprocess.run([sys.executable, "-c", "\n".join(code)], stdout=subprocess.PIPE, text=True)
+    assert watch.returncode == -signal.SIGKILL
+    assert ends(int(watch.stdout))
+    assert not started.exists()
 
 
 def test_a_module_is_of_this_very_package_and_not_of_the_current_folder(tmp_path, monkeypatch):

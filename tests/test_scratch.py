@@ -7,12 +7,27 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from pcbench.errors import InputError
 from pcbench.io.files import atomic_write
 from pcbench.scratch import claim, naming, scratch_file, scratch_folder, sweep
+
+BUSY = """
+import sys
+from pathlib import Path
+from pcbench.scratch import scratch_folder
+failed = 0
+for _ in range(1000):
+    try:
+        with scratch_folder(Path(sys.argv[1])) as folder:
+            assert folder.is_dir()
+    except FileNotFoundError:
+        failed += 1
+print(failed)
+"""
 
 HOLD = """
 import sys, time
@@ -55,6 +70,37 @@ def test_what_a_living_run_has_is_left_and_what_a_killed_one_had_is_swept(tmp_pa
         folder.rename(tmp_path / "out")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt", "out"]
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["whole"]
+
+
+def test_a_sweep_between_making_and_locking_is_survived(tmp_path, monkeypatch):
+    """Another run sweeps just before the folder is opened to be locked, three times: it is made again."""
+    real, sweeps = os.open, iter([True] * 3)
+
+    def interrupted(path, *arguments, **options):
+        if Path(path).name.startswith(".pcbench-") and next(sweeps, False):
+            with monkeypatch.context() as undone:
+                undone.setattr(os, "open", real)
+                sweep(tmp_path)
+        return real(path, *arguments, **options)
+
+    monkeypatch.setattr(os, "open", interrupted)
+    with scratch_folder(tmp_path / "out") as folder:
+        assert folder.is_dir()
+    assert next(sweeps, None) is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_still_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError), scratch_folder(tmp_path / "missing" / "out"):
+        pass
+
+
+def test_two_processes_in_one_folder_do_not_lose_their_own(tmp_path):
+    """Neither process asks the other: each sweeps the folder 1,000 times."""
+    run = [sys.executable, "-c", BUSY, tmp_path / "out"]
+    processes = [subprocess.Popen(run, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert [process.communicate()[0] for process in processes] == ["0\n", "0\n"]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_another_machine_left_is_swept_after_a_day(tmp_path):

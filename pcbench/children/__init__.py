@@ -9,23 +9,21 @@ from __future__ import annotations
 
 import locale
 import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread, Timer
 from typing import IO, BinaryIO
+
+from pcbench.systems import end_tree, reap, wait_until_ended
 
 _START = str(Path(__file__).with_name("start.py"))
 # The folder that this very package is imported from. Looked up, not imported: pcbench gives names of rooms above.
 _PACKAGES = str(Path(sys.modules["pcbench"].__path__[0]).parent)
 MAX_LOG = 16 << 20  # bytes of a log, before its end
 _MAX_TAIL = 1 << 20  # bytes of the end of a child's output that are kept
-_STEP_S = 0.01
 _GRACE_S = 10.0  # for what a child started to be ended with it
 
 
@@ -129,7 +127,7 @@ def _run(
 ) -> Ended:
     limits = limits or Limits()
     own = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "PYTHONUNBUFFERED": "1"}
-    obeyed = [str(limits.cpu_seconds or 0), str(limits.memory or 0), str(int(limits.one_cpu))]
+    obeyed = [str(os.getpid()), str(limits.cpu_seconds or 0), str(limits.memory or 0), str(int(limits.one_cpu))]
     process = subprocess.Popen(
         [sys.executable, "-P", _START, *obeyed, *program],
         stdin=subprocess.DEVNULL if stdin is None else stdin,
@@ -207,7 +205,7 @@ def _wait(
 
     def expire() -> None:
         expired.append(True)
-        _end(process.pid)
+        end_tree(process, _GRACE_S)
 
     watch = Timer(seconds, expire) if seconds is not None else None
     received = 0
@@ -217,16 +215,14 @@ def _wait(
             watch.start()
         if into is not None:
             received = _receive(process, into)
-        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        wait_until_ended(process)
     finally:
         if watch is not None:
             watch.cancel()
             watch.join()
-        # Before it is waited for: until then its number, which is that of its session, is given to no other process.
-        _end(process.pid)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    return process.returncode, bool(expired), usage.ru_utime + usage.ru_stime, received
+        end_tree(process, _GRACE_S)  # what it started may outlive it
+        code, cpu_s = reap(process)
+    return code, bool(expired), cpu_s, received
 
 
 def _receive(process: subprocess.Popen[bytes], into: memoryview) -> int:
@@ -237,16 +233,3 @@ def _receive(process: subprocess.Popen[bytes], into: memoryview) -> int:
         while got < len(into) and (more := pipe.readinto(into[got:])):  # type: ignore[attr-defined]
             got += more
     return got
-
-
-def _end(pid: int) -> None:
-    """End a child with all that it started."""
-    if sys.platform.startswith("linux"):
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGTERM)  # which `start.py` does that for
-        for _ in range(round(_GRACE_S / _STEP_S)):
-            if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None:
-                break
-            time.sleep(_STEP_S)
-    with suppress(ProcessLookupError, PermissionError):  # all gone
-        os.killpg(pid, signal.SIGKILL)

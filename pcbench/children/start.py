@@ -1,17 +1,16 @@
-"""Where each child process starts: `start.py CPU_SECONDS BYTES ONE_CPU PROGRAM [ARGUMENT...]` starts the program in a
-process of its own that limits itself, waits for it, and ends whatever it left running. A limit of 0 is none; the
-program is a .py file or the name of a module.
+"""Where each child process starts: `start.py PARENT CPU_SECONDS BYTES ONE_CPU PROGRAM [ARGUMENT...]` starts the program
+in a process of its own that limits itself, waits for it, and ends whatever it left running. PARENT is the process that
+started this one. A limit of 0 is none; the program is a .py file or the name of a module.
 
 A daemon leaves its session and its parent, so that neither says whose it is. But where a process declares itself the
 subreaper (prctl(2)), every orphan among its descendants becomes its child: on Linux nothing of a program outlives it.
 A process that only waits can do this; the program's own, which may be killed, cannot.
 
 Run as a script, never imported: nothing of pcbench is imported here, nor anything that takes long, because the reader
-of LAZ files starts in 25 ms.
+of LAZ files starts in 25 ms. Where a system has no limits (Windows) or no affinity (macOS too), none is set.
 """
 
 import os
-import resource
 import runpy
 import signal
 import sys
@@ -25,28 +24,36 @@ class _Stop(BaseException):
 
 
 def main() -> None:
-    cpu_seconds, memory, one_cpu = map(int, sys.argv[1:4])
-    program, sys.argv = sys.argv[4], sys.argv[4:]
+    parent, cpu_seconds, memory, one_cpu = map(int, sys.argv[1:5])
+    program, sys.argv = sys.argv[5], sys.argv[5:]
     if sys.platform.startswith("linux"):
-        _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        _end_with(parent, signal.SIGTERM)
         _prctl(_PR_SET_CHILD_SUBREAPER, 1)
         signal.signal(signal.SIGTERM, _stop)
+        watch = os.getpid()
         if child := os.fork():
             _watch(child)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         os.setsid()  # a program that kills its own group leaves the watch alive
-        _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if one_cpu:
+        _end_with(watch, signal.SIGKILL)
+    if one_cpu and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     if cpu_seconds:
-        _limit(resource.RLIMIT_CPU, cpu_seconds)
+        _limit("RLIMIT_CPU", cpu_seconds)
     if memory:
-        _limit(resource.RLIMIT_CORE, 0)
-        _limit(resource.RLIMIT_AS, memory)
+        _limit("RLIMIT_CORE", 0)
+        _limit("RLIMIT_AS", memory)
     if program.endswith(".py"):
         runpy.run_path(program, run_name="__main__")
     else:
         runpy.run_module(program, run_name="__main__", alter_sys=True)
+
+
+def _end_with(parent: int, number: int) -> None:
+    """Have the system send a signal to this process when its parent ends; end at once where that has happened."""
+    _prctl(_PR_SET_PDEATHSIG, number)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def _watch(child: int) -> None:
@@ -63,7 +70,7 @@ def _watch(child: int) -> None:
     _end_descendants()
     code = os.waitstatus_to_exitcode(status)
     if code < 0:
-        _limit(resource.RLIMIT_CORE, 0)  # the program has left its own
+        _limit("RLIMIT_CORE", 0)  # the program has left its own
         with suppress(OSError, ValueError):  # SIGKILL and SIGSTOP have no other handler
             signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)
@@ -112,10 +119,15 @@ def _prctl(option: int, value: int) -> None:
     ctypes.CDLL(None).prctl(option, value)
 
 
-def _limit(kind: int, most: int) -> None:
-    _, hard = resource.getrlimit(kind)
+def _limit(kind: str, most: int) -> None:
+    """Lower a limit of <sys/resource.h> for good, where the system has it."""
+    try:
+        import resource
+    except ImportError:
+        return
+    _, hard = resource.getrlimit(getattr(resource, kind))
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(kind, (most, most))
+    resource.setrlimit(getattr(resource, kind), (most, most))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
 from pcbench.regular_files import open_regular, read_text, regular_status
 from pcbench.scratch import scratch_file
+from pcbench.systems import rename_open
 
 Warn = Callable[[str], None]
 T = TypeVar("T")
@@ -201,8 +202,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         raise OSError(f"cannot write to {path}: it is a folder or a device")
     with scratch_file(path) as (temporary, file):
         yield file
-        file.flush()
-        temporary.replace(target)
+        rename_open(file, temporary, target)
 
 
 def reading_seconds(path: Path) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,6 +32,7 @@ from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
 from pcbench.progress import Plan
 from pcbench.registration import Registration, register
+from pcbench.systems import peak_memory
 
 
 def compare(
@@ -165,7 +164,7 @@ def _compare_one(
         completeness=missing,
         deformation=deformation,
         timings_s=timings,
-        peak_rss_bytes=_peak_rss(),
+        peak_rss_bytes=peak_memory(),
         warnings=(
             *_crs_warnings(reference.cloud, cloud),
             *measurement.warnings,
@@ -240,8 +239,3 @@ def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     timings[name] = time.perf_counter() - start
-
-
-def _peak_rss() -> int:
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

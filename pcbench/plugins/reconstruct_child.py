@@ -5,7 +5,6 @@ outcome.json, and where it went well cloud.ply and cameras.
 from __future__ import annotations
 
 import json
-import resource
 import shutil
 import sys
 import traceback
@@ -21,6 +20,7 @@ from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
 from pcbench.plugins.code import running
 from pcbench.plugins.run import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
 from pcbench.scenes import Scene, read_scene
+from pcbench.systems import peak_memory_with_children
 
 
 def main(workspace: Path) -> None:
@@ -34,7 +34,7 @@ def main(workspace: Path) -> None:
     else:
         outcome["settings"] = {f.name: str(getattr(reconstructor, f.name)) for f in fields(plugin.cls) if f.init}
         outcome |= _reconstruct(plugin, reconstructor, scene, workspace)
-    outcome |= {"peak_rss_bytes": _peak_rss_bytes(), "gpu_bytes": _peak_gpu_bytes()}
+    outcome |= {"peak_rss_bytes": peak_memory_with_children(), "gpu_bytes": _peak_gpu_bytes()}
     with atomic_write(workspace / OUTCOME) as file:
         file.write(json.dumps(outcome, indent=1).encode() + b"\n")
 
@@ -77,21 +77,6 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
         write_colmap_model(workspace / CAMERAS, list(result.cameras.values()))
     notes = [str(note) for note in result.notes]
     return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes}
-
-
-def _peak_rss_bytes() -> int:
-    """Of this process or of its largest child.
-
-    Not by `getrusage` for this one: there the memory of the process that started it counts too.
-    """
-    status = Path("/proc/self/status")
-    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    if status.is_file():
-        line = next((line for line in status.read_text().splitlines() if line.startswith("VmHWM:")), None)
-        own = int(line.split()[1]) if line else own
-    unit = 1 if sys.platform == "darwin" else 1024
-    return max(own, children) * unit
 
 
 def _peak_gpu_bytes() -> int | None:

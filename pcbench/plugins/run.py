@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import followed
 from pcbench.scratch import claim, scratch_folder
+from pcbench.systems import SIGKILL, signal_name
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
@@ -210,10 +210,8 @@ def _how_it_ended(code: int, log: Path) -> str:
         return f"the process ended with code {code} and without its log: {error.strerror}"
     last = last_line(text) or "it printed nothing"
     if code < 0:
-        # Real-time signals have numbers only.
-        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        hint = ", perhaps for want of memory" if code == -signal.SIGKILL else ""
-        return f"the process was ended by {name}{hint}; its last line: {last[:200]}"
+        hint = ", perhaps for want of memory" if code == -SIGKILL else ""
+        return f"the process was ended by {signal_name(-code)}{hint}; its last line: {last[:200]}"
     return f"the process ended with code {code} and without a result; its last line: {last[:200]}"
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 import shlex
 import subprocess
@@ -25,6 +24,7 @@ from pcbench.measure.presets import Open3d, Preset, Tnt
 from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, Metrics, ThresholdScores
 from pcbench.registration import Registration
 from pcbench.report.inputs import InputFile, SourcedComparison
+from pcbench.systems import cpus
 
 SCHEMA = "pcbench.comparison/1"
 
@@ -186,7 +186,7 @@ def provenance(seed: int | None) -> dict[str, Any]:
         "version": pcbench.__version__,
         "commit": _commit(),
         "seed": seed,
-        "machine": f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores,"
+        "machine": f"{platform.system()} {platform.machine()}, {cpus()} cores,"
         f" Python {platform.python_version()}, numpy {np.__version__}",
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

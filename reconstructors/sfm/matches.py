@@ -15,7 +15,7 @@ from pcbench.children import run_module
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
-from pcbench.threads import cpus
+from pcbench.systems import cpus
 from reconstructors.sfm.features import DATABASE, Shared, shared_intrinsics
 from reconstructors.sfm.match_child import match
 

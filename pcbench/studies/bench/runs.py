@@ -33,6 +33,7 @@ from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import Rules, Yardstick, score
 from pcbench.studies.bench.table import bench_markdown, row_words
 from pcbench.studies.bench.truth import mesh_of, read_truth
+from pcbench.systems import cpus
 
 SCHEMA = "pcbench.bench/1"
 COLUMNS = (
@@ -205,7 +206,7 @@ class _Inputs:
             "scene": scene.fingerprint(),
             "sparse_points": hashlib.sha256(points).hexdigest(),
             "versions": library_versions(),
-            "machine": f"{platform.node()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores",
+            "machine": f"{platform.node()} {platform.machine()}, {cpus()} cores",
         }
         measured = {
             "reference": digest(job.reference),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pcbench import scratch
 from pcbench.errors import MissingExtra
+from pcbench.systems import rename_open
 from reconstructors.splat.cuda.kernels import Kernel, Scalar
 
 if TYPE_CHECKING:
@@ -97,8 +98,7 @@ def compiled(kernel: Kernel, architecture: str) -> bytes:
         file.parent.mkdir(parents=True, exist_ok=True)
         with scratch.scratch_file(file) as (path, stream):
             stream.write(cubin)
-            stream.flush()
-            path.replace(file)
+            rename_open(stream, path, file)
     return cubin
 
 

@@ -1,0 +1,210 @@
+"""What differs between operating systems: file locks, memory and CPUs, and how processes are waited for and ended.
+
+No other module of the package imports `fcntl` or `resource`, or names what `os` and `signal` have on some systems only.
+The exception is `children/start.py`, which runs before anything of pcbench can be imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+NO_FOLLOW: int = getattr(os, "O_NOFOLLOW", 0)  # flags of os.open
+NO_WAIT: int = getattr(os, "O_NONBLOCK", 0)
+SIGKILL: int = getattr(signal, "SIGKILL", 9)
+
+# On Windows a lock covers bytes, which others then cannot read: one byte where no data are expected.
+_LOCKED_BYTE = (1 << 31) - 2
+_STEP_S = 0.01  # between two looks at a child that is to end
+
+
+def lock(descriptor: int, *, wait: bool) -> None:
+    """Lock an open file or folder until its descriptor is closed or the process ends.
+
+    Raises:
+        BlockingIOError: another process holds the lock, and `wait` is False.
+        OSError: the disk or the system knows no locks.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        _lock_byte(descriptor, wait)
+    else:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+
+
+def _lock_byte(descriptor: int, wait: bool) -> None:
+    try:
+        msvcrt: Any = importlib.import_module("msvcrt")
+    except ImportError:
+        raise OSError("this system has no file locks") from None
+    position = os.lseek(descriptor, 0, os.SEEK_CUR)
+    try:
+        os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+    except PermissionError as error:
+        raise BlockingIOError(error.errno, error.strerror) from error
+    finally:
+        os.lseek(descriptor, position, os.SEEK_SET)
+
+
+def open_folder(path: Path) -> int | None:
+    """A descriptor of a folder, to lock it; None on Windows, which opens files only.
+
+    Raises:
+        FileNotFoundError: the folder is not there.
+    """
+    folder: int | None = getattr(os, "O_DIRECTORY", None)
+    return None if folder is None else os.open(path, os.O_RDONLY | folder)
+
+
+def is_own(status: os.stat_result) -> bool:
+    """Whether a file belongs to the user of this process, as far as the system knows users."""
+    return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()
+
+
+def close_and_remove(path: Path, descriptor: int) -> None:
+    """Remove a locked file. It keeps its lock until it is gone, except on Windows, which removes no open file."""
+    try:
+        path.unlink(missing_ok=True)
+    except PermissionError:
+        os.close(descriptor)
+        path.unlink(missing_ok=True)
+    else:
+        os.close(descriptor)
+
+
+def rename_open(file: BinaryIO, path: Path, target: Path) -> None:
+    """Rename a written file over `target`, before it is closed where the system can do that."""
+    file.flush()
+    if sys.platform == "win32":
+        file.close()
+    path.replace(target)
+
+
+def cpus() -> int:
+    """Number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def memory_limit() -> int | None:
+    """Bytes of address space that this process is limited to; None without a limit."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def peak_memory() -> int:
+    """Largest resident memory of this process so far, in bytes; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return _peak_working_set()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _rss_unit()
+
+
+def peak_memory_with_children() -> int:
+    """Largest resident memory of this process or of one of its ended children, in bytes; 0 where it is not known.
+
+    Linux counts the memory of the process that started this one in `getrusage`, but not in /proc.
+    """
+    try:
+        import resource
+    except ImportError:
+        return _peak_working_set()
+    own = peak_memory()
+    status = Path("/proc/self/status")
+    if status.is_file():
+        line = next((line for line in status.read_text().splitlines() if line.startswith("VmHWM:")), None)
+        own = int(line.split()[1]) * 1024 if line else own
+    return max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _rss_unit())
+
+
+def _rss_unit() -> int:
+    """Bytes in a unit of `ru_maxrss`, which is a kibibyte on all systems but macOS."""
+    return 1 if sys.platform == "darwin" else 1024
+
+
+def _peak_working_set() -> int:
+    import ctypes
+
+    class ProcessMemory(ctypes.Structure):  # PROCESS_MEMORY_COUNTERS of <psapi.h>
+        _fields_ = (
+            ("bytes", ctypes.c_uint32),
+            ("page_faults", ctypes.c_uint32),
+            ("peak_working_set", ctypes.c_size_t),
+            ("others", ctypes.c_size_t * 7),
+        )
+
+    try:
+        kernel: Any = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined]
+    except AttributeError:
+        return 0
+    kernel.GetCurrentProcess.restype = ctypes.c_void_p
+    kernel.K32GetProcessMemoryInfo.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32]
+    memory = ProcessMemory(bytes=ctypes.sizeof(ProcessMemory))
+    known = kernel.K32GetProcessMemoryInfo(kernel.GetCurrentProcess(), ctypes.byref(memory), memory.bytes)
+    return int(memory.peak_working_set) if known else 0
+
+
+def signal_name(number: int) -> str:
+    """Name of a signal, such as SIGSEGV; real-time signals and those of other systems have numbers only."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def wait_until_ended(process: subprocess.Popen[bytes]) -> None:
+    """Wait for a child to end.
+
+    It stays a zombie where the system can do that, so that its number, which is that of its session, is given to no
+    other process before `reap`.
+    """
+    if hasattr(os, "waitid"):
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    else:
+        process.wait()
+
+
+def end_tree(process: subprocess.Popen[bytes], grace_s: float) -> None:
+    """End a child that `children/start.py` runs in a session of its own, with all that it started.
+
+    Args:
+        grace_s: seconds that the child has on Linux to end its descendants, before its session is killed.
+    """
+    if sys.platform.startswith("linux"):
+        with suppress(ProcessLookupError):
+            os.kill(process.pid, signal.SIGTERM)
+        for _ in range(round(grace_s / _STEP_S)):
+            if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None:
+                break
+            time.sleep(_STEP_S)
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError, PermissionError):  # all gone
+            os.killpg(process.pid, SIGKILL)
+    elif process.poll() is None:
+        subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], capture_output=True, check=False)
+
+
+def reap(process: subprocess.Popen[bytes]) -> tuple[int, float]:
+    """Exit code of an ended child, and the CPU seconds of it and of the children it waited for.
+
+    The code is minus the signal's number where a signal ended the child. The CPU time is 0 where the system does not
+    tell, which is Windows, and macOS before Python 3.13.
+    """
+    if process.returncode is not None or not hasattr(os, "wait4"):
+        return process.wait(), 0.0
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, usage.ru_utime + usage.ru_stime

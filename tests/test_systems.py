@@ -1,0 +1,160 @@
+"""Other operating systems, imitated: what Windows and macOS lack is removed before the package is imported."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from processes import ends
+from repository import ROOT
+
+from pcbench import systems
+from pcbench.geometry.cloud import Cloud
+from pcbench.io import write_cloud
+
+# Modules that are missing, and names of `os` and `signal`. `sys.platform` is set to the name.
+_MACOS = ("os.sched_getaffinity os.sched_setaffinity os.waitid os.P_PID os.WNOWAIT", "darwin")
+_WINDOWS = (
+    "fcntl resource termios pwd grp os.fork os.setsid os.killpg os.waitid os.wait os.wait4 os.P_PID os.WNOWAIT "
+    "os.WNOHANG os.WEXITED os.geteuid os.getuid os.sched_getaffinity os.sched_setaffinity os.register_at_fork "
+    "os.uname os.sysconf os.O_DIRECTORY os.O_NOFOLLOW os.O_NONBLOCK signal.SIGKILL signal.SIGHUP signal.SIGALRM "
+    "signal.setitimer",
+    "win32",
+)
+
+# What the package uses is imported before, and subprocess keeps what it needs: only pcbench runs on that system.
+IMITATE = """
+import ctypes.util, fcntl, importlib, json, multiprocessing, os, pkgutil, platform, shutil, signal, subprocess, sys
+import tempfile, types
+import numpy, scipy, scipy.optimize, scipy.sparse, scipy.spatial, scipy.special, scipy.stats, click, rich.console
+import rich.progress, rich.table
+shutil._use_fd_functions = False  # rmtree would ask for flags that are removed
+subprocess.os, subprocess.signal = (types.SimpleNamespace(**vars(module)) for module in (os, signal))
+missing, sys.platform = sys.argv[1].split(), sys.argv[2]
+flock = fcntl.flock
+
+def locking(descriptor, mode, count):  # the C library of Windows answers by another error
+    try:
+        flock(descriptor, fcntl.LOCK_EX if mode == 1 else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise PermissionError(13, "Permission denied") from error
+
+for name in missing:
+    owner, _, attribute = name.rpartition(".")
+    if owner:
+        delattr(sys.modules[owner], attribute)
+    else:
+        sys.modules[name] = None
+if sys.platform == "win32":
+    sys.modules["msvcrt"] = types.SimpleNamespace(locking=locking, LK_LOCK=1, LK_NBLCK=2)
+"""
+
+
+@pytest.fixture(params=[_MACOS, _WINDOWS], ids=["macos", "windows"])
+def imitated(request):
+    """Runs lines of Python on a system that lacks what the other one has; what they print."""
+
+    def run(lines, *arguments, before=""):
+        code = [sys.executable, "-c", before + IMITATE + lines, *request.param, *map(str, arguments)]
+        ended = subprocess.run(code, capture_output=True, text=True, cwd=ROOT)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
+
+    return run
+
+
+def test_every_module_imports(imitated):
+    heavy = """
+import contextlib
+with contextlib.suppress(ImportError):
+    import torch
+with contextlib.suppress(ImportError):
+    import cuda.core
+"""
+    lines = """
+count = 0
+for package in ("pcbench", "reconstructors"):
+    for found in pkgutil.walk_packages([package], package + "."):
+        if found.name.endswith("__main__"):
+            continue
+        try:
+            importlib.import_module(found.name)
+        except ModuleNotFoundError as error:
+            if error.name.split(".")[0] not in ("torch", "PIL", "cuda", "pycolmap"):
+                raise
+        count += 1
+print(count)
+"""
+    sources = [p for package in ("pcbench", "reconstructors") for p in (ROOT / package).rglob("*.py")]
+    assert int(imitated(lines, before=heavy)) >= len(sources) - 3  # the two packages themselves and cli/__main__.py
+
+
+def test_clouds_are_compared(imitated, tmp_path):
+    rng = np.random.default_rng(5)
+    points = np.c_[rng.uniform(0, 4, (3000, 2)), rng.normal(0, 0.01, 3000)]
+    for name, moved in (("reference", points), ("candidate", points + [0, 0, 0.02])):
+        write_cloud(tmp_path / f"{name}.ply", Cloud(moved))
+    lines = """
+from pcbench import cli
+sys.argv = ["pcbench", "compare", *sys.argv[3:], "--register", "none", "--no-figures", "--quiet"]
+cli.main()
+"""
+    clouds = [tmp_path / f"{name}.ply" for name in ("reference", "candidate")]
+    imitated(lines, *clouds, "--out", tmp_path / "there")
+    code = "from pcbench import cli; cli.main()"
+    arguments = [*clouds, "--register", "none", "--no-figures", "--quiet", "--out", tmp_path / "here"]
+    subprocess.run([sys.executable, "-c", code, "compare", *arguments], check=True)
+    there, here = (json.loads((tmp_path / name / "comparison.json").read_text()) for name in ("there", "here"))
+    assert there["candidates"][0]["metrics"] == here["candidates"][0]["metrics"]
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".pcbench-")]
+
+
+def test_a_claimed_output_is_refused(imitated, tmp_path):
+    lines = """
+from pathlib import Path
+from pcbench.errors import InputError
+from pcbench.scratch import claim, scratch_folder
+out = Path(sys.argv[3])
+with claim(out):
+    try:
+        with claim(out):
+            print("claimed twice")
+    except InputError:
+        print("refused")
+with claim(out), scratch_folder(out) as folder:
+    folder.rename(out)
+"""
+    assert imitated(lines, tmp_path / "out") == "refused\n"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_child_runs_and_is_ended(imitated, tmp_path):
+    """By a stand-in for Windows' own command where there are no process groups."""
+    (tmp_path / "taskkill").write_text('#!/bin/sh\nkill -15 "$4"\n')
+    (tmp_path / "taskkill").chmod(0o755)
+    (tmp_path / "sleeper.py").write_text("import os, time\nprint(os.getpid(), flush=True)\ntime.sleep(600)")
+    (tmp_path / "quick.py").write_text("raise SystemExit(3)")
+    lines = """
+os.environ["PATH"] = sys.argv[3] + os.pathsep + os.environ["PATH"]
+from pcbench.children import Limits, run_script
+print(run_script(sys.argv[3] + "/quick.py", limits=Limits(cpu_seconds=60, memory=1 << 40, one_cpu=True)).code)
+ended = run_script(sys.argv[3] + "/sleeper.py", limits=Limits(seconds=5))
+print(ended.timed_out, ended.output.strip())
+"""
+    quick, slow = imitated(lines, tmp_path).splitlines()
+    timed_out, pid = slow.split()
+    assert (quick, timed_out) == ("3", "True")
+    assert ends(int(pid))
+
+
+def test_memory_of_this_process():
+    assert systems.peak_memory() > 1 << 20
+    assert systems.peak_memory_with_children() > 1 << 20
+    assert systems.cpus() <= (os.cpu_count() or 1)
+
+
+@pytest.mark.parametrize("number, name", [(2, "SIGINT"), (systems.SIGKILL, "SIGKILL"), (500, "signal 500")])
+def test_names_of_signals(number, name):
+    assert systems.signal_name(number) == name
