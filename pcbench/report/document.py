@@ -142,7 +142,7 @@ def _registration(registration: Registration) -> dict[str, Any]:
         "converged": registration.converged,
         "information_eigenvalues": registration.information_eigenvalues,
         "weakest_sigma": registration.weakest_sigma,
-        "check_points": [point._asdict() for point in registration.check_points],
+        **registration.residuals.plain(),
         "scale_solved": registration.solved_scale,
         "warnings": [notice.text for notice in registration.warnings],
         "warning_codes": [notice.code for notice in registration.warnings],

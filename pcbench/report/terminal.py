@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pcbench.report.answer import answer
 from pcbench.report.comparison import Comparison
-from pcbench.report.notes import details, warnings
+from pcbench.report.notes import details, survey_sentences, warnings
 from pcbench.report.summary import MOST_ACROSS, main_columns, main_lines
 from pcbench.report.table import Line, lines
 from pcbench.report.words import columns, padded, shortened, title
@@ -38,6 +38,8 @@ def print_comparison(comparison: Comparison, *, full: bool = False, folder: Path
 
     say(title(comparison), "bold")
     for sentence in answer(comparison):
+        say(sentence)
+    for sentence in survey_sentences(comparison):
         say(sentence)
     for warning in warnings(comparison):
         say(f"warning: {warning}", "yellow")
