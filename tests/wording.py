@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import unified_diff
-from pathlib import Path
 
 import pytest
 from data_folder import data_root

@@ -67,8 +67,8 @@ def register(
 ) -> None:
     """Align CANDIDATE to REFERENCE and say by how much it moved and how well that is determined.
 
-    Prints the shift of the candidate's centroid, the angle, the axis and the scale as comments, and then the 4x4
-    matrix: what is printed can be read as a matrix again.
+    Prints the shift of the candidate's centroid, the angle, the axis, the scale and the residuals of control and check
+    points as comments, and then the 4x4 matrix: what is printed can be read as a matrix again.
     """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
@@ -123,8 +123,8 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
         f"{result.method}: {'the pose is DOUBTFUL, ' if result.doubtful else ''}rmse {result.rmse:.4g}, overlap"
         f" {result.overlap:.1%}, {result.iterations} iterations, {state}, weakest direction's sigma {sigma}"
     )
-    for point in result.check_points:
-        yield f"check point {point.name}: {point.error:.4g}"
+    yield from result.residuals.point_lines()
+    yield from result.residuals.rmse_lines(unit)
     yield "matrix candidate -> reference:"
 
 

@@ -131,6 +131,8 @@ def reconstruct(
                 warn(note.removeprefix("warning: "))
             else:
                 click.echo(f"note: {note}")
+        for line in (*made.residuals.point_lines(), *made.residuals.rmse_lines(made.cloud.unit)):
+            click.echo(line)
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
         click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")

@@ -51,6 +51,14 @@ def is_known(text: str | None) -> bool:
     return text is not None and _parsed(text) is not None
 
 
+def has_heights(text: str | None) -> bool:
+    """Whether z is known to be height in a system: it is a map grid, alone or with a system of heights."""
+    crs = None if text is None else _parsed(text)
+    if crs is None:
+        return False
+    return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_projected)
+
+
 def euclidean_offsets(text: str, places: FloatArray) -> FloatArray | None:
     """How far (N, 3) places (N, 3) on a map grid lie from where they are in Euclidean space, in the map's unit.
 

@@ -21,6 +21,7 @@ from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
+from pcbench.registration import SurveyResiduals
 from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
 
@@ -51,6 +52,7 @@ class Reconstruction:
     gauge: Gauge
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    residuals: SurveyResiduals = field(default_factory=SurveyResiduals)
 
     def __post_init__(self) -> None:
         if not isinstance(self.cloud, Cloud):

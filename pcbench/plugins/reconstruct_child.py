@@ -76,7 +76,8 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
     if result.cameras:
         write_colmap_model(workspace / CAMERAS, list(result.cameras.values()))
     notes = [str(note) for note in result.notes]
-    return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes}
+    survey = {"survey": result.residuals.plain()} if result.residuals else {}
+    return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes, **survey}
 
 
 def _peak_gpu_bytes() -> int | None:

@@ -17,6 +17,7 @@ from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import followed
+from pcbench.registration import SurveyResiduals
 from pcbench.scratch import claim, scratch_folder
 from pcbench.systems import SIGKILL, signal_name
 
@@ -224,7 +225,11 @@ def read_reconstruction(workspace: Path) -> Reconstruction:
     outcome = _read_outcome(workspace)
     cameras = read_colmap_cameras(workspace / CAMERAS) if outcome["cameras"] else ()
     cloud = read_cloud(workspace / CLOUD)
-    return Reconstruction(cloud, outcome["gauge"], {c.name: c for c in cameras}, tuple(outcome["notes"]))
+    try:
+        residuals = SurveyResiduals.from_plain(outcome["survey"]) if "survey" in outcome else SurveyResiduals()
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{workspace / OUTCOME}: the residuals of surveyed points are damaged: {error}") from error
+    return Reconstruction(cloud, outcome["gauge"], {c.name: c for c in cameras}, tuple(outcome["notes"]), residuals)
 
 
 @dataclass(frozen=True)

@@ -5,18 +5,21 @@ from pcbench.registration.from_features import FeatureSettings
 from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import IcpSettings
 from pcbench.registration.methods import METHODS, Method, as_method, parse_method, register
-from pcbench.registration.result import CheckPoint, Registration
+from pcbench.registration.residuals import PointResidual, PointRmse, SurveyResiduals
+from pcbench.registration.result import Registration
 from pcbench.registration.target import Target, local_origin
 
 __all__ = [
     "METHODS",
-    "CheckPoint",
     "ControlPoints",
     "FeatureSettings",
     "GivenPose",
     "IcpSettings",
     "Method",
+    "PointResidual",
+    "PointRmse",
     "Registration",
+    "SurveyResiduals",
     "Target",
     "as_method",
     "as_similarity",

@@ -1,4 +1,4 @@
-"""Registration by pairs of points that somebody named: the best similarity, and what check points say of it."""
+"""Registration by pairs of named points: the best similarity, and the residuals of control and check points."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
-from pcbench.registration.result import CheckPoint
+from pcbench.registration.residuals import SurveyResiduals
 from pcbench.regular_files import read_text
+
+_MIN_CONTROL_POINTS = 3  # that fix a similarity
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +27,13 @@ class ControlPoints:
         names: of the pairs; their numbers from 1 on if none are given.
         is_check: (N,) which pairs take no part in the fit and are reported as check points; none if not given.
         with_scale: whether the scale is solved for too.
+        z_is_up: whether z is height in the reference; where it is not known to be, no horizontal and vertical errors
+            are given. A reference with a map grid as its coordinate system needs no such statement.
         text: for reports; for pairs from the command line what stood there.
 
     Raises:
-        InputError: the arrays do not fit together, or do not determine the pose (see `fit_similarity`).
+        InputError: the arrays do not fit together, two pairs have one name, or the control points do not determine the
+            pose (see `fit_similarity`).
     """
 
     candidate: FloatArray
@@ -36,6 +41,7 @@ class ControlPoints:
     names: Sequence[str] = ()
     is_check: NDArray[np.bool_] | None = None
     with_scale: bool = True
+    z_is_up: bool = False
     text: str = "points"
 
     def __post_init__(self) -> None:
@@ -48,6 +54,8 @@ class ControlPoints:
                 f"expected pairs of points: as many rows of candidate ({count}) as of reference ({len(reference)}),"
                 f" names ({len(names)}) and is_check {is_check.shape}"
             )
+        if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
+            raise InputError(f"expected a name of its own for each pair of points, got {twice!r} twice")
         values = {"candidate": candidate, "reference": reference, "names": names, "is_check": is_check}
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -57,33 +65,43 @@ class ControlPoints:
     def read(cls, path: str | Path) -> ControlPoints:
         """From a text file: the method `points:FILE`.
 
-        A line is a name, x y z in the candidate and x y z in the reference; names that end in * are check points.
+        A line is a name, x y z in the candidate and x y z in the reference. Names that end in * are check points. A
+        comment `# z is up` states that the reference's z is height.
 
         Raises:
             InputError: the file is not such a list, or does not determine the pose.
         """
-        names, rows = _read_rows(path)
+        names, rows, z_is_up = _read_rows(path)
         pairs = np.array(rows).reshape(-1, 6)
         is_check = np.array([name.endswith("*") for name in names], dtype=bool)
         try:
-            return cls(
-                pairs[:, :3], pairs[:, 3:], [name.rstrip("*") for name in names], is_check, text=f"points:{path}"
-            )
+            bare = [name.rstrip("*") for name in names]
+            return cls(pairs[:, :3], pairs[:, 3:], bare, is_check, z_is_up=z_is_up, text=f"points:{path}")
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
 
 
-def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, tuple[CheckPoint, ...]]:
-    """The similarity candidate -> reference (Umeyama 1991) of the control points, and the check points' errors.
+def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, SurveyResiduals]:
+    """The similarity candidate -> reference (Umeyama 1991) of the control points, and the residuals of all pairs.
 
     Raises:
-        InputError: fewer than three control points, or all on one line.
+        InputError: fewer than three control points beside the check points, or all on one line.
     """
     is_check = np.zeros(len(pairs.candidate), bool) if pairs.is_check is None else pairs.is_check
+    if is_check.any() and (left := int((~is_check).sum())) < _MIN_CONTROL_POINTS:
+        raise InputError(
+            f"expected at least {_MIN_CONTROL_POINTS} control points, got {left} beside {int(is_check.sum())} check"
+            " points: the pose is fitted to control points alone"
+        )
     T = fit_similarity(pairs.candidate[~is_check], pairs.reference[~is_check], with_scale=pairs.with_scale)
-    errors = np.linalg.norm(T.apply(pairs.candidate) - pairs.reference, axis=1)
-    named = zip(pairs.names, errors, is_check, strict=True)
-    return T, tuple(CheckPoint(name, float(error)) for name, error, check in named if check)
+    differences = T.apply(pairs.candidate) - pairs.reference
+    return T, SurveyResiduals.of(pairs.names, differences, is_check.tolist(), z_is_up=pairs.z_is_up)
+
+
+def states_z_is_up(line: str) -> bool:
+    """Whether a line of a file of points is the comment `# z is up`."""
+    before, hash_sign, text = line.partition("#")
+    return bool(hash_sign) and not before.strip() and text.lower().strip(" .").split() == ["z", "is", "up"]
 
 
 def _points(values: ArrayLike, name: str) -> FloatArray:
@@ -93,12 +111,14 @@ def _points(values: ArrayLike, name: str) -> FloatArray:
     return points
 
 
-def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]]]:
+def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
+    """Names, the six numbers of each, and whether a comment states that z is up."""
     try:
         lines = read_text(path).splitlines()
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read the pairs: {getattr(error, 'strerror', None) or error}") from error
     names, rows = [], []
+    z_is_up = any(states_z_is_up(line) for line in lines)
     for number, line in enumerate(lines, 1):
         words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
         if not words:
@@ -112,4 +132,4 @@ def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]]]:
         if len(words) != 7 or not np.isfinite(rows[-1]).all():
             raise InputError(f"{path}: line {number}: expected a name and six finite numbers, got {line.strip()!r}")
         names.append(words[0])
-    return names, rows
+    return names, rows, z_is_up

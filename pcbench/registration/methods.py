@@ -6,10 +6,13 @@ function that returns a `Fit`, and give it a line in `Method`, `_NAMED` (or `par
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError, RegistrationError
+from pcbench.geometry.crs import has_heights
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
 from pcbench.io import CloudLike, to_cloud
@@ -19,7 +22,8 @@ from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import IcpSettings, align
 from pcbench.registration.mismatch import before_failure, unit_warnings
 from pcbench.registration.quality import assess_given
-from pcbench.registration.result import CheckPoint, Registration
+from pcbench.registration.residuals import SurveyResiduals
+from pcbench.registration.result import Registration
 from pcbench.registration.target import Target, local_origin
 
 Method = IcpSettings | FeatureSettings | ControlPoints | GivenPose
@@ -73,7 +77,7 @@ def register(
     else:
         raise InputError(f"expected the target as a Target, got {type(target).__name__}")
     points = candidate.points - origin
-    check_points: tuple[CheckPoint, ...] = ()
+    residuals = SurveyResiduals()
     ratio = robust_extent(points) / (target.extent or np.inf)  # of sizes
 
     try:
@@ -84,7 +88,8 @@ def register(
             fit = align_by_features(target, points, method, origin)
             T = fit.T_local.about(origin)
         elif isinstance(method, ControlPoints):
-            T, check_points = fit_pairs(method)
+            T, residuals = fit_pairs(method)
+            residuals = replace(residuals, z_is_up=method.z_is_up or has_heights(reference.crs))
             fit = assess_given(target, points, T.about(-origin), origin, method.text)
         else:
             T = method.T_reference_candidate
@@ -105,7 +110,7 @@ def register(
         converged=fit.converged,
         information_eigenvalues=quality.eigenvalues,
         weakest_sigma=quality.weakest_sigma,
-        check_points=check_points,
+        residuals=residuals,
         warnings=(*quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale)),
         solved_scale=method.with_scale,
         contrast=quality.contrast,

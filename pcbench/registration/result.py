@@ -7,11 +7,11 @@ computed after it depend on that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 from pcbench.errors import Notice
 from pcbench.geometry.transform import Similarity
+from pcbench.registration.residuals import PointResidual, SurveyResiduals
 
 # The codes of a registration's warnings: programs decide by these, never by the texts.
 FEW_POINTS = "few-points"  # too few points to say what the geometry fixes
@@ -28,13 +28,6 @@ DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than those about 
 
 # Those that say that the pose may be wrong. The others speak of how well a right one is known.
 _OF_A_WRONG_POSE = frozenset((FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE))
-
-
-class CheckPoint(NamedTuple):
-    """A named pair that took no part in the fit, and its distance after it."""
-
-    name: str
-    error: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +49,7 @@ class Registration:
         weakest_sigma: predicted standard deviation of the motion that the geometry fixes worst, as a displacement at
             the RMS radius in the clouds' unit, by a bootstrap over tiles of an eighth of the scene; too small by up to
             two thirds where errors are alike over more than half a tile. None where the geometry does not fix it.
-        check_points: pairs that were not used for the fit.
+        residuals: of the control points and the check points; empty unless the pose was fitted to such pairs.
         warnings: what the user should know before reading any score, as codes (those of this module) with texts.
         solved_scale: whether the scale was estimated from the data. A scale that was given is none of these.
         contrast: what moving the candidate away from the pose costs, as a share of what moving the reference away from
@@ -72,10 +65,15 @@ class Registration:
     converged: bool | None = None
     information_eigenvalues: tuple[float, ...] = ()
     weakest_sigma: float | None = None
-    check_points: tuple[CheckPoint, ...] = ()
+    residuals: SurveyResiduals = field(default_factory=SurveyResiduals)
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
     contrast: float | None = None
+
+    @property
+    def check_points(self) -> tuple[PointResidual, ...]:
+        """The pairs that were measured and not used for the fit."""
+        return self.residuals.check
 
     @property
     def doubtful(self) -> bool:

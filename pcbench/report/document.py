@@ -143,7 +143,7 @@ def _registration(registration: Registration) -> dict[str, Any]:
         "converged": registration.converged,
         "information_eigenvalues": registration.information_eigenvalues,
         "weakest_sigma": registration.weakest_sigma,
-        "check_points": [point._asdict() for point in registration.check_points],
+        **registration.residuals.plain(),
         "scale_solved": registration.solved_scale,
         "contrast": registration.contrast,
         "warnings": [notice.text for notice in registration.warnings],

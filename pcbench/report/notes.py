@@ -28,6 +28,14 @@ def warnings(comparison: SourcedComparison) -> list[str]:
     return [f"{joined(names)}: {text}" if names else text for text, names in found.items()]
 
 
+def survey_sentences(comparison: SourcedComparison) -> Iterator[str]:
+    """The root mean square errors of control and check points, of each candidate that was registered by such points."""
+    unit = comparison.reference.unit
+    for candidate in comparison:
+        if lines := list(candidate.registration.residuals.rmse_lines(unit)):
+            yield f"{candidate.name}: {'; '.join(lines)}"
+
+
 def details(comparison: SourcedComparison) -> Iterator[str]:
     """Is a candidate deformed, and is a better than b? Of every candidate, and of every pair whose poses are right."""
     for candidate in comparison:

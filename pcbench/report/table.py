@@ -13,9 +13,10 @@ from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.metrics import FScore
 from pcbench.measure.presets import BothWays, Preset
 from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Estimate
+from pcbench.registration import SurveyResiduals
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.notes import details, warnings
+from pcbench.report.notes import details, survey_sentences, warnings
 from pcbench.report.words import LABELS, number, title
 
 _WAYS = {FORTH: "accuracy", BACK: "completeness"}
@@ -48,6 +49,7 @@ def rows(comparison: SourcedComparison) -> Iterator[Row]:
     for candidate in comparison.candidates:
         yield from _candidate_rows(candidate, unit)
         yield from _deformation_rows(candidate.name, candidate.deformation, unit)
+        yield from _survey_rows(candidate.name, candidate.registration.residuals, unit)
 
 
 def _candidate_rows(candidate: Candidate, unit: str) -> Iterator[Row]:
@@ -120,6 +122,15 @@ def _deformation_rows(name: str, bend: Deformation, unit: str) -> Iterator[Row]:
         yield Row(name, "deformation_max", "", text, size.max, unit)
     text = f"dome found in 80 % of all cases at 1 % false alarms; {verdict}"
     yield Row(name, "minimum_detectable_rms", "", text, bend.minimum_detectable_rms, unit)
+
+
+def _survey_rows(name: str, residuals: SurveyResiduals, unit: str) -> Iterator[Row]:
+    for kind, points in (("control", residuals.control), ("check", residuals.check)):
+        if (rmse := residuals.rmse(points)) is not None:
+            of = f"root mean square error of {rmse.points} {kind} points"
+            parts = {"3d": rmse.total, "horizontal": rmse.horizontal, "vertical": rmse.vertical}
+            for part, value in parts.items():
+                yield Row(name, f"{kind}_points_rmse_{part}", "", of, value, unit)
 
 
 def _preset_rows(name: str, definition: str, preset: Preset) -> Iterator[Row]:
@@ -247,6 +258,7 @@ def markdown(comparison: SourcedComparison) -> str:
         "",
         " ".join(answer(comparison)),
         "",
+        *(f"- {sentence}" for sentence in survey_sentences(comparison)),
         *(f"- warning: {' '.join(warning.splitlines())}" for warning in warnings(comparison)),
         "",
         _md_row(header),
@@ -274,7 +286,11 @@ def html(comparison: SourcedComparison) -> str:
             style = f"{left};font-weight:normal;padding-left:2em;opacity:0.75" if is_detail else left
             cells = "".join(f'<td style="{right}">{escape(text)}</td>' for pair in line.cells for text in pair)
             body.append(f'<tr><th scope="row" style="{style}">{escape(line.label.strip())}</th>{cells}</tr>')
-    first = [*answer(comparison), *(f"warning: {warning}" for warning in warnings(comparison))]
+    first = [
+        *answer(comparison),
+        *survey_sentences(comparison),
+        *(f"warning: {warning}" for warning in warnings(comparison)),
+    ]
     return (
         f"<p><b>{escape(title(comparison))}</b></p>{_list(first)}"
         f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{ways}</tr></thead><tbody>{''.join(body)}</tbody></table>"

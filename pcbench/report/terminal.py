@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.notes import details, warnings
+from pcbench.report.notes import details, survey_sentences, warnings
 from pcbench.report.summary import MOST_ACROSS, main_columns, main_lines
 from pcbench.report.table import Line, lines
 from pcbench.report.words import columns, padded, shortened, title
@@ -42,6 +42,8 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
 
     say(title(comparison), "bold")
     for sentence in answer(comparison):
+        say(sentence)
+    for sentence in survey_sentences(comparison):
         say(sentence)
     for warning in warnings(comparison):
         say(f"warning: {warning}", "yellow")

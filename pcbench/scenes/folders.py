@@ -74,7 +74,7 @@ def find_cameras(path: Path) -> Path | None:
     """The cameras that belong to a scene's folder: the first of the known formats that is there.
 
     Raises:
-        InputError: there are two exports of Earth Studio.
+        InputError: there are two exports of Earth Studio, or two scenes of OpenMVS and none is called scene.mvs.
     """
     for place in _MODELS:
         if is_colmap_model(path / place):
@@ -85,10 +85,22 @@ def find_cameras(path: Path) -> Path | None:
     for place in _CAMERA_FOLDERS:
         if any((path / place).glob("*.camera")):
             return path / place
+    if (scene := _openmvs_scene(path)) is not None:
+        return scene
     exports = [file for file in sorted(path.glob("*.json")) if is_earth_studio(file)]
     if len(exports) > 1:
         raise InputError(f"{path}: two camera exports, {exports[0].name} and {exports[1].name}: say which one")
     return exports[0] if exports else None
+
+
+def _openmvs_scene(path: Path) -> Path | None:
+    """The scene of OpenMVS in a folder; its tools leave more beside the first one, scene.mvs."""
+    files = sorted(file for file in path.glob("*.mvs") if file.is_file())
+    if (path / "scene.mvs") in files:
+        return path / "scene.mvs"
+    if len(files) > 1:
+        raise InputError(f"{path}: two scenes of OpenMVS, {files[0].name} and {files[1].name}: say which one")
+    return files[0] if files else None
 
 
 def is_earth_studio(path: Path) -> bool:

@@ -20,6 +20,8 @@ from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
 from pcbench.io.earth_studio import PROJECT, read_earth_studio, sphere_in_words
 from pcbench.io.image_header import ImageHeader, read_image_header
+from pcbench.io.k_matrix import intrinsics_from_k, read_k_matrix
+from pcbench.io.openmvs import is_openmvs, read_openmvs
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
 from pcbench.regular_files import has_entry, read_text
@@ -46,9 +48,10 @@ def read_scene(
     Args:
         path: the folder.
         cameras: "auto": the first found of a COLMAP model (here, in sparse/0 or sparse), transforms.json,
-            transforms_train.json, Strecha's `.camera` files (here or in gt_dense_cameras) and an Earth Studio export;
-            "none"; or one of these by its file or folder. Cameras are matched to images by name, frames of Earth Studio
-            by their number. Intrinsics for images of another size are scaled if the aspect is the same.
+            transforms_train.json, Strecha's `.camera` files (here or in gt_dense_cameras), an OpenMVS scene (`.mvs`)
+            and an Earth Studio export; "none"; or one of these by its file or folder. Cameras are matched to images by
+            name, frames of Earth Studio by their number. Images without a camera get the intrinsics of a `K.txt` beside
+            them or in the folder. Intrinsics for images of another size are scaled if the aspect is the same.
         masks: a folder with NAME.png for an image NAME, or with its stem; `masks/` in the folder if not given.
         image_scale: work with images of this scale, 0 < scale <= 1.
         on_warning: called with one line for each thing left out or not obeyed; `warnings.warn` if not given.
@@ -75,7 +78,7 @@ def read_scene(
         masks=_masks(folder, names, headers, _masks_folder(path, masks)),
         image_scale=float(image_scale),
     )
-    return _with_cameras(scene, path, str(cameras), warn)
+    return _with_intrinsics(_with_cameras(scene, path, str(cameras), warn), path, warn)
 
 
 def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
@@ -187,6 +190,32 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     return replace(scene, cameras=placed, points=given.points, origin=given.origin, on_sphere=on_sphere)
 
 
+def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> Scene:
+    """The scene with the intrinsics of a K.txt for the images without a camera, or as it is where there is none."""
+    file = next((place / "K.txt" for place in (scene.folder, path) if (place / "K.txt").exists()), None)
+    bare = [name for name in scene.images if name not in scene.cameras]
+    if file is None or not bare:
+        return scene
+    k = read_k_matrix(file)
+    found: dict[str, Intrinsics] = {}
+    reduced: dict[Size, int] = {}
+    for name in bare:
+        width, height = scene.sizes[name]
+        try:
+            intrinsics, factor = intrinsics_from_k(k, width, height)
+        except InputError as error:
+            raise InputError(f"{file}: {name}: {error}") from None
+        if wrong := _no_intrinsics(intrinsics):
+            raise InputError(f"{file}: {name}: {wrong}")
+        found[name] = intrinsics.resized(*scene.size(name))
+        if factor > 1:
+            reduced[width, height] = factor
+    for (width, height), factor in reduced.items():
+        full = f"{factor * width} x {factor * height}"
+        warn(f"{file}: taken to be for images of {full} pixels, by its principal point: scaled to {width} x {height}")
+    return replace(scene, intrinsics=found)
+
+
 class _Given(NamedTuple):
     """Cameras under the names that their file has for them, and what else it says."""
 
@@ -205,6 +234,8 @@ def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[
         raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files in this folder")
     if source.suffix == ".camera":
         return _Given([read_strecha(source)])
+    if is_openmvs(source):
+        return _Given(*read_openmvs(source, lambda name: scene.sizes.get(find(name) or ""), warn))
     if source.suffix.lower() == ".esp":
         raise InputError(f"{source}: {PROJECT}")
     if is_earth_studio(source):

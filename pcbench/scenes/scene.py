@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.geometry.transform import Similarity
@@ -43,6 +43,7 @@ class Scene:
         images: their names relative to it, sorted as people count (frame_2 before frame_10).
         sizes: (width, height) of each image's file, in pixels.
         cameras: by image name, at the working size; the images without one are not in it.
+        intrinsics: by image name, at the working size, of images that have no camera.
         gps: by image name, from EXIF.
         positions: by image name, measured in metres in a frame of their own (3,), from gps.txt.
         masks: by image name: an image of the same size whose black pixels are to be left out.
@@ -63,6 +64,7 @@ class Scene:
     points: Cloud | None = None
     origin: Gps | None = None
     on_sphere: bool = False
+    intrinsics: Mapping[str, Intrinsics] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.images)
@@ -165,6 +167,7 @@ class Scene:
             gps={name: self.gps[name] for name in kept if name in self.gps},
             positions={name: self.positions[name] for name in kept if name in self.positions},
             masks={name: self.masks[name] for name in kept if name in self.masks},
+            intrinsics={name: self.intrinsics[name] for name in kept if name in self.intrinsics},
         )
 
     def split_every(self, n: int = 8) -> tuple[Scene, Scene]:
@@ -206,6 +209,8 @@ class Scene:
             extent = " x ".join(f"{length:.4g}" for length in np.ptp(positions, axis=0))
             kinds = len({camera.intrinsics for camera in self.cameras.values()})
             lines.append(f"  cameras span {extent}, {kinds} intrinsics")
+        if self.intrinsics:
+            lines.append(f"  intrinsics of {len(self.intrinsics)} images without a camera")
         if self.points is not None:
             lines.append(f"  sparse points {len(self.points):,}")
         if self.origin is not None:
@@ -224,4 +229,6 @@ class Scene:
             if cameras and name in self.cameras:
                 camera = self.cameras[name]
                 whole.update(repr(camera.intrinsics).encode() + camera.cam_from_world.matrix.tobytes())
+            elif cameras and name in self.intrinsics:
+                whole.update(repr(self.intrinsics[name]).encode())
         return whole.hexdigest()

@@ -158,7 +158,7 @@ class DenseMvs:
             progress("meshing")
             faces = write_mesh(fused / FUSED, workspace / MESH, origin, cloud.unit)
             notes.append(f"Poisson's mesh of {faces} faces: {workspace / MESH}")
-        return Reconstruction(cloud, solved.gauge, solved.cameras, [*solved.notes, *notes])
+        return Reconstruction(cloud, solved.gauge, solved.cameras, [*solved.notes, *notes], solved.residuals)
 
     def _solved(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Cameras and sparse points. Given cameras need fewer of these: features are found at one size only."""

@@ -1,4 +1,4 @@
-"""Brings an arbitrary gauge into the world: onto control points, known cameras or GPS positions."""
+"""Brings an arbitrary gauge into the world: onto control points, known cameras or GPS positions, else level."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import Similarity, fit_similarity, robust_similarity
 from pcbench.plugins import Gauge
+from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
-from reconstructors.sfm.control import ControlPoint, adjust, describe, measure
+from reconstructors.sfm.control import Survey, adjust, measure
+from reconstructors.sfm.level import level
 from reconstructors.sfm.model import Refine, cameras_of, quality
 
 Align = Literal["auto", "cameras", "control", "gps", "none"]
@@ -24,17 +26,23 @@ _MAX_MISFIT = (
 
 
 class Aligned(NamedTuple):
-    """A model, what its coordinates mean, whether they are metres, and notes on how it was brought there."""
+    """A model, what its coordinates mean, whether they are metres, notes on how it was brought there, and the residuals
+    of control and check points in its frame.
+    """
 
     model: Any
     gauge: Gauge
     in_metres: bool
     notes: list[str]
+    residuals: SurveyResiduals = SurveyResiduals()
 
 
-def align(model: Any, scene: Scene, control: Sequence[ControlPoint], how: Align, refine: Refine) -> Aligned:
+def align(model: Any, scene: Scene, survey: Survey, how: Align, refine: Refine) -> Aligned:
     """The model in the world of control points, cameras or GPS, in this order or as asked for. Control points are held
-    fast while everything is adjusted once more.
+    fast while everything is adjusted once more. A model that is brought to none of these is levelled.
+
+    Check points alone are no control points: the model is aligned to something else, and they are measured there. Not
+    with the GPS of EXIF, whose frame begins at the first image and is no survey's.
 
     Raises:
         InputError: what was asked for is not in the scene, or a control point lies outside its image.
@@ -42,34 +50,52 @@ def align(model: Any, scene: Scene, control: Sequence[ControlPoint], how: Align,
     """
     registered = cameras_of(model)
     ways: dict[str, Callable[[], tuple[Similarity, str]]] = {
-        "control": lambda: _onto_control(registered, control, scene.image_scale),
+        "control": lambda: _onto_control(registered, survey, scene.image_scale),
         "cameras": lambda: _onto_cameras(registered, scene.cameras),
         "gps": lambda: _onto_gps(registered, scene),
     }
     there = {
-        "control": bool(control),
+        "control": bool(survey.control),
         "cameras": bool(scene.cameras),
         "gps": len(scene.measured_positions()[0]) >= 3,
     }
     chosen = next((way for way in ways if there[way]), "none") if how == "auto" else how
     if chosen == "none":
-        return Aligned(model, "arbitrary", False, [])
+        return levelled(model, _unscored(survey))
     if not there[chosen]:
-        raise InputError(f"align={chosen} needs {'three positions' if chosen == 'gps' else chosen} in the scene")
+        needed = {"gps": "three positions", "control": "control points that are no check points"}.get(chosen, chosen)
+        raise InputError(f"align={chosen} needs {needed} in the scene")
     try:
         transform, note = ways[chosen]()
     except InputError as error:
         if how != "auto":
             raise ReconstructionError(f"cannot be aligned to {chosen}: {error}") from error
-        return Aligned(model, "arbitrary", False, [f"not aligned to {chosen}: {error}"])
+        return levelled(model, [f"not aligned to {chosen}: {error}", *_unscored(survey)])
     _transform(model, transform)
     notes = [note]
     if chosen == "control":
-        model = adjust(model, [point for point in control if not point.is_check], scene.image_scale, refine)
-        after = describe(measure(cameras_of(model), control, scene.image_scale))
-        notes.append(f"adjusted with the control points held fast: {after}; {quality(model)}")
+        model = adjust(model, survey.control, scene.image_scale, refine)
+        notes.append(f"adjusted with the control points held fast; {quality(model)}")
     in_metres = chosen == "gps" or (chosen == "cameras" and scene.origin is not None)
-    return Aligned(model, "georeferenced", in_metres, notes)
+    if chosen == "gps" and not scene.positions:
+        return Aligned(model, "georeferenced", in_metres, [*notes, *_unscored(survey)])
+    residuals = survey.residuals(cameras_of(model), scene.image_scale)
+    return Aligned(model, "georeferenced", in_metres, notes, residuals)
+
+
+def levelled(model: Any, notes: Sequence[str]) -> Aligned:
+    """The model in an arbitrary gauge, turned so that +z is up where its cameras tell what is up."""
+    turn, note = level(cameras_of(model))
+    if turn is not None:
+        _transform(model, turn)
+    return Aligned(model, "arbitrary", False, [*notes, note])
+
+
+def _unscored(survey: Survey) -> list[str]:
+    """A note on control and check points whose frame is not that of the cloud."""
+    if not survey.points:
+        return []
+    return ["control and check points are not scored: the cloud is not in their frame"]
 
 
 def moved(camera: Camera, transform: Similarity) -> Camera:
@@ -94,15 +120,18 @@ def camera_errors(cameras: Mapping[str, Camera], truth: Mapping[str, Camera]) ->
     return np.array(positions), np.array(angles)
 
 
-def _onto_control(found: Mapping[str, Camera], control: Sequence[ControlPoint], scale: float) -> tuple[Similarity, str]:
-    """By the control points that two or more registered images show; check points are measured alone."""
-    measured = measure(found, control, scale)
-    used = [m for m in measured if not m.point.is_check]
+def _onto_control(found: Mapping[str, Camera], survey: Survey, scale: float) -> tuple[Similarity, str]:
+    """By the control points that two or more registered images show; check points take no part."""
+    used = measure(found, survey.control, scale)
     if len(used) < 3:
-        raise InputError(f"expected three control points in two registered images each, got {len(used)}")
-    fit = fit_similarity(np.stack([m.at for m in used]), np.stack([m.point.position for m in used]))
-    moved_there = [m._replace(at=fit.apply(m.at[None])[0]) for m in measured]
-    return fit, f"aligned to {describe(moved_there)}"
+        raise InputError(
+            f"expected three control points in two registered images each, check points aside, got {len(used)}"
+        )
+    surveyed = np.stack([m.point.position for m in used])
+    fit = fit_similarity(np.stack([m.at for m in used]), surveyed)
+    errors = fit.apply(np.stack([m.at for m in used])) - surveyed
+    rmse = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
+    return fit, f"aligned to {len(used)} control points: RMSE 3D {rmse:.3g} before the adjustment"
 
 
 def _onto_cameras(found: Mapping[str, Camera], given: Mapping[str, Camera]) -> tuple[Similarity, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +11,10 @@ import numpy as np
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
+from pcbench.registration import SurveyResiduals
+from pcbench.registration.control_points import states_z_is_up
 from pcbench.regular_files import read_text
+from reconstructors.sfm.features import some
 from reconstructors.sfm.model import Refine
 
 # Points beyond either are left out after the adjustment: COLMAP's own limits.
@@ -38,12 +41,40 @@ class ControlPoint(NamedTuple):
         return self.name.endswith("*")
 
 
-def read_control(path: Path) -> tuple[ControlPoint, ...]:
-    """Control points: lines of name, x y z, image, and the point's pixel in it; one line an observation. Lines that
-    start with # are comments; names that end in * are check points.
+class Survey(NamedTuple):
+    """Control and check points, and whether the z of their positions is stated to be height."""
+
+    points: tuple[ControlPoint, ...] = ()
+    z_is_up: bool = False
+
+    @property
+    def control(self) -> list[ControlPoint]:
+        """The points that are not check points."""
+        return [point for point in self.points if not point.is_check]
+
+    def residuals(self, cameras: Mapping[str, Camera], scale: float) -> SurveyResiduals:
+        """The residuals of the points that two or more of the cameras show, in the frame of the cameras.
+
+        Args:
+            scale: of the working images against those that the points were marked in.
+
+        Raises:
+            InputError: a mark lies outside its image.
+        """
+        measured = measure(cameras, self.points, scale)
+        names = [m.point.name.rstrip("*") for m in measured]
+        differences = np.array([m.at - m.point.position for m in measured]).reshape(-1, 3)
+        is_check = [m.point.is_check for m in measured]
+        return SurveyResiduals.of(names, differences, is_check, z_is_up=self.z_is_up)
+
+
+def read_control(path: Path) -> Survey:
+    """Control points: lines of name, x y z, image, and the point's pixel in it; one line per observation. Lines that
+    start with # are comments, of which `# z is up` states that z is height; names that end in * are check points.
 
     Raises:
-        InputError: a line is something else, a point has two positions, or fewer than two observations.
+        InputError: a line is something else, a point has two positions, fewer than two observations, two marks in one
+            image, or is both a control and a check point.
     """
     try:
         lines = read_text(path).splitlines()
@@ -67,11 +98,35 @@ def read_control(path: Path) -> tuple[ControlPoint, ...]:
             raise InputError(f"{path}: line {number}: expected finite numbers, got {line.strip()[:60]!r}")
         if not np.array_equal(positions.setdefault(name, position), position):
             raise InputError(f"{path}: line {number}: {name} has another position here than above")
-        observations.setdefault(name, []).append(Observation(image, *pixel))
+        marks = observations.setdefault(name, [])
+        if any(mark.image == image for mark in marks):
+            raise InputError(f"{path}: line {number}: {name} is marked in {image} above: expected one mark per image")
+        marks.append(Observation(image, *pixel))
     for name, seen in observations.items():
         if len({o.image for o in seen}) < 2:
             raise InputError(f"{path}: {name} is marked in one image only: expected two or more")
-    return tuple(ControlPoint(name, positions[name], tuple(seen)) for name, seen in observations.items())
+        if name.endswith("*") and name.rstrip("*") in observations:
+            raise InputError(f"{path}: {name.rstrip('*')} is a control point and, with a *, a check point: choose one")
+    points = tuple(ControlPoint(name, positions[name], tuple(seen)) for name, seen in observations.items())
+    return Survey(points, any(map(states_z_is_up, lines)))
+
+
+def check_names(survey: Survey, images: Collection[str]) -> list[str]:
+    """A note on the marks in images that are not in the scene.
+
+    Raises:
+        InputError: all marks are.
+    """
+    marked = dict.fromkeys(mark.image for point in survey.points for mark in point.observations)
+    unknown = [name for name in marked if name not in images]
+    if marked and len(unknown) == len(marked):
+        raise InputError(
+            f"the control points are marked in images such as {unknown[0]}, none of which is in the scene: expected"
+            f" names such as {next(iter(images))}"
+        )
+    return (
+        [f"control points: {len(unknown)} images with marks are not in the scene: {some(unknown)}"] if unknown else []
+    )
 
 
 class MeasuredPoint(NamedTuple):
@@ -105,16 +160,6 @@ def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scal
             centres = [cameras[o.image].position for o in seen]
             measured.append(MeasuredPoint(point, triangulate(np.stack(rays), np.stack(centres))))
     return measured
-
-
-def describe(measured: Sequence[MeasuredPoint]) -> str:
-    """How far control and check points are from where they were surveyed."""
-    words = []
-    for what, is_check in (("control", False), ("check", True)):
-        errors = [m.at - m.point.position for m in measured if m.point.is_check == is_check]
-        if errors:
-            words.append(f"{len(errors)} {what} points: rms {np.sqrt(np.mean(np.square(errors).sum(axis=1))):.3g}")
-    return ", ".join(words)
 
 
 def triangulate(rays: FloatArray, centres: FloatArray) -> FloatArray:

@@ -72,7 +72,8 @@ def shared_intrinsics(scene: Scene) -> list[Shared]:
     found: dict[Any, list[str]] = {}
     for name in scene.images:
         camera = scene.cameras.get(name)
-        found.setdefault(camera.intrinsics if camera else scene.size(name), []).append(name)
+        known = camera.intrinsics if camera else scene.intrinsics.get(name)
+        found.setdefault(known or scene.size(name), []).append(name)
     return [Shared(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
 
 

@@ -16,8 +16,8 @@ from typing import Any, Literal
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import Scene
-from reconstructors.sfm.alignment import Align, Aligned, align
-from reconstructors.sfm.control import ControlPoint, read_control
+from reconstructors.sfm.alignment import Align, Aligned, align, levelled
+from reconstructors.sfm.control import Survey, check_names, read_control
 from reconstructors.sfm.epipolar import check_cameras, repeated, write_pairs
 from reconstructors.sfm.features import (
     DATABASE,
@@ -52,10 +52,12 @@ class ColmapSfm:
     features: SIFT features an image, at most. upsample: find them at twice the size too: finer and more, three times
     the time. refine: which intrinsics are solved for: `all`, `focal` length, `distortion`, or `none`; the rest stays as
     the scene's cameras say, or as guessed (1.2 image widths, no distortion) where EXIF has no focal length.
-    align: solved poses onto control points, the scene's cameras or GPS; `auto` takes the first there is. control: their
-    file, lines of name, x y z, image, pixel x y; they are held fast in a last adjustment, where those whose names end
-    in * are checks only. min_views: points that fewer images show are left out; one of two
-    images may be anywhere along their common plane. undistort: leave undistorted images and model in the workspace.
+    align: solved poses onto control points, the scene's cameras or GPS; `auto` takes the first there is. What is
+    aligned to none of these is levelled: +z is up by the cameras, where they tell it, and origin and scale stay.
+    control: a file with lines of name, x y z, image, pixel x y; control points are held fast in a last adjustment.
+    Points whose names end in * are check points: they are measured in the result and never used for it, and the RMSE of
+    both kinds is given. min_views: points that fewer images show are left out; one of two images may be anywhere along
+    their common plane. undistort: leave undistorted images and model in the workspace.
     """
 
     poses: Literal["auto", "given", "solve"] = "auto"
@@ -88,9 +90,11 @@ class ColmapSfm:
         import pycolmap
 
         pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
-        control = read_control(self.control) if self.control is not None else ()
+        survey = read_control(self.control) if self.control is not None else Survey()
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
-        scene, notes = _usable(scene, given, control)
+        unknown = check_names(survey, scene.images)
+        scene, notes = _usable(scene, given, survey)
+        notes += unknown
         scene, unreadable = readable(scene, workspace)
         notes += unreadable
 
@@ -105,16 +109,17 @@ class ColmapSfm:
         check_verified(verified, counts)
 
         if given:
-            made = self._triangulated(verified, scene, workspace)
+            made = self._triangulated(verified, scene, workspace, survey)
         else:
-            made = self._solved(verified, scene, workspace, control)
+            made = self._solved(verified, scene, workspace, survey)
         _write(made.model, workspace / "model")
         if self.undistort:
             _undistort(workspace, working_images(scene, workspace))
         cloud, left_out = cloud_of(made.model, self.min_views, "m" if made.in_metres else None)
-        return Reconstruction(cloud, made.gauge, cameras_of(made.model), [*notes, *made.notes, *left_out])
+        cameras, said = cameras_of(made.model), [*notes, *made.notes, *left_out]
+        return Reconstruction(cloud, made.gauge, cameras, said, made.residuals)
 
-    def _triangulated(self, verified: Path, scene: Scene, workspace: Path) -> Aligned:
+    def _triangulated(self, verified: Path, scene: Scene, workspace: Path, survey: Survey) -> Aligned:
         """The points of the given cameras, in their frame."""
         import pycolmap
 
@@ -122,9 +127,10 @@ class ColmapSfm:
         write_pairs(workspace / PAIRS, found)
         model = pycolmap.Reconstruction(triangulate(verified, scene, workspace, self.seed) / "0")
         notes = [f"{found.describe('given')}; {quality(model)}", *repeated(found, "given")]
-        return Aligned(model, "georeferenced", scene.origin is not None, notes)
+        residuals = survey.residuals(scene.cameras, scene.image_scale)
+        return Aligned(model, "georeferenced", scene.origin is not None, notes, residuals)
 
-    def _solved(self, verified: Path, scene: Scene, workspace: Path, control: tuple[ControlPoint, ...]) -> Aligned:
+    def _solved(self, verified: Path, scene: Scene, workspace: Path, survey: Survey) -> Aligned:
         """Cameras and points of the largest component, in the world where one is known."""
         solution = solve(verified, scene, workspace, self.mapping, self.refine, self.seed)
         write_pairs(workspace / PAIRS, solution.agreement)
@@ -132,8 +138,8 @@ class ColmapSfm:
         if self.refine != "none":
             notes += _parallel(largest_angle_deg(solution.cameras))
         if not solution.agreement.is_sound:
-            return Aligned(model, "arbitrary", False, [*notes, *self._not_aligned()])
-        aligned = align(model, scene, control, self.align, self.refine)
+            return levelled(model, [*notes, *self._not_aligned()])
+        aligned = align(model, scene, survey, self.align, self.refine)
         return aligned._replace(notes=[*notes, *aligned.notes])
 
     def _not_aligned(self) -> list[str]:
@@ -149,14 +155,14 @@ class ColmapSfm:
         )
 
 
-def _usable(scene: Scene, given: bool, control: tuple[ControlPoint, ...]) -> tuple[Scene, list[str]]:
+def _usable(scene: Scene, given: bool, survey: Survey) -> tuple[Scene, list[str]]:
     """The images that can take part, and a note on those that cannot.
 
     Raises:
         InputError: they are fewer than two, or `given` asks for cameras where there are none, or where control points
-            are to be used.
+            are to be used: given cameras can only be scored by check points.
     """
-    if given and control:
+    if given and survey.control:
         raise InputError("the scene gives the cameras: control points are used where they are solved for (poses=solve)")
     notes = []
     if given:

@@ -18,7 +18,8 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.image_header import read_image_header
 from pcbench.plugins import Reconstruction, find_plugin
-from pcbench.plugins.run import ReconstructionJob, run
+from pcbench.plugins.run import ReconstructionJob, read_reconstruction, run
+from pcbench.registration import SurveyResiduals
 
 POINTS = np.random.default_rng(0).normal(size=(30, 3))
 
@@ -255,6 +256,22 @@ return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
     second = run(job, tmp_path / "work")
     assert (second.status, second.log.read_text()) == ("ok", "")
     np.testing.assert_array_equal(second.required().cloud.points, POINTS)
+
+
+def test_residuals_of_surveyed_points_come_back(scene, plugin, tmp_path):
+    body = """
+    from pcbench.registration import SurveyResiduals
+    found = SurveyResiduals.of(["a", "b"], np.array([[0.1, 0.2, 0.3], [1, 2, 3]]), [False, True], z_is_up=True)
+    return Reconstruction(scene.points, "georeferenced", residuals=found)
+    """
+    made = run(ReconstructionJob(plugin(textwrap.dedent(body)), scene), tmp_path / "work").required()
+    assert made.residuals == SurveyResiduals.of(
+        ["a", "b"], np.array([[0.1, 0.2, 0.3], [1, 2, 3]]), [False, True], z_is_up=True
+    )
+    outcome = tmp_path / "work/outcome.json"
+    outcome.write_text(outcome.read_text().replace('"dx"', '"d"'))
+    with pytest.raises(ValueError, match="surveyed points are damaged"):
+        read_reconstruction(tmp_path / "work")
 
 
 def test_reconstruction_is_checked():

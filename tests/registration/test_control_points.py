@@ -54,9 +54,9 @@ def test_bad_pairs(scene, tmp_path, text, message):
 def test_control_points_without_scale_are_rigid():
     places = np.random.default_rng(1).uniform(-20, 20, (6, 3))
     true = motion()
-    T, checks = fit_pairs(ControlPoints(true.inverse().apply(places) / 1.1, places, with_scale=False))
+    T, residuals = fit_pairs(ControlPoints(true.inverse().apply(places) / 1.1, places, with_scale=False))
     assert T.scale == 1.0
-    assert checks == ()
+    assert residuals.check == ()
     # About the mean of the points a wrong scale does not turn: rounding only.
     np.testing.assert_allclose(T.rotation, true.rotation, atol=1e-12)
     T, _ = fit_pairs(ControlPoints(true.inverse().apply(places) / 1.1, places))
@@ -71,7 +71,7 @@ def test_control_points_without_scale_are_rigid():
         ((np.eye(3) * np.nan, np.eye(3)), "finite control points of the candidate"),
         (("abc", np.eye(3)), "array of numbers"),
         ((np.eye(3), np.eye(3), ["a"]), "names .1."),
-        ((np.eye(3), np.eye(3), (), [True, False, False]), "at least 3 pairs"),
+        ((np.eye(3), np.eye(3), (), [True, False, False]), "at least 3 control points"),
         ((np.zeros((4, 3)), np.zeros((4, 3))), "on one line"),
     ],
 )

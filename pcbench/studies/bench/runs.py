@@ -283,6 +283,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "points": None if made is None else len(made.cloud),
         "gauge": None if made is None else made.gauge,
         "cameras": None if made is None else len(made.cameras),
+        "survey": made.residuals.plain() if made is not None and made.residuals else None,
         "reconstruction_notes": [*result.warnings, *(() if made is None else made.notes)],
     }
     folder.mkdir(parents=True, exist_ok=True)  # a plugin may have removed it

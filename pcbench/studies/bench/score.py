@@ -278,7 +278,12 @@ def score(yardstick: Yardstick, made: Reconstruction, folder: Path) -> Score:
         d1_r2c=_known(metrics.d1_mse.completeness.value),
         hausdorff=max(farthest, metrics.hausdorff.completeness.largest),
         at=tuple(_at_thresholds(yardstick, forth, exact)),
-        notes=(*chosen.notes, *map(str, result.warnings), *_of_registration(result.registration)),
+        notes=(
+            *chosen.notes,
+            *made.residuals.rmse_lines(made.cloud.unit),
+            *map(str, result.warnings),
+            *_of_registration(result.registration),
+        ),
         comparison=document(comparison)["candidates"][0],
     )
 

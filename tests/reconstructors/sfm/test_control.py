@@ -6,7 +6,7 @@ import pytest
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.sfm.alignment import camera_errors
-from reconstructors.sfm.control import ControlPoint, Observation, adjust, describe, measure, read_control, triangulate
+from reconstructors.sfm.control import ControlPoint, Observation, Survey, adjust, measure, read_control, triangulate
 from reconstructors.sfm.model import cameras_of
 
 K = Intrinsics(400, 300, 350, 350, 200, 150, (-0.05, 0.0, 0.0, 0.0))
@@ -27,10 +27,19 @@ def test_a_mark_outside_its_image_is_a_mistake():
         measure(cameras, [point], 1.0)
 
 
+def _with(path, head):
+    path.write_text(head + path.read_text())
+    return path
+
+
 def test_control_files(tmp_path):
     path = tmp_path / "control.txt"
     path.write_text("# survey\nA 1 2 3 a.jpg 10.5 20\nA 1 2 3 b.jpg 11 21\nB* 4 5 6 a.jpg 1 2\nB* 4 5 6 b.jpg 3 4\n")
-    a, b = read_control(path)
+    survey = read_control(path)
+    a, b = survey.points
+    assert survey.control == [a]
+    assert not survey.z_is_up
+    assert read_control(_with(path, "# Z is up.\n")).z_is_up
     assert (a.name, a.is_check, b.is_check) == ("A", False, True)
     np.testing.assert_array_equal(b.position, [4, 5, 6])
     assert a.observations[0] == ("a.jpg", 10.5, 20)
@@ -39,6 +48,11 @@ def test_control_files(tmp_path):
         ("A 1 2 3 a.jpg 1 nan", "finite"),
         ("A 1 2 3 a.jpg 1 2\nA 1 2 4 b.jpg 1 2", "line 2: A has another position"),
         ("A 1 2 3 a.jpg 1 2", "in one image only"),
+        ("A 1 2 3 a.jpg 1 2\nA 1 2 3 a.jpg 1 2\nA 1 2 3 b.jpg 1 2", "line 2: A is marked in a.jpg above"),
+        (
+            "A 1 2 3 a.jpg 1 2\nA 1 2 3 b.jpg 1 2\nA* 1 2 3 a.jpg 1 2\nA* 1 2 3 b.jpg 1 2",
+            "A is a control point and, with a .*, a check point",
+        ),
     ):
         path.write_text(text)
         with pytest.raises(InputError, match=match):
@@ -115,7 +129,9 @@ def test_a_bent_model_is_straight_again(refine, intrinsics):
     errors = [max(np.linalg.norm(m.at - m.point.position) for m in measured) for measured in (before, after)]
     assert errors[0] > 0.1
     assert errors[1] < 1e-3
-    assert describe(after).startswith("5 control points: rms ")
+    residuals = Survey(tuple(control)).residuals(found, 0.5)
+    assert [point.name for point in residuals.control] == list("ABCDE")
+    assert residuals.rmse(residuals.control).total < 1e-3
     # The control points are no points of the cloud.
     assert len(made.points3D) == sum(p.track.length() >= 2 for p in model.points3D.values())
     _, angles = camera_errors(found, {c.name: c for c in cameras})

@@ -12,6 +12,7 @@ from PIL import Image
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
+from pcbench.geometry.transform import fit_similarity
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
@@ -83,6 +84,13 @@ def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
     assert made.cloud.unit is None
     assert "look the same way" not in " ".join(made.notes)
     assert len(made.cameras) == 7
+    # Its frame is arbitrary but for up: the corner's, whose photographs are upright, and origin and scale as solved.
+    truth = read_scene(photographs).cameras
+    names = list(made.cameras)
+    fit = fit_similarity(*(np.stack([c[name].position for name in names]) for c in (truth, made.cameras)))
+    up = fit.rotation[:, 2]
+    assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) < 1.0  # solved rolls are good to some tenths
+    assert sum(note.startswith("levelled, +z is up") for note in made.notes) == 1
     with pytest.raises(InputError, match="poses=given needs cameras"):
         ColmapSfm(poses="given", **QUICK).reconstruct(scene, workspace)
     with pytest.raises(InputError, match="align=gps needs three positions"):
@@ -165,16 +173,60 @@ def test_control_points_give_the_world(photographs, workspace, tmp_path):
     scene = read_scene(photographs, cameras="none")
     made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
     assert made.gauge == "georeferenced"
-    assert "4 control points: rms" in " ".join(made.notes)
-    assert "1 check points: rms" in " ".join(made.notes)
-    control, check = re.search(
-        r"held fast: 4 control points: rms (\S+), 1 check points: rms ([^;]+);", " ".join(made.notes)
-    ).groups()
-    assert float(control) < 0.03  # a pixel is 0.12 of this world
-    assert float(check) < 0.1
+    assert "aligned to 4 control points" in " ".join(made.notes)
+    residuals = made.residuals
+    assert [point.name for point in residuals.control] == ["A", "B", "C", "D"]
+    assert [point.name for point in residuals.check] == ["check"]
+    assert residuals.rmse(residuals.control).total < 0.03  # a pixel is 0.12 of this world
+    assert residuals.rmse(residuals.check).total < 0.1
+    assert residuals.rmse(residuals.check).vertical is None
     assert np.median(corner.distances(made.cloud.points)) < 0.1  # the world is ten times as large
     with pytest.raises(ValueError, match="control=FILE"):
         ColmapSfm(align="control")
+
+
+def marks_in(cameras, places, names=("001.png", "003.png", "005.png")):
+    """Lines of a control file: where images show places."""
+    for name, point in places.items():
+        for image in names:
+            (pixel,), _ = cameras[image].project(np.array([point], dtype=float))
+            yield f"{name} {' '.join(map(str, point))} {image} {pixel[0]} {pixel[1]}"
+
+
+def test_check_points_alone_score_given_cameras(photographs, workspace, tmp_path):
+    """Surveyed positions that are off by a known amount: the residuals are that amount."""
+    cameras = read_scene(photographs).cameras
+    lines = [*marks_in(cameras, {"p*": [0, 0, 0.5], "q*": [1, 0, 1]})]
+    lines = [re.sub(r"^(.\*) (\S+) (\S+) (\S+)", _moved_by(-0.03, -0.04, 0.12), line) for line in lines]
+    (tmp_path / "control.txt").write_text("\n".join(["# z is up", *lines]))
+    made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(read_scene(photographs), workspace)
+    # Rays through exact pixels meet in their point but for rounding.
+    assert made.residuals.rmse(made.residuals.check) == pytest.approx((2, 0.13, 0.05, 0.12), abs=1e-9)
+    assert made.residuals.control == ()
+    lines = [*marks_in(cameras, {"p": [0, 0, 0.5]})]
+    (tmp_path / "control.txt").write_text("\n".join(lines))
+    with pytest.raises(InputError, match="the scene gives the cameras"):
+        ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(read_scene(photographs), workspace)
+
+
+def _moved_by(dx, dy, dz):
+    def move(match):
+        x, y, z = map(float, match.groups()[1:])
+        return f"{match[1]} {x + dx!r} {y + dy!r} {z + dz!r}"
+
+    return move
+
+
+def test_marks_in_images_that_are_not_there(photographs, workspace, tmp_path):
+    scene = read_scene(photographs)
+    (tmp_path / "control.txt").write_text("p* 0 0 0 elsewhere.jpg 1 2\np* 0 0 0 nowhere.jpg 1 2\n")
+    with pytest.raises(InputError, match=r"images such as elsewhere\.jpg, none of which is in the scene"):
+        ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
+    lines = [*marks_in(scene.cameras, {"p*": [0, 0, 0.5]}), "p* 0 0 0.5 elsewhere.jpg 1 2"]
+    (tmp_path / "control.txt").write_text("\n".join(lines))
+    made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
+    assert "control points: 1 images with marks are not in the scene: elsewhere.jpg" in made.notes
+    assert made.residuals.check[0].error < 1e-9
 
 
 def test_scale_masks_and_undistortion(photographs, tmp_path):

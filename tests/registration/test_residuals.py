@@ -1,0 +1,143 @@
+"""Residuals of control and check points against closed forms."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from registrations import motion
+
+from pcbench import Cloud, compare, write_cloud
+from pcbench.cli.clouds import register as register_command
+from pcbench.errors import InputError
+from pcbench.registration import ControlPoints, SurveyResiduals, register
+from pcbench.registration.control_points import fit_pairs
+from pcbench.report.document import document
+
+# Heights of a saddle on the corners of a square have no part along any translation, rotation or scale of them: the
+# fit stays where it was, and the residuals are the offsets themselves. Check points may be off by anything.
+SQUARE = np.array([[10.0, 10, 0], [-10, 10, 0], [-10, -10, 0], [10, -10, 0]])
+SADDLE = np.array([1.0, -1, 1, -1])[:, None] * [0, 0, 0.02]
+CHECKS = np.array([[3.0, 1, 2], [-4, 5, 1]])
+OFFSETS = np.array([[0.03, 0.04, 0.12], [0.03, -0.04, 0.12]])  # H 0.05, Z 0.12, 3D 0.13
+NAMES = ["a", "b", "c", "d", "p", "q"]
+TRUE = motion(0.5, scale=1.5)
+
+
+def pairs(**changes):
+    measured = np.concatenate([SQUARE, CHECKS])
+    surveyed = TRUE.apply(measured) - np.concatenate([SADDLE @ TRUE.rotation.T, OFFSETS])
+    return ControlPoints(measured, surveyed, NAMES, [False] * 4 + [True] * 2, **changes)
+
+
+def write_pairs(path, points, head=""):
+    """The file of some pairs, check points with their star."""
+    lines = [
+        f"{name}{'*' * bool(check)} {' '.join(map(repr, [*map(float, a), *map(float, b)]))}"
+        for name, check, a, b in zip(points.names, points.is_check, points.candidate, points.reference, strict=True)
+    ]
+    path.write_text("\n".join([*([head] if head else []), *lines, ""]))
+
+
+def test_residuals_are_the_known_offsets():
+    T, found = fit_pairs(pairs(z_is_up=True))
+    # Rounding of coordinates below 100 m, a few times.
+    np.testing.assert_allclose(T.matrix, TRUE.matrix, atol=1e-9)
+    assert [point.name for point in found.control] == ["a", "b", "c", "d"]
+    np.testing.assert_allclose([point[1:] for point in found.control], SADDLE @ TRUE.rotation.T, atol=1e-9)
+    np.testing.assert_allclose([point[1:] for point in found.check], OFFSETS, atol=1e-9)
+    control, check = found.rmse(found.control), found.rmse(found.check)
+    assert control.total == pytest.approx(0.02, abs=1e-9)
+    assert check == pytest.approx((2, 0.13, 0.05, 0.12), abs=1e-9)
+
+
+def test_horizontal_and_vertical_need_z_that_is_up():
+    _, found = fit_pairs(pairs())
+    assert not found.z_is_up
+    assert found.rmse(found.check).total == pytest.approx(0.13, abs=1e-9)
+    assert found.rmse(found.check).horizontal is None
+    assert found.rmse(found.check).vertical is None
+    assert any("not known to be up" in line for line in found.rmse_lines())
+    assert not any(" H " in line or " Z " in line for line in list(found.rmse_lines())[:2])
+
+
+def test_plain_values_come_back():
+    _, found = fit_pairs(pairs(z_is_up=True))
+    values = json.loads(json.dumps(found.plain()))
+    assert SurveyResiduals.from_plain(values) == found
+    assert values["point_rmse"]["check"]["vertical"] == pytest.approx(0.12, abs=1e-9)
+    assert SurveyResiduals().plain()["point_rmse"] == {"control": None, "check": None}
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A reference, a candidate in another frame, and a file of control and check points."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-10, 10, (3000, 3)) * [1, 1, 0.1]
+    write_cloud(tmp_path / "reference.ply", Cloud(TRUE.apply(points), unit="m"))
+    write_cloud(tmp_path / "candidate.ply", Cloud(points))
+    write_pairs(tmp_path / "points.txt", pairs(), "# Z is up")
+    return tmp_path
+
+
+def test_register_prints_every_point_and_the_rmse(files, capsys):
+    clouds = [str(files / "reference.ply"), str(files / "candidate.ply")]
+    register_command([*clouds, "--register", f"points:{files / 'points.txt'}"], standalone_mode=False)
+    lines = [line.removeprefix("# ") for line in capsys.readouterr().out.splitlines()]
+    (check,) = (line for line in lines if line.startswith("check point p"))
+    assert check == "check point p: 0.13 (dx +0.03, dy +0.04, dz +0.12)"
+    assert sum(line.startswith("control point ") for line in lines) == 4
+    assert "2 check points: RMSE H 0.05 m, Z 0.12 m, 3D 0.13 m" in lines
+    assert any(line.startswith("4 control points: RMSE H ") for line in lines)
+    np.testing.assert_allclose(np.loadtxt(lines[-4:]), TRUE.matrix, atol=1e-9)
+
+
+def test_compare_keeps_them_in_json_table_and_csv(files):
+    compared = compare(files / "reference.ply", files / "candidate.ply", register=f"points:{files / 'points.txt'}")
+    (values,) = document(compared)["candidates"]
+    registration = values["registration"]
+    assert registration["z_is_up"] is True
+    assert [row["name"] for row in registration["check_points"]] == ["p", "q"]
+    assert registration["check_points"][0]["error"] == pytest.approx(0.13, abs=1e-9)
+    assert registration["point_rmse"]["check"] == pytest.approx(
+        {"points": 2, "total": 0.13, "horizontal": 0.05, "vertical": 0.12}, abs=1e-9
+    )
+    compared.save(files / "report", figures=False)
+    with (files / "report/metrics.csv").open() as file:
+        rows = {row["metric"]: row["value"] for row in csv.DictReader(file)}
+    assert float(rows["check_points_rmse_vertical"]) == pytest.approx(0.12, abs=1e-9)
+    assert float(rows["control_points_rmse_3d"]) == pytest.approx(0.02, abs=1e-9)
+    assert "2 check points: RMSE H 0.05 m" in (files / "report/table.md").read_text()
+
+
+def test_a_map_grid_has_heights():
+    pytest.importorskip("pyproj")
+    points = np.random.default_rng(5).uniform(-10, 10, (500, 3))
+    for crs, z_is_up in (("EPSG:32617", True), ("EPSG:4978", False), ("EPSG:4326", False), (None, False)):
+        reference = Cloud(TRUE.apply(points), crs=crs)
+        assert register(reference, points, pairs()).residuals.z_is_up is z_is_up
+
+
+def test_other_methods_have_no_residuals():
+    points = np.random.default_rng(5).uniform(-10, 10, (500, 3))
+    assert not register(points, points, "none").residuals
+
+
+@pytest.mark.parametrize(
+    ("names", "is_check", "message"),
+    [
+        (["a", "b", "c", "d", "p", "a"], [False] * 6, "'a' twice"),
+        (NAMES, [False] * 2 + [True] * 4, "at least 3 control points, got 2 beside 4 check points"),
+        (NAMES, [True] * 6, "at least 3 control points, got 0 beside 6 check points"),
+    ],
+)
+def test_points_that_do_not_do(names, is_check, message, tmp_path):
+    good = pairs()
+    with pytest.raises(InputError, match=message):
+        ControlPoints(good.candidate, good.reference, names, is_check)
+
+
+def test_a_control_and_a_check_point_of_one_name_are_refused(tmp_path):
+    (tmp_path / "p.txt").write_text("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 0 1 0 0 1 0\na* 1 1 0 1 1 0\n")
+    with pytest.raises(InputError, match=r"p\.txt: .*'a' twice"):
+        ControlPoints.read(tmp_path / "p.txt")

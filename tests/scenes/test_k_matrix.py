@@ -1,0 +1,99 @@
+"""Intrinsics from K.txt: for these images, for larger ones, and for none."""
+
+import numpy as np
+import pytest
+from data_folder import data_folder
+from scene_folders import NAMES, orbit
+
+from pcbench.errors import InputError
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.scenes import read_scene
+
+FULL = "50 0 31\n0 51 25\n0 0 1\n"  # of the 64 x 48 pixels that the images have
+
+
+def scene_with(folder, text, **options):
+    notes = []
+    (folder / "K.txt").write_text(text)
+    return read_scene(folder, on_warning=notes.append, **options), notes
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_of_these_images(photographs, beside):
+    scene, notes = scene_with(photographs / "images" if beside else photographs, FULL)
+    if beside:
+        scene = read_scene(photographs, on_warning=notes.append)
+    assert notes == []
+    assert list(scene.intrinsics) == NAMES
+    k = scene.intrinsics["3.png"]
+    assert (k.width, k.height, k.fx, k.fy, k.cx, k.cy) == (64, 48, 50, 51, 31, 25)
+    assert scene.describe()[2] == "  intrinsics of 10 images without a camera"
+    assert list(scene.select(["1.png"]).intrinsics) == ["1.png"]
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4, 8])
+def test_of_images_that_were_reduced(photographs, factor):
+    text = f"{50 * factor} 0 {31 * factor}\n0 {51 * factor} {25 * factor}\n0 0 1"
+    scene, notes = scene_with(photographs, text, image_scale=0.5)
+    k = scene.intrinsics["3.png"]
+    assert (k.width, k.height) == (32, 24)
+    assert (k.fx, k.fy, k.cx, k.cy) == pytest.approx((25, 25.5, 15.5, 12.5), rel=1e-12)
+    assert len(notes) == 1
+    assert f"for images of {64 * factor} x {48 * factor} pixels" in notes[0]
+
+
+def test_cameras_go_before_it(photographs):
+    write_colmap_model(photographs / "sparse", orbit(NAMES)[:4])
+    scene, _ = scene_with(photographs, FULL)
+    assert list(scene.cameras) == NAMES[:4]
+    assert list(scene.intrinsics) == NAMES[4:]
+
+
+def test_other_intrinsics_are_another_scene(photographs):
+    plain = read_scene(photographs)
+    known, _ = scene_with(photographs, FULL)
+    assert known.fingerprint() != plain.fingerprint()
+    assert known.fingerprint(cameras=False) == plain.fingerprint(cameras=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("50 0 31 0 51 25 0 0", "nine numbers of a 3x3 matrix K, got 8"),
+        ("50 0 31 0 51 25 0 0 nan", "nine numbers"),
+        ("fx 0 31 0 51 25 0 0 1", "got something else"),
+        ("50 1 31 0 51 25 0 0 1", "no skew"),
+        ("-50 0 31 0 51 25 0 0 1", "positive focal lengths"),
+        ("50 0 31 0 51 25 0 0 2", "expected K as fx 0 cx"),
+        # The middle of 93 x 50: of another aspect.
+        ("50 0 46 0 51 25 0 0 1", "not near the middle of an image of 64 x 48 pixels, nor of one up to 8"),
+        ("0.8 0 0.5 0 0.8 0.5 0 0 1", "not near the middle"),
+        ("1 0 31 0 1 25 0 0 1", "normalised or in millimetres"),
+    ],
+)
+def test_what_is_no_k(photographs, text, message):
+    with pytest.raises(InputError, match=message) as caught:
+        scene_with(photographs, text)
+    assert str(caught.value).startswith(f"{photographs / 'K.txt'}: ")
+
+
+def test_fountain():
+    folder = data_folder("fountain")
+    notes = []
+    scene = read_scene(folder, cameras="none", on_warning=notes.append)
+    truth = read_scene(folder, on_warning=lambda _: None)
+    assert truth.intrinsics == {}
+    assert list(scene.intrinsics) == list(truth.cameras)
+    for name, camera in truth.cameras.items():
+        np.testing.assert_allclose(scene.intrinsics[name].matrix, camera.intrinsics.matrix, rtol=1e-12)
+    assert "images of 3072 x 2048 pixels" in notes[0]
+
+
+def test_sfm_begins_with_them(photographs):
+    pytest.importorskip("pycolmap")
+    from reconstructors.sfm.features import shared_intrinsics
+
+    scene, _ = scene_with(photographs, FULL)
+    (group,) = shared_intrinsics(scene)
+    assert group.intrinsics == scene.intrinsics["0.png"]
+    assert group.names == tuple(NAMES)

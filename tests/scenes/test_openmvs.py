@@ -1,0 +1,104 @@
+"""Scenes of OpenMVS: cameras and points of every version of the interface format, and what is refused."""
+
+from dataclasses import replace
+
+import mvs_bytes
+import numpy as np
+import pytest
+from mvs_bytes import COLORS, POINTS, scene_bytes
+from scene_folders import NAMES, orbit
+
+from pcbench.errors import InputError
+from pcbench.geometry.cameras import Intrinsics, look_at
+from pcbench.io.openmvs import read_openmvs
+from pcbench.scenes import read_scene
+
+K = Intrinsics(64, 48, 50.0, 51.0, 31.0, 25.0)
+CAMERAS = orbit(NAMES, K)
+
+
+def read(path, data):
+    path.write_bytes(data)
+    notes = []
+    return read_openmvs(path, lambda name: (64, 48), notes.append), notes
+
+
+@pytest.mark.parametrize("version", range(1, 8))
+def test_every_version(photographs, version):
+    (photographs / "scene.mvs").write_bytes(scene_bytes(CAMERAS, version))
+    scene = read_scene(photographs)
+    assert list(scene.cameras) == NAMES
+    for camera in CAMERAS:
+        found = scene.cameras[camera.name]
+        assert found.intrinsics == K
+        # Nine digits of a rotation's polar factor, of lengths about 5.
+        np.testing.assert_allclose(found.cam_from_world.matrix, camera.cam_from_world.matrix, atol=1e-12)
+    np.testing.assert_array_equal(scene.points.points, POINTS)
+    np.testing.assert_array_equal(scene.points.colors, COLORS)
+    np.testing.assert_array_equal(scene.points.attributes["track_length"], [2, 3, 1])
+
+
+def test_a_camera_on_a_platform(tmp_path):
+    mount = look_at([1, 2, 3], [0, 0, 0]).rotation, np.array([0.1, 0.2, 0.3])
+    (cameras, _), _ = read(tmp_path / "a.mvs", scene_bytes(CAMERAS, mount=mount))
+    for found, camera in zip(cameras, CAMERAS, strict=True):
+        np.testing.assert_allclose(found.cam_from_world.matrix, camera.cam_from_world.matrix, atol=1e-12)
+
+
+def test_intrinsics_without_a_size_take_that_of_the_image(tmp_path):
+    (cameras, _), _ = read(tmp_path / "a.mvs", scene_bytes(CAMERAS, normalized=True))
+    k = cameras[0].intrinsics
+    assert (k.width, k.height) == (64, 48)
+    assert (k.fx, k.fy, k.cx, k.cy) == pytest.approx((50, 51, 31, 25), rel=1e-12)
+
+
+def test_images_without_a_pose_normals_and_transforms(tmp_path):
+    data = scene_bytes(CAMERAS, normals=np.eye(3), transform=np.diag([2.0, 2, 2, 1]), posed=lambda k: k % 2)
+    (cameras, points), notes = read(tmp_path / "a.mvs", data)
+    assert [camera.name for camera in cameras] == [f"undistorted\\{name}" for name in NAMES[1::2]]
+    np.testing.assert_array_equal(points.normals, np.eye(3))
+    assert "its transform" in notes[0]
+
+
+def test_which_of_several_scenes(photographs):
+    for name in ("a.mvs", "b.mvs"):
+        (photographs / name).write_bytes(scene_bytes(CAMERAS))
+    with pytest.raises(InputError, match=r"a\.mvs and b\.mvs: say which one"):
+        read_scene(photographs)
+    assert len(read_scene(photographs, cameras=photographs / "b.mvs").cameras) == 10
+    (photographs / "scene.mvs").write_bytes(scene_bytes(CAMERAS[:3]))
+    assert len(read_scene(photographs, on_warning=lambda _: None).cameras) == 3
+
+
+GOOD = scene_bytes(CAMERAS)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "empty"),
+        (b"ply\nformat", "begins with MVSI"),
+        (b"MVS\0" + GOOD[4:], "its own project: save it with --archive-type -1"),
+        (GOOD[:4] + b"\x63" + GOOD[5:], "version 1 to 7 of the interface format, got 99"),
+        (GOOD[:12] + b"\xff" * 8 + GOOD[20:], "truncated: "),
+        (GOOD[:200], "truncated: "),
+        (GOOD[:-130], "truncated: "),
+        (scene_bytes(CAMERAS, posed=lambda k: False), "at least one image with a pose"),
+        (scene_bytes(CAMERAS, colors=COLORS[:2]), "as many normals and colours as points .3., got 2"),
+        (scene_bytes(CAMERAS, mount=(2 * np.eye(3), np.zeros(3))), "expected a rotation"),
+        (scene_bytes([replace(c, name="\x1b[31m") for c in CAMERAS]).replace(b"\x1b", b"\xff"), "names in UTF-8"),
+    ],
+)
+def test_what_is_no_scene(tmp_path, data, message):
+    with pytest.raises(InputError, match=message) as caught:
+        read(tmp_path / "a.mvs", data)
+    assert str(caught.value).startswith(f"{tmp_path / 'a.mvs'}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_every_cut_is_said(tmp_path):
+    # All bytes are read but for the box at the end.
+    data = mvs_bytes.corpus()["new"]
+    for size in range(1, len(data) - 120, 7):
+        with pytest.raises(InputError):
+            read(tmp_path / "a.mvs", data[:size])
