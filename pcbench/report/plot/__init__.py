@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.children import Limits, run_module
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import InputError, PcbenchError
+from pcbench.extras import require
 from pcbench.opengl import OFF_SCREEN, NoFiguresError
 from pcbench.report.figures import Figures, recorded_figures
 
@@ -72,7 +72,6 @@ def draw(
     """
     if not drawer.fits(report):
         raise InputError(f"{report}: expected a report folder (with {' or '.join(drawer.documents)})")
-    check_library()
     look = figures or recorded_figures(report / "settings.json")
     done = run_module(
         "pcbench.report.plot.worker",
@@ -89,6 +88,7 @@ def draw(
     if done.code == 2 and lines:
         raise InputError(lines[-1])
     if done.code != 0:
+        require("matplotlib")
         raise NoFiguresError(f"no pictures: drawing failed ({done.last_words or 'it crashed'})")
     return [report / line for line in lines]
 
@@ -105,11 +105,3 @@ def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | N
     except PcbenchError as error:
         return str(error)
     return None
-
-
-def check_library() -> None:
-    """Raises:
-    MissingExtra: matplotlib is not installed.
-    """
-    if find_spec("matplotlib") is None:
-        raise MissingExtra("matplotlib", "plot", "pictures")

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from repository import ROOT
 from splat_scenes import SCENES, crowd, make, needles, nothing, opaque, scattered
 
 from reconstructors.splat.view import View
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
 
 HEADERS = [ROOT / "reconstructors" / "splat" / name for name in ("pinhole.h", "maths.h")]
