@@ -24,11 +24,19 @@ class ReconstructionError(PcbenchError):
 
 
 class MissingExtra(PcbenchError, ImportError):
-    """An optional library is not installed or does not load."""
+    """An optional library is not installed or does not load.
 
-    def __init__(self, library: str, extra: str, reason: str = "") -> None:
+    Args:
+        library: its name on the package index.
+        extra: the extra of pcbench that installs it.
+        reason: why it cannot be used, where it is installed.
+        remedy: what to do; by default, install the extra.
+    """
+
+    def __init__(self, library: str, extra: str, reason: str = "", remedy: str = "") -> None:
         because = f" ({reason})" if reason else ""
-        super().__init__(f"{library} is needed for this{because}: pip install 'pcbench[{extra}]'")
+        remedy = remedy or f"pip install 'pcbench[{extra}]'"
+        super().__init__(f"{library} is needed for this{because}: {remedy}")
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 cuda_emulator = pytest.importorskip("cuda_emulator")
 
 

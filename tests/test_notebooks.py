@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from repository import ROOT
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -19,13 +20,13 @@ SLOW = ("gao",)  # it trains
     [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in NOTEBOOKS],
 )
 def test_notebook_runs(path, request):
-    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
-    pytest.importorskip("matplotlib")
+    nbclient, nbformat = import_or_skip("nbclient"), import_or_skip("nbformat")
+    import_or_skip("matplotlib")
     if path.stem in ("reconstructor", "gao"):  # they take photographs
-        pytest.importorskip("pycolmap")
+        import_or_skip("pycolmap")
         request.getfixturevalue("renderer")
     if path.stem == "gao":
-        pytest.importorskip("torch")
+        import_or_skip("torch")
     cells = json.loads(path.read_text())["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear the outputs"
     notebook = nbformat.read(path, as_version=4)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError
+from pcbench.extras import require
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, as_rows, bounds, freeze, kept
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ class Cloud:
         Raises:
             MissingExtra: Open3D is not installed.
         """
-        open3d = _open3d()
+        open3d = require("open3d")
         vectors = open3d.utility.Vector3dVector  # copies, but only what it could change
         cloud = open3d.geometry.PointCloud(vectors(self.points.copy()))
         if self.normals is not None:
@@ -144,7 +145,7 @@ class Cloud:
         Raises:
             MissingExtra: Open3D is not installed.
         """
-        open3d = _open3d()
+        open3d = require("open3d")
         columns = {"positions": self.points, "normals": self.normals, "colors": self.colors}
         columns |= {name: values[:, None] for name, values in self.attributes.items()}
         cloud = open3d.t.geometry.PointCloud()
@@ -199,14 +200,6 @@ class Cloud:
 def as_cloud(data: Cloud | ArrayLike) -> Cloud:
     """A `Cloud` as it is, or one around an (N, 3) array."""
     return data if isinstance(data, Cloud) else Cloud(_triples("points", data))
-
-
-def _open3d() -> Any:
-    try:
-        import open3d
-    except (ImportError, OSError) as error:  # OSError: a library that it needs is missing
-        raise MissingExtra("open3d", "open3d", str(error).partition("\n")[0]) from error
-    return open3d
 
 
 def _triples(what: str, data: ArrayLike) -> FloatArray:

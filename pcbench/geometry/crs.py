@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.errors import MissingExtra
+from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import fit_similarity
 
@@ -87,11 +89,10 @@ def euclidean_offsets(text: str, places: FloatArray) -> FloatArray | None:
 
 def _parsed(text: str) -> Any | None:
     try:
-        from pyproj import CRS
-        from pyproj.exceptions import CRSError
-    except ImportError:
+        pyproj = require("pyproj")
+    except MissingExtra:
         return None
     try:
-        return CRS.from_user_input(text)
-    except CRSError:
+        return pyproj.CRS.from_user_input(text)
+    except pyproj.exceptions.CRSError:
         return None

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcbench.errors import InputError, MissingExtra
+from pcbench.extras import require, unavailable
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
@@ -24,7 +25,7 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
 
     The method closes every surface, over holes and beyond borders. Vertices farther from every point than 4 times the
     cloud's median spacing are taken away with their faces, so the mesh ends where the data end. Open3D does the work,
-    or pymeshlab where Open3D is not installed; Open3D runs on one thread, because more give other bits every time.
+    or pymeshlab where Open3D cannot be used; Open3D runs on one thread, because more give other bits every time.
 
     Args:
         cloud: points with outward normals of any length.
@@ -34,7 +35,7 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
     Raises:
         InputError: there are no normals, fewer than 50 points with a normal, the depth is not 1 to 14, or no surface
             stays near the points.
-        MissingExtra: neither library is installed.
+        MissingExtra: neither library is installed and loads.
     """
     if cloud.normals is None:
         raise InputError("expected a cloud with normals to reconstruct a surface: estimate and orient them first")
@@ -69,12 +70,10 @@ def oriented(cloud: Cloud) -> Cloud:
     most about 100,000 points (some 4 s); every other point takes the sign of the nearest of those.
 
     Raises:
-        MissingExtra: Open3D is not installed. (pymeshlab's surface then needs a cloud that came with normals.)
+        MissingExtra: Open3D is not installed or does not load. (pymeshlab's surface then needs a cloud that came with
+            normals.)
     """
-    try:
-        import open3d
-    except ImportError as error:
-        raise MissingExtra("open3d", "open3d", "to orient normals") from error
+    open3d = require("open3d")
     assert cloud.normals is not None
     index = Index(cloud.points)
     few = voxel_downsample_to(cloud.points, _ORIENTED, start=float(np.median(index.nearest_other().distances)))
@@ -92,13 +91,11 @@ def oriented(cloud: Cloud) -> Cloud:
 def _reconstruct(points: FloatArray, normals: FloatArray, depth: int) -> tuple[FloatArray, IntArray]:
     """Vertices (V, 3) and faces (F, 3) of the untrimmed surface."""
     try:
-        import open3d
-    except (ImportError, OSError) as error:
-        reason = "" if isinstance(error, ModuleNotFoundError) else str(error).splitlines()[0]
-        try:
-            return _with_pymeshlab(points, normals, depth)
-        except ImportError:
-            raise MissingExtra("open3d", "open3d", reason) from error
+        open3d = require("open3d")
+    except MissingExtra:
+        if unavailable("pymeshlab"):
+            raise
+        return _with_pymeshlab(points, normals, depth)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.normals = open3d.utility.Vector3dVector(normals)
     poisson = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import struct
 from pathlib import Path
@@ -10,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.children import Limits, run_script
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError
+from pcbench.extras import require
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
 from pcbench.io.files import Warn
@@ -58,8 +58,6 @@ def read_gltf(path: Path, warn: Warn) -> Mesh:
 
 def _read_with_trimesh(path: Path) -> Mesh:
     """All meshes of the file's scene, each where its node puts it; glTF's unit is the metre."""
-    if importlib.util.find_spec("trimesh") is None:
-        raise MissingExtra("trimesh", "mesh")
     size = path.stat().st_size
     memory, seconds = (2 << 30) + 60 * size, 30 + size // 1_000_000
     # One thread: a thread pool takes address space, which is what is limited.
@@ -73,6 +71,7 @@ def _read_with_trimesh(path: Path) -> Mesh:
         if done.timed_out:
             raise InputError(f"cannot be read: trimesh is not through with it after {2 * seconds} s")
         if done.code:
+            require("trimesh")
             said = done.last_words or f"it ended with {done.code}"
             reason = "".join(c if c.isprintable() else " " for c in said)[:200]
             raise InputError(f"trimesh cannot read it: {reason}")

@@ -6,6 +6,7 @@ import struct
 from typing import Any
 
 from pcbench.errors import InputError, MissingExtra
+from pcbench.extras import require
 from pcbench.io.files import Warn
 
 WKT, GEO_KEYS = ("LASF_Projection", 2112), ("LASF_Projection", 34735)
@@ -27,8 +28,8 @@ def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | N
     if crs is None:
         return None, unit
     try:
-        import pyproj
-    except ImportError:
+        pyproj = require("pyproj")
+    except MissingExtra:
         return crs, unit
     try:
         parsed = pyproj.CRS.from_user_input(crs)
@@ -76,10 +77,7 @@ def to_wkt(crs: str) -> bytes:
         MissingExtra: pyproj is not installed.
         InputError: it does not know the system.
     """
-    try:
-        import pyproj
-    except ImportError:
-        raise MissingExtra("pyproj", "las") from None
+    pyproj = require("pyproj")
     try:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError:

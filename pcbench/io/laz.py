@@ -8,7 +8,6 @@ Martin Isenburg, "LASzip: lossless compression of LiDAR data", Photogrammetric E
 
 from __future__ import annotations
 
-import importlib.util
 import struct
 import sys
 from io import BytesIO
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
+from pcbench.extras import require
 from pcbench.io.files import Warn
 from pcbench.io.las_header import Header
 
@@ -37,12 +37,6 @@ _MAX_WORKER_SECONDS = 30.0  # and what it takes for the points at this speed at 
 _MIN_WORKER_SPEED = 1e6  # bytes a second, where lazrs does 30 million on one core, both ways
 
 
-def require_lazrs() -> None:
-    """Raises MissingExtra where lazrs is not installed."""
-    if importlib.util.find_spec("lazrs") is None:
-        raise MissingExtra("lazrs", "las")
-
-
 def decompress(file: BinaryIO, header: Header, warn: Warn) -> NDArray[np.uint8]:
     """The point records as they would stand in a LAS file, (count * record_bytes,).
 
@@ -53,7 +47,7 @@ def decompress(file: BinaryIO, header: Header, warn: Warn) -> NDArray[np.uint8]:
         InputError: the compressed data are damaged.
         MissingExtra: lazrs is not installed.
     """
-    require_lazrs()
+    require("lazrs")
     _check(file, header)
     if not sys.executable:
         raise InputError(
@@ -137,9 +131,7 @@ def _integer(file: BinaryIO, place: int, code: str) -> int:
 
 def laszip_record(point_format: int, extra_bytes: int) -> bytes:
     """The LASzip record for new files."""
-    require_lazrs()
-    import lazrs
-
+    lazrs = require("lazrs")
     return bytes(lazrs.LazVlr.new_for_compression(point_format, extra_bytes).record_data())
 
 

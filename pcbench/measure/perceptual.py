@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import Notice
+from pcbench.errors import MissingExtra, Notice
+from pcbench.extras import require, unavailable
 from pcbench.measure.images import ViewScores, psnr, ssim, unit_range
 
 _WEIGHTS = "vgg16-397923af.pth"  # torchvision's, of VGG-16 on ImageNet
@@ -69,8 +70,10 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
     def missing(why: str) -> tuple[None, Notice]:
         return None, Notice("no-lpips", f"LPIPS is not measured: {why}")
 
-    if find_spec("lpips") is None or find_spec("torch") is None:
+    if find_spec("lpips") is None or find_spec("torch") is None:  # torch takes seconds to load
         return missing("the package lpips is not installed (pip install lpips)")
+    if why := unavailable("torch"):
+        return missing(why)
     import torch
 
     weights = Path(torch.hub.get_dir()) / "checkpoints" / _WEIGHTS
@@ -79,10 +82,9 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # lpips asks torchvision for weights in a way that it deprecates
-            import lpips
-
+            lpips = require("lpips")
             network = lpips.LPIPS(net="vgg", verbose=False)
-    except (ImportError, RuntimeError, OSError) as error:  # versions of torch and torchvision that do not fit
+    except (MissingExtra, RuntimeError, OSError) as error:  # versions of torch and torchvision that do not fit
         return missing(f"it does not load ({' '.join(str(error).split())})")
 
     def measure(image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None) -> float:
@@ -97,8 +99,7 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
 
 
 def _find_flip() -> tuple[Metric | None, Notice | None]:
-    if find_spec("flip_evaluator") is None:
-        why = "the package flip-evaluator is not installed (pip install flip-evaluator)"
+    if why := unavailable("flip_evaluator"):
         return None, Notice("no-flip", f"FLIP is not measured: {why}")
 
     def measure(image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None) -> float:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.children import Limits, run_script
-from pcbench.errors import InputError, MissingExtra, RegistrationError
+from pcbench.errors import InputError, RegistrationError
+from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration import kiss_child
-from pcbench.registration.advice import has_global
 from pcbench.scratch import scratch_folder
 
 RUNG = 1.2  # features stand a tenth more or less of scale, so poses are looked for within this factor
@@ -44,8 +44,6 @@ def matched(clouds: list[Pairs]) -> list[Pairs]:
         MissingExtra: KISS-Matcher is not installed.
         RegistrationError: it failed.
     """
-    if not has_global():
-        raise MissingExtra("kiss-matcher", "global", "to register from nothing")
     with scratch_folder() as folder:
         source, target = folder / "clouds.npz", folder / "pairs.npz"
         arrays = {f"{name}{k}": part for k, two in enumerate(clouds) for name, part in two._asdict().items()}
@@ -53,6 +51,7 @@ def matched(clouds: list[Pairs]) -> list[Pairs]:
         # One thread gives the same matches every time: TBB and OpenMP both count the CPUs they may use.
         done = run_script(kiss_child.__file__, str(source), str(target), limits=Limits(one_cpu=True))
         if done.code:
+            require("kiss_matcher")
             raise RegistrationError(f"KISS-Matcher failed: {done.last_words or f'exit code {done.code}'}")
         with np.load(target) as found:
             both = [[found[f"{name}{k}"].astype(np.float64) for name in Pairs._fields] for k in range(len(clouds))]

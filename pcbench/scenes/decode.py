@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError
+from pcbench.extras import require
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -54,7 +55,7 @@ def why_unreadable(path: Path) -> str | None:
     Raises:
         MissingExtra: Pillow is not installed.
     """
-    pillow = _pillow()
+    pillow = require("PIL.Image")
     try:
         with _large_images(), pillow.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
@@ -115,7 +116,7 @@ def _exif(path: Path, size: Size) -> bytes:
 
 
 def _open(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
-    pillow = _pillow()
+    pillow = require("PIL.Image")
     try:
         with _large_images(), pillow.open(path) as file:
             if file.width * file.height > MAX_PIXELS:
@@ -133,18 +134,10 @@ def _open(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
     return image
 
 
-def _pillow() -> Any:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise MissingExtra("pillow", "sfm", str(error)) from error
-    return Image
-
-
 @contextmanager
 def _large_images() -> Iterator[None]:
     """Without Pillow's own limit, which is less than what cameras of surveys take."""
-    pillow = _pillow()
+    pillow = require("PIL.Image")
     kept, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
     try:
         yield

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError
+from pcbench.extras import require
 from pcbench.io.files import atomic_write, read_json
 from pcbench.io.image_header import read_image_header
 from pcbench.scenes.decode import decode_image, decode_mask
@@ -201,10 +202,7 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def _write(path: Path, pixels: NDArray[np.uint8]) -> None:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise MissingExtra("pillow", "splat", str(error)) from error
+    pillow = require("PIL.Image", "splat")
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
-        Image.fromarray(pixels).save(file, format="PNG", compress_level=1)
+        pillow.fromarray(pixels).save(file, format="PNG", compress_level=1)

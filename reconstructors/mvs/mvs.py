@@ -10,13 +10,13 @@ import errno
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.extras import unavailable
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.io.colmap_model import write_colmap_model
@@ -106,7 +106,7 @@ class DenseMvs:
 
     @classmethod
     def missing(cls) -> str | None:
-        return None if find_spec("pycolmap") else "pycolmap is not installed: pip install 'pcbench[mvs]'"
+        return unavailable("pycolmap", "PIL", extra="mvs")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         try:

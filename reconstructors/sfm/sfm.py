@@ -9,11 +9,11 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.extras import unavailable
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import Scene
 from reconstructors.sfm.alignment import Align, Aligned, align, levelled
@@ -84,7 +84,7 @@ class ColmapSfm:
 
     @classmethod
     def missing(cls) -> str | None:
-        return None if find_spec("pycolmap") else "pycolmap is not installed: pip install 'pcbench[sfm]'"
+        return unavailable("pycolmap", "PIL")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         import pycolmap

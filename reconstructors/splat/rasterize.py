@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError
+from pcbench.extras import require
 from pcbench.geometry.cameras import Camera
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.view import View
@@ -84,10 +85,7 @@ def rasterize(
         InputError: a shape, a type, a device or a number is none of these, or the camera has distortion.
         MissingExtra: torch, or what CUDA needs, is not installed.
     """
-    try:
-        import torch
-    except ImportError as error:
-        raise MissingExtra("torch", "splat", "to draw Gaussians") from error
+    torch = require("torch")
     from reconstructors.splat.autograd import Rasterize
 
     if not isinstance(camera, Camera):

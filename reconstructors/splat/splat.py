@@ -9,13 +9,13 @@ import errno
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.extras import unavailable
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
@@ -114,8 +114,7 @@ class GaussianSplatting:
 
     @classmethod
     def missing(cls) -> str | None:
-        absent = [name for name in ("torch", "pycolmap") if not find_spec(name)]
-        return f"{' and '.join(absent)} not installed: pip install 'pcbench[splat,mvs]'" if absent else None
+        return unavailable("torch", "pycolmap", "PIL", extra="splat")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         import torch

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from command_line import one_line
+from optional import import_or_skip
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.cli import clouds
@@ -65,7 +66,7 @@ def test_a_coordinate_system_is_one_line(files, run, monkeypatch, known):
     from pcbench.geometry import crs
 
     if known:
-        pytest.importorskip("pyproj")
+        import_or_skip("pyproj")
     else:
         monkeypatch.setattr(crs, "_parsed", lambda text: None)
     wkt = (
@@ -104,7 +105,7 @@ def test_convert(files, run):
     write_cloud("c.ply", Cloud(read_cloud("a.ply").points, attributes={"quality": np.arange(1500.0)}))
     for name in ("c.xyz", "c.npz", "c.las", "c.laz", "c.pcd"):
         if name.endswith("laz"):
-            pytest.importorskip("lazrs")
+            import_or_skip("lazrs")
         code, out, err = run("convert", "c.ply", name)
         assert code == 0, err
         assert "1,500 points" in out

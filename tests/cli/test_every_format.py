@@ -9,6 +9,7 @@ import pytest
 import splat_models
 from command_line import one_line
 from las_bytes import las
+from optional import import_or_skip
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.formats import CLOUDS, MESHES
@@ -61,7 +62,7 @@ def example(request, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     extension = request.param
     if library := EXTRAS.get(extension if extension.startswith(".") else f".{extension.rpartition('.')[2]}"):
-        pytest.importorskip(library)
+        import_or_skip(library)
     file = tmp_path / (f"a{extension}" if extension.startswith(".") else extension)
     if extension == "tile.copc.laz":
         file.write_bytes(las(7, 12, compress="variable"))

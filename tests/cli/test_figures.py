@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import one_line
+from optional import import_or_skip
 
 from pcbench import read_cloud
 from pcbench.errors import InputError
@@ -49,7 +50,7 @@ def test_a_report_keeps_them_and_a_rerun_has_them_again(files, run):
 
 
 def test_plot_draws_as_the_report_was_made_but_for_what_is_given(files, run):
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     assert run("compare", "ref.ply", "a.ply", "--format", "svg", "--out", "one", "-q")[0] == 0
     assert run("plot", "one", "distribution")[1] == "one/figures/distribution.svg\n"
     assert run("plot", "one", "distribution", "--format", "pdf")[1] == "one/figures/distribution.pdf\n"
@@ -73,7 +74,7 @@ def test_wrong_options_are_refused_before_anything_is_measured(files, run, optio
 
 
 def test_deform_draws_as_asked_and_plot_as_deform_did(files, run):
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     options = ("--background", "#fafafa", "--format", "svg")
     assert run("deform", "ref.ply", "a.ply", *options, "--out", "bend", "-q")[0] == 0
     assert recorded_figures(Path("bend/settings.json")) == Figures("#fafafa", None, "svg")

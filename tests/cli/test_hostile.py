@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scene_folders
 from command_line import one_line
+from optional import import_or_skip
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.colmap_model import write_colmap_model
@@ -72,7 +73,7 @@ def everything():
     ],
 )
 def test_never_over_an_input(scene, run, command, expected):
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     Path("elsewhere.png").write_bytes(Path("photos/images/2.png").read_bytes())
     Path("model").mkdir()
     Path("photos/transforms.json").write_text("{}")
@@ -213,7 +214,7 @@ def test_an_address_space_of_a_gibibyte(files):
 
 
 def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
     whole = Path("report/comparison.json").read_text()
     damaged = [

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 from command_line import one_line
+from optional import import_or_skip
 
 from pcbench import Cloud, read_cloud
 
@@ -14,7 +14,7 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     from pcbench.geometry.cameras import Camera, Intrinsics, look_at
     from pcbench.io.colmap_model import write_colmap_model
 
-    image = pytest.importorskip("PIL.Image")
+    image = import_or_skip("PIL.Image")
     monkeypatch.chdir(tmp_path)
     Path("photos").mkdir()
     image.new("RGB", (40, 30)).save("photos/0.png")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import REPORT, doc, one_line, without_the_clock
+from optional import import_or_skip
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import read_matrix
@@ -202,7 +203,7 @@ def test_files_that_settings_name_are_absolute_and_hashed(files, run, monkeypatc
 
 
 def test_las_in_las_out(files, run):
-    pytest.importorskip("lazrs")
+    import_or_skip("lazrs")
     run("convert", "a.ply", "a.laz", "-q")
     assert run("compare", "ref.ply", "a.laz", "--out", "report")[0] == 0
     cloud = read_cloud("report/a_deviation.laz")

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 from command_line import one_line
+from optional import import_or_skip
 
 from pcbench import read_cloud
 
@@ -14,7 +14,7 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
     from pcbench.geometry.cameras import Camera, Intrinsics, look_at
     from pcbench.io.colmap_model import write_colmap_model
 
-    image = pytest.importorskip("PIL.Image")
+    image = import_or_skip("PIL.Image")
     monkeypatch.chdir(tmp_path)
     Path("photos/images").mkdir(parents=True)
     cameras = []
@@ -47,7 +47,7 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
 
 def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
     """Four cameras a kilometre apart: the sphere's metres are 0.26 % fewer to the east, 0.11 % more to the north."""
-    image = pytest.importorskip("PIL.Image")
+    image = import_or_skip("PIL.Image")
     monkeypatch.chdir(tmp_path)
     Path("photos").mkdir()
     frames = []

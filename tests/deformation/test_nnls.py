@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.deformation.nnls import nonnegative_least_squares
 
 
 @pytest.mark.parametrize("columns", [1, 3, 6, 9])
 def test_against_scipy(columns):
-    nnls = pytest.importorskip("scipy.optimize").nnls
+    nnls = import_or_skip("scipy.optimize").nnls
     rng = np.random.default_rng(columns)
     for scale in (1e-6, 1.0, 1e6):
         for _ in range(20):

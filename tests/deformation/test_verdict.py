@@ -5,6 +5,7 @@ import pytest
 from bends import Halves
 from bent_clouds import codes, dome, noisy, sampled, verdict
 from data_folder import data_folder
+from optional import import_or_skip
 
 from pcbench import Cloud, read_cloud
 from pcbench.deformation import Observable, deform
@@ -152,7 +153,7 @@ def test_too_few_points_are_undecided():
 
 def test_a_map_against_space_is_taken_off_first():
     """UTM heights follow the Earth: over 3 km that is a dome of 17 cm, and the grid's scale is 0.9996."""
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     rng = np.random.default_rng(11)
 
     def terrain(count):
@@ -174,7 +175,7 @@ def test_a_map_against_space_is_taken_off_first():
 
 
 def test_the_earth_curves_by_what_it_should():
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     x = np.linspace(-3000, 3000, 61)
     places = np.stack(np.meshgrid(x, x, [0.0, 100.0]), axis=-1).reshape(-1, 3) + [500_000, 5_000_000, 0]
     offsets = euclidean_offsets("EPSG:32632", places)

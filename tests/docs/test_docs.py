@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 from docs_blocks import Block, agrees, blocks, commands
+from optional import import_or_skip
 from repository import ROOT
 
 from pcbench import cli
@@ -75,7 +76,7 @@ def test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch):
     if any("synth city" in block.text for block in runs):
         request.getfixturevalue("renderer")
     if any(f"reconstruct {name}" in block.text for block in runs for name in ("sfm", "mvs")):
-        pytest.importorskip("pycolmap")
+        import_or_skip("pycolmap")
     monkeypatch.setenv("COLUMNS", "132")
     namespace, said = {"__name__": "__main__"}, ""
     for block in found:

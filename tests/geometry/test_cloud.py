@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.geometry.cloud import Cloud, as_cloud
@@ -200,7 +201,7 @@ def test_arrays_are_read_only_and_not_copied_again(tmp_path):
 
 
 def test_open3d_there_and_back():
-    pytest.importorskip("open3d")
+    import_or_skip("open3d")
     cloud = full_cloud()
     legacy = Cloud.from_open3d(cloud.to_open3d())
     tensor = Cloud.from_open3d(cloud.to_open3d_tensor())
@@ -218,7 +219,7 @@ def test_open3d_there_and_back():
 
 
 def test_every_colour_survives_open3d():
-    pytest.importorskip("open3d")
+    import_or_skip("open3d")
     every = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     cloud = Cloud(np.zeros((256, 3)), colors=every)
     assert (Cloud.from_open3d(cloud.to_open3d()).colors == every).all()
@@ -228,7 +229,7 @@ def test_every_colour_survives_open3d():
 
 
 def test_a_cloud_from_open3d_is_a_copy():
-    open3d = pytest.importorskip("open3d")
+    open3d = import_or_skip("open3d")
     theirs = Cloud(POINTS).to_open3d()
     tensor = Cloud(POINTS).to_open3d_tensor()
     clouds = [Cloud.from_open3d(theirs), Cloud.from_open3d(tensor)]
@@ -241,14 +242,14 @@ def test_a_cloud_from_open3d_is_a_copy():
 def test_what_is_no_open3d_cloud():
     with pytest.raises(InputError, match="expected an open3d PointCloud, got list"):
         Cloud.from_open3d([1, 2])
-    open3d = pytest.importorskip("open3d")
+    open3d = import_or_skip("open3d")
     for empty in (open3d.geometry.PointCloud(), open3d.t.geometry.PointCloud()):
         with pytest.raises(InputError, match="at least one point, got none"):
             Cloud.from_open3d(empty)
 
 
 def test_from_trimesh():
-    trimesh = pytest.importorskip("trimesh")
+    trimesh = import_or_skip("trimesh")
     colors = np.arange(16, dtype=np.uint8).reshape(4, 4)
     theirs = trimesh.PointCloud(POINTS.copy(), colors=colors)
     cloud = Cloud.from_trimesh(theirs)

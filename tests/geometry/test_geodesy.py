@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 
@@ -17,7 +18,7 @@ def test_east_is_east():
 
 @pytest.mark.parametrize("origin", POSITIONS[:3])
 def test_agrees_with_pyproj(origin):
-    pyproj = pytest.importorskip("pyproj")
+    pyproj = import_or_skip("pyproj")
     text = f"+proj=topocentric +ellps=WGS84 +lat_0={origin[0]} +lon_0={origin[1]} +h_0={origin[2]}"
     transform = pyproj.Transformer.from_pipeline(f"+proj=pipeline +step +proj=cart +ellps=WGS84 +step {text}")
     longitude, latitude, height = np.array(POSITIONS)[:, [1, 0, 2]].T

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from optional import import_or_skip
 from point_shapes import SHAPES, clustered, grid, oblique_plane, uniform
 
 from pcbench.errors import InputError
@@ -87,7 +88,7 @@ def test_any_finite_coordinates(points, queries):
 
 
 def test_a_million_points_agree_with_scipy():
-    scipy_spatial = pytest.importorskip("scipy.spatial")
+    scipy_spatial = import_or_skip("scipy.spatial")
     rng = np.random.default_rng(11)
     points, queries = clustered(rng, 1_000_000), clustered(rng, 50_000)
     found = Index(points).query(queries)

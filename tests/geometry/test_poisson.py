@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from optional import break_library, import_or_skip
 from shapes import UTM, fibonacci_sphere
 
 from pcbench.errors import InputError, MissingExtra
+from pcbench.extras import unavailable
 from pcbench.geometry import poisson
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
@@ -13,10 +15,8 @@ from pcbench.geometry.poisson import poisson_mesh
 
 @pytest.fixture
 def library():
-    try:
-        import open3d  # noqa: F401
-    except (ImportError, OSError) as error:
-        pytest.importorskip("pymeshlab", reason=f"neither open3d ({error}) nor pymeshlab", exc_type=ImportError)
+    if unavailable("open3d"):
+        import_or_skip("pymeshlab")
 
 
 def oriented(points, normals, **fields):
@@ -54,7 +54,7 @@ def test_two_runs_give_the_same_bits():
     np.testing.assert_array_equal(first.faces, second.faces)
 
 
-def test_refusals(monkeypatch):
+def test_refusals():
     points, normals = fibonacci_sphere(60)
     with pytest.raises(InputError, match="expected a cloud with normals"):
         poisson_mesh(Cloud(points))
@@ -63,14 +63,29 @@ def test_refusals(monkeypatch):
     normals[20:] = 0
     with pytest.raises(InputError, match="at least 50 points with normals to reconstruct a surface, got 20"):
         poisson_mesh(oriented(points, normals))
-    monkeypatch.setitem(__import__("sys").modules, "open3d", None)
-    monkeypatch.setitem(__import__("sys").modules, "pymeshlab", None)
-    with pytest.raises(MissingExtra, match=r"pcbench\[open3d\]"):
-        poisson_mesh(oriented(*fibonacci_sphere(60)))
+
+
+def test_without_a_library(monkeypatch, tmp_path):
+    break_library(monkeypatch, tmp_path, "pymeshlab", None)
+    break_library(monkeypatch, tmp_path, "open3d", None)
+    cloud = oriented(*fibonacci_sphere(60))
+    for call in (poisson_mesh, poisson.oriented):
+        with pytest.raises(MissingExtra, match=r"pcbench\[open3d\]"):
+            call(cloud)
+
+
+def test_pymeshlab_takes_the_place_of_an_open3d_that_does_not_load(monkeypatch, tmp_path):
+    import_or_skip("pymeshlab")
+    break_library(monkeypatch, tmp_path, "open3d")
+    points, normals = fibonacci_sphere(4000, 10.0)
+    mesh = poisson_mesh(oriented(points, normals))
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 10).max() < 0.1  # a fifth of the spacing
+    with pytest.raises(MissingExtra, match=r"apt-get install libusb-1\.0-0"):
+        poisson.oriented(oriented(points, normals))
 
 
 def test_signs_agree_over_a_sphere():
-    pytest.importorskip("open3d", exc_type=ImportError)
+    import_or_skip("open3d")
     points, normals = fibonacci_sphere(5000)
     signs = np.random.default_rng(0).choice([-1.0, 1.0], len(points))
     found = poisson.oriented(Cloud(points, normals=signs[:, None] * normals)).normals

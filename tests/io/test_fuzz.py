@@ -2,11 +2,12 @@
 
 import fuzz_worker
 import pytest
+from optional import import_or_skip
 
 
 def run(form, count, seed, folder):
     if form == "laz":
-        pytest.importorskip("lazrs")
+        import_or_skip("lazrs")
     fuzz_worker.run(form, count, seed, folder)
 
 

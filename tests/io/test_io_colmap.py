@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from ply_bytes import damaged
 
 from pcbench.errors import InputError, PcbenchError
@@ -62,7 +63,7 @@ def test_text(tmp_path):
 
 
 def test_as_pycolmap_writes_it(tmp_path):
-    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed", exc_type=ImportError)
+    pycolmap = import_or_skip("pycolmap")
     rng = np.random.default_rng(1)
     reconstruction = pycolmap.Reconstruction()
     points, colors = rng.normal(size=(50, 3)), rng.integers(0, 256, (50, 3), dtype=np.uint8)

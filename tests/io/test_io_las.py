@@ -12,6 +12,7 @@ import pytest
 import refusals
 from data_folder import data_folder
 from las_bytes import OFFSETS, SCALES, UTM, extra, extras, geo_keys, las, vlr, wkt
+from optional import break_library, import_or_skip
 
 from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.cloud import Cloud
@@ -21,7 +22,7 @@ COMPRESSED = pytest.mark.parametrize("compress", [None, "chunks"])
 
 
 def needs_lazrs():
-    pytest.importorskip("lazrs")
+    import_or_skip("lazrs")
 
 
 def read(tmp_path, data, **options):
@@ -80,7 +81,7 @@ def test_versions(tmp_path, minor):
 
 
 def test_sizes_of_point_formats():
-    laspy = pytest.importorskip("laspy")
+    laspy = import_or_skip("laspy")
     for number, fields in enumerate(las_header.POINT_FORMATS):
         assert np.dtype(fields).itemsize == laspy.PointFormat(number).size
 
@@ -139,7 +140,7 @@ def test_withheld_points_are_mentioned(tmp_path):
 
 @pytest.mark.parametrize("name", ["autzen-bmx-2010", "autzen-bmx-2023", "autzen-thin", "autzen_trim"])
 def test_real_files_as_laspy_reads_them(name):
-    laspy = pytest.importorskip("laspy")
+    laspy = import_or_skip("laspy")
     path = data_folder("autzen") / f"{name}.las"
     cloud, other = read_cloud(path, on_warning=lambda note: None), laspy.read(path)
     np.testing.assert_array_equal(cloud.points, np.stack([other.x, other.y, other.z], axis=1))
@@ -213,13 +214,13 @@ def projected(tmp_path, *vlrs):
     ],
 )
 def test_crs(tmp_path, record, crs, unit):
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     found = projected(tmp_path, record)
     assert found[:2] == (crs, unit)
 
 
 def test_unknown_systems_are_warnings(tmp_path):
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     crs, unit, notes = projected(tmp_path, wkt("PROJCS[hello"))
     assert (crs, unit, len(notes)) == (None, None, 1)
     assert notes[0].startswith("coordinate reference system not understood: ")
@@ -229,13 +230,13 @@ def test_unknown_systems_are_warnings(tmp_path):
 
 
 def test_system_without_a_code_stays_as_it_is(tmp_path):
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     text = UTM.replace(',AUTHORITY["EPSG","32617"]', "").replace('central_meridian",-81', 'central_meridian",-80.3')
     assert projected(tmp_path, wkt(text))[:2] == (text, "m")
 
 
 def test_heights_in_another_unit_are_a_warning():
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     notes = []
     cloud = read_cloud(data_folder("autzen") / "autzen-bmx-2010.las", on_warning=notes.append)
     assert cloud.unit is None  # no unit is true of a distance
@@ -379,7 +380,7 @@ def test_laz_from_any_program(tmp_path):
 def test_without_lazrs(tmp_path, monkeypatch):
     needs_lazrs()
     data = las(0, 10, compress="chunks")
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    break_library(monkeypatch, tmp_path / "packages", "lazrs", None)
     with pytest.raises(MissingExtra, match=r"lazrs is needed for this: pip install 'pcbench\[las\]'"):
         read(tmp_path, data)
     with pytest.raises(MissingExtra):

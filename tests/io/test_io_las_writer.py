@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
@@ -37,9 +38,9 @@ def full_cloud(count=500, seed=1):
 
 @pytest.mark.parametrize("extension", [".las", ".laz", ".LAZ"])
 def test_round_trip(tmp_path, extension):
-    laspy = pytest.importorskip("laspy")
-    pytest.importorskip("pyproj")
-    pytest.importorskip("lazrs")
+    laspy = import_or_skip("laspy")
+    import_or_skip("pyproj")
+    import_or_skip("lazrs")
     cloud, path = full_cloud(), tmp_path / f"a{extension}"
     write_cloud(path, cloud)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
@@ -137,6 +138,6 @@ def test_other_refusals(tmp_path):
         "400 attributes or the crs are more than LAS can describe"
     )
     assert write_refusal(tmp_path / "a.copc.laz", Cloud(np.zeros((1, 3)))).startswith("COPC is read but not written")
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     message = write_refusal(tmp_path / "a.las", Cloud(np.zeros((1, 3)), crs="the village"))
     assert message.startswith("expected a crs that pyproj knows, got 'the village'")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mesh_bytes import CUBES, FACES, OBJ, VERTICES, ascii_stl, glb, obj, off, ply_mesh, stl
 from mesh_shapes import icosphere
+from optional import break_library, import_or_skip
 from ply_bytes import XYZ, damaged, ply
 
 from pcbench.children import Limits, run_script
@@ -34,7 +35,7 @@ def test_own_readers(tmp_path, name):
 
 @pytest.fixture
 def trimesh():
-    return pytest.importorskip("trimesh", reason="trimesh is not installed", exc_type=ImportError)
+    return import_or_skip("trimesh")
 
 
 @pytest.mark.usefixtures("trimesh")
@@ -62,7 +63,7 @@ def test_what_trimesh_writes(tmp_path, trimesh, extension):
 def test_without_trimesh(tmp_path, monkeypatch):
     path = tmp_path / "a.glb"
     path.write_bytes(glb())
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    break_library(monkeypatch, tmp_path / "packages", "trimesh", None)
     with pytest.raises(MissingExtra, match=r"pcbench\[mesh\]"):
         read_mesh(path)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import refusals
+from optional import import_or_skip
 from pcd_bytes import XYZ, corpus, lzf, pcd, points
 
 from pcbench.errors import InputError
@@ -209,7 +210,7 @@ def test_round_trip(tmp_path):
 
 
 def test_open3d_reads_what_is_written(tmp_path):
-    open3d = pytest.importorskip("open3d")
+    open3d = import_or_skip("open3d")
     points = np.random.default_rng(3).normal(size=(50, 3)).astype(np.float32)
     colors = np.arange(150, dtype=np.uint8).reshape(50, 3)
     write_cloud(tmp_path / "a.pcd", Cloud(points, colors=colors))
@@ -220,7 +221,7 @@ def test_open3d_reads_what_is_written(tmp_path):
 
 @pytest.mark.parametrize("options", [{"write_ascii": True}, {"compressed": True}, {}])
 def test_what_open3d_writes(tmp_path, options):
-    open3d = pytest.importorskip("open3d")
+    open3d = import_or_skip("open3d")
     rng = np.random.default_rng(4)
     other = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(rng.normal(size=(3000, 3))))
     other.colors = open3d.utility.Vector3dVector(rng.integers(0, 256, (3000, 3)) / 255)

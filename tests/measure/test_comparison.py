@@ -9,6 +9,7 @@ import numpy as np
 import oracles
 import pytest
 import shapes
+from optional import import_or_skip
 from shapes import UTM_WHOLE as UTM
 
 from pcbench import Cloud, Settings, Sphere, compare
@@ -287,7 +288,7 @@ def test_different_coordinate_systems_are_warned_about(pair):
 
 
 def test_one_system_under_two_names():
-    pyproj = pytest.importorskip("pyproj")
+    pyproj = import_or_skip("pyproj")
     from pcbench.geometry.crs import crs_name, same_crs
 
     wkt = pyproj.CRS.from_epsg(32617).to_wkt()

@@ -5,6 +5,7 @@ import oracles
 import pytest
 import shapes
 from data_folder import data_folder
+from optional import import_or_skip
 
 from pcbench import Settings, compare, read_cloud
 from pcbench.errors import InputError
@@ -80,7 +81,7 @@ def test_maps_of_a_shifted_plane():
 
 
 def test_sphere_against_its_mesh():
-    icosphere = pytest.importorskip("trimesh").creation.icosphere(subdivisions=5)
+    icosphere = import_or_skip("trimesh").creation.icosphere(subdivisions=5)
     mesh = Mesh(np.asarray(icosphere.vertices), np.asarray(icosphere.faces))
     directions = shapes.sphere(2000, seed=3)[1]
     for radius in (1.1, 0.9):
@@ -90,7 +91,7 @@ def test_sphere_against_its_mesh():
 
 
 def test_poisson_map_and_the_papers_d2():
-    pytest.importorskip("open3d", exc_type=ImportError)
+    import_or_skip("open3d")
     points, normals = shapes.fibonacci_sphere(20_000, 5.0)
     from pcbench import Cloud
 

@@ -1,10 +1,10 @@
 """PSNR and SSIM are scikit-image's, over what counts; LPIPS and FLIP are their packages', or said to be missing."""
 
-import builtins
 import importlib.util
 
 import numpy as np
 import pytest
+from optional import break_library, import_or_skip
 
 from pcbench.errors import InputError
 from pcbench.measure import perceptual
@@ -30,7 +30,7 @@ def spoilt(image, seed, noise=12.0):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_both_are_those_of_scikit_image(seed):
-    skimage = pytest.importorskip("skimage.metrics")
+    skimage = import_or_skip("skimage.metrics")
     truth = photograph(seed, 30 + 9 * seed, 83 - 7 * seed)
     for image, noise in ((spoilt(truth, seed, noise), noise) for noise in (0, 3, 40)):
         for a, b, largest in ((image, truth, 255), (image / 255, truth / 255, 1.0)):
@@ -107,7 +107,7 @@ def test_refusals(metric):
 
 
 def test_flip_is_that_of_its_package():
-    flip = pytest.importorskip("flip_evaluator")
+    flip = import_or_skip("flip_evaluator")
     truth = photograph(2)
     image = spoilt(truth, 2)
     measured = Perceptual.here()
@@ -121,14 +121,12 @@ def test_flip_is_that_of_its_package():
     assert measured.scores(half, truth, mask).flip == measured.scores(image, truth, mask).flip > 0
 
 
-def test_what_is_not_installed_is_said(monkeypatch):
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        perceptual, "find_spec", lambda name: None if name in ("lpips", "flip_evaluator") else found(name)
-    )
+def test_what_is_not_installed_is_said(monkeypatch, tmp_path):
+    monkeypatch.setattr(perceptual, "find_spec", lambda name: None)
+    break_library(monkeypatch, tmp_path, "flip_evaluator", None)
     here = Perceptual.here()
     assert [notice.code for notice in here.missing] == ["no-lpips", "no-flip"]
-    assert all("not installed (pip install" in notice.text for notice in here.missing)
+    assert all("pip install" in notice.text for notice in here.missing)
     scores = here.scores(photograph(0), photograph(1))
     assert scores.lpips is None
     assert scores.flip is None
@@ -136,14 +134,11 @@ def test_what_is_not_installed_is_said(monkeypatch):
 
 
 def test_lpips_without_its_weights_downloads_nothing(monkeypatch, tmp_path):
-    torch = pytest.importorskip("torch")
+    torch = import_or_skip("torch")
     found = importlib.util.find_spec
     monkeypatch.setattr(perceptual, "find_spec", lambda name: found("json" if name == "lpips" else name))
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
-    imported = builtins.__import__
-    monkeypatch.setattr(
-        builtins, "__import__", lambda name, *rest: pytest.fail(name) if name == "lpips" else imported(name, *rest)
-    )
+    monkeypatch.setattr(perceptual, "require", pytest.fail)
     here = Perceptual.here()
     assert here.lpips is None
     assert "vgg16-397923af.pth is not there, and nothing is downloaded" in here.missing[0].text

@@ -7,6 +7,7 @@ import oracles
 import pytest
 import shapes
 from data_folder import data_folder
+from optional import import_or_skip
 
 from pcbench import Cloud, Settings, compare, read_cloud
 from pcbench.errors import InputError
@@ -88,7 +89,7 @@ def test_gao2025_against_brute_force_with_a_hard_crop():
 
 
 def test_open3d_against_open3d():
-    o3d = pytest.importorskip("open3d", exc_type=ImportError)
+    o3d = import_or_skip("open3d")
     a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
     found = preset("open3d", a, b, thresholds=(0.3, 0.8))
 
@@ -131,7 +132,7 @@ def test_pdal_against_brute_force():
 
 
 def test_tnt_against_open3ds_downsampling():
-    o3d = pytest.importorskip("open3d", exc_type=ImportError)
+    o3d = import_or_skip("open3d")
     a, b = shapes.terrain(3000, seed=3)[0], shapes.terrain(2000, seed=4)[0] + [0, 0, 0.05]
     low, high = np.array([5.0, 5, -10]), np.array([35.0, 30, 10])
     found = preset("tnt", a, b, thresholds=(0.5, 1.5), crop="box:5,5,-10,35,30,10").fscore
@@ -146,7 +147,7 @@ def test_tnt_against_open3ds_downsampling():
 
 
 def test_hausdorff_against_pymeshlab():
-    pymeshlab = pytest.importorskip("pymeshlab", exc_type=ImportError)
+    pymeshlab = import_or_skip("pymeshlab")
     a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
     meshes = pymeshlab.MeshSet()
     for points in (a, b):

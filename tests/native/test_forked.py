@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from optional import import_or_skip
 
 PARENT = """
 import os
@@ -36,7 +37,7 @@ def answer():
 @pytest.mark.parametrize("loop", [NEIGHBORS, SPLATS], ids=["neighbors", "splats"])
 def test_a_forked_child_does_not_wait_for_threads_that_are_not_there(loop):
     if loop is SPLATS:
-        pytest.importorskip("torch")
+        import_or_skip("torch")
     environment = {**os.environ, "OMP_NUM_THREADS": "2"}
     script = PARENT.format(loop=loop)
     done = subprocess.Popen([sys.executable, "-c", script], env=environment, start_new_session=True)

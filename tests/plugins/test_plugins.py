@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from processes import ends
 from repository import ROOT
 
@@ -39,7 +40,7 @@ from pcbench.plugins.stages import stage
 @pytest.fixture
 def scene(tmp_path):
     """Three images with cameras and 30 sparse points."""
-    image = pytest.importorskip("PIL.Image")
+    image = import_or_skip("PIL.Image")
     folder = tmp_path / "photos"
     (folder / "images").mkdir(parents=True)
     cameras = []

@@ -1,6 +1,5 @@
 """Registration from nothing: any pose is found, and where the evidence is missing or ambiguous it is said."""
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -9,11 +8,13 @@ import numpy as np
 import pytest
 import shapes
 from data_folder import data_folder
+from optional import break_library
 from registrations import codes, error
 from shapes import UTM_WHOLE as UTM
 
 from pcbench import cli, read_cloud, write_cloud
 from pcbench.errors import InputError, MissingExtra, RegistrationError
+from pcbench.extras import unavailable
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity, read_matrix
 from pcbench.registration import register
@@ -21,7 +22,7 @@ from pcbench.registration.correspondences import Pairs, likely_poses
 from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
-needs_kiss = pytest.mark.skipif(importlib.util.find_spec("kiss_matcher") is None, reason="kiss-matcher is missing")
+needs_kiss = pytest.mark.skipif(bool(missing := unavailable("kiss_matcher")), reason=str(missing))
 
 
 def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
@@ -173,10 +174,10 @@ def test_real_aerial_cloud_from_any_pose():
     assert error(result.T_reference_candidate, true, points) < 1  # feet; half the points' spacing
 
 
-def test_says_what_is_missing(monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+def test_says_what_is_missing(monkeypatch, tmp_path):
+    break_library(monkeypatch, tmp_path, "kiss_matcher", None)
     reference, candidate = windows(1, 1.0, counts=(5000, 5000))
-    with pytest.raises(MissingExtra, match=r"kiss-matcher is needed .* pip install 'pcbench\[global\]'"):
+    with pytest.raises(MissingExtra, match=r"kiss-matcher is needed for this: pip install 'pcbench\[global\]'"):
         register(reference, candidate, "global")
 
 

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapes
+from optional import break_library, import_or_skip
 
 from pcbench import Cloud, Settings, read_cloud, write_cloud
 from pcbench.deformation import Deformation
@@ -41,10 +42,7 @@ def report(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def figures(report):
-    try:
-        plot.check_library()
-    except MissingExtra as error:
-        pytest.skip(str(error))
+    import_or_skip("matplotlib")
     return {path.stem: path for path in draw(report)}
 
 
@@ -94,8 +92,8 @@ def test_a_display_is_not_needed(monkeypatch, report):
     assert draw(report, ("a_distance",)) == [report / "figures/a_distance.png"]
 
 
-def test_without_matplotlib_it_names_the_extra(monkeypatch, report):
-    monkeypatch.setattr(plot, "find_spec", lambda name: None)
+def test_without_matplotlib_it_names_the_extra(monkeypatch, report, tmp_path):
+    break_library(monkeypatch, tmp_path, "matplotlib", None)
     with pytest.raises(MissingExtra, match=r"pip install 'pcbench\[plot\]'"):
         draw(report)
 
@@ -113,7 +111,7 @@ def test_not_a_report():
 
 def drawn_here(folder, *names, **look):
     """In this process: a child takes seconds to start."""
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     return [folder / path for path in worker.draw(folder, plot.REPORT.function, Figures(**look), names)]
 
 
@@ -183,7 +181,7 @@ def test_a_report_without_the_completeness_map_is_drawn_too(report, tmp_path):
 
 
 def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     from matplotlib.image import imread
 
     from pcbench import compare
@@ -200,7 +198,7 @@ def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
 
 def test_evidence_has_a_panel_for_what_there_is(report, tmp_path):
     """Growth that could not be told, and tiles without enough pairs, leave no empty axes."""
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     from matplotlib.image import imread
 
     def shape(document):
@@ -221,7 +219,7 @@ def test_evidence_has_a_panel_for_what_there_is(report, tmp_path):
 @pytest.mark.parametrize("background", [None, "black", "#888888"])
 def test_changed_tiles_are_seen_on_any_ground(report, tmp_path, background):
     """Those that were tested are drawn, however few pairs they hold; those of which much is left stand out most."""
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     from matplotlib.image import imread
 
     document = json.loads((report / "comparison.json").read_text())["candidates"][0]["deformation"]
@@ -244,7 +242,7 @@ def test_changed_tiles_are_seen_on_any_ground(report, tmp_path, background):
 
 def test_displacements_are_seen_from_everywhere(tmp_path):
     """From above, too, where arrows that rise and sink have no length."""
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     from matplotlib.image import imread
 
     rng = np.random.default_rng(0)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from scene_folders import NAMES, K, orbit, ten_pictures
 
 from pcbench import Cloud
@@ -18,7 +19,7 @@ from pcbench.scenes import read_scene
 @pytest.mark.parametrize("count", [1, 2, 10])
 def test_the_camera_plot_is_drawn(tmp_path, count):
     photographs = ten_pictures(tmp_path)
-    matplotlib_image = pytest.importorskip("matplotlib.image")
+    matplotlib_image = import_or_skip("matplotlib.image")
     from pcbench.report.plot.cameras import draw_cameras
 
     write_colmap_model(photographs / "sparse/0", orbit(NAMES), Cloud(np.random.default_rng(0).normal(size=(500, 3))))
@@ -34,7 +35,7 @@ def test_the_camera_plot_is_drawn(tmp_path, count):
 
 def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
     photographs = ten_pictures(tmp_path)
-    matplotlib_image = pytest.importorskip("matplotlib.image")
+    matplotlib_image = import_or_skip("matplotlib.image")
     from pcbench.report.plot.cameras import _measured, draw_cameras
 
     lines = [f"{name} {10 * n} {5 * (n % 2)} 80\n" for n, name in enumerate(NAMES[:7])]

@@ -6,6 +6,7 @@ import struct
 import numpy as np
 import pytest
 from data_folder import data_folder
+from optional import import_or_skip
 from PIL import Image
 from scene_folders import NAMES, K, orbit
 
@@ -45,7 +46,7 @@ def test_colmap_text_round_trip(photographs, intrinsics):
 
 
 def test_colmap_agrees_with_pycolmap(photographs, tmp_path):
-    pycolmap = pytest.importorskip("pycolmap")
+    pycolmap = import_or_skip("pycolmap")
     cameras = orbit(NAMES)
     write_colmap_model(tmp_path / "text", cameras)
     (tmp_path / "binary").mkdir()
@@ -218,7 +219,7 @@ def test_earth_studio_local_is_the_same_as_global(tmp_path, turned):
 
 def on_wgs84(coordinates, origin):
     """East, north and up by PROJ, of rows of latitude, longitude and altitude."""
-    pyproj = pytest.importorskip("pyproj")
+    pyproj = import_or_skip("pyproj")
     cartesian = pyproj.Transformer.from_crs(4979, 4978)
     pipeline = f"+proj=topocentric +ellps=WGS84 +lat_0={origin[0]} +lon_0={origin[1]} +h_0={origin[2]}"
     local = pyproj.Transformer.from_pipeline(pipeline)
@@ -302,7 +303,7 @@ def test_rotations_are_told_from_other_matrices():
 
 
 def test_damaged_binary_models_are_one_line(tmp_path):
-    pycolmap = pytest.importorskip("pycolmap")
+    pycolmap = import_or_skip("pycolmap")
     write_colmap_model(tmp_path / "text", orbit(NAMES))
     (tmp_path / "model").mkdir()
     pycolmap.Reconstruction(str(tmp_path / "text")).write_binary(str(tmp_path / "model"))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import Mesh, MeshIndex
@@ -224,7 +225,7 @@ def test_every_picture_has_its_own_gain_and_noise(city, renderer, tmp_path):
 
 @pytest.mark.slow
 def test_features_enough_for_sfm(city, renderer, tmp_path):
-    pycolmap = pytest.importorskip("pycolmap")
+    pycolmap = import_or_skip("pycolmap")
     from PIL import Image
 
     site, k = Site(120.0, 0.0, city.plan.top), Intrinsics.from_fov(960, 540, 40.0)

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from data_folder import data_folder
+from optional import import_or_skip
 from PIL import Image
 from scene_folders import NAMES, orbit, picture
 
@@ -238,7 +239,7 @@ def exif_of(make, model, focal_35mm=None, focal_mm=None, pixels_per_cm=None):
     ],
 )
 def test_smaller_images_keep_the_focal_length_of_their_exif(tmp_path, ending, exif):
-    pycolmap = pytest.importorskip("pycolmap")
+    pycolmap = import_or_skip("pycolmap")
     picture(tmp_path / f"a.{ending}", size=(640, 480))
     with Image.open(tmp_path / f"a.{ending}") as image:
         image.save(tmp_path / f"a.{ending}", exif=exif)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench import read_cloud
 from pcbench.errors import InputError
@@ -54,7 +55,7 @@ def test_the_files_of_a_scene(scene, tmp_path):
 
 
 def test_three_tellings_of_the_cameras_agree(scene):
-    pycolmap = pytest.importorskip("pycolmap")
+    pycolmap = import_or_skip("pycolmap")
     values = json.loads((scene / "transforms.json").read_text())
     assert [f["file_path"] for f in values["frames"]] == [f"images/{n:04d}.png" for n in range(1, 6)]
     model = pycolmap.Reconstruction(scene / "sparse/0")

@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.errors import InputError
 from pcbench.scenes.splits import every
 from pcbench.scenes.views import Pictures, find_views, read_views, write_views
 
-pytest.importorskip("PIL")
+import_or_skip("PIL")
 
 NAMES = ("ring/0.jpg", "ring/1.png", "2.jpg", "3.jpg")
 

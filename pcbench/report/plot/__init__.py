@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.children import Limits, run_module
-from pcbench.errors import InputError, MissingExtra, PcbenchError, recorded
+from pcbench.errors import InputError, PcbenchError, recorded
+from pcbench.extras import require
 from pcbench.opengl import OFF_SCREEN, NoFiguresError
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.manifest import check_figures_folder, complete_replacement, record_files
@@ -75,7 +75,6 @@ def draw(
     if not drawer.fits(report):
         raise InputError(f"{report}: expected a report folder (with {' or '.join(drawer.documents)})")
     check_figures_folder(report)
-    check_library()
     look = figures or recorded_figures(report / "settings.json")
     done = run_module(
         "pcbench.report.plot.worker",
@@ -92,6 +91,7 @@ def draw(
     if done.code == 2 and lines:
         raise InputError(lines[-1])
     if done.code != 0:
+        require("matplotlib")
         raise NoFiguresError(f"no pictures: drawing failed ({done.last_words or 'it crashed'})")
     record_files(report, lines)
     return [report / line for line in lines]
@@ -109,11 +109,3 @@ def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | N
     except PcbenchError as error:
         return recorded(error)
     return None
-
-
-def check_library() -> None:
-    """Raises:
-    MissingExtra: matplotlib is not installed.
-    """
-    if find_spec("matplotlib") is None:
-        raise MissingExtra("matplotlib", "plot", "pictures")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError
+from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write
@@ -38,12 +39,10 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     """
     _check_picture(path)
     drawn = _cameras(scene) if scene.cameras else _measured(scene)
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.ticker import MaxNLocator
-    except ImportError as error:
-        raise MissingExtra("matplotlib", "plot", str(error)) from error
+    require("matplotlib.figure")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     positions, points, axes = drawn.positions, drawn.points, drawn.axes
     figure = Figure(figsize=(14, 6.4), dpi=120, layout="constrained")

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.children import Limits, run_module
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import InputError, PcbenchError
+from pcbench.extras import require
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.opengl import OFF_SCREEN, check_opengl
 from pcbench.scenes.synthetic.surface import CitySurface
@@ -42,15 +43,12 @@ def check_renderer() -> None:
     """Say before anything is computed that no picture can be taken here.
 
     Raises:
-        MissingExtra: pyvista is not installed.
+        MissingExtra: pyvista or Pillow is not installed or does not load.
         NoFiguresError: neither a display nor EGL nor OSMesa is there.
     """
-    from importlib.util import find_spec
-
-    for library in ("pyvista", "PIL"):
-        if find_spec(library) is None:
-            raise MissingExtra(library, "plot", "pictures")
-    check_opengl()
+    check_opengl()  # before VTK, which pyvista imports
+    require("PIL", "plot")
+    require("pyvista")
 
 
 def check_intrinsics(intrinsics: Intrinsics) -> None:

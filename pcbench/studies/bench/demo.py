@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 
 from pcbench.errors import PcbenchError
 from pcbench.geometry.cameras import Intrinsics
+from pcbench.plugins.run import describe
 from pcbench.scenes.synthetic.files import SceneSettings, write_scene
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.render import check_renderer
@@ -22,13 +22,12 @@ _SIDE = 120.0  # metres: the smallest city with streets between blocks
 
 def why_not() -> str | None:
     """What keeps the demo's bench from running here, one line."""
-    if absent := [name for name in ("pycolmap", "torch") if find_spec(name) is None]:
-        return f"the bench needs {' and '.join(absent)}: pip install 'pcbench[plot,sfm,mvs,splat]'"
     try:
         check_renderer()
     except PcbenchError as error:
         return str(error)
-    return None
+    splat = describe("splat")  # needs what `sfm` and `mvs` need, and more
+    return splat.problem or splat.missing
 
 
 def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:

@@ -13,13 +13,13 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pcbench.errors import InputError, PcbenchError, recorded
+from pcbench.extras import unavailable
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
@@ -215,7 +215,7 @@ class _Inputs:
             "rules": asdict(job.rules),
             "measures": _MEASURES,
             "named_files": [digest(path) for path in _named_files(job.rules)],
-            "global": find_spec("kiss_matcher") is not None,
+            "global": unavailable("kiss_matcher") is None,
         }
         return cls(run, measured)
 

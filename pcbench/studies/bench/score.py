@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcbench.errors import InputError, recorded
+from pcbench.extras import unavailable
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.crop import points_inside
@@ -68,10 +68,8 @@ def alignment(made: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
             note = f"registered by {len(names)} cameras, with errors of {spread}"
             return Alignment("cameras", fit, (note,))
     fine = "similarity" if free_scale else "icp"
-    if find_spec("kiss_matcher") is None:
-        return Alignment(
-            fine, None, (*notes, f"`{fine}` starts from where the cloud is: kiss-matcher is not installed")
-        )
+    if why := unavailable("kiss_matcher"):
+        return Alignment(fine, None, (*notes, f"`{fine}` starts from where the cloud is: {why}"))
     return Alignment("global-similarity" if free_scale else "global", None, notes)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import MissingExtra
+from pcbench.extras import require
 from pcbench.io.files import atomic_write
 from pcbench.report.colors import largest_but_strays, ranges
 
@@ -39,13 +39,11 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
         MissingExtra: matplotlib is not installed.
         OSError: the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtra("matplotlib", "plot", str(error)) from error
+    require("matplotlib.figure")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
 
     unit = document["scene"]["unit"] or "units"
     rows = [row for row in document["rows"] if row["cells"]]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pcbench import scratch
 from pcbench.errors import MissingExtra
+from pcbench.extras import require
 from pcbench.systems import rename_open
 from reconstructors.splat.cuda.kernels import Kernel, Scalar
 
@@ -109,12 +110,8 @@ def _cache_folder() -> Path:
 
 @cache
 def _core() -> Any:
-    try:
-        from cuda import core
-        from cuda.bindings import nvrtc  # noqa: F401
-    except ImportError as error:
-        raise MissingExtra("cuda-core", "cuda", str(error)) from error
-    return core
+    require("cuda.bindings.nvrtc")
+    return require("cuda.core")
 
 
 @cache

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from exact_maps import corner_map
+from optional import import_or_skip
 from PIL import Image
 
 from pcbench.errors import InputError, ReconstructionError
@@ -19,7 +20,7 @@ from reconstructors.mvs.backend import choose_backend, why_no_colmap
 from reconstructors.mvs.maps import read_map, write_raster
 from reconstructors.mvs.mvs import DenseMvs
 
-pycolmap = pytest.importorskip("pycolmap")
+pycolmap = import_or_skip("pycolmap")
 
 
 def ended(code, words=""):

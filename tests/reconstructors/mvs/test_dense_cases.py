@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from dense_cases import FLAT, WINDOW, City, deviations, missed, read_city, score_cloud, score_maps
 from exact_maps import mesh_map
+from optional import import_or_skip
 from PIL import Image
 from repository import ROOT
 
@@ -115,7 +116,7 @@ def test_two_tables_stand_side_by_side(monkeypatch):
 @pytest.mark.parametrize("name", ["city", "texture 0", "water", "moved"])
 def test_what_is_there_is_right(name, tmp_path, monkeypatch, renderer):
     """Where there is texture, where there is none, over water, and where something else is in each photograph."""
-    pytest.importorskip("pycolmap")
+    import_or_skip("pycolmap")
     monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
     from mvs_city import make, reconstruct, scored
 

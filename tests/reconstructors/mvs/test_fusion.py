@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from exact_maps import mesh_map, plane_map
+from optional import import_or_skip
 from PIL import Image
 
 from pcbench.errors import ReconstructionError
@@ -30,7 +31,7 @@ from reconstructors.mvs.fusion import (
 )
 from reconstructors.mvs.maps import write_map
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 K = Intrinsics(160, 120, 150.0, 155.0, 81.0, 58.5)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.errors import InputError
 from reconstructors.mvs.maps import DepthMap, read_depth, read_map, read_raster, write_map, write_raster
@@ -31,7 +32,7 @@ def test_there_and_back(tmp_path):
 
 
 def test_colmap_reads_and_writes_the_same_files(tmp_path):
-    pycolmap = pytest.importorskip("pycolmap")
+    pycolmap = import_or_skip("pycolmap")
     made = a_map()
     write_map(tmp_path, made)
     theirs = pycolmap.DepthMap()

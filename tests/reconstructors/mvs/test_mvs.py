@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from exact_maps import ExactMatcher, corner_map, rays
+from optional import import_or_skip
 from PIL import Image
 
 from pcbench.errors import InputError, ReconstructionError
@@ -17,7 +18,7 @@ from pcbench.scenes import read_scene
 from reconstructors.mvs.maps import read_map
 from reconstructors.mvs.mvs import DenseMvs
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 K = corner.standard_intrinsics(320, 240)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from data_folder import data_folder
+from optional import import_or_skip
 from scipy.spatial import cKDTree
 
 from pcbench.geometry.visibility import in_frame
@@ -10,7 +11,7 @@ from pcbench.scenes import read_scene
 from reconstructors.mvs.mvs import DenseMvs
 from reconstructors.sfm.sfm import ColmapSfm
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 
 def off_surface(dense, sparse, cameras):

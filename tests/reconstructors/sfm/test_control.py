@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -114,7 +115,7 @@ def marks(cameras, points):
 
 @pytest.mark.parametrize(("refine", "intrinsics"), [("none", K), ("all", Intrinsics(400, 300, 345, 345, 200, 150))])
 def test_a_bent_model_is_straight_again(refine, intrinsics):
-    pytest.importorskip("pycolmap")
+    import_or_skip("pycolmap")
     cameras, points = survey()
     control = marks(cameras, points)
     model = model_of(cameras, points, intrinsics, bend=2.0)

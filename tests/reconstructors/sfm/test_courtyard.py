@@ -5,6 +5,7 @@ import re
 import courtyard
 import numpy as np
 import pytest
+from optional import import_or_skip
 from PIL import Image
 
 from pcbench.geometry.transform import robust_similarity
@@ -13,7 +14,7 @@ from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors, moved
 from reconstructors.sfm.sfm import ColmapSfm
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 
 def photographed(folder, *, own, inwards):

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import textured_corner as corner
+from optional import import_or_skip
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -17,7 +18,7 @@ from reconstructors.sfm.features import DATABASE
 from reconstructors.sfm.matches import without_pairs
 from reconstructors.sfm.solve import Solution, better, differences
 
-pycolmap = pytest.importorskip("pycolmap")
+pycolmap = import_or_skip("pycolmap")
 
 K = corner.standard_intrinsics()
 WRONG = {(0, 3): 150, (1, 4): 120, (0, 5): 110, (2, 3): 40}  # matches of features that are not of one point

@@ -5,13 +5,14 @@ import zlib
 
 import pytest
 import textured_corner as corner
+from optional import import_or_skip
 
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.scenes import read_scene
 from reconstructors.sfm.images import readable
 
-pillow = pytest.importorskip("PIL.Image")
+pillow = import_or_skip("PIL.Image")
 
 
 def chunk(kind, data):
@@ -77,7 +78,7 @@ def test_whole_images_are_all_used_and_too_few_are_refused(photos, tmp_path):
 
 
 def test_the_others_are_reconstructed(photos, tmp_path):
-    pytest.importorskip("pycolmap")
+    import_or_skip("pycolmap")
     (photos / "2.png").write_bytes(DAMAGE["unreadable"]((photos / "2.png").read_bytes()))
     result = run(ReconstructionJob("sfm", photos, {"features": "1000"}), tmp_path / "work")
     assert (result.status, result.message) == ("ok", "")

@@ -4,6 +4,7 @@ import sqlite3
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from PIL import Image
 
 from pcbench.errors import ReconstructionError
@@ -12,7 +13,7 @@ from reconstructors.sfm import matches
 from reconstructors.sfm.features import DATABASE, extract_features
 from reconstructors.sfm.pairs import choose_pairs
 
-pycolmap = pytest.importorskip("pycolmap")
+pycolmap = import_or_skip("pycolmap")
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from data_folder import data_folder
+from optional import import_or_skip
 from PIL import Image
 
 from pcbench.errors import InputError, ReconstructionError
@@ -21,7 +22,7 @@ from reconstructors.sfm.features import count_features, extract_features
 from reconstructors.sfm.mapping import largest_component
 from reconstructors.sfm.sfm import ColmapSfm
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 K = corner.standard_intrinsics()
 QUICK = {"upsample": False, "features": 2000}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.mesh import MeshIndex
@@ -16,7 +17,7 @@ from pcbench.scenes.synthetic.plan import CitySettings
 from reconstructors.sfm.alignment import camera_errors, moved
 from reconstructors.sfm.sfm import ColmapSfm
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 
 def photographed(folder: Path, settings: SceneSettings):

@@ -1,6 +1,7 @@
 """The devices that the rasterizer's tests run on."""
 
 import pytest
+from optional import import_or_skip
 from splat_passes import Engine
 
 
@@ -18,14 +19,14 @@ def on_cpu():
 
 def on_emulated_cuda():
     """The CUDA kernels and all that runs around them, on the CPU."""
-    pytest.importorskip("torch")
+    import_or_skip("torch")
     from cuda_emulator import EmulatedCuda
 
     return Engine(EmulatedCuda(), "cpu")
 
 
 def on_cuda():
-    torch = pytest.importorskip("torch")
+    torch = import_or_skip("torch")
     if not torch.cuda.is_available():
         pytest.skip("torch finds no CUDA device")
     from reconstructors.splat import cuda
@@ -36,12 +37,12 @@ def on_cuda():
 @pytest.fixture(scope="session", params=[on_cpu, on_emulated_cuda, pytest.param(on_cuda, marks=pytest.mark.gpu)])
 def engine(request):
     """Each device's kernels; `pytest -m gpu` runs those of CUDA."""
-    pytest.importorskip("torch")
+    import_or_skip("torch")
     return request.param()
 
 
 @pytest.fixture(scope="session", params=[plain, on_cpu, pytest.param(on_cuda, marks=pytest.mark.gpu)])
 def any_engine(request):
     """The plain rasterizer as well: what is known in closed form it has to know too."""
-    pytest.importorskip("torch")
+    import_or_skip("torch")
     return request.param()

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from splat_passes import Wanted, run_pass
 from splat_scenes import SplatScene
 
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 DILATION = 0.3  # square pixels
 LEAST = 1 / 255  # the alpha of what is still drawn

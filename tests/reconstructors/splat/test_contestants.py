@@ -6,9 +6,10 @@ import sys
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from repository import ROOT
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from splat_contestants import (  # noqa: E402
     Ours,

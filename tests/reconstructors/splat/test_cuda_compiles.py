@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from splat_passes import Engine, random_wanted, run_pass
 from splat_scenes import make, whole_tiles
 
@@ -25,7 +26,7 @@ LARGEST = list({kernel.name: kernel for kernel in EVERY}.values())
 @pytest.fixture
 def nvrtc(monkeypatch, tmp_path):
     """The module that compiles, with an empty cache."""
-    pytest.importorskip("cuda.core", reason="cuda-core, of the extras `cuda` and `dev`, is not installed")
+    import_or_skip("cuda.core")
     from reconstructors.splat.cuda import nvrtc
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -106,7 +107,7 @@ class Driver:
         return SimpleNamespace(get_kernel=kernel)
 
     def launch(self, stream, shape, kernel, *arguments):
-        held = pytest.importorskip("cuda.core._kernel_arg_handler").ParamHolder(arguments)
+        held = import_or_skip("cuda.core._kernel_arg_handler").ParamHolder(arguments)
         assert (shape.block, shape.grid[1:]) == ((kernel.threads, 1, 1), (1, 1))
         self.streams.add(stream)
         self.emulator.run(kernel, shape.grid[0], held.ptr)
@@ -114,7 +115,7 @@ class Driver:
 
 def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
     """All of the launcher, and of cuda.core what packs arguments; for want of a GPU the emulator runs the kernels."""
-    torch = pytest.importorskip("torch")
+    torch = import_or_skip("torch")
     from contextlib import nullcontext
 
     from cuda import core
@@ -176,7 +177,7 @@ nvrtc.nvrtcVersion = fail
 
 
 def test_tensors_of_the_cpu_are_refused():
-    torch = pytest.importorskip("torch")
+    torch = import_or_skip("torch")
     image, rows = torch.zeros(4, 4, 3), torch.zeros(2, 3)
     ids = torch.arange(2)
     for call in (

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from splat_passes import Engine, random_wanted, run_pass
 from splat_scenes import SCENES, crowd, huge, make, opaque, scattered
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from cuda_emulator import ORDERS, EmulatedCuda, Emulator, spoilt_memory  # noqa: E402
 

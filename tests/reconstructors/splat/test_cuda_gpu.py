@@ -5,13 +5,14 @@ test_twins.py runs there, too, against the plain rasterizer. The command for bot
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from splat_passes import Engine, random_wanted, run_pass
 from splat_scenes import SCENES, huge, make, scattered
 
 from reconstructors.splat.rasterize import rasterize
 from reconstructors.splat.view import View
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 pytestmark = pytest.mark.gpu
 

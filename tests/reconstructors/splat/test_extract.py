@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from reconstructors.splat import depths as depths_module  # noqa: E402
 from reconstructors.splat.depths import Depths, overlap  # noqa: E402

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from splat_training import grey, numbers, truth  # noqa: E402
 

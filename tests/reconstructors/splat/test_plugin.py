@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import textured_corner as corner
+from optional import import_or_skip
 from PIL import Image
 
 from pcbench.errors import InputError
@@ -10,7 +11,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import read_scene
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from reconstructors.splat import splat as plugin  # noqa: E402
 from reconstructors.splat.train import Schedule  # noqa: E402

@@ -6,12 +6,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import splat_models
+from optional import import_or_skip
 
 from pcbench import Cloud
 from pcbench.errors import InputError
 from pcbench.io import read_cloud, write_cloud
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
 from reconstructors.splat.ply import read_model, write_model  # noqa: E402

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
@@ -9,7 +10,7 @@ from splat_scenes import make, odd_quaternions, on_the_border, scattered
 
 from reconstructors.splat.view import View
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
 
 

@@ -6,9 +6,10 @@ import subprocess
 import sys
 
 import pytest
+from optional import import_or_skip
 from repository import TESTS
 
-pytest.importorskip("torch")
+import_or_skip("torch")
 
 ANSWERS = """
 import hashlib, json, sys

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from exact_maps import corner_map, plane_map
+from optional import import_or_skip
 from splat_scenes import scattered
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -16,7 +17,7 @@ from pcbench.scenes import read_scene
 from reconstructors.mvs.maps import DepthMap, write_map
 from reconstructors.mvs.mvs import COUNTS, MAPS
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from reconstructors.splat import cpu, rasterize  # noqa: E402
 from reconstructors.splat import splat as plugin  # noqa: E402

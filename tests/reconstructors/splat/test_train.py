@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from splat_scenes import scattered
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from splat_training import grey, numbers, truth  # noqa: E402
 

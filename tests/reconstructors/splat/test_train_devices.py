@@ -4,12 +4,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from splat_scenes import scattered
 
 from pcbench.errors import InputError, MissingExtra, ReconstructionError
 from pcbench.geometry.cameras import look_at
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 
 from cuda_emulator import EmulatedCuda, Emulator  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from splat_passes import Engine, random_wanted, run_pass
 from splat_scenes import SCENES, crowd, huge, make, needles, nothing, one_pixel, scattered, tall, whole_tiles
 
-torch = pytest.importorskip("torch")
+torch = import_or_skip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
 
 PLAIN = Engine(reference, "cpu")

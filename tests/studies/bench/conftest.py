@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import shapes
 from benches import METHODS, RIG, TRUTH
+from optional import import_or_skip
 
 from pcbench import Cloud, write_cloud
 from pcbench.children import Ended
@@ -17,7 +18,7 @@ from pcbench.studies.bench.truth import read_truth
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A folder with photos/, truth.ply, made.ply and methods.py; the current one."""
-    image = pytest.importorskip("PIL.Image")
+    image = import_or_skip("PIL.Image")
     (tmp_path / "photos/images").mkdir(parents=True)
     for camera in RIG:
         image.new("RGB", (40, 30), (len(camera.name), 0, 0)).save(tmp_path / "photos/images" / camera.name)

@@ -4,10 +4,11 @@ import itertools
 
 import pytest
 from benches import row
+from optional import import_or_skip
 
-pytest.importorskip("matplotlib")
+import_or_skip("matplotlib")
 
-from pcbench.studies.bench import charts
+from pcbench.studies.bench import charts  # noqa: E402
 
 
 def document(rows):

@@ -3,16 +3,21 @@
 import json
 
 import pytest
+from optional import break_library, import_or_skip
 
 from pcbench.errors import InputError
+from pcbench.extras import unavailable
 from pcbench.plugins.run import Description
 
 
-def test_the_demo_says_why_it_has_no_bench(monkeypatch):
+@pytest.mark.parametrize("library", ["pycolmap", "torch"])
+def test_the_demo_says_why_it_has_no_bench(monkeypatch, tmp_path, library):
     from pcbench.studies.bench import demo
 
-    monkeypatch.setattr(demo, "find_spec", lambda name: None)
-    assert demo.why_not() == "the bench needs pycolmap and torch: pip install 'pcbench[plot,sfm,mvs,splat]'"
+    monkeypatch.setattr(demo, "check_renderer", lambda: None)
+    break_library(monkeypatch, tmp_path, library)
+    assert demo.why_not() == unavailable(library)
+    assert "apt-get install libusb-1.0-0" in demo.why_not()
 
 
 def test_the_demo_removes_nothing_but_its_own(tmp_path):
@@ -49,8 +54,8 @@ def test_the_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_demo_ends_with_a_bench(tmp_path, run):
-    pytest.importorskip("pycolmap")
-    pytest.importorskip("torch")
+    import_or_skip("pycolmap")
+    import_or_skip("torch")
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo")
     assert code == 0
     rows = json.loads((tmp_path / "demo/bench/bench.json").read_text())["rows"]

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from benches import METHODS, OWN, counted, job
+from optional import import_or_skip
 from processes import ends
 
 from pcbench import Cloud, write_cloud
@@ -307,7 +308,7 @@ class Own:
 
 
 def test_sfm_on_photographs_whose_truth_is_known(tmp_path, run):
-    pytest.importorskip("pycolmap")
+    import_or_skip("pycolmap")
     import textured_corner as corner
     from PIL import Image
 

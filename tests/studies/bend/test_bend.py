@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
@@ -107,7 +108,7 @@ def test_lens_and_bend_go_together_only_if_they_do(errors, words):
     if words is None:
         assert said == []
     else:
-        rho = pytest.importorskip("scipy.stats").spearmanr(errors, [1, 2, 3, 4]).statistic
+        rho = import_or_skip("scipy.stats").spearmanr(errors, [1, 2, 3, 4]).statistic
         assert said == [f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over 4 solutions."]
 
 
@@ -157,7 +158,7 @@ def test_clouds_come_into_the_world_by_what_cameras_see():
 
 
 def test_the_picture(document, tmp_path):
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     from PIL import Image
 
     from pcbench.studies.bend.figure import draw_bend
@@ -184,7 +185,7 @@ def test_what_is_no_scene_with_truth_is_refused(run, tmp_path):
 
 @pytest.mark.slow
 def test_a_small_experiment(run, renderer, tmp_path):
-    pytest.importorskip("pycolmap")
+    import_or_skip("pycolmap")
     code, out, err = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
     assert code == 0, err
     assert "report: " in out

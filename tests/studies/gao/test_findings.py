@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gao_studies import scene, stored, study, verdict
+from optional import import_or_skip
 
 from pcbench.errors import InputError, Notice
 from pcbench.report import Figures
@@ -197,8 +198,8 @@ def test_a_study_is_read_as_it_was_written(tmp_path):
 
 
 def test_pictures(tmp_path, run):
-    pytest.importorskip("matplotlib")
-    image_of = pytest.importorskip("PIL.Image").open
+    import_or_skip("matplotlib")
+    image_of = import_or_skip("PIL.Image").open
     folder = stored(tmp_path / "a", study(scene(bends={(MEANS, MVS): BENT})))
     assert run("plot", folder, "rings")[:2] == (0, f"{folder}/figures/rings.png\n")
     drawn = pictures(folder, Figures())

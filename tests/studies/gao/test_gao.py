@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import one_line
+from optional import import_or_skip
 from scene_folders import orbit, ten_pictures
 
 from pcbench import Cloud, read_cloud, write_cloud
@@ -169,8 +170,8 @@ def test_the_paper_s_settings_are_those_of_the_clouds():
 
 
 def test_what_cannot_be_run_is_refused(run, tmp_path):
-    pytest.importorskip("pycolmap")
-    pytest.importorskip("torch")
+    import_or_skip("pycolmap")
+    import_or_skip("torch")
     bare = ten_pictures(tmp_path / "bare")
     few = ten_pictures(tmp_path / "few")
     for k in range(8, 10):
@@ -205,9 +206,9 @@ SMALL = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "10
 @pytest.mark.slow
 def test_a_small_experiment(run, renderer, tmp_path):
     """Killed once, with a training that is refused once: what was made stays, and what failed is said."""
-    pytest.importorskip("pycolmap")
-    pytest.importorskip("torch")
-    pytest.importorskip("matplotlib")
+    import_or_skip("pycolmap")
+    import_or_skip("torch")
+    import_or_skip("matplotlib")
     out = tmp_path / "gao"
     refused = ("experiment", "gao", "--out", out, *SMALL, "--set", "memory=0.001")
     killed_when(["pcbench.cli", *map(str, refused)], out / "city_1/runs/sparse/stage.json")

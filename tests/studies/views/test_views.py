@@ -8,6 +8,7 @@ import textwrap
 import numpy as np
 import pytest
 from command_line import one_line
+from optional import import_or_skip
 from scene_folders import orbit, ten_pictures
 from view_folders import photograph, psnr_of, views_of
 
@@ -23,7 +24,7 @@ from pcbench.studies.views.runs import ViewsJob, run_views
 from pcbench.studies.views.scores import read_scores, score_views, write_scores
 from pcbench.studies.views.table import markdown, sentences, table
 
-Image = pytest.importorskip("PIL.Image")
+Image = import_or_skip("PIL.Image")
 
 PLAIN = Perceptual(None, None)
 NINE = every([f"{k}.png" for k in range(9)])
@@ -151,7 +152,7 @@ def test_worst_median_and_best_are_chosen(tmp_path):
 
 def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
     """Colours are those of the errors: a patch that is off by more than all else is yellow, the rest is dark."""
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     truth = np.full((48, 64, 3), (90, 60, 30), dtype=np.uint8)
     image = truth + np.uint8(6)
     image[10:14, 20:24] += 100
@@ -207,7 +208,7 @@ def test_the_command(tmp_path, run, monkeypatch):
     assert [line.split()[0] for line in lines[1:4]] == ["near", "far", "mean"]
     assert lines[-1] == "views: out"
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"scores.json", "scores.csv", "views.md", "runs"}
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     code, said, _ = run("plot", "out", "near_splat", "--range", "20")
     assert (code, said) == (0, "out/figures/near_splat.png\n")
     assert Image.open("out/figures/near_splat.png").width > 1000

@@ -1,0 +1,96 @@
+"""Import optional libraries: one that is absent and one that does not load end in the same one line."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from pcbench.errors import MissingExtra
+
+
+class _Library(NamedTuple):
+    name: str  # on the package index
+    extra: str  # of pcbench that installs it; empty: none
+
+
+LIBRARIES = {
+    "PIL": _Library("pillow", "sfm"),
+    "cuda": _Library("cuda-core", "cuda"),
+    "flip_evaluator": _Library("flip-evaluator", ""),
+    "kiss_matcher": _Library("kiss-matcher", "global"),
+    "lazrs": _Library("lazrs", "las"),
+    "matplotlib": _Library("matplotlib", "plot"),
+    "open3d": _Library("open3d", "open3d"),
+    "pycolmap": _Library("pycolmap", "sfm"),
+    "pyproj": _Library("pyproj", "las"),
+    "pyvista": _Library("pyvista", "plot"),
+    "torch": _Library("torch", "splat"),
+    "trimesh": _Library("trimesh", "mesh"),
+}
+
+_LOADER_ERROR = re.compile(r"(?:^|[\s/])(lib[^\s/:]+\.so(?:\.\d+)*): (?:cannot open shared|file too short|invalid ELF)")
+# Packages whose names do not follow from the library's.
+_DEBIAN_PACKAGES = {
+    "libGLU.so.1": "libglu1-mesa",
+    "libOSMesa.so.6": "libosmesa6",
+    "libOSMesa.so.8": "libosmesa6",
+    "libglib-2.0.so.0": "libglib2.0-0",
+    "libz.so.1": "zlib1g",
+}
+
+
+def require(module: str, extra: str | None = None) -> Any:
+    """Import an optional library, or a module of one.
+
+    Args:
+        module: its name in Python, such as `matplotlib.figure`.
+        extra: the extra of pcbench to name in the error; by default the smallest that installs the library.
+
+    Raises:
+        MissingExtra: the library is not installed, or it does not load on this machine.
+    """
+    try:
+        return import_module(module)
+    except Exception as error:  # a library may raise anything while it is imported
+        raise _missing(module, extra, error) from error
+
+
+def unavailable(*libraries: str, extra: str | None = None) -> str | None:
+    """One line on the first of these libraries that cannot be imported; None where all can.
+
+    Libraries are loaded to find out: an installed one may need a system library that is absent.
+    """
+    for library in libraries:
+        try:
+            require(library, extra)
+        except MissingExtra as error:
+            return str(error)
+    return None
+
+
+def debian_package(library: str) -> str:
+    """The Debian package of a shared library such as `libusb-1.0.so.0`.
+
+    Its name is the library's with the version behind it, and a hyphen between two digits (Debian Policy, section 8.1).
+    """
+    if library in _DEBIAN_PACKAGES:
+        return _DEBIAN_PACKAGES[library]
+    name, _, version = library.lower().partition(".so")
+    version = version.lstrip(".").partition(".")[0]
+    return f"{name}-{version}" if name[-1].isdigit() and version else f"{name}{version}"
+
+
+def _missing(module: str, extra: str | None, error: Exception) -> MissingExtra:
+    root = module.partition(".")[0]
+    name, default = LIBRARIES.get(root, _Library(root, ""))
+    extra = extra or default
+    install = f"pip install 'pcbench[{extra}]'" if extra else f"pip install {name}"
+    if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
+        return MissingExtra(name, extra, remedy=install)
+    text = " ".join(str(error).split())[:300]
+    kind = "" if isinstance(error, (ImportError, OSError)) and text else f"{type(error).__name__}: "
+    reason = f"it is installed but does not load: {kind}{text}"
+    if found := _LOADER_ERROR.search(text):
+        return MissingExtra(name, extra, reason, f"on Debian, apt-get install {debian_package(found[1])}")
+    return MissingExtra(name, extra, reason, f"reinstall it ({install})")

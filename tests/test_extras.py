@@ -1,0 +1,138 @@
+"""Optional libraries that are absent, and those that are installed but do not load, end in one line; tests skip."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from optional import NO_LIBUSB, SYSTEM_LIBRARIES, break_library, break_system_libraries
+from repository import ROOT, TESTS
+
+from pcbench import Cloud, write_cloud
+from pcbench.errors import MissingExtra
+from pcbench.extras import LIBRARIES, debian_package, require, unavailable
+from pcbench.opengl import NoFiguresError
+from pcbench.scenes.synthetic.render import check_renderer
+
+
+@pytest.mark.parametrize(
+    "error, remedy",
+    [
+        (NO_LIBUSB, "on Debian, apt-get install libusb-1.0-0"),
+        ("ImportError('libGL.so.1: cannot open shared object file: No such file')", "apt-get install libgl1"),
+        ("OSError('/usr/lib/libEGL.so.1: file too short')", "on Debian, apt-get install libegl1"),
+        ("RuntimeError('two\\nlines')", "reinstall it (pip install 'pcbench[open3d]')"),
+        ("ModuleNotFoundError('No module named inner', name='inner')", "reinstall it (pip install 'pcbench[open3d]')"),
+        (None, "open3d is needed for this: pip install 'pcbench[open3d]'"),
+    ],
+)
+def test_whatever_a_library_raises_at_import_is_one_line(monkeypatch, tmp_path, error, remedy):
+    break_library(monkeypatch, tmp_path, "open3d", error)
+    with pytest.raises(MissingExtra) as raised:
+        require("open3d")
+    assert str(raised.value).endswith(remedy)
+    assert "\n" not in str(raised.value)
+    assert ("does not load" in str(raised.value)) == (error is not None)
+    assert unavailable("json", "open3d") == str(raised.value)
+
+
+def test_a_module_inside_a_broken_library(monkeypatch, tmp_path):
+    break_library(monkeypatch, tmp_path, "matplotlib", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'pcbench\[plot\]'"):
+        require("matplotlib.figure")
+
+
+def test_interrupting_an_import_is_no_missing_library(monkeypatch, tmp_path):
+    break_library(monkeypatch, tmp_path, "open3d", "KeyboardInterrupt()")
+    with pytest.raises(KeyboardInterrupt):
+        require("open3d")
+
+
+def test_nothing_is_missing_of_what_loads():
+    assert unavailable("json", "importlib.util") is None
+    assert require("importlib.util").find_spec("json")
+
+
+@pytest.mark.parametrize(
+    "library, package",
+    [
+        ("libusb-1.0.so.0", "libusb-1.0-0"),
+        ("libGL.so.1", "libgl1"),
+        ("libEGL.so.1", "libegl1"),
+        ("libgomp.so.1", "libgomp1"),
+        ("libX11.so.6", "libx11-6"),
+        ("libOpenGL.so.0", "libopengl0"),
+        ("libOSMesa.so.8", "libosmesa6"),
+    ],
+)
+def test_packages_of_debian(library, package):
+    """As `dpkg --search` names them on Debian 12."""
+    assert debian_package(library) == package
+
+
+def test_every_extra_that_is_named_exists():
+    import tomllib
+
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for name, extra in LIBRARIES.values():
+        assert not extra or any(name in line for line in extras[extra])
+
+
+@pytest.mark.parametrize("library", ["pycolmap", "PIL"])
+def test_a_reconstructor_whose_library_does_not_load_is_refused(run, monkeypatch, tmp_path, library):
+    break_library(monkeypatch, tmp_path / "packages", library)
+    code, out, _ = run("plugins", "sfm", "mvs", "splat")
+    assert code == 0
+    assert out.count("cannot run here") == 3
+    assert out.count("apt-get install libusb-1.0-0") == 3
+
+
+def test_commands_give_their_one_line(run, monkeypatch, tmp_path):
+    cloud = Cloud(np.random.default_rng(0).normal(size=(200, 3)))
+    write_cloud(tmp_path / "a.ply", cloud)
+    for library in ("pymeshlab", "open3d"):
+        break_library(monkeypatch, tmp_path / "packages", library)
+    code, out, err = run("compare", tmp_path / "a.ply", tmp_path / "a.ply", "--map", "poisson", "--out", tmp_path / "r")
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ") and err.count("\n") == 1
+    assert "apt-get install libusb-1.0-0" in err
+
+
+def run_tests(*tests):
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *(str(TESTS / test) for test in tests)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    return done.returncode, done.stdout
+
+
+def test_tests_skip_where_a_library_does_not_load(monkeypatch, tmp_path):
+    break_library(monkeypatch, tmp_path, "open3d")
+    code, out = run_tests("io/test_io_pcd.py")
+    assert code == 0
+    assert "skipped" in out and "failed" not in out
+    assert "apt-get install libusb-1.0-0" in out
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="LD_LIBRARY_PATH is the loader's of Linux")
+def test_the_demo_without_opengl_leaves_the_bench_out(tmp_path):
+    """The loader finds empty files for EGL and OSMesa: the probe's own `dlopen` fails."""
+    environment = os.environ | break_system_libraries(tmp_path / "libraries")
+    command = [sys.executable, "-m", "pcbench.cli", "demo", "--points", "20000", "--out", str(tmp_path / "demo")]
+    done = subprocess.run([*command, "--no-figures"], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "demo" / "report" / "comparison.json").is_file()
+    skipped = [line for line in done.stdout.splitlines() if line.startswith("bench skipped: ")]
+    assert len(skipped) == 1
+    assert "libegl1" in skipped[0]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there OpenGL is looked for")
+def test_a_broken_renderer_is_said_before_anything_is_drawn(monkeypatch, tmp_path):
+    monkeypatch.setenv("DISPLAY", "")
+    monkeypatch.setattr("pcbench.opengl._LIBRARIES", SYSTEM_LIBRARIES[:0])
+    with pytest.raises(NoFiguresError):
+        check_renderer()
+    monkeypatch.setenv("DISPLAY", ":0")
+    break_library(monkeypatch, tmp_path, "pyvista", "ImportError('libXrender.so.1: cannot open shared object file')")
+    with pytest.raises(MissingExtra, match="apt-get install libxrender1"):
+        check_renderer()
