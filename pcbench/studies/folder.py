@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from pcbench.errors import InputError
 from pcbench.io.files import atomic_write, read_json
 from pcbench.report import to_json
+from pcbench.report.manifest import json_object
 from pcbench.scratch import claim
 
 if TYPE_CHECKING:
@@ -160,17 +161,8 @@ def free_name(stem: str, taken: Iterable[str]) -> str:
 
 
 def _holds(out: Path, kind: StudyKind) -> bool:
-    mark = _object(out / MARK)
+    mark = json_object(out / MARK)
     if mark.get("schema") == SCHEMA:
         return bool(mark.get("study") == kind.name)
     former = bool(kind.former_marks) and all((out / name).exists() for name in kind.former_marks)
-    return former or _object(out / kind.document).get("schema") == kind.schema
-
-
-def _object(path: Path) -> dict[str, Any]:
-    """The object in a JSON file; empty where there is none."""
-    try:
-        values = read_json(path)
-    except (OSError, InputError):
-        return {}
-    return values if isinstance(values, dict) else {}
+    return former or json_object(out / kind.document).get("schema") == kind.schema

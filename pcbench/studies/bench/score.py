@@ -22,7 +22,7 @@ from pcbench.io.files import atomic_write
 from pcbench.measure.metrics import harmonic_mean
 from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, GivenPose, Registration, parse_method
+from pcbench.registration import METHODS, Registration, parse_method
 from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report import compare, document
 from pcbench.studies.bench.truth import Truth
@@ -244,15 +244,14 @@ def score(yardstick: Yardstick, made: Reconstruction, folder: Path) -> Score:
     """
     truth, rules = yardstick.truth, yardstick.rules
     chosen = alignment(made, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
-    matrix = folder / "T.txt"
     settings = Settings(
-        register=chosen.how if chosen.transform is None else GivenPose(chosen.transform, f"matrix:{matrix}"),
+        register=chosen.how if chosen.transform is None else chosen.transform,
         crop=rules.crop,
         thresholds=tuple(t.length for t in yardstick.thresholds),
     )
     comparison = compare(truth.cloud, {"cloud": made.cloud}, settings)
     result = comparison.candidates[0]
-    with atomic_write(matrix) as file:
+    with atomic_write(folder / "T.txt") as file:
         file.write(format_matrix(result.registration.T_reference_candidate).encode())
     metrics = result.metrics
     forth, exact = _accuracy(yardstick, result.registration.T_local.apply(made.cloud.points - truth.origin))
