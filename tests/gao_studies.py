@@ -36,7 +36,8 @@ def verdict(word, rms=0.01, slope=0.0):
 
 def against(reference, forth, back, bend=None):
     """RMS lengths both ways."""
-    measures = Gao2025(forth**2, 0.5 * forth**2, 0.4 * forth**2 if reference == MVS else None, 3.0, forth**2 + back**2)
+    d2_poisson = 0.4 * forth**2 if reference == MVS else None
+    measures = Gao2025(forth**2, 0.5 * forth**2, d2_poisson, 3.0, forth**2 + back**2, back**2)
     return Against(reference, 900, measures, 0.001, bend or verdict("none"))
 
 

@@ -20,6 +20,7 @@ from pcbench.cli.options import (
     seed_option,
     size_option,
 )
+from pcbench.errors import ReconstructionError
 
 
 @click.group(short_help="Questions answered on scenes whose truth is known.")
@@ -64,14 +65,16 @@ def bend(
         raise click.UsageError("--images and --size are those of the scene that is made where none is given")
     settings = Experiment(images, *image_size(size), seed)
     with steps(quiet) as step:
-        document, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
+        study, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
     if not quiet:
-        print_columns(table(document))
-        for sentence in document["sentences"]:
+        print_columns(table(study))
+        for sentence in study.sentences:
             click.echo(sentence)
         click.echo(f"report: {out}")
     if without_figures:
         warn(without_figures)
+    if not study.is_judged:
+        raise ReconstructionError(f"{out}: none of {len(study.rows)} solutions could be judged: see the table there")
 
 
 @experiment.command(short_help="The paper, reproduced: sparse, dense and splatted clouds against mvs and the truth.")
@@ -120,7 +123,8 @@ def gao(
     """Everything that Gao et al. 2025 show: from images on concentric circles a sparse cloud, a dense one and the
     centres of Gaussian splats, cropped, registered and measured by their definitions against the dense one; and beside
     it what they could not: the truth, both directions, and the surface that the same splats show. SCENE is a folder of
-    photographs with cameras, and perhaps truth/ as pcbench synth city makes it; without one, cities are made.
+    photographs, with cameras for --poses given, and perhaps truth/ as pcbench synth city makes it; without one, cities
+    are made.
 
     \b
     Example: pcbench experiment gao --out gao/

@@ -24,13 +24,23 @@ _MAX_TIES = 30
 
 @dataclass(frozen=True)
 class Gao2025:
-    """Definitions of Gao et al. 2025; `d2_poisson_mse` is to the reference's Poisson mesh, if that was asked for."""
+    """Definitions of Gao et al. 2025.
+
+    Attributes:
+        d1_mse, d2_mse: mean squares from the candidate to the reference's points, and to their tangent planes.
+        d2_poisson_mse: to the reference's Poisson mesh; None where that was not asked for.
+        hausdorff: the larger one of both directions.
+        chamfer: `d1_mse` plus `d1_back_mse`.
+        d1_back_mse: mean square from the reference to the candidate's points, which the paper's D1 leaves out. None in
+            files of versions that did not write it.
+    """
 
     d1_mse: float
     d2_mse: float | None
     d2_poisson_mse: float | None
     hausdorff: float
     chamfer: float
+    d1_back_mse: float | None = None
 
 
 @dataclass(frozen=True)
@@ -139,6 +149,7 @@ def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> Gao2025:
         d2_poisson_mse=None if to_poisson is None else metrics.mean_square(to_poisson),
         hausdorff=metrics.hausdorff(a, b),
         chamfer=metrics.chamfer_squared(a, b),
+        d1_back_mse=metrics.mean_square(b),
     )
 
 

@@ -12,7 +12,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import InputError, PcbenchError
+from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.files import atomic_write
@@ -58,6 +58,8 @@ def _prepare(job: dict[str, Any], warnings: list[str]) -> tuple[Plugin, Reconstr
 def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, workspace: Path) -> dict[str, Any]:
     try:
         result: Any = reconstructor.reconstruct(scene, workspace / PLUGIN)
+    except MissingExtra as error:  # as if the plugin had said so before
+        return {"status": "refused", "message": str(error)}
     except PcbenchError as error:
         traceback.print_exc()
         return {"status": "failed", "message": str(error)}

@@ -13,6 +13,9 @@ from pcbench.geometry.arrays import FloatArray
 COMPARABLE = 5.0
 """Candidates share a range where none of their 95th percentiles is more than so many times the smallest."""
 
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
+"""Colours of curves and markers: those of Okabe and Ito, which colour-blind readers tell apart, and grey."""
+
 # viridis (van der Walt and Smith 2015) at even places of its upper 87 %, which stand out from a dark ground: its
 # lightness grows evenly, so it is read alike with every kind of colour blindness, and in grey.
 SEQUENTIAL = np.array(

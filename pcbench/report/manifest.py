@@ -53,8 +53,8 @@ def is_report(folder: Path) -> bool:
     """Whether a report is in the folder, of this version or of an earlier one without a manifest."""
     return (
         _listed(folder / MANIFEST) is not None
-        or str(_values(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
-        or {"verdict", "model"} <= _values(folder / "deformation.json").keys()
+        or str(json_object(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
+        or {"verdict", "model"} <= json_object(folder / "deformation.json").keys()
     )
 
 
@@ -145,7 +145,7 @@ def _own(folder: Path) -> set[str]:
     pictures: set[str] = set()
     candidates: list[Any] = []
     if (folder / "comparison.json").is_file():
-        rows = _values(folder / "comparison.json").get("candidates")
+        rows = json_object(folder / "comparison.json").get("candidates")
         candidates = [row.get("name") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
         names |= {*_COMPARISON_FILES, *(f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_SUFFIXES)}
         pictures |= {f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_PICTURES}
@@ -159,7 +159,7 @@ def _own(folder: Path) -> set[str]:
 
 def _listed(manifest: Path) -> set[str] | None:
     """The files that a manifest lists; None where there is none."""
-    values = _values(manifest)
+    values = json_object(manifest)
     files = values.get("files")
     if values.get("schema") != SCHEMA or not isinstance(files, list):
         return None
@@ -179,7 +179,7 @@ def _is_inside(name: Any) -> bool:
     )
 
 
-def _values(path: Path) -> dict[str, Any]:
+def json_object(path: Path) -> dict[str, Any]:
     """The object that a JSON file holds; empty where it holds something else, or cannot be read."""
     try:
         values = read_json(path)

@@ -81,6 +81,7 @@ def test_gao2025_against_brute_force_with_a_hard_crop():
     assert found.d1_mse == pytest.approx(oracles.d1(kept_b, kept_a), rel=1e-12)
     assert found.hausdorff == pytest.approx(oracles.hausdorff(kept_a, kept_b), rel=1e-12)
     assert found.chamfer == pytest.approx(oracles.chamfer_squared(kept_a, kept_b), rel=1e-12)
+    assert found.d1_back_mse == pytest.approx(oracles.d1(kept_a, kept_b), rel=1e-12)
     normals = oracles.normals(a, 20)[((a >= low) & (a <= high)).all(axis=1)]
     assert found.d2_mse == pytest.approx(oracles.d2(kept_b, kept_a, normals), rel=1e-9)
     mpeg = preset("mpeg", a, b, crop="box:10,10,-10,25,30,10")

@@ -7,11 +7,11 @@ from textwrap import shorten
 
 import numpy as np
 
+from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
 from pcbench.report.read import Report
 
-_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999")  # Okabe and Ito
 _STEPS = 80  # bins of the histograms
 _CURVE = 1000  # a curve of a million steps is drawn as well from a thousand of them
 
@@ -39,7 +39,7 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
     bins = np.geomspace(low, max(high, 1.001 * low), _STEPS)
     handles = []
     for number, (candidate, distances) in enumerate(zip(report.candidates, values, strict=True)):
-        color = _COLORS[number % len(_COLORS)]
+        color = SERIES[number % len(SERIES)]
         share, _ = np.histogram(distances, bins)
         density.stairs(100 * share / len(distances), bins, color=color, fill=True, alpha=0.6 / len(values))
         density.stairs(100 * share / len(distances), bins, color=color, linewidth=1.4)

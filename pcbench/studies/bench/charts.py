@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.io.files import read_json
+from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
 from pcbench.studies.bench.pareto import Configuration, configurations, front_of
 from pcbench.studies.bench.plan import IMAGE_SCALE
 
-_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")  # Okabe and Ito
 _SHAPES = ("o", "s", "^", "D", "v", "P", "X")
 _BEATEN = "#d9dbde"
 _FRONT = "#6b717b"  # read on light and dark
@@ -149,7 +149,7 @@ def _look(document: dict[str, Any], found: list[Configuration]) -> _Look:
         found,
         numbers,
         words,
-        {name: _COLORS[number % len(_COLORS)] for number, name in enumerate(series)},
+        {name: SERIES[number % len(SERIES)] for number, name in enumerate(series)},
         {name: _SHAPES[number % len(_SHAPES)] for number, name in enumerate(series)},
         max((c.median("peak_rss_bytes") or 1.0 for c in found), default=1.0),
         unit,

@@ -2,40 +2,46 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import os
 import platform
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError, PcbenchError, recorded
+from pcbench.errors import InputError, PcbenchError, RegistrationError, recorded
 from pcbench.extras import unavailable
 from pcbench.geometry.cameras import Camera
-from pcbench.io.files import atomic_write, digest, read_json
+from pcbench.io.files import digest
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
-from pcbench.scratch import claim
 from pcbench.studies.bench.pareto import choice_words, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import Rules, Yardstick, score
 from pcbench.studies.bench.table import bench_markdown, row_words
 from pcbench.studies.bench.truth import mesh_of, read_truth
+from pcbench.studies.folder import (
+    StudyKind,
+    check_folder,
+    csv_text,
+    keep_record,
+    kept_record,
+    study_folder,
+    write_pages,
+)
 from pcbench.systems import cpus
 
 SCHEMA = "pcbench.bench/1"
+KIND = StudyKind("bench", "bench.json", SCHEMA, (".lock", "runs"))
 COLUMNS = (
     "method",
     "settings",
@@ -72,7 +78,6 @@ COLUMNS = (
 _MEASURES = 2  # raised when clouds are measured in another way: scores from before are measured again
 _RUN_S = 60.0  # that one run takes, roughly, for progress bars
 _RUNS, _RUN, _SCORE = "runs", "run.json", "score.json"
-_MARK = ".lock"  # a folder that holds it is a bench's
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,7 @@ def bench(
         InputError: the scene, the reference or an option is not usable, or the folder is not a bench's.
         OSError: the folder cannot be written.
     """
+    check_folder(out, KIND)
     on_step("reading the scene")
     scene = read_scene(job.scene, cameras=job.cameras, masks=job.masks, on_warning=on_warning)
     on_step("looking at the methods")
@@ -160,7 +166,8 @@ def bench(
     if truth.visible is None:
         notes.append(f"no recall_visible: {truth.visibility}")
     inputs = _Inputs.of(job, scene, yardstick)
-    with _bench_folder(out):
+    with study_folder(out, KIND, job):
+        (out / _RUNS).mkdir(exist_ok=True)
         rows: list[dict[str, Any]] = []
         for number, trial in enumerate(todo, 1):
             # All alike, until those that are done say how long one takes.
@@ -234,13 +241,13 @@ def _row(job: BenchJob, trial: Trial, inputs: _Inputs, yardstick: Yardstick, out
         "method": trial.method.label,
         "choices": dict(trial.choices),
         "seed": trial.seed,
-        **{key: value for key, value in record.items() if key != "key"},
+        **record,
         "folder": str(folder.relative_to(out)),
     }
     if record["status"] != "ok":
         return row, kept
     measured, as_before = _measure(inputs, yardstick, folder, record["id"])
-    return {**row, **{key: value for key, value in measured.items() if key != "key"}}, kept and as_before
+    return {**row, **measured}, kept and as_before
 
 
 def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any], bool]:
@@ -253,8 +260,8 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "settings": trial.settings,
         "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if Path(text).is_file()},
     }
-    old = _read(folder / _RUN)
-    if old is not None and old.get("key") == key and _still_stands(old, job.time_limit_s, folder):
+    old = kept_record(folder / _RUN, key)
+    if old is not None and _still_stands(old, job.time_limit_s, folder):
         return old, True
     # From nothing: the time of a run that goes on where another stopped says nothing.
     shutil.rmtree(folder, ignore_errors=True)
@@ -270,7 +277,6 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
     result = run(scene, folder, job.time_limit_s)
     made = result.reconstruction
     record = {
-        "key": key,
         "id": os.urandom(8).hex(),
         "status": result.status,
         "message": result.message,
@@ -289,13 +295,14 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
     folder.mkdir(parents=True, exist_ok=True)  # a plugin may have removed it
     if made is not None:
         shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes that nobody asks for again
-    _keep(folder / _RUN, record)
+    keep_record(folder / _RUN, key, record)
     return record, False
 
 
 def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
     """Whether a run with the same inputs would end as the recorded one did."""
-    if record["status"] == "refused":  # something is missing here, which may have been installed since
+    # What is missing may have been installed since, and a full disk or too little memory may have crashed it.
+    if record["status"] in ("refused", "crashed"):
         return False
     if record["status"] == "timeout":
         return limit is not None and limit <= record["time_limit_s"]
@@ -312,16 +319,19 @@ def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) 
 
 def _measure(inputs: _Inputs, yardstick: Yardstick, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
     key = {"run": identity, **inputs.score}
-    old = _read(folder / _SCORE)
-    if old is not None and old.get("key") == json.loads(json.dumps(key)):
+    old = kept_record(folder / _SCORE, key)
+    if old is not None:
         return old, True
+    made = read_reconstruction(folder)
     try:
-        values = score(yardstick, read_reconstruction(folder), folder).row()
-    except PcbenchError as error:
+        values = score(yardstick, made, folder).row()
+    except (InputError, RegistrationError) as error:
         values = {"status": "unmeasured", "message": recorded(error)}
-    except (ValueError, ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:  # nonsense has many forms
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # nonsense has many forms
         values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(recorded(error).split())}"}
-    _keep(folder / _SCORE, {"key": key, **values})
+    except (PcbenchError, MemoryError) as error:  # may pass: not kept, so that the next run measures the cloud again
+        return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
+    keep_record(folder / _SCORE, key, values)
     return values, False
 
 
@@ -330,23 +340,6 @@ def _folder_name(trial: Trial) -> str:
     identity = json.dumps([trial.method.spec, dict(trial.choices), trial.seed])
     words = re.sub(r"[^\w.=+-]+", "_", trial.words)[:80].strip("_.")
     return f"{words}_{hashlib.sha256(identity.encode()).hexdigest()[:6]}"
-
-
-@contextmanager
-def _bench_folder(out: Path) -> Iterator[None]:
-    """The folder, for one bench at a time.
-
-    Raises:
-        InputError: it is a file, holds something else, or another bench writes into it.
-    """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder to write the bench to, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
-        raise InputError(f"{out}: the folder is not empty and holds no bench: choose another one, or empty it")
-    (out / _RUNS).mkdir(parents=True, exist_ok=True)
-    (out / _MARK).touch()
-    with claim(out):
-        yield
 
 
 def _document(
@@ -393,27 +386,10 @@ def _known(described: Description) -> dict[str, Any]:
 
 
 def _write(out: Path, doc: dict[str, Any]) -> None:
-    text = io.StringIO()
-    table = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
-    table.writeheader()
-    for row in doc["rows"]:
-        table.writerow({**row, "settings": choice_words(row["choices"])})
-    with atomic_write(out / "bench.csv") as file:
-        file.write(text.getvalue().encode(errors="backslashreplace"))
-    with atomic_write(out / "bench.md") as file:
-        file.write(bench_markdown(doc).encode(errors="backslashreplace"))
-    with atomic_write(out / "bench.json") as file:
-        file.write(to_json(doc).encode())
-
-
-def _keep(path: Path, values: dict[str, Any]) -> None:
-    with atomic_write(path) as file:
-        file.write(to_json(values).encode())
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        values = read_json(path)
-    except (FileNotFoundError, InputError):
-        return None
-    return values if isinstance(values, dict) else None
+    rows = [{**row, "settings": choice_words(row["choices"])} for row in doc["rows"]]
+    pages = {
+        "bench.csv": csv_text(COLUMNS, ([row.get(column) for column in COLUMNS] for row in rows)),
+        "bench.md": bench_markdown(doc),
+        "bench.json": to_json(doc),
+    }
+    write_pages(out, pages)

@@ -242,17 +242,15 @@ def score(yardstick: Yardstick, made: Reconstruction, folder: Path) -> Score:
     """
     truth, rules = yardstick.truth, yardstick.rules
     chosen = alignment(made, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
-    matrix = folder / "T.txt"
-    if chosen.transform is not None:
-        _write(matrix, chosen.transform)
     settings = Settings(
-        register=chosen.how if chosen.transform is None else f"matrix:{matrix}",
+        register=chosen.how if chosen.transform is None else chosen.transform,
         crop=rules.crop,
         thresholds=tuple(t.length for t in yardstick.thresholds),
     )
     comparison = compare(truth.cloud, {"cloud": made.cloud}, settings)
     result = comparison.candidates[0]
-    _write(matrix, result.registration.T_reference_candidate)
+    with atomic_write(folder / "T.txt") as file:
+        file.write(format_matrix(result.registration.T_reference_candidate).encode())
     metrics = result.metrics
     forth, exact = _accuracy(yardstick, result.registration.T_local.apply(made.cloud.points - truth.origin))
     by_surface = exact is not None
@@ -365,8 +363,3 @@ def _of_registration(registration: Registration) -> list[str]:
     """Its warnings. What the geometry does not fix is none where the pose is not from the geometry."""
     left_out = (UNOBSERVABLE, WEAKLY_OBSERVABLE) if registration.converged is None else ()
     return [notice.text for notice in registration.warnings if notice.code not in left_out]
-
-
-def _write(path: Path, transform: Similarity) -> None:
-    with atomic_write(path) as file:
-        file.write(format_matrix(transform).encode())

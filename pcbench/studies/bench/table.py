@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from pcbench.report.terminal import print_table
 from pcbench.studies.bench.pareto import Configuration, choice_words, configurations
+from pcbench.studies.folder import markdown_row
 
 _BEST, _SECOND = "¹", "²"
 
@@ -100,11 +101,11 @@ def print_bench(doc: dict[str, Any]) -> None:
 def bench_markdown(doc: dict[str, Any]) -> str:
     """`bench.md`: the table with every column, and the sentences below it."""
     header = [*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]
-    lines = [f"# {doc['scene']['path']} against {doc['reference']['path']}", "", _md_row(header)]
-    lines.append(_md_row(["---"] * len(_HEAD) + ["---:"] * len(_COLUMNS) + [":---:"]))
+    lines = [f"# {doc['scene']['path']} against {doc['reference']['path']}", "", markdown_row(header)]
+    lines.append(markdown_row(["---"] * len(_HEAD) + ["---:"] * len(_COLUMNS) + [":---:"]))
     for line in _lines(doc, _COLUMNS):
         cells = [{0: text, 1: f"**{text}**", 2: f"_{text}_"}[place] for text, place in line.cells]
-        lines.append(_md_row([*(word.replace("|", "\\|") for word in line.head), *cells, "*" if line.on_front else ""]))
+        lines.append(markdown_row([*line.head, *cells, "*" if line.on_front else ""]))
     lines += ["", "Best in bold, second in italics.", "", *_md_thresholds(doc)]
     lines += [f"- {sentence}" for sentence in _sentences(doc)]
     return "\n".join(lines) + "\n"
@@ -116,16 +117,16 @@ def _md_thresholds(doc: dict[str, Any]) -> Iterator[str]:
     if not found:  # written before there were several
         return
     unit = doc["reference"].get("unit") or "the files' unit"
-    yield _md_row(
+    yield markdown_row(
         ["method", "settings", f"threshold [{unit}]", "pixels", "precision", "recall", "of seen", "F of seen"]
     )
-    yield _md_row(["---"] * 2 + ["---:"] * 6)
+    yield markdown_row(["---"] * 2 + ["---:"] * 6)
     keys = ("threshold", "pixels", "precision", "recall", "recall_visible", "fscore_visible")
     for c in found:
         for number in range(len(c.done[0]["thresholds"])):
             at = Configuration(c.method, c.choices, [{**row, **row["thresholds"][number]} for row in c.done])
             texts = ("–" if (value := at.median(key)) is None else f"{value:.4g}" for key in keys)
-            yield _md_row([c.method.replace("|", "\\|"), choice_words(c.choices).replace("|", "\\|"), *texts])
+            yield markdown_row([c.method, choice_words(c.choices), *texts])
     yield ""
 
 
@@ -161,7 +162,3 @@ def row_words(row: Mapping[str, Any]) -> str:
     """A row's method, settings and seed."""
     seed = () if row["seed"] is None else (f"seed {row['seed']}",)
     return " ".join(filter(None, (row["method"], choice_words(row["choices"]), *seed)))
-
-
-def _md_row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"

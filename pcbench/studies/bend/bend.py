@@ -11,11 +11,10 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError, MissingExtra, PcbenchError, recorded
+from pcbench.errors import InputError, MissingExtra, ReconstructionError, recorded
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
@@ -23,7 +22,6 @@ from pcbench.geometry.transform import robust_similarity
 from pcbench.geometry.visibility import in_frame
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
-from pcbench.io.files import atomic_write
 from pcbench.io.meshes import read_mesh
 from pcbench.plugins import find_plugin
 from pcbench.plugins.run import ReconstructionJob, describe, run
@@ -32,12 +30,13 @@ from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
-from pcbench.scratch import claim
-from pcbench.studies.bend.findings import MEASURING_S, Solution, Variant, csv_text, findings, intrinsics_values
+from pcbench.studies.bend.findings import MEASURING_S, Solution, Variant, csv_text, explain, findings
+from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, Lens, Survey, document
+from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_pages
 
-SCHEMA = "pcbench.experiment.bend/1"
 PLUGIN = "sfm"
-_INTRINSICS, _OURS = "lenses", ".experiment"  # in the folder of an experiment
+KIND = StudyKind("experiment bend", DOCUMENT, SCHEMA, (".experiment", "lenses"))
+_INTRINSICS = "lenses"  # in the folder of an experiment
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # of the lens that synthetic scenes are photographed with
 _FOV = 60.0  # degrees, vertically: a drone's
 _POINTS = 400_000  # of the synthetic truth
@@ -68,7 +67,7 @@ def run_bend(
     *,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
-) -> tuple[dict[str, Any], str | None]:
+) -> tuple[BendStudy, str | None]:
     """Run the experiment into the folder `out`: experiment.json, experiment.csv, bend.png and the clouds; and what was
     made on the way (scene/, runs/, work/), which a later run with the same settings uses again.
 
@@ -76,76 +75,82 @@ def run_bend(
         scene: a folder as `pcbench synth city` writes it, with truth/mesh.ply and truth/cloud.ply; None makes one.
 
     Returns:
-        What experiment.json holds, and why there is no picture where there should be one.
+        The results, and why there is no picture where there should be one.
 
     Raises:
-        InputError: the scene has no truth, or too few images or cameras; `out` is no folder, or
-            another run is writing there.
+        InputError: the scene has no truth, or too few images or cameras; `out` is something else, or another run is
+            writing there.
         PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _OURS).is_file():
-        raise InputError(f"{out}: the folder is not empty and holds no experiment: choose another one, or empty it")
+    check_folder(out, KIND)
     if missing := find_plugin(PLUGIN).missing:
         raise InputError(missing)
-    out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with claim(out):
-        return _run(out, scene, settings, figures, step)
+    if scene is None and settings.images < 2 * _MIN_IMAGES:
+        raise InputError(f"expected at least {2 * _MIN_IMAGES} images, got {settings.images}")
+    given = None if scene is None else _SurveyFiles.read(scene)
+    with study_folder(out, KIND, settings):
+        survey = given or _SurveyFiles.read(_synthetic(out, settings, step))
+        return _run(out, survey, settings.seed, figures, step)
+
+
+@dataclass(frozen=True, eq=False)
+class _SurveyFiles:
+    """A scene with its truth, and the variants that are solved of it."""
+
+    folder: Path
+    scene: Scene
+    plan: tuple[Variant, ...]
+    truth: Cloud
+    surface: MeshIndex
+
+    @classmethod
+    def read(cls, folder: Path) -> _SurveyFiles:
+        """Raises:
+        InputError: the scene has no truth, or too few images or cameras.
+        """
+        scene = read_scene(folder)
+        plan = tuple(variants(scene))
+        truth = read_cloud(_truth(folder, "cloud.ply"))
+        return cls(folder, scene, plan, truth, MeshIndex(read_mesh(_truth(folder, "mesh.ply"))))
 
 
 def _run(
-    out: Path, scene: Path | None, settings: Experiment, figures: bool, step: Callable[[str], None]
-) -> tuple[dict[str, Any], str | None]:
-    if scene is None:
-        _begin(out)
-        folder = _synthetic(out, settings, step)
-    else:
-        folder = scene
-    data = read_scene(folder)
-    plan = list(variants(data))
-    truth = read_cloud(_truth(folder, "cloud.ply"))
-    surface = MeshIndex(read_mesh(_truth(folder, "mesh.ply")))
-    _begin(out)
-    inputs = _Inputs(out, folder, data, settings.seed, describe(PLUGIN).sha256)
-    inputs.write(surface, truth)
+    out: Path, survey: _SurveyFiles, seed: int, figures: bool, step: Callable[[str], None]
+) -> tuple[BendStudy, str | None]:
+    data, plan, truth = survey.scene, survey.plan, survey.truth
+    inputs = _Inputs(out, survey.folder, data, seed, describe(PLUGIN).sha256)
+    inputs.write(survey.surface, truth)
     solutions = []
     for number, variant in enumerate(plan, 1):
         left = _SOLVING_S * (len(plan) - number) + MEASURING_S * len(plan)
         step(Step(f"solving {number} of {len(plan)}: {variant.name}", _SOLVING_S, left))
-        solutions.append(_solve(inputs, variant, surface))
+        solutions.append(_solve(inputs, variant, survey.surface))
     intrinsics = data.cameras[data.images[0]].intrinsics
-    document = {
-        "schema": SCHEMA,
-        "scene": {"path": str(folder), "images": len(data), "lens": intrinsics_values(intrinsics), "unit": truth.unit},
-        "plugin": PLUGIN,
-        **findings(solutions, truth, intrinsics, settings.seed, step),
-        "provenance": provenance(settings.seed),
-    }
+    rows = findings(solutions, truth, intrinsics, seed, step)
+    study = BendStudy(
+        scene=Survey(str(survey.folder), len(data), Lens.of(intrinsics), truth.unit),
+        plugin=PLUGIN,
+        rows=rows,
+        sentences=tuple(explain(rows, truth.unit or "")),
+        provenance=provenance(seed),
+    )
     for solution in solutions:
         file = out / f"{slug(solution.variant.name)}.ply"
         if solution.cloud is not None:
             write_cloud(file, solution.cloud)
         else:
             file.unlink(missing_ok=True)
-    for table, text in (("experiment.json", to_json(document)), ("experiment.csv", csv_text(document))):
-        with atomic_write(out / table) as written:
-            written.write(text.encode())
+    write_pages(out, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
     without_figures = None
     if figures:
         from pcbench.studies.bend.figure import draw_bend
 
         step("drawing the picture")
         try:
-            draw_bend(document, out / "bend.png")
+            draw_bend(study, out / "bend.png")
         except MissingExtra as error:
             without_figures = recorded(error)
-    return document, without_figures
-
-
-def _begin(out: Path) -> None:
-    (out / _INTRINSICS).mkdir(parents=True, exist_ok=True)
-    (out / _OURS).touch()
+    return study, without_figures
 
 
 def variants(scene: Scene) -> Iterator[Variant]:
@@ -180,8 +185,6 @@ def _synthetic(out: Path, settings: Experiment, step: Callable[[str], None]) -> 
     intrinsics = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV), distortion=DISTORTION)
     town = CitySettings(seed=settings.seed)
     made = SceneSettings(town, settings.images, intrinsics, "drone", points=_POINTS)
-    if settings.images < 2 * _MIN_IMAGES:
-        raise InputError(f"expected at least {2 * _MIN_IMAGES} images, got {settings.images}")
     key = {"settings": repr(made), "versions": library_versions()}
     return stage(out, "scene", key, lambda folder: write_scene(folder, made, step))
 
@@ -244,11 +247,11 @@ class _Inputs:
         """The intrinsics and the control points as files."""
         cameras = [self.scene.cameras[name] for name in self.scene.images]
         plain = [replace(c, intrinsics=replace(c.intrinsics, distortion=(0.0, 0.0, 0.0, 0.0))) for c in cameras]
+        (self.out / _INTRINSICS).mkdir(exist_ok=True)
         write_colmap_model(self.out / _INTRINSICS / "true", cameras)
         write_colmap_model(self.out / _INTRINSICS / "undistorted", plain)
         lines = list(_control_lines(cameras, mesh, truth, self.seed))
-        with atomic_write(self.out / "control.txt") as file:
-            file.write("\n".join(["# NAME X Y Z IMAGE U V", *lines, ""]).encode())
+        write_pages(self.out, {"control.txt": "\n".join(["# NAME X Y Z IMAGE U V", *lines, ""])})
 
 
 def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, seed: int) -> Iterator[str]:
@@ -303,7 +306,7 @@ def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
         folder = stage(runs, slug(variant.name), key, make)
         cameras = {camera.name: camera for camera in read_colmap_cameras(folder / "cameras")}
         cloud = in_the_world(read_cloud(folder / "cloud.ply"), cameras, inputs.scene.cameras, surface)
-    except PcbenchError as error:
+    except (InputError, ReconstructionError) as error:  # not kept: the next run tries again
         return Solution(variant, len(images), failure=recorded(error))
     notes = json.loads((folder / "notes.json").read_text(encoding="utf-8"))
     intrinsics = next(iter(cameras.values())).intrinsics

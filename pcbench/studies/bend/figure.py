@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import mode
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 from pcbench.extras import require
 from pcbench.io.files import atomic_write
 from pcbench.report.colors import largest_but_strays, ranges
+from pcbench.studies.bend.results import BendStudy, SolutionResult, judged
 
 _COLORS = (
     "#000000",
@@ -31,8 +32,8 @@ _COLUMNS = 6  # of maps
 _SMALL = 0.1
 
 
-def draw_bend(document: Mapping[str, Any], path: Path) -> None:
-    """Draw the document of an experiment as a PNG: vertical displacement against distance with the band that noise
+def draw_bend(study: BendStudy, path: Path) -> None:
+    """Draw an experiment as a PNG: vertical displacement against distance with the band that noise
     alone would fill, the bend's size against the error of the intrinsics, and a map a solution.
 
     Raises:
@@ -45,16 +46,16 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
-    unit = document["scene"]["unit"] or "units"
-    rows = [row for row in document["rows"] if row["cells"]]
-    colors = {row["name"]: _COLORS[k % len(_COLORS)] for k, row in enumerate(rows)}
+    unit = study.unit or "units"
+    rows = [row for row in study.rows if row.cells]
+    colors = {row.name: _COLORS[k % len(_COLORS)] for k, row in enumerate(rows)}
     below = -(-len(rows) // _COLUMNS)
     figure = Figure(figsize=(15, 5.8 + 2.7 * below), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * below, 0.1)])
     upper, lower = parts
-    largest = max((row["truth"]["rms"] or 0.0 for row in rows), default=0.0)
-    small = [row for row in rows if (row["truth"]["rms"] or 0.0) <= _SMALL * largest]
+    sizes = {row.name: bend.rms or 0.0 for row, bend in judged(rows)}
+    small = [row for row in rows if sizes.get(row.name, 0.0) <= _SMALL * max(sizes.values(), default=0.0)]
     grown, *nearer, sized = upper.subplots(1, 3 if small else 2)
     _growth(grown, rows, colors, unit, "Growth: means over rings; shaded, what noise would do")
     for axis in nearer:
@@ -62,16 +63,16 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
     _sizes(sized, rows, colors, unit)
     if rows:
         upper.legend(*grown.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
-        heights = [np.array(row["cells"], dtype=np.float64)[:, 3] for row in rows]
-        highest = {row["name"]: largest_but_strays(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
+        heights = [np.array(row.cells, dtype=np.float64)[:, 3] for row in rows]
+        highest = {row.name: largest_but_strays(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
         # One bar for all: the range of most of them. One that is bent far more is all red and blue.
         limit = mode(scale.high for scale in ranges(highest).values())
         axes = np.atleast_1d(lower.subplots(below, _COLUMNS, sharex=True, sharey=True)).ravel()
         for axis, row, z in zip(axes, rows, heights, strict=False):
-            cells = np.array(row["cells"], dtype=np.float64)
+            cells = np.array(row.cells, dtype=np.float64)
             order = np.argsort(np.abs(z))
             axis.scatter(*cells[order, :2].T, c=z[order], cmap="coolwarm", vmin=-limit, vmax=limit, s=26, marker="s")
-            axis.set_title(row["name"], fontsize=9, color=colors[row["name"]])
+            axis.set_title(row.name, fontsize=9, color=colors[row.name])
             axis.set_aspect("equal")
             axis.tick_params(labelsize=7)
             axis.spines[["top", "right"]].set_visible(False)
@@ -86,16 +87,16 @@ def draw_bend(document: Mapping[str, Any], path: Path) -> None:
         figure.savefig(file, format="png")
 
 
-def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str, title: str) -> None:
+def _growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str, title: str) -> None:
     axis.axhline(0, color=_GREY, linewidth=0.8)
     for row in rows:
-        growth = (row["truth"]["growth"] or {}).get("with_distance")
+        growth = None if row.truth is None or row.truth.growth is None else row.truth.growth.with_distance
         if growth is None:
             continue
-        at, mean, null = (np.array([p[key] for p in growth["profile"]]) for key in ("at", "mean", "null"))
-        color = colors[row["name"]]
+        at, mean, null = np.array([(place.at, place.mean, place.null) for place in growth.profile]).T
+        color = colors[row.name]
         axis.fill_between(at, -null, null, color=color, alpha=0.12, linewidth=0)
-        axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=row["name"])
+        axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=row.name)
     axis.set_xlabel(f"horizontal distance from the centre [{unit}]")
     axis.set_ylabel(f"vertical displacement against the truth [{unit}]")
     axis.set_title(title, fontsize=10, loc="left")
@@ -103,18 +104,19 @@ def _growth(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str],
     axis.spines[["top", "right"]].set_visible(False)
 
 
-def _sizes(axis: Any, rows: list[Mapping[str, Any]], colors: Mapping[str, str], unit: str) -> None:
+def _sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str) -> None:
     """Bend against the error of the intrinsics, logarithmic, with intervals; hollow where no verdict says so."""
-    shown = [r for r in rows if r["lens_error_px"] is not None and r["truth"]["rms"]]
-    least = 0.5 * min((r["lens_error_px"] for r in shown if r["lens_error_px"] > 1e-3), default=0.01)
-    for row in shown:
-        truth, x = row["truth"], max(row["lens_error_px"], least)
-        low, high = truth["ci"]
-        filled = truth["verdict"] == "non-affine"
+    shown = [
+        (row.lens_error_px, bend.rms, bend.ci, bend, row)
+        for row, bend in judged(rows)
+        if row.lens_error_px is not None and bend.rms and bend.ci is not None
+    ]
+    least = 0.5 * min((error for error, *_ in shown if error > 1e-3), default=0.01)
+    for error, rms, (low, high), bend, row in shown:
         axis.errorbar(
-            x, truth["rms"], [[truth["rms"] - max(low, 0.05 * truth["rms"])], [high - truth["rms"]]],
-            color=colors[row["name"]], marker="s" if row["factors"]["control"] == "True" else "o", markersize=8,
-            markerfacecolor=None if filled else "white", capsize=3,
+            max(error, least), rms, [[rms - max(low, 0.05 * rms)], [high - rms]],
+            color=colors[row.name], marker="s" if row.factors["control"] == "True" else "o", markersize=8,
+            markerfacecolor=None if bend.is_bent else "white", capsize=3,
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")

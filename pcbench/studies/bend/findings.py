@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation, deform
-from pcbench.errors import Notice, PcbenchError, recorded
+from pcbench.errors import InputError, Notice, RegistrationError, recorded
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
+from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, judged
+from pcbench.studies.folder import csv_text as csv_of
 
 FACTORS = {
     "images": (
@@ -81,8 +81,8 @@ def findings(
     intrinsics: Intrinsics,
     seed: int = 0,
     step: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:
-    """`rows`, one a solution, and `sentences` on the cause, as experiment.json holds them.
+) -> tuple[SolutionResult, ...]:
+    """Measure how solutions are bent, against the truth and against the first of them.
 
     Args:
         truth: the true surface.
@@ -92,38 +92,44 @@ def findings(
     first: tuple[str, Cloud] | None = None
     rows = []
     for number, solution in enumerate(solutions, 1):
-        step(Step(f"measuring {solution.variant.name}", MEASURING_S, MEASURING_S * (len(solutions) - number)))
-        row: dict[str, Any] = {
-            "name": solution.variant.name,
-            "factors": solution.variant.factors,
-            "images_given": solution.given,
-            "images": solution.registered,
-            "failure": solution.failure or None,
-            "notes": list(solution.notes),
-            **dict.fromkeys(("points", "reprojection_error", "lens", "lens_error_px", "truth", "mutual", "cells")),
-        }
-        if solution.cloud is not None:
-            row["points"] = len(solution.cloud)
-            errors = solution.cloud.attributes.get("reprojection_error")
-            row["reprojection_error"] = None if errors is None else float(np.mean(errors))
-            if (k := solution.intrinsics) is not None:
-                row["lens"] = intrinsics_values(k)
-                row["lens_error_px"] = intrinsics_error(k, intrinsics)
-            found, placed = _deformation(truth, solution.cloud, "similarity", seed)
-            row["truth"] = _summary(found)
-            if found.field is not None:
-                row["cells"] = np.column_stack([found.field.places, found.field.vertical, found.field.sigma]).tolist()
+        name, cloud, k = solution.variant.name, solution.cloud, solution.intrinsics
+        step(Step(f"measuring {name}", MEASURING_S, MEASURING_S * (len(solutions) - number)))
+        row = SolutionResult(
+            name,
+            solution.variant.factors,
+            solution.given,
+            solution.registered,
+            failure=solution.failure or None,
+            notes=solution.notes,
+        )
+        if cloud is not None:
+            found, placed = _deformation(truth, cloud, "similarity", seed)
+            mutual = None
             if first is None:
-                first = solution.variant.name, placed
+                first = name, placed
             else:
                 # Sparse points that a dome moves by metres have no neighbours to register them by anew.
-                against, earlier = first
-                row["mutual"] = {
-                    "against": against,
-                    **_summary(_deformation(earlier, placed, "none", seed)[0]),
-                }
+                mutual = Bend.of(_deformation(first[1], placed, "none", seed)[0], first[0])
+            errors = cloud.attributes.get("reprojection_error")
+            row = replace(
+                row,
+                points=len(cloud),
+                reprojection_error=None if errors is None else float(np.mean(errors)),
+                lens=None if k is None else Lens.of(k),
+                lens_error_px=None if k is None else intrinsics_error(k, intrinsics),
+                truth=Bend.of(found),
+                mutual=mutual,
+                cells=_cells(found),
+            )
         rows.append(row)
-    return {"rows": rows, "sentences": list(explain(rows, truth.unit or ""))}
+    return tuple(rows)
+
+
+def _cells(found: Deformation) -> tuple[tuple[float, ...], ...] | None:
+    if found.field is None:
+        return None
+    columns = np.column_stack([found.field.places, found.field.vertical, found.field.sigma])
+    return tuple(map(tuple, columns.tolist()))
 
 
 def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
@@ -138,152 +144,144 @@ def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
     return truth.fx * float(np.sqrt(np.square(scale * ours - true).sum(axis=1).mean()))
 
 
-def explain(rows: Sequence[Mapping[str, Any]], unit: str) -> Iterator[str]:
+def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
     """Sentences on what bends the scene, from the rows of `findings` alone."""
-    known = [row for row in rows if row["truth"] is not None and row["truth"]["rms"] is not None]
+    known = judged(rows)
     if not known:
         yield "No solution could be judged."
         return
-    if not any(row["truth"]["verdict"] == "non-affine" for row in known):
-        open_ = [row["name"] for row in known if row["truth"]["verdict"] == "undecided"]
+    if not any(bend.is_bent for _, bend in known):
+        open_ = [row.name for row, bend in known if bend.verdict == "undecided"]
         if open_:
             yield f"Whether solutions are bent is undecided: {', '.join(map(repr, open_))}."
         else:
             yield "No solution is bent beyond what noise would do."
         return
-    changes = sorted(_changes(known), key=lambda change: -change["by"])
-    sure = [change for change in changes if change["sure"]]
-    if not sure:
+    changes = sorted(_changes(rows), key=lambda change: -change.by)
+    main = next((change for change in changes if change.is_sure), None)
+    if main is None:
         yield "Solutions are bent, but no two that differ in one setting differ by more than their intervals."
         return
-    main = sure[0]
-    words, values = FACTORS[main["factor"]]
-    names = [values.get(row["factors"][main["factor"]], row["factors"][main["factor"]]) for row in main["rows"]]
-    sizes = [_size(row["truth"], unit) for row in main["rows"]]
+    words, values = FACTORS[main.factor]
+    names = [values.get(row.factors[main.factor], row.factors[main.factor]) for row in (main.worse, main.better)]
+    sizes = [row.truth.size(unit) for row in (main.worse, main.better) if row.truth is not None]
     yield (
         f"The cause is {words}: {names[0]}, the cloud is bent by {sizes[0]} RMS; {names[1]}, by {sizes[1]},"
-        f" all else equal ({main['rows'][0]['name']!r} against {main['rows'][1]['name']!r})."
+        f" all else equal ({main.worse.name!r} against {main.better.name!r})."
     )
     for factor, (words, _) in FACTORS.items():
-        own = [change for change in changes if change["factor"] == factor]
-        if factor != main["factor"] and own:
+        own = [change for change in changes if change.factor == factor]
+        if factor != main.factor and own:
             yield (
-                f"Changing {words} alone changes the bend by at most {own[0]['by']:.3g} {unit} RMS".rstrip()
-                + f" ({own[0]['rows'][0]['name']!r} against {own[0]['rows'][1]['name']!r})."
+                f"Changing {words} alone changes the bend by at most {own[0].by:.3g} {unit} RMS".rstrip()
+                + f" ({own[0].worse.name!r} against {own[0].better.name!r})."
             )
-    yield from _shape(main["rows"][0], unit)
-    yield from _intrinsics_words(known)
-    yield from _mutual_words(known, unit)
+    yield from _shape(main.worse, unit)
+    yield from _intrinsics_words(rows)
+    yield from _mutual_words(rows, unit)
 
 
-def table(document: Mapping[str, Any]) -> Iterator[list[str]]:
+def table(study: BendStudy) -> Iterator[list[str]]:
     """The rows as texts, a header first."""
     yield ["", "images", "points", "error px", "lens px", "verdict", "bend RMS [95 %]", "detectable", "to the first"]
-    for row in document["rows"]:
-        images = f"{row['images']}/{row['images_given']}"
-        if row["truth"] is None:
-            yield [row["name"], images, "", "", "", f"failed: {row['failure']}", "", "", ""]
+    for row in study.rows:
+        images = f"{row.images}/{row.images_given}"
+        if row.truth is None:
+            yield [row.name, images, "", "", "", f"failed: {row.failure}", "", "", ""]
             continue
-        mutual = row["mutual"]
         yield [
-            row["name"],
+            row.name,
             images,
-            f"{row['points']:,}",
-            _number(row["reprojection_error"]),
-            _number(row["lens_error_px"]),
-            row["truth"]["verdict"],
-            _size(row["truth"], ""),
-            _number(row["truth"]["detectable"]),
-            "" if mutual is None else f"{mutual['verdict']}, {_number(mutual['rms'])}",
+            f"{row.points:,}",
+            _number(row.reprojection_error),
+            _number(row.lens_error_px),
+            row.truth.verdict,
+            row.truth.size(),
+            _number(row.truth.detectable),
+            "" if row.mutual is None else f"{row.mutual.verdict}, {_number(row.mutual.rms)}",
         ]
 
 
-def csv_text(document: Mapping[str, Any]) -> str:
-    """The rows of a document as CSV, a line each."""
-    lines = []
-    for row in document["rows"]:
-        values = {**{k: row[k] for k in ("name", "images_given", "images", "points", "reprojection_error")}}
-        values |= row["factors"]
-        values |= {"focal_px": (row["lens"] or {}).get("fx"), "lens_error_px": row["lens_error_px"]}
-        for which in ("truth", "mutual"):
-            found = row[which] or {}
-            low, high = found.get("ci") or (None, None)
-            values |= {f"{which}_{key}": found.get(key) for key in ("verdict", "model", "rms")}
-            values |= {f"{which}_low": low, f"{which}_high": high, f"{which}_detectable": found.get("detectable")}
-        lines.append({**values, "failure": row["failure"]})
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(lines[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    return text.getvalue()
+def csv_text(study: BendStudy) -> str:
+    """The rows of a study as CSV, a line each."""
+    of_bend = ("verdict", "model", "rms", "low", "high", "detectable")
+    header = ["name", "images_given", "images", "points", "reprojection_error", "focal", "distortion", "control"]
+    header += ["focal_px", "lens_error_px", *(f"{which}_{key}" for which in ("truth", "mutual") for key in of_bend)]
+    rows = [
+        [
+            *(row.name, row.images_given, row.factors["images"], row.points, row.reprojection_error),
+            *(row.factors[factor] for factor in ("focal", "distortion", "control")),
+            *(None if row.lens is None else row.lens.fx, row.lens_error_px),
+            *_bend_cells(row.truth),
+            *_bend_cells(row.mutual),
+            *(row.failure, row.images),
+        ]
+        for row in study.rows
+    ]
+    return csv_of([*header, "failure", "images_registered"], rows)
 
 
-def intrinsics_values(k: Intrinsics) -> dict[str, Any]:
-    """Intrinsics as JSON holds them."""
-    return {"fx": k.fx, "fy": k.fy, "distortion": list(k.distortion), "size": [k.width, k.height]}
+def _bend_cells(bend: Bend | None) -> tuple[object, ...]:
+    if bend is None:
+        return (None,) * 6
+    low, high = bend.ci or (None, None)
+    return bend.verdict, bend.model, bend.rms, low, high, bend.detectable
 
 
 def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
     """The verdict, and the candidate as it was registered."""
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
-    except PcbenchError as error:
+    except (InputError, RegistrationError) as error:
         return Deformation.unanswered(Notice("not-registered", recorded(error))), candidate
     return found, candidate.transformed(registration.T_reference_candidate)
 
 
-def _summary(found: Deformation) -> dict[str, Any]:
-    """What a row keeps of a verdict, as JSON holds it."""
-    size, growth = found.amplitude, found.growth
-    return {
-        "verdict": found.verdict,
-        "model": found.model,
-        "rms": None if size is None else size.rms,
-        "ci": None if size is None else list(size.ci),
-        "p_value": found.p_value,
-        "detectable": found.minimum_detectable_rms,
-        "growth": None if growth is None else asdict(growth),
-        "warnings": [str(notice) for notice in found.warnings],
-    }
+class _Change(NamedTuple):
+    """Two solutions that differ in one factor, and by how much the worse one is bent more."""
+
+    factor: str
+    worse: SolutionResult
+    better: SolutionResult
+    by: float
+    is_sure: bool  # the worse one is bent, and their intervals are apart
 
 
-def _changes(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Pairs of rows that differ in one factor, the more bent one first, and by how much."""
-    for pair in combinations(rows, 2):
-        differ = [f for f in FACTORS if pair[0]["factors"][f] != pair[1]["factors"][f]]
+def _changes(rows: Sequence[SolutionResult]) -> Iterator[_Change]:
+    for pair in combinations(judged(rows), 2):
+        differ = [factor for factor in FACTORS if pair[0][0].factors[factor] != pair[1][0].factors[factor]]
         if len(differ) == 1:
-            worse, better = sorted(pair, key=lambda row: -row["truth"]["rms"])
-            sure = worse["truth"]["verdict"] == "non-affine" and worse["truth"]["ci"][0] > better["truth"]["ci"][1]
-            by = worse["truth"]["rms"] - better["truth"]["rms"]
-            yield {"factor": differ[0], "rows": (worse, better), "by": by, "sure": sure}
+            (worse, more), (better, less) = sorted(pair, key=lambda of: -(of[1].rms or 0.0))
+            apart = more.ci is not None and less.ci is not None and more.ci[0] > less.ci[1]
+            yield _Change(differ[0], worse, better, (more.rms or 0.0) - (less.rms or 0.0), more.is_bent and apart)
 
 
-def _shape(row: Mapping[str, Any], unit: str) -> Iterator[str]:
+def _shape(row: SolutionResult, unit: str) -> Iterator[str]:
     """Is it a dome or a bowl? By the vertical displacement in the middle and at the edge."""
-    growth = (row["truth"]["growth"] or {}).get("with_distance")
+    growth = None if row.truth is None or row.truth.growth is None else row.truth.growth.with_distance
     if growth is None:
         return
-    inner, outer = growth["profile"][0], growth["profile"][-1]
-    fall = inner["mean"] - outer["mean"]
-    if abs(fall) > inner["null"] + outer["null"]:
+    inner, outer = growth.profile[0], growth.profile[-1]
+    fall = inner.mean - outer.mean
+    if abs(fall) > inner.null + outer.null:
         shape, side = ("dome", "below") if fall > 0 else ("bowl", "above")
         yield (
-            f"It is a {shape}: {outer['at']:.0f} {unit} from the centre the surface lies {abs(fall):.3g} {unit} {side}"
-            f" where it should be against the middle ({row['name']!r})."
+            f"It is a {shape}: {outer.at:.0f} {unit} from the centre the surface lies {abs(fall):.3g} {unit} {side}"
+            f" where it should be against the middle ({row.name!r})."
         ).replace("  ", " ")
 
 
-def _intrinsics_words(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def _intrinsics_words(rows: Sequence[SolutionResult]) -> Iterator[str]:
     """How the bend goes with the error of the intrinsics: Spearman's rank correlation."""
-    pairs = np.array([[r["lens_error_px"], r["truth"]["rms"]] for r in rows if r["lens_error_px"] is not None])
-    if len(pairs) < 4:
+    known = [(row.lens_error_px, bend.rms) for row, bend in judged(rows) if row.lens_error_px is not None]
+    if len(known) < 4:
         return
-    a, b = (_ranks(column) for column in pairs.T)
+    a, b = (_ranks(column) for column in np.array(known, dtype=np.float64).T)
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return
     rho = float(np.corrcoef(a, b)[0, 1])
     words = "go together" if rho >= _TOGETHER else "do not go together"
-    yield f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over {len(pairs)} solutions."
+    yield f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over {len(known)} solutions."
 
 
 def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -293,30 +291,24 @@ def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return ranks
 
 
-def _mutual_words(rows: Sequence[Mapping[str, Any]], unit: str) -> Iterator[str]:
+def _mutual_words(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
     """The observation: two solutions of the same images that no affine motion brings together."""
-    bent = [row for row in rows if row["mutual"] is not None and row["mutual"]["verdict"] == "non-affine"]
-    named = {row["name"]: row for row in rows}
+    named = {row.name: row for row, _ in judged(rows)}
     same = [
-        row
-        for row in bent
-        if row["mutual"]["against"] in named
-        and row["factors"]["images"] == named[row["mutual"]["against"]]["factors"]["images"]
+        (first, row, row.mutual)
+        for row in named.values()
+        if row.mutual is not None
+        and row.mutual.is_bent
+        and (first := named.get(row.mutual.against or "")) is not None
+        and row.factors["images"] == first.factors["images"]
     ]
     if same:
-        worst = max(same, key=lambda row: row["mutual"]["rms"])
-        first = named[worst["mutual"]["against"]]
-        errors = [_number(row["reprojection_error"]) for row in (first, worst)]
+        first, worst, bend = max(same, key=lambda found: found[2].rms or 0.0)
+        errors = [_number(row.reprojection_error) for row in (first, worst)]
         yield (
-            f"Solutions of the same images differ by {_size(worst['mutual'], unit)} RMS that no affine motion explains,"
-            f" with reprojection errors of {errors[0]} and {errors[1]} px ({first['name']!r} and {worst['name']!r})."
+            f"Solutions of the same images differ by {bend.size(unit)} RMS that no affine motion explains,"
+            f" with reprojection errors of {errors[0]} and {errors[1]} px ({first.name!r} and {worst.name!r})."
         )
-
-
-def _size(values: Mapping[str, Any], unit: str) -> str:
-    if values["rms"] is None:
-        return "–"
-    return f"{values['rms']:.3g} [{values['ci'][0]:.3g}, {values['ci'][1]:.3g}] {unit}".rstrip()
 
 
 def _number(value: float | None) -> str:

@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import PcbenchError, recorded
+from pcbench.errors import InputError, ReconstructionError, recorded
 from pcbench.geometry.cameras import Camera
-from pcbench.io import write_cloud
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crop import points_inside
+from pcbench.geometry.region_text import as_region
+from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
 from pcbench.io.files import read_json
 from pcbench.plugins.run import ReconstructionJob, describe, run
@@ -66,6 +69,10 @@ def make_clouds(
         out: an existing folder, where everything is kept.
         unit: of the scene's cameras, if known: that of clouds which have none.
         tell: gets what is done; the seconds of a step are of this scene.
+
+    Raises:
+        InputError: the crop holds nothing of the sparse cloud, which is made first.
+        OSError: a file cannot be written.
     """
     maker = _Maker(job, scene, path, out, unit, tell)
     done: list[Made] = []
@@ -73,8 +80,18 @@ def make_clouds(
         seconds = _SECONDS[method.plugin]
         later = sum(_SECONDS[m.plugin] for m in plan[number + 1 :])
         tell(Step(f"{scene.name}: {method.name}", seconds, later))
-        done.append(maker.make(method, done))
+        made = maker.make(method, done)
+        if method.name == SPARSE and made.cloud is not None and job.crop is not None:
+            check_crop(job.crop, read_cloud(made.cloud), f"{scene.name}: the sparse cloud's")
+        done.append(made)
     return done
+
+
+def check_crop(crop: str, cloud: Cloud, whose: str) -> None:
+    """Raises:
+    InputError: the region holds none of a cloud's points, so that nothing could be measured in it.
+    """
+    points_inside(cloud.points, as_region(crop, cloud), crop, whose)
 
 
 @dataclass(frozen=True)
@@ -105,7 +122,7 @@ class _Maker:
         }
         try:
             folder = stage(self.out / _RUNS, method.name, key, lambda target: self._run(method, solved, target))
-        except PcbenchError as error:
+        except (InputError, ReconstructionError) as error:  # not kept: the next run tries again
             return Made(method, failure=recorded(error))
         known: Mapping[str, Any] = read_json(folder / _RUN)
         return Made(method, folder, **{**known, "notes": tuple(known["notes"])})

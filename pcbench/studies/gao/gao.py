@@ -14,7 +14,6 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region, parse_region
 from pcbench.io import read_cloud
-from pcbench.io.files import atomic_write
 from pcbench.plugins import find_plugin
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.progress import Step
@@ -23,14 +22,15 @@ from pcbench.report.document import provenance
 from pcbench.report.plot import draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.scenes.views import find_views
-from pcbench.scratch import claim
+from pcbench.studies.folder import MARK, StudyKind, check_folder, named_folders, study_folder, write_pages
 from pcbench.studies.gao.cameras import camera_errors, placed_cameras
-from pcbench.studies.gao.clouds import WORK, Made, make_clouds
+from pcbench.studies.gao.clouds import WORK, Made, check_crop, make_clouds
 from pcbench.studies.gao.figures import PICTURES
 from pcbench.studies.gao.held import Held, draw_maps, hold, visible_truth
 from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob, looked_at, methods, region_of
 from pcbench.studies.gao.results import (
     DOCUMENT,
+    SCHEMA,
     TRUTH,
     CloudResult,
     NewViews,
@@ -43,8 +43,9 @@ from pcbench.studies.gao.table import csv_text, failures, markdown
 from pcbench.studies.views.pictures import PICTURES as VIEWS
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, write_scores
 
-_MARK = ".experiment-gao"
+KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, (".experiment-gao",))
 _SCENES, _VIEWS = "scenes", "views"
+_TAKEN = (_SCENES, _VIEWS, "figures", MARK)  # what a scene may be called, but its folder may not
 _POINTS = 1_000_000  # of a synthetic truth
 _FOV = 40.0  # degrees, vertically
 _MAKING_S, _MEASURING_S, _DRAWING_S = 60.0, 90.0, 60.0  # of one scene, roughly, for progress bars
@@ -71,14 +72,12 @@ def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str
     on the way stays too, and a later run with the same settings goes on from it.
 
     Raises:
-        InputError: a scene or a setting is not usable, `out` is something else, or another run is writing there.
+        InputError: a scene, the crop or a setting is not usable; `out` is something else, or another run is writing
+            there.
         ReconstructionError: no scene gave a cloud that could be measured.
         PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
-        raise InputError(f"{out}: the folder is not empty and holds no such experiment: choose another, or empty it")
+    check_folder(out, KIND)
     for method in methods(job):  # before hours of work
         plugin = find_plugin(method.plugin)
         if plugin.missing:
@@ -86,20 +85,21 @@ def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str
         plugin.configure(method.settings)
     if job.crop is not None:
         parse_region(job.crop, Cloud(np.arange(30.0).reshape(10, 3)))  # for its words: any points will do
-    out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with claim(out):
-        return _run(job, out, figures, step)
+    given = {path: _checked(job, path, job.image_scale) for path in job.scenes}
+    if not given and job.cities.images < _MIN_IMAGES:
+        raise InputError(f"expected at least {_MIN_IMAGES} images, got {job.cities.images}")
+    with study_folder(out, KIND, job):
+        return _run(job, given, out, figures, step)
 
 
-def _run(job: GaoJob, out: Path, figures: bool, step: Callable[[str], None]) -> Outcome:
-    given = {path: _checked(path, job.image_scale) for path in job.scenes}  # before hours of work
-    out.mkdir(parents=True, exist_ok=True)
-    (out / _MARK).touch()
-    paths = list(given) or list(_synthetic(job.cities, out, job.seed, step))
+def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, step: Callable[[str], None]) -> Outcome:
+    made = {path: _checked(job, path) for path in _synthetic(job.cities, out, job.seed, step)} if not given else {}
+    all_scenes = {**given, **made}
+    paths = list(all_scenes)
     scenes: list[SceneResult] = []
     reports: list[Path] = []
     rendered: dict[str, Path] = {}
-    for number, (name, path) in enumerate(_named(paths).items()):
+    for number, (name, path) in enumerate(named_folders(paths, _TAKEN).items()):
         after = _SCENE_S * (len(paths) - number - 1)
 
         def tell(text: str, after: float = after) -> None:
@@ -108,7 +108,7 @@ def _run(job: GaoJob, out: Path, figures: bool, step: Callable[[str], None]) -> 
 
         folder = out / name
         folder.mkdir(exist_ok=True)
-        found = _scene(job, name, path, given.get(path) or _checked(path), folder, tell)
+        found = _scene(job, name, path, all_scenes[path], folder, tell)
         scenes.append(found.result)
         reports += found.reports
         rendered |= {} if found.views is None else {name: found.views}
@@ -133,7 +133,7 @@ class _Found:
 
 def _scene(job: GaoJob, name: str, path: Path, scene: Scene, out: Path, tell: Callable[[str], None]) -> _Found:
     """Everything of one scene but the scores of its views."""
-    truth = path / "truth" / "cloud.ply"
+    truth = _truth(path)
     unit = read_cloud(truth).unit if truth.is_file() else "m" if scene.origin is not None else None
     made = make_clouds(job, scene, path, out, unit, tell)
     solved = next(m for m in made if m.method.name == SPARSE).cameras() if job.poses == "solve" else {}
@@ -212,9 +212,7 @@ def _write(out: Path, study: Study, views: ViewStudy | None) -> None:
         "experiment.csv": csv_text(study),
         "gao.md": markdown(study, views),
     }
-    for file, text in texts.items():
-        with atomic_write(out / file) as written:
-            written.write(text.encode())
+    write_pages(out, texts)
 
 
 def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> str | None:
@@ -226,21 +224,28 @@ def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Cal
     return next(filter(None, problems), None)
 
 
-def _checked(path: Path, image_scale: float = 1.0) -> Scene:
+def _checked(job: GaoJob, path: Path, image_scale: float = 1.0) -> Scene:
     """The scene.
 
     Raises:
-        InputError: it has no cameras, or too few images.
+        InputError: it has too few images, no cameras where they are not solved, or no truth in the crop.
     """
     scene = read_scene(path, image_scale=image_scale)
-    if len(scene.cameras) < len(scene):
+    if job.poses == "given" and len(scene.cameras) < len(scene):
         bare = next(name for name in scene.images if name not in scene.cameras)
-        raise InputError(f"{path}: {bare} has no camera: the experiment needs them, of all images")
+        raise InputError(f"{path}: {bare} has no camera: give cameras of all images, or let --poses solve find them")
     if len(scene) < _MIN_IMAGES:
         raise InputError(
             f"{path}: expected at least {_MIN_IMAGES} images, of which one in 8 is held out, got {len(scene)}"
         )
+    if job.crop is not None and (truth := _truth(path)).is_file():
+        check_crop(job.crop, read_cloud(truth), f"{truth}: the truth's")
     return scene
+
+
+def _truth(path: Path) -> Path:
+    """Where the true cloud of a scene is, if there is one."""
+    return path / "truth" / "cloud.ply"
 
 
 def _synthetic(cities: Cities, out: Path, seed: int, step: Callable[[str], None]) -> Iterator[Path]:
@@ -248,8 +253,6 @@ def _synthetic(cities: Cities, out: Path, seed: int, step: Callable[[str], None]
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
 
-    if cities.images < _MIN_IMAGES:
-        raise InputError(f"expected at least {_MIN_IMAGES} images, got {cities.images}")
     (out / _SCENES).mkdir(exist_ok=True)
     intrinsics = Intrinsics.from_fov(cities.width, cities.height, _FOV)
     for number, (density, height, relief) in zip(range(cities.count), cycle(_KINDS), strict=False):
@@ -262,16 +265,3 @@ def _synthetic(cities: Cities, out: Path, seed: int, step: Callable[[str], None]
             write_scene(folder, made)
 
         yield stage(out / _SCENES, f"city_{number + 1}", key, make)
-
-
-def _named(paths: Sequence[Path]) -> dict[str, Path]:
-    """By the names of their folders, numbered where several are alike, or are those of the experiment's own."""
-    named: dict[str, Path] = {}
-    for path in paths:
-        stem = path.resolve().name or "scene"
-        name, number = stem, 1
-        while name in named or name in (_SCENES, _VIEWS, "figures"):
-            number += 1
-            name = f"{stem}_{number}"
-        named[name] = path
-    return named

@@ -3,32 +3,30 @@ it."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.deformation import Deformation
-from pcbench.errors import PcbenchError, recorded
+from pcbench.errors import InputError, RegistrationError, recorded
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.files import digest, read_json
 from pcbench.measure.presets import Gao2025
-from pcbench.measure.results import FORTH
+from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.registration import Target, local_origin, register
+from pcbench.report import Comparison, to_json
 from pcbench.report.compare_files import ComparisonJob, Outputs, compare_files
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.gao.plan import MVS
-from pcbench.studies.gao.results import Against
+from pcbench.studies.gao.results import Against, against_from
 
-_FAILED = "failed.json"
-_COMPARISON = "comparison.json"
+_RESULTS = "held.json"
 
 
 class Held(NamedTuple):
@@ -54,6 +52,9 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         reference: its file; name: `mvs` or `truth`.
         clouds: files by name.
         crop: region as text, in the reference's coordinates.
+
+    Raises:
+        MissingExtra, OSError: what stands in the way may pass, so that nothing is kept.
     """
     settings = Settings(crop=crop, presets=("gao2025",), maps=("poisson",) if name == MVS else (), seed=seed)
     key = {
@@ -61,35 +62,46 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         "clouds": {cloud: digest(path) for cloud, path in clouds.items()},
         "settings": settings.plain(),
         "versions": library_versions(),
+        "results": _RESULTS,
     }
 
-    def compare(those: dict[str, Path], folder: Path) -> str | None:
-        """Why it cannot be done, if so."""
+    def compare(those: dict[str, Path], folder: Path) -> Comparison | str:
+        """The comparison, or why the clouds do not allow one."""
         try:
-            compare_files(ComparisonJob(reference, those, settings, {}), Outputs(folder, figures=False), lambda _: None)
-        except PcbenchError as error:
+            job, outputs = ComparisonJob(reference, those, settings, {}), Outputs(folder, figures=False)
+            return compare_files(job, outputs, lambda _: None).comparison
+        except (InputError, RegistrationError) as error:
             return recorded(error)
-        return None
 
     def make(folder: Path) -> None:
         failed: dict[str, str] = {}
         # A comparison has all candidates or none: where it has none, those that cannot be measured are found.
-        if compare(dict(clouds), folder) is not None:
+        found = compare(dict(clouds), folder)
+        if isinstance(found, str):
             asked = _Asked.of(read_cloud(reference), crop)
             failed = {cloud: why for cloud, path in clouds.items() if (why := asked.why_not(path)) is not None}
             others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
-            if others and (why := compare(others, folder)) is not None:  # the reference cannot
-                failed |= dict.fromkeys(others, why)
-        (folder / _FAILED).write_text(json.dumps(failed), encoding="utf-8")
+            if others and isinstance(found := compare(others, folder), str):  # the reference cannot
+                failed |= dict.fromkeys(others, found)
+        (folder / _RESULTS).write_text(to_json(_document(name, found, failed)), encoding="utf-8")
 
-    folder = stage(out, f"against-{name}", key, make)
-    failed = {cloud: Against(name, failure=why) for cloud, why in read_json(folder / _FAILED).items()}
-    if not (folder / _COMPARISON).is_file():
-        return Held(None, None, failed)
-    document = read_json(folder / _COMPARISON)
-    found = {row["name"]: _against(name, row) for row in document["candidates"]}
-    counts = document["reference"]["points"], document["reference"]["points_in_region"]
-    return Held(folder, counts, {**failed, **found})
+    return _read(stage(out, f"against-{name}", key, make))
+
+
+def _document(name: str, found: Comparison | str, failed: Mapping[str, str]) -> dict[str, object]:
+    """What `_read` reads."""
+    clouds = {cloud: Against(name, failure=why) for cloud, why in failed.items()}
+    if isinstance(found, str):
+        return {"counts": None, "clouds": clouds}
+    clouds |= {candidate.name: _against(name, candidate) for candidate in found}
+    return {"counts": (found.reference.points, found.reference.points_in_region), "clouds": clouds}
+
+
+def _read(folder: Path) -> Held:
+    values = read_json(folder / _RESULTS)
+    clouds = {cloud: against_from(row) for cloud, row in values["clouds"].items()}
+    counts = values["counts"]
+    return Held(None, None, clouds) if counts is None else Held(folder, (counts[0], counts[1]), clouds)
 
 
 def draw_maps(folder: Path) -> str | None:
@@ -126,19 +138,21 @@ class _Asked(NamedTuple):
         cloud = read_cloud(path)
         try:
             found = register(self.cloud, cloud, "icp", target=self.target)
-        except PcbenchError as error:
+        except (InputError, RegistrationError) as error:
             return recorded(error)
         if self.region is None or self.region.contains(found.T_reference_candidate.apply(cloud.points)).any():
             return None
         return f"the region {self.region.describe()} holds none of its {len(cloud):,} points"
 
 
-def _against(name: str, row: Mapping[str, Any]) -> Against:
+def _against(name: str, candidate: Candidate) -> Against:
+    measures = candidate.metrics.presets["gao2025"]
+    assert isinstance(measures, Gao2025)
     return Against(
         reference=name,
-        points=row["points_in_region"],
-        measures=Gao2025(**row["metrics"]["presets"]["gao2025"]),
-        floor=row["metrics"]["d1_mse"]["floor"][FORTH],
-        deformation=Deformation.from_json(row["deformation"]),
-        doubts=tuple(row["registration"]["warnings"]),
+        points=candidate.points_in_region,
+        measures=measures,
+        floor=candidate.metrics.d1_mse.accuracy.floor,
+        deformation=candidate.deformation,
+        doubts=tuple(notice.text for notice in candidate.registration.warnings),
     )

@@ -41,9 +41,9 @@ class GaoJob:
     """The experiment.
 
     Attributes:
-        scenes: folders as `read_scene` reads them, with cameras; none: cities are made.
+        scenes: folders as `read_scene` reads them; none: cities are made.
         poses: `solve` finds the cameras once, by `sfm`, as the paper does, and every cloud has these; `given` takes
-            those of the scene.
+            those of the scene, which needs some for all images then.
         settings: of `splat`, in place of those of `SPLAT_SETTINGS`.
         crop: region that is measured, as `pcbench.geometry.region_text` has it; None: a sphere about the place that the
             cameras look at.

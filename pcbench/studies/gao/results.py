@@ -45,7 +45,7 @@ class Against:
     @property
     def back_mse(self) -> float | None:
         """Mean squared distance from the reference to the cloud, which the paper's D1 leaves out."""
-        return None if self.measures is None else self.measures.chamfer - self.measures.d1_mse
+        return None if self.measures is None else self.measures.d1_back_mse
 
     @property
     def forth_rms(self) -> float | None:
@@ -55,7 +55,7 @@ class Against:
     @property
     def back_rms(self) -> float | None:
         """Root mean square distance from the reference to the cloud."""
-        return None if self.back_mse is None else math.sqrt(max(0.0, self.back_mse))
+        return None if self.back_mse is None else math.sqrt(self.back_mse)
 
 
 @dataclass(frozen=True)
@@ -262,18 +262,24 @@ def _cameras(values: dict[str, Any]) -> CameraErrors:
 
 
 def _cloud(values: dict[str, Any]) -> CloudResult:
-    against = tuple(_against(row) for row in values["against"])
+    against = tuple(against_from(row) for row in values["against"])
     return CloudResult(**{**values, "against": against, "notes": tuple(values["notes"])})
 
 
-def _against(values: dict[str, Any]) -> Against:
+def against_from(values: Mapping[str, Any]) -> Against:
+    """A cloud held against a reference, as JSON holds it."""
     measures, bend = values["measures"], values["deformation"]
     parts = {
-        "measures": None if measures is None else Gao2025(**measures),
+        "measures": None if measures is None else _measures(measures),
         "deformation": None if bend is None else Deformation.from_json(bend),
         "doubts": tuple(values["doubts"]),
     }
     return Against(**{**values, **parts})
+
+
+def _measures(values: Mapping[str, float]) -> Gao2025:
+    # Earlier versions wrote only the sum of both directions.
+    return Gao2025(**{"d1_back_mse": values["chamfer"] - values["d1_mse"], **values})
 
 
 def _views(values: dict[str, Any]) -> NewViews:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pcbench.deformation import Deformation
 from pcbench.measure.presets import Gao2025
+from pcbench.studies.folder import csv_text as csv_of
+from pcbench.studies.folder import markdown_table
 from pcbench.studies.gao.results import Against, CloudResult, SceneResult, Study, references
 from pcbench.studies.views.scores import ViewStudy
 from pcbench.studies.views.table import markdown as views_markdown
@@ -50,7 +50,11 @@ def cost_table(study: Study) -> Iterator[list[str]]:
     for scene in study.scenes:
         yield from _lead(scene, study, len(head))
         for cloud in scene.clouds:
-            images = f"{scene.cameras.solved}/{scene.images}" if scene.cameras is not None else str(scene.images)
+            images = str(scene.images)
+            if scene.cameras is not None:
+                images = f"{scene.cameras.solved}/{images}"
+            elif len(scene.positions) < scene.images:  # solved, and there are none to hold them against
+                images = f"{len(scene.positions)}/{images}"
             points = f"{cloud.points:,}" if cloud.points is not None else "failed"
             yield [cloud.name, points, seconds(cloud), _memory(cloud), images]
 
@@ -77,8 +81,8 @@ def markdown(study: Study, views: ViewStudy | None) -> str:
     """All tables, sentences, verdicts and notes as Markdown."""
     unit = study.unit or "unit"
     parts = ["# The paper, reproduced", "\n".join(f"- {text}" for text in study.sentences)]
-    parts += ["## Clouds against both references", LEGEND.format(unit=unit), _grid(measures_table(study), 2)]
-    parts += ["## What they took", _grid(cost_table(study), 1)]
+    parts += ["## Clouds against both references", LEGEND.format(unit=unit), markdown_table(measures_table(study), 2)]
+    parts += ["## What they took", markdown_table(cost_table(study), 1)]
     if views is not None:
         parts += ["## New views", views_markdown(views).rstrip()]
     parts += ["## Verdicts", "\n".join(f"- {text}" for text in verdicts(study)) or _NONE]
@@ -99,21 +103,18 @@ def verdicts(study: Study) -> Iterator[str]:
 
 def csv_text(study: Study) -> str:
     """A line a cloud and reference; a failed cloud has one."""
-    text = io.StringIO()
     fields = list(Gao2025.__annotations__)
     bend = ("verdict", "model", "bend_rms", "bend_low", "bend_high", "detectable")
     head = ["scene", "cloud", "points", "seconds", "resumed", "memory_bytes", "reference", "points_in_region"]
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*head, *fields, "d1_back_mse", "d1_floor", *bend, "failure"])
+    rows = []
     for scene in study.scenes:
         for cloud in scene.clouds:
             first = [scene.name, cloud.name, cloud.points, cloud.seconds, cloud.resumed, cloud.memory_bytes]
             for of in cloud.against or (Against("", failure=cloud.failure),):
                 values = [None if of.measures is None else getattr(of.measures, field) for field in fields]
-                rest = [of.back_mse, of.floor, *_bend_values(of.deformation), of.failure or cloud.failure]
-                row = [*first, of.reference, of.points, *values, *rest]
-                writer.writerow(["" if value is None else value for value in row])
-    return text.getvalue()
+                rest = [of.floor, *_bend_values(of.deformation), of.failure or cloud.failure]
+                rows.append([*first, of.reference, of.points, *values, *rest])
+    return csv_of([*head, *fields, "d1_floor", *bend, "failure"], rows)
 
 
 def _against(cloud: CloudResult, reference: str) -> Against | None:
@@ -169,11 +170,3 @@ def _notes(study: Study) -> Iterator[str]:
         for cloud in scene.clouds:
             doubts = [f"against {of.reference}: {text}" for of in cloud.against for text in of.doubts]
             yield from (f"{scene.name} {cloud.name}: {note}" for note in (*cloud.notes, *doubts))
-
-
-def _grid(rows: Iterable[Sequence[str]], labels: int) -> str:
-    header, *rest = rows
-    rule = ["---"] * labels + ["---:"] * (len(header) - labels)
-    return "\n".join(
-        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, rule, *rest)
-    )

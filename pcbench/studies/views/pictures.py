@@ -17,6 +17,7 @@ from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
 from pcbench.scenes.views import Pictures, RenderedView
+from pcbench.studies.folder import free_name
 from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
 
 # Draws the pictures of a folder with scores.
@@ -183,11 +184,5 @@ def _named(scenes: Sequence[ScoredScene]) -> dict[str, ScoredScene]:
     named: dict[str, ScoredScene] = {}
     for scene in scenes:
         words = f"{scene.views.scene}_{scene.views.method}"
-        stem = re.sub(r"[^\w.-]+", "_", words).strip("._") or "scene"
-        number = 1
-        name = stem
-        while name in named:
-            number += 1
-            name = f"{stem}_{number}"
-        named[name] = scene
+        named[free_name(re.sub(r"[^\w.-]+", "_", words).strip("._") or "scene", named)] = scene
     return named

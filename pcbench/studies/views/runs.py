@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pcbench.errors import InputError, Notice, PcbenchError, ReconstructionError, recorded
-from pcbench.io.files import atomic_write
-from pcbench.plugins.run import ReconstructionJob, run
+from pcbench.errors import InputError, Notice, ReconstructionError, recorded
+from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
 from pcbench.scenes.views import find_views
-from pcbench.scratch import claim
-from pcbench.studies.views.scores import DOCUMENT, ViewStudy, score_views, write_scores
+from pcbench.studies.folder import StudyKind, check_folder, named_folders, study_folder, write_pages
+from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_views, write_scores
 from pcbench.studies.views.table import markdown
 
+KIND = StudyKind("views", DOCUMENT, SCHEMA)
 _RUNS = "runs"
 _MAKING_S = 300.0  # that one scene takes, roughly, for progress bars
 
@@ -46,30 +46,29 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
     same call goes on; `scores.json`, `scores.csv` and `views.md` are written there.
 
     Raises:
-        InputError: `out` is something else, another run is writing there, or a folder is neither a scene nor views.
+        InputError: `out` is something else, another run is writing there, or a workspace holds no views.
         ReconstructionError: no scene has views.
+        MissingExtra: a library that measures views is not installed.
         OSError: a file cannot be written.
     """
     _check(job, out)
-    out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with claim(out):
-        (out / _RUNS).mkdir(parents=True, exist_ok=True)
+    with study_folder(out, KIND, job):
+        (out / _RUNS).mkdir(exist_ok=True)
         folders, failed = [], []
-        for number, (name, scene) in enumerate(_named(job.scenes).items(), 1):
+        for number, (name, scene) in enumerate(named_folders(job.scenes).items(), 1):
             if (found := find_views(scene)) is not None:
                 folders.append(found)
                 continue
             step(Step(f"{job.method} {number} of {len(job.scenes)}: {name}", _MAKING_S))
             try:
                 folders.append(_make(job, scene, out / _RUNS / name, step))
-            except PcbenchError as error:
+            except (InputError, ReconstructionError) as error:
                 failed.append(Notice("no-views", f"{scene}: {recorded(error)}"))
         if not folders:
             raise ReconstructionError(f"no scene has rendered views: {failed[0]}")
         study = score_views(folders, step)
         study = ViewStudy(study.scenes, (*failed, *study.notes))
-        with atomic_write(out / "views.md") as file:
-            file.write(markdown(study).encode())
+        write_pages(out, {"views.md": markdown(study)})
         write_scores(out, study)
     return study
 
@@ -96,18 +95,10 @@ def _check(job: ViewsJob, out: Path) -> None:
         raise InputError("expected hold_out=every or hold_out=blocks, got none: views are measured of held-out images")
     if missing := [path for path in job.scenes if not path.exists()]:
         raise InputError(f"{missing[0]}: no such file or folder: expected a scene or a folder of rendered views")
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: expected a folder, got a file")
-    ours = (out / _RUNS).is_dir() or (out / DOCUMENT).is_file()
-    if out.is_dir() and any(out.iterdir()) and not ours:
-        raise InputError(f"{out}: the folder is not empty and holds no such study: choose another one, or empty it")
-
-
-def _named(scenes: Sequence[Path]) -> dict[str, Path]:
-    """By the names of their folders, numbered where several are alike."""
-    named: dict[str, Path] = {}
-    for scene in scenes:
-        stem = scene.resolve().name or "scene"
-        alike = sum(name == stem or name.startswith(f"{stem}_") for name in named)
-        named[f"{stem}_{alike + 1}" if alike else stem] = scene
-    return named
+    for path in job.scenes:
+        if find_views(path) is None and (path / JOB).is_file() and (path / PLUGIN).is_dir():
+            raise InputError(
+                f"{path}: the workspace holds no rendered views: give the folder of photographs, or make them by"
+                " `pcbench reconstruct splat PHOTOS -o CLOUD --set hold_out=every`"
+            )
+    check_folder(out, KIND)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -13,12 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError, Notice
-from pcbench.io.files import atomic_write, read_json
+from pcbench.io.files import read_json
 from pcbench.measure.images import ViewScores
 from pcbench.measure.perceptual import Perceptual
 from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.scenes.views import RenderedView, RenderedViews, read_views
+from pcbench.studies.folder import csv_text, write_pages
 
 SCHEMA = "pcbench.view-scores/1"
 DOCUMENT = "scores.json"
@@ -119,9 +118,7 @@ def write_scores(out: Path, study: ViewStudy) -> None:
     """
     notes = [{"code": note.code, "text": note.text} for note in study.notes]
     document = {"schema": SCHEMA, "scenes": [_plain(scene) for scene in study.scenes], "notes": notes}
-    for name, text in (("scores.csv", _csv(study)), (DOCUMENT, to_json(document))):
-        with atomic_write(out / name) as file:
-            file.write(text.encode())
+    write_pages(out, {"scores.csv": _csv(study), DOCUMENT: to_json(document)})
 
 
 def read_scores(out: Path) -> ViewStudy:
@@ -171,16 +168,15 @@ def _scores(row: dict[str, Any]) -> ViewScores:
 
 
 def _csv(study: ViewStudy) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["scene", "method", "view", "set", "block", *ViewScores._fields])
-    for scene in study.scenes:
-        for view, scores in zip(scene.views.views, scene.scores, strict=True):
-            block = "" if view.block is None else view.block
-            cells = ("" if value is None else repr(value) for value in scores)
-            kind = "test" if view.is_test else "train"
-            writer.writerow([scene.views.scene, scene.views.method, view.name, kind, block, *cells])
-    return text.getvalue()
+    rows = [
+        (
+            *(scene.views.scene, scene.views.method, view.name, "test" if view.is_test else "train", view.block),
+            *(None if value is None else repr(value) for value in scores),
+        )
+        for scene in study.scenes
+        for view, scores in zip(scene.views.views, scene.scores, strict=True)
+    ]
+    return csv_text(["scene", "method", "view", "set", "block", *ViewScores._fields], rows)
 
 
 def mean_scores(scores: Sequence[ViewScores]) -> ViewScores:

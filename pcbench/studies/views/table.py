@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from pcbench.measure.images import ViewScores
+from pcbench.studies.folder import markdown_table
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, mean_scores
 
 _NONE = "–"
@@ -65,11 +66,9 @@ def sentences(study: ViewStudy) -> list[str]:
 
 def markdown(study: ViewStudy) -> str:
     """The table and its sentences as Markdown."""
-    header, *rows = table(study)
-    first = header.index("views")
-    rule = ["---"] * first + ["---:"] * (len(header) - first)
-    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, rule, *rows)]
-    return "\n".join([*lines, "", *(f"- {sentence}" for sentence in sentences(study))]) + "\n"
+    rows = table(study)
+    lines = [markdown_table(rows, rows[0].index("views")), "", *(f"- {sentence}" for sentence in sentences(study))]
+    return "\n".join(lines) + "\n"
 
 
 def _cells(

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from optional import import_or_skip
 from processes import ends
 
 from pcbench import Cloud, write_cloud
-from pcbench.errors import InputError
+from pcbench.errors import InputError, MissingExtra
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins.run import Description, describe
 from pcbench.studies.bench import runs
@@ -207,6 +208,41 @@ def test_a_refusal_stands_for_no_later_run(here, one_process):
     assert bench(job("Missing"), Path("out"))["rows"][0]["status"] == "ok"
 
 
+@pytest.mark.parametrize("error", [MissingExtra("open3d", "open3d"), MemoryError()])
+def test_a_measurement_that_may_succeed_later_is_tried_again(here, one_process, monkeypatch, error):
+    whole = runs.score
+    monkeypatch.setattr(runs, "score", Mock(side_effect=error))
+    assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "unmeasured"
+    monkeypatch.setattr(runs, "score", whole)
+    assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "ok"
+    assert counted() == ["Good"]
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        ("raise OSError(28, 'No space left on device')", "crashed"),
+        ("from pcbench.errors import MissingExtra; raise MissingExtra('x', 'y')", "refused"),
+    ],
+)
+def test_a_run_that_may_succeed_later_is_tried_again(here, one_process, body, status):
+    Path("passing.py").write_text(
+        METHODS
+        + f"""
+@dataclass(frozen=True)
+class Passing:
+    def reconstruct(self, scene, workspace):
+        if (HERE / "mended").exists():
+            return Reconstruction(read_cloud(HERE / "made.ply"), "georeferenced")
+        {body}
+"""
+    )
+    whole = BenchJob(Path("photos"), Path("truth.ply"), ["passing.py:Passing"])
+    assert bench(whole, Path("out"))["rows"][0]["status"] == status
+    Path("mended").touch()
+    assert bench(whole, Path("out"))["rows"][0]["status"] == "ok"
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
     command = [sys.executable, "-m", "pcbench.cli", "bench", "photos", "--reference", "truth.ply", "--out", "out"]
@@ -247,7 +283,7 @@ def test_one_bench_a_folder(here, one_process):
 
     bench(job("Good"), Path("out"), on_row=again)
     assert inside
-    with pytest.raises(InputError, match="not empty and holds no bench"):
+    with pytest.raises(InputError, match="not empty and holds no results of `bench`"):
         bench(job("Good"), Path("photos"))
     with pytest.raises(InputError, match="got a file"):
         bench(job("Good"), Path("truth.ply"))

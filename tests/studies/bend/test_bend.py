@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import one_line
 from optional import import_or_skip
 
+from pcbench.errors import InputError
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
+from pcbench.report import to_json
 from pcbench.scenes import read_scene
 from pcbench.scenes.synthetic import city
 from pcbench.scenes.synthetic.plan import CitySettings
@@ -29,6 +32,7 @@ from pcbench.studies.bend.findings import (
     intrinsics_error,
     table,
 )
+from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, Survey, document, read_study
 from reconstructors.sfm.alignment import moved
 
 INTRINSICS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
@@ -50,7 +54,7 @@ def solution(name, *factors, bend=None, seed=1, intrinsics=INTRINSICS):
 
 
 @pytest.fixture(scope="module")
-def document():
+def study():
     """Three solutions, one of them a dome because its lens is wrong, one that failed."""
     solutions = [
         solution("true lens", "nadir", "true", "true", False),
@@ -59,23 +63,48 @@ def document():
         Solution(Variant("every second", "half", "true", "true", False), 6, failure="nothing registers"),
     ]
     rows = findings(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
-    return {"scene": {"unit": "m"}, **rows}
+    scene = Survey("photos", 12, Lens.of(INTRINSICS), "m")
+    return BendStudy(scene, "sfm", rows, tuple(explain(rows, "m")), {"seed": 0})
 
 
-def test_bends_are_found_against_the_truth_and_each_other(document):
-    straight, bent, held, failed = document["rows"]
-    assert (straight["truth"]["verdict"], straight["mutual"]) == ("none", None)
+def test_bends_are_found_against_the_truth_and_each_other(study):
+    straight, bent, held, failed = study.rows
+    assert (straight.truth.verdict, straight.mutual) == ("none", None)
     for row, size in ((bent, 0.4), (held, 0.35)):
-        assert row["truth"]["verdict"] == "non-affine"
+        assert row.truth.is_bent
         # Along the normals: what walls show of a vertical bend is nothing.
-        assert 0.6 * size < row["truth"]["rms"] < size
-        assert row["mutual"]["verdict"] == "non-affine"
-    assert failed["truth"] is None
-    assert bent["reprojection_error"] == 0.5
+        assert 0.6 * size < row.truth.rms < size
+        assert row.mutual.is_bent
+        assert row.mutual.against == "true lens"
+    assert failed.truth is None
+    assert bent.reprojection_error == 0.5
 
 
-def test_the_cause_is_the_setting_that_changes_the_bend(document):
-    sentences = document["sentences"]
+def test_experiment_json_is_read_as_it_was_written(study, tmp_path):
+    assert list(document(study)) == ["schema", "scene", "plugin", "rows", "sentences", "provenance"]
+    (tmp_path / "experiment.json").write_text(to_json(document(study)))
+    read = read_study(tmp_path)
+    assert to_json(document(read)) == (tmp_path / "experiment.json").read_text()
+    assert [row.truth for row in read.rows] == [row.truth for row in study.rows]
+    assert [row.lens for row in read.rows] == [row.lens for row in study.rows]
+    np.testing.assert_array_equal(read.rows[1].cells, study.rows[1].cells)
+    row = json.loads((tmp_path / "experiment.json").read_text())["rows"][1]
+    assert {*row} == {
+        *("name", "factors", "images_given", "images", "failure", "notes", "points", "reprojection_error"),
+        *("lens", "lens_error_px", "truth", "mutual", "cells"),
+    }
+    keys = {"verdict", "model", "rms", "ci", "p_value", "detectable", "growth", "warnings"}
+    assert {*row["truth"]} == keys
+    assert {*row["mutual"]} == {*keys, "against"}
+    assert {*row["lens"]} == {"fx", "fy", "distortion", "size"}
+    for damaged in ("{}", "[]", '{"schema": "pcbench.experiment.gao/1"}', '{"schema": "pcbench.experiment.bend/1"}'):
+        (tmp_path / "experiment.json").write_text(damaged)
+        with pytest.raises(InputError, match=r"experiment\.json"):
+            read_study(tmp_path)
+
+
+def test_the_cause_is_the_setting_that_changes_the_bend(study):
+    sentences = study.sentences
     assert sentences[0].startswith("The cause is the lens distortion: left at zero, the cloud is bent by 0.3")
     assert "('no distortion' against 'true lens')" in sentences[0]
     assert any(s.startswith("Changing control points alone changes the bend by at most 0.0") for s in sentences)
@@ -83,27 +112,45 @@ def test_the_cause_is_the_setting_that_changes_the_bend(document):
     assert any("Solutions of the same images differ by" in s and "0.5 and 0.5 px" in s for s in sentences)
 
 
-def test_the_cause_follows_the_numbers(document):
+def test_the_cause_follows_the_numbers(study):
     """The same rows with the bend in another place: nothing about the cause is fixed."""
-    rows = json.loads(json.dumps(document["rows"][:3]))
-    rows[1]["factors"], rows[2]["factors"] = ({**rows[0]["factors"], "images": "half"}, rows[0]["factors"])
+    straight, bent, held = study.rows[:3]
+    elsewhere = {**straight.factors, "images": "half"}
+    rows = [straight, replace(bent, factors=elsewhere), replace(held, factors=straight.factors)]
     assert next(explain(rows[:2], "m")).startswith("The cause is the choice of images: every second, the cloud")
-    for row in rows:
-        row["truth"]["verdict"] = "none"
-    assert list(explain(rows, "m")) == ["No solution is bent beyond what noise would do."]
-    rows[1]["truth"]["verdict"] = "undecided"
-    assert list(explain(rows, "m")) == ["Whether solutions are bent is undecided: 'no distortion'."]
-    assert list(explain(document["rows"][3:], "m")) == ["No solution could be judged."]
-    for row in rows:
-        row["truth"] |= {"verdict": "non-affine", "ci": [0.0, 1.0]}
-    assert next(explain(rows[:2], "m")).startswith("Solutions are bent, but no two that differ in one setting")
+
+    def all_with(**changes):
+        return [replace(row, truth=replace(row.truth, **changes)) for row in rows]
+
+    assert list(explain(all_with(verdict="none"), "m")) == ["No solution is bent beyond what noise would do."]
+    undecided = all_with(verdict="none")
+    undecided[1] = replace(rows[1], truth=replace(rows[1].truth, verdict="undecided"))
+    assert list(explain(undecided, "m")) == ["Whether solutions are bent is undecided: 'no distortion'."]
+    assert list(explain(study.rows[3:], "m")) == ["No solution could be judged."]
+    wide = all_with(verdict="non-affine", ci=(0.0, 1.0))
+    assert next(explain(wide[:2], "m")).startswith("Solutions are bent, but no two that differ in one setting")
+
+
+def test_no_solution_that_could_be_judged_is_an_error(study, run, monkeypatch, tmp_path):
+    failed = replace(study, rows=study.rows[3:], sentences=tuple(explain(study.rows[3:], "m")))
+    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (failed, None))
+    code, said, err = run("experiment", "bend", "--out", tmp_path)
+    assert code == 2
+    assert "No solution could be judged." in said
+    assert one_line(err)
+    assert "none of 1 solutions could be judged" in err
+    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (study, None))
+    assert run("experiment", "bend", "--out", tmp_path)[0] == 0
 
 
 @pytest.mark.parametrize(
     ("errors", "words"), [([1, 2, 3, 3], "go together"), ([4, 3, 2, 1], "do not go together"), ([1, 1, 1, 1], None)]
 )
 def test_lens_and_bend_go_together_only_if_they_do(errors, words):
-    rows = [{"lens_error_px": e, "truth": {"rms": r}} for e, r in zip(errors, (1.0, 2.0, 3.0, 4.0), strict=True)]
+    rows = [
+        SolutionResult(str(k), {}, 9, 9, lens_error_px=e, truth=Bend("none", "rigid", k + 1.0, None, None, None, None))
+        for k, e in enumerate(errors)
+    ]
     said = list(_intrinsics_words(rows))
     if words is None:
         assert said == []
@@ -112,16 +159,16 @@ def test_lens_and_bend_go_together_only_if_they_do(errors, words):
         assert said == [f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over 4 solutions."]
 
 
-def test_table_and_csv(document):
-    header, *lines = table(document)
+def test_table_and_csv(study):
+    header, *lines = table(study)
     assert len(header) == len(lines[0]) == len(lines[3])
     assert lines[1][0] == "no distortion"
     assert lines[1][1:3] == ["12/12", "8,000"]
     assert lines[1][5] == "non-affine"
     assert lines[3][5] == "failed: nothing registers"
-    read = list(csv.DictReader(csv_text(document).splitlines()))
+    read = list(csv.DictReader(csv_text(study).splitlines()))
     assert [row["name"] for row in read] == [line[0] for line in lines]
-    assert float(read[1]["truth_rms"]) == pytest.approx(document["rows"][1]["truth"]["rms"])
+    assert float(read[1]["truth_rms"]) == pytest.approx(study.rows[1].truth.rms)
     assert float(read[1]["truth_low"]) < float(read[1]["truth_rms"]) < float(read[1]["truth_high"])
     assert read[3]["failure"] == "nothing registers"
 
@@ -157,13 +204,13 @@ def test_clouds_come_into_the_world_by_what_cameras_see():
     assert set(back.attributes) == {"reprojection_error"}
 
 
-def test_the_picture(document, tmp_path):
+def test_the_picture(study, tmp_path):
     import_or_skip("matplotlib")
     from PIL import Image
 
     from pcbench.studies.bend.figure import draw_bend
 
-    draw_bend(document, tmp_path / "bend.png")
+    draw_bend(study, tmp_path / "bend.png")
     with Image.open(tmp_path / "bend.png") as image:
         assert image.width > 1000
         assert np.asarray(image.convert("L")).std() > 10
@@ -189,12 +236,12 @@ def test_a_small_experiment(run, renderer, tmp_path):
     code, out, err = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
     assert code == 0, err
     assert "report: " in out
-    document = json.loads((tmp_path / "bend/experiment.json").read_text())
-    rows = {row["name"]: row for row in document["rows"]}
-    assert all(row["failure"] is None for row in rows.values())
-    assert rows["no distortion"]["truth"]["rms"] > 3 * rows["true lens"]["truth"]["rms"]
-    assert document["sentences"][0].startswith("The cause is the lens distortion")
-    assert rows["true lens"]["lens_error_px"] < 1e-6 < 1 < rows["no distortion"]["lens_error_px"]
+    study = read_study(tmp_path / "bend")
+    rows = {row.name: row for row in study.rows}
+    assert all(row.failure is None for row in rows.values())
+    assert rows["no distortion"].truth.rms > 3 * rows["true lens"].truth.rms
+    assert study.sentences[0].startswith("The cause is the lens distortion")
+    assert rows["true lens"].lens_error_px < 1e-6 < 1 < rows["no distortion"].lens_error_px
     assert len(read_scene(tmp_path / "bend/scene")) == 18
     before = (tmp_path / "bend/true-lens.ply").read_bytes()
     stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "bend/runs").glob("*/stage.json")}

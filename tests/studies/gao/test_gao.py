@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +13,17 @@ from optional import import_or_skip
 from scene_folders import orbit, ten_pictures
 
 from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.scenes import read_scene
 from pcbench.scenes.synthetic import city
 from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.warp import turn, warp_of
+from pcbench.studies.gao import clouds, gao
 from pcbench.studies.gao.cameras import bent_by, camera_errors, placed_cameras, seen_through
+from pcbench.studies.gao.gao import run_gao
 from pcbench.studies.gao.held import hold, visible_truth
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE, GaoJob, looked_at, methods, region_of
 from pcbench.studies.gao.results import (
@@ -180,7 +185,7 @@ def test_what_cannot_be_run_is_refused(run, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").write_text("mine")
     for arguments, message in (
-        ((bare,), "has no camera: the experiment needs them"),
+        ((bare, "--poses", "given"), "has no camera"),
         ((few,), "expected at least 9 images"),
         ((bare, "--images", "20"), "are those of cities, made where no SCENE is given"),
         (("--image-scale", "0.5"), "cities are photographed at --size"),
@@ -197,7 +202,49 @@ def test_what_cannot_be_run_is_refused(run, tmp_path):
         assert not (tmp_path / "out").exists()
     code, _, err = run("experiment", "gao", "--out", tmp_path / "mine")
     assert code == 2
-    assert "holds no such experiment" in err
+    assert "holds no results of `experiment gao`" in err
+
+
+def test_photographs_need_no_cameras_where_these_are_solved(tmp_path, monkeypatch):
+    scene = ten_pictures(tmp_path / "bare")
+    begun = []
+    monkeypatch.setattr(gao, "find_plugin", lambda _: SimpleNamespace(missing=None, configure=lambda _: None))
+    monkeypatch.setattr(gao, "_run", lambda job, given, *_: begun.append(given))
+    run_gao(GaoJob((scene,)), tmp_path / "out")
+    assert [len(found.cameras) for found in begun[0].values()] == [0]
+    with pytest.raises(InputError, match="has no camera"):
+        run_gao(GaoJob((scene,), poses="given"), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_crop_of_nothing_is_refused_before_the_work(tmp_path, monkeypatch):
+    scene = ten_pictures(tmp_path / "scene")
+    (scene / "truth").mkdir()
+    write_cloud(scene / "truth/cloud.ply", Cloud(np.arange(30.0).reshape(10, 3)))
+    monkeypatch.setattr(gao, "find_plugin", lambda _: SimpleNamespace(missing=None, configure=lambda _: None))
+    with pytest.raises(InputError, match=r"leaves none of .*the truth's 10 points"):
+        run_gao(GaoJob((scene,), crop="sphere:900,0,0,1"), tmp_path / "out")
+    with pytest.raises(InputError, match="region ''"):
+        run_gao(GaoJob((scene,), crop=""), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_crop_without_sparse_points_ends_the_work_early(tmp_path, monkeypatch):
+    scene = read_scene(ten_pictures(tmp_path / "scene"))
+    made = []
+
+    def make(maker, method, before):
+        made.append(method.name)
+        folder = tmp_path / method.name
+        folder.mkdir()
+        write_cloud(folder / "cloud.ply", Cloud(np.arange(30.0).reshape(10, 3)))
+        return clouds.Made(method, folder)
+
+    monkeypatch.setattr(clouds._Maker, "make", make)
+    job = GaoJob((scene.folder,), crop="sphere:900,0,0,1")
+    with pytest.raises(InputError, match=r"leaves none of .*the sparse cloud's 10 points"):
+        clouds.make_clouds(job, scene, scene.folder, tmp_path, None, lambda _: None)
+    assert made == [SPARSE]
 
 
 SMALL = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")

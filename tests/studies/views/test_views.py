@@ -207,7 +207,13 @@ def test_the_command(tmp_path, run, monkeypatch):
     assert lines[0].split()[:2] == ["scene", "held"]
     assert [line.split()[0] for line in lines[1:4]] == ["near", "far", "mean"]
     assert lines[-1] == "views: out"
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scores.json", "scores.csv", "views.md", "runs"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "study.json",
+        "scores.json",
+        "scores.csv",
+        "views.md",
+        "runs",
+    }
     import_or_skip("matplotlib")
     code, said, _ = run("plot", "out", "near_splat", "--range", "20")
     assert (code, said) == (0, "out/figures/near_splat.png\n")
@@ -232,4 +238,15 @@ def test_views_without_held_out_images_are_refused_at_once(tmp_path, run):
     )
     assert code == 2
     assert one_line(err) and "expected hold_out=every or hold_out=blocks" in err
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_workspace_without_renderings_is_said_before_the_work(tmp_path, run):
+    (tmp_path / "cloud.work/plugin").mkdir(parents=True)
+    (tmp_path / "cloud.work/job.json").write_text("{}")
+    code, _, err = run("views", tmp_path / "cloud.work", "--out", tmp_path / "o")
+    assert code == 2
+    assert one_line(err)
+    assert "no rendered views" in err
+    assert "--set hold_out=every" in err
     assert not (tmp_path / "o").exists()

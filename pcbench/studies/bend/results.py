@@ -1,0 +1,230 @@
+"""What the experiment found, as types; experiment.json holds them as they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from pcbench.deformation import Bin, Deformation, Growth, Trend
+from pcbench.errors import InputError
+from pcbench.geometry.cameras import Intrinsics
+from pcbench.io.files import read_json
+
+SCHEMA = "pcbench.experiment.bend/1"
+DOCUMENT = "experiment.json"
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics of a solution: focal lengths in pixels, distortion coefficients and image size."""
+
+    fx: float
+    fy: float
+    distortion: tuple[float, ...]
+    size: tuple[int, int]
+
+    @classmethod
+    def of(cls, intrinsics: Intrinsics) -> Lens:
+        """The intrinsics without their principal point."""
+        k = intrinsics
+        return cls(k.fx, k.fy, tuple(k.distortion), (k.width, k.height))
+
+
+@dataclass(frozen=True)
+class Bend:
+    """The verdict on a solution's cloud against another cloud, without its field.
+
+    Attributes:
+        verdict, model, p_value, growth: as of `Deformation`.
+        rms: of the deformation beyond an affine one, with `ci`, its 95 % interval; None where the verdict has none.
+        detectable: RMS of the smallest dome that would have been detected.
+        warnings: one line each.
+        against: name of the solution whose cloud is the other one; None for the truth.
+    """
+
+    verdict: str
+    model: str
+    rms: float | None
+    ci: tuple[float, float] | None
+    p_value: float | None
+    detectable: float | None
+    growth: Growth | None
+    warnings: tuple[str, ...] = ()
+    against: str | None = None
+
+    @classmethod
+    def of(cls, found: Deformation, against: str | None = None) -> Bend:
+        """What is kept of a verdict."""
+        size = found.amplitude
+        return cls(
+            found.verdict,
+            found.model,
+            None if size is None else size.rms,
+            None if size is None else size.ci,
+            found.p_value,
+            found.minimum_detectable_rms,
+            found.growth,
+            tuple(map(str, found.warnings)),
+            against,
+        )
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether the cloud is bent beyond what noise would do."""
+        return self.verdict == "non-affine"
+
+    def size(self, unit: str = "") -> str:
+        """RMS and interval in words; a dash where there is none."""
+        if self.rms is None or self.ci is None:
+            return "–"
+        return f"{self.rms:.3g} [{self.ci[0]:.3g}, {self.ci[1]:.3g}] {unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class SolutionResult:
+    """One solution: its settings, and what became of it.
+
+    Attributes:
+        name: of the variant; factors: its settings by name.
+        images_given, images: photographs, and those that were registered.
+        failure: one line where there is no cloud.
+        points: of the cloud; reprojection_error: its mean, in pixels.
+        lens: as it was solved; lens_error_px: RMS error beyond the focal length.
+        truth: the verdict against the truth; mutual: against the first solution.
+        cells: x, y, z, vertical displacement and its standard deviation, a row for each cell; NaN where unknown.
+    """
+
+    name: str
+    factors: Mapping[str, str]
+    images_given: int
+    images: int
+    failure: str | None = None
+    notes: tuple[str, ...] = ()
+    points: int | None = None
+    reprojection_error: float | None = None
+    lens: Lens | None = None
+    lens_error_px: float | None = None
+    truth: Bend | None = None
+    mutual: Bend | None = None
+    cells: tuple[tuple[float, ...], ...] | None = None
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The scene: its folder, number of images, true lens, and unit of lengths."""
+
+    path: str
+    images: int
+    lens: Lens
+    unit: str | None
+
+
+@dataclass(frozen=True)
+class BendStudy:
+    """All solutions of a scene, and what follows.
+
+    Attributes:
+        plugin: the reconstructor.
+        sentences: on the cause, computed from the rows.
+    """
+
+    scene: Survey
+    plugin: str
+    rows: tuple[SolutionResult, ...]
+    sentences: tuple[str, ...]
+    provenance: Mapping[str, Any] | None = None
+
+    @property
+    def unit(self) -> str:
+        """Of lengths, for words; nothing where it is not known."""
+        return self.scene.unit or ""
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether the bend of any solution is known."""
+        return bool(judged(self.rows))
+
+
+def judged(rows: Sequence[SolutionResult]) -> list[tuple[SolutionResult, Bend]]:
+    """Solutions whose bend against the truth has a size, with that bend."""
+    return [(row, row.truth) for row in rows if row.truth is not None and row.truth.rms is not None]
+
+
+def document(study: BendStudy) -> dict[str, Any]:
+    """What experiment.json holds of a study."""
+    return {"schema": SCHEMA, **_plain(study), "rows": [_row_values(row) for row in study.rows]}
+
+
+def read_study(folder: Path) -> BendStudy:
+    """What experiment.json in a folder holds.
+
+    Raises:
+        InputError: it is another one, or damaged.
+        OSError: it cannot be read.
+    """
+    path = folder / DOCUMENT
+    values = read_json(path)
+    if not isinstance(values, dict) or values.get("schema") != SCHEMA:
+        raise InputError(f"{path}: expected the schema {SCHEMA}")
+    try:
+        scene = values["scene"]
+        return BendStudy(
+            Survey(scene["path"], scene["images"], _lens(scene["lens"]), scene["unit"]),
+            values["plugin"],
+            tuple(map(_row, values["rows"])),
+            tuple(values["sentences"]),
+            values["provenance"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: it is damaged: {type(error).__name__}: {error}") from error
+
+
+def _plain(of: Any) -> dict[str, Any]:
+    return {field.name: getattr(of, field.name) for field in fields(of)}
+
+
+def _row_values(row: SolutionResult) -> dict[str, Any]:
+    bends = {"truth": row.truth, "mutual": row.mutual}
+    return {**_plain(row), **{key: None if bend is None else _bend_values(bend) for key, bend in bends.items()}}
+
+
+def _bend_values(bend: Bend) -> dict[str, Any]:
+    values = asdict(bend)
+    against = values.pop("against")
+    return values if against is None else {"against": against, **values}
+
+
+def _row(values: Mapping[str, Any]) -> SolutionResult:
+    lens, cells = values["lens"], values["cells"]
+    parts = {
+        "notes": tuple(values["notes"]),
+        "lens": None if lens is None else _lens(lens),
+        "cells": None if cells is None else tuple(tuple(math.nan if x is None else x for x in row) for row in cells),
+        **{key: None if values[key] is None else _bend(values[key]) for key in ("truth", "mutual")},
+    }
+    return SolutionResult(**{**values, **parts})
+
+
+def _lens(values: Mapping[str, Any]) -> Lens:
+    width, height = values["size"]
+    return Lens(values["fx"], values["fy"], tuple(values["distortion"]), (width, height))
+
+
+def _bend(values: Mapping[str, Any]) -> Bend:
+    ci, growth = values["ci"], values["growth"]
+    parts = {
+        "ci": None if ci is None else (ci[0], ci[1]),
+        "growth": None if growth is None else Growth(_trend(growth["with_distance"]), _trend(growth["with_height"])),
+        "warnings": tuple(values["warnings"]),
+    }
+    return Bend(**{**values, **parts})
+
+
+def _trend(values: Mapping[str, Any] | None) -> Trend | None:
+    if values is None:
+        return None
+    profile = tuple(Bin(**{**row, "ci": tuple(row["ci"])}) for row in values["profile"])
+    return Trend(**{**values, "ci": tuple(values["ci"]), "profile": profile})

@@ -1,0 +1,68 @@
+"""What clouds are held against: what belongs to them is kept for the next run, and what may pass is not."""
+
+import errno
+
+import numpy as np
+import pytest
+
+from pcbench import Cloud, write_cloud
+from pcbench.errors import InputError, MissingExtra, RegistrationError
+from pcbench.scenes.synthetic import city
+from pcbench.studies.gao import held
+from pcbench.studies.gao.results import TRUTH
+
+
+@pytest.fixture
+def clouds(tmp_path):
+    rng = np.random.default_rng(0)
+    for name, count in (("reference", 6000), ("candidate", 3000)):
+        points, _ = city(0).sample(count, rng)
+        write_cloud(tmp_path / f"{name}.ply", Cloud(points, unit="m"))
+    return tmp_path
+
+
+def hold(folder):
+    clouds = {"candidate": folder / "candidate.ply"}
+    return held.hold(folder / "reference.ply", TRUTH, clouds, "none", folder, 0)
+
+
+def failing_once(monkeypatch, error):
+    """`compare_files` that fails once, as on a machine where something is missing."""
+    whole, left = held.compare_files, [error]
+
+    def compare_files(*arguments):
+        if left:
+            raise left.pop()
+        return whole(*arguments)
+
+    monkeypatch.setattr(held, "compare_files", compare_files)
+
+
+@pytest.mark.parametrize(
+    "error", [MissingExtra("open3d", "open3d"), OSError(errno.ENOSPC, "No space left on device"), MemoryError()]
+)
+def test_what_may_pass_is_raised_and_tried_again(clouds, monkeypatch, error):
+    failing_once(monkeypatch, error)
+    with pytest.raises(type(error)):
+        hold(clouds)
+    found = hold(clouds).clouds["candidate"]
+    assert (found.failure, found.points) == ("", 3000)
+    assert found.measures.d1_back_mse == found.back_mse > 0
+    assert found.measures.chamfer == pytest.approx(found.measures.d1_mse + found.back_mse, rel=1e-12)  # one addition
+
+
+@pytest.mark.parametrize("error", [InputError("too few points"), RegistrationError("no overlap")])
+def test_what_belongs_to_a_cloud_is_kept(clouds, monkeypatch, error):
+    calls = []
+
+    def compare_files(*_):
+        calls.append(1)
+        raise error
+
+    monkeypatch.setattr(held, "compare_files", compare_files)
+    first = hold(clouds)
+    assert first.clouds["candidate"].failure == str(error)
+    assert (first.folder, first.counts) == (None, None)
+    made = len(calls)
+    assert hold(clouds) == first
+    assert len(calls) == made

@@ -1,0 +1,129 @@
+"""The folder of a study: what is refused, what is kept, and what earlier versions left."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from view_folders import views_of
+
+from pcbench.errors import InputError
+from pcbench.studies.bench.runs import KIND as BENCH
+from pcbench.studies.bend.bend import KIND as BEND
+from pcbench.studies.folder import (
+    MARK,
+    check_folder,
+    csv_text,
+    keep_record,
+    kept_record,
+    markdown_table,
+    named_folders,
+    study_folder,
+)
+from pcbench.studies.gao.gao import KIND as GAO
+from pcbench.studies.views.runs import KIND as VIEWS
+from pcbench.studies.views.runs import ViewsJob, run_views
+
+KINDS = (BENCH, BEND, GAO, VIEWS)
+
+
+@dataclass(frozen=True)
+class Job:
+    scene: Path = Path("photos")
+    seeds: tuple[int, ...] = (0, 1)
+
+
+def files_of(folder):
+    return {path.name: path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("runs/notes.txt", "mine"),
+        ("scores.json", "{}"),
+        ("bench.json", '{"schema": "other/1"}'),
+        ("experiment.json", "[1]"),
+        ("views.md", "mine"),
+        ("study.json", '{"study": "cells"}'),
+        (".lock", ""),
+    ],
+)
+def test_a_folder_of_something_else_is_refused(tmp_path, kind, name, text):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match="not empty and holds no results"), study_folder(tmp_path, kind, Job()):
+        pass
+    assert files_of(tmp_path) == {Path(name).name: text}
+
+
+def test_views_leave_a_folder_of_something_else_alone(tmp_path):
+    views_of(tmp_path / "a", "near", 9)
+    mine = {"views.md": "mine", "scores.csv": "mine", "scores.json": "{}"}
+    (tmp_path / "out/runs").mkdir(parents=True)
+    for name, text in mine.items():
+        (tmp_path / "out" / name).write_text(text)
+    with pytest.raises(InputError, match="not empty and holds no results of `views`"):
+        run_views(ViewsJob((tmp_path / "a",)), tmp_path / "out")
+    assert files_of(tmp_path / "out") == mine
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_a_study_knows_its_own_folder(tmp_path, kind):
+    out = tmp_path / "new/out"
+    with study_folder(out, kind, Job()):
+        with pytest.raises(InputError, match="another run"), study_folder(out, kind, Job()):
+            pass
+    assert json.loads((out / MARK).read_text()) == {
+        "schema": "pcbench.study/1",
+        "study": kind.name,
+        "settings": {"scene": "photos", "seeds": [0, 1]},
+    }
+    with study_folder(out, kind, Job()):
+        pass
+    for other in KINDS:
+        if other is not kind:
+            with pytest.raises(InputError, match="not empty"):
+                check_folder(out, other)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="got a file"):
+        check_folder(tmp_path / "file", kind)
+
+
+@pytest.mark.parametrize(
+    ("kind", "left"),
+    [
+        (BENCH, {".lock": "", "runs/x/run.json": "{}"}),
+        (BENCH, {"bench.json": '{"schema": "pcbench.bench/1"}'}),
+        (BEND, {".experiment": "", "lenses/true/cameras.txt": ""}),
+        (GAO, {".experiment-gao": ""}),
+        (VIEWS, {"scores.json": '{"schema": "pcbench.view-scores/1"}'}),
+    ],
+)
+def test_folders_of_earlier_versions_are_gone_on_with(tmp_path, kind, left):
+    for name, text in left.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    with study_folder(tmp_path, kind, Job()):
+        pass
+    for name, text in left.items():
+        assert (tmp_path / name).read_text() == text
+
+
+def test_records_are_those_of_the_same_inputs(tmp_path):
+    path = tmp_path / "run.json"
+    assert kept_record(path, {"a": 1}) is None
+    keep_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
+    assert kept_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
+    assert kept_record(path, {"a": 2, "b": (2, 3)}) is None
+    for damaged in ("", "{", "[]", "{}"):
+        path.write_text(damaged)
+        assert kept_record(path, {"a": 1}) is None
+
+
+def test_tables_and_names():
+    assert csv_text(["a", "b"], [(1, None), ("x,y", 0.5)]) == 'a,b\n1,\n"x,y",0.5\n'
+    assert markdown_table([["a|b", "n"], ["x", "1"]], 1) == "| a\\|b | n |\n| --- | ---: |\n| x | 1 |"
+    paths = [Path(text) for text in ("/x/city", "/y/city", "/z/runs", "/z/city_2")]
+    assert list(named_folders(paths, ["runs"])) == ["city", "city_2", "runs_2", "city_2_2"]
