@@ -18,6 +18,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import pytest
 
 from pcbench import cli
+from pcbench.cli import messages
 from pcbench.errors import MissingExtra
 from pcbench.opengl import NoFiguresError
 from pcbench.scenes.synthetic.render import check_renderer
@@ -56,6 +57,12 @@ def renderer():
         check_renderer()
     except (NoFiguresError, MissingExtra) as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(autouse=True)
+def _no_progress(monkeypatch):
+    """Commands called in this process do not tell how far they are: what they print depends on no clock."""
+    monkeypatch.setattr(messages, "_MAX_SILENCE_S", 3600.0)
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import (
     FILE,
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
 @splat_options
 @seed_option("Of the bootstrap.")
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
-@click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
+@json_option("comparison.json")
 @no_figures_option()
 @click.option("--full", is_flag=True, help="Print every metric, and every sentence.")
 @figure_options
@@ -128,15 +129,15 @@ def compare_and_print(
     job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool, full: bool = False
 ) -> Comparison:
     """Compare files, write what is asked for, and print the answer or the JSON document."""
-    from pcbench.report import document, print_comparison, to_json
+    from pcbench.report import document, print_comparison
     from pcbench.report.compare_files import Outputs, compare_files
 
-    to_stdout = json_file == "-"
-    outputs = Outputs(out, None if json_file is None or to_stdout else Path(json_file), figures)
+    output = JsonOutput(json_file)
+    outputs = Outputs(out, output.file, figures)
     with steps(quiet) as step:
         outcome = compare_files(job, outputs, step)
-    if to_stdout:
-        click.echo(to_json(document(outcome.comparison)), nl=False)
+    if output.on_stdout:
+        output.write(document(outcome.comparison))
     elif not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
     if outcome.without_figures:
@@ -152,6 +153,7 @@ def compare_and_print(
 @crop_option
 @no_figures_option()
 @seed_option("Of the bootstrap.")
+@json_option("deformation.json")
 @background_option
 @format_option
 @quiet_option
@@ -163,6 +165,7 @@ def deform(
     crop: str,
     no_figures: bool,
     seed: int,
+    json_file: str | None,
     background: str | None,
     figure_format: str | None,
     quiet: bool,
@@ -173,18 +176,23 @@ def deform(
     Example: pcbench deform ref.ply a.ply --out bend/
     """
     _multiply_on_one_thread()
+    from pcbench.io.files import named_file
     from pcbench.report.deform_files import deform_files
     from pcbench.report.figures import Figures
 
     look = Figures().changed(background, None, figure_format)
+    output = JsonOutput(json_file)
+    output.check([reference, candidate, *filter(None, map(named_file, (register, crop)))], folder=out)
     with steps(quiet) as step:
         outcome = deform_files(
             reference, candidate, register, crop, seed, out, figures=None if no_figures else look, step=step
         )
     found = outcome.deformation
+    output.write(found)
     if not quiet:
         for warning in outcome.warnings:
             warn(warning)
+    if not quiet and not output.on_stdout:
         click.echo(found.sentence(candidate.name, outcome.unit or ""))
         for notice in found.further_warnings:
             warn(str(notice))

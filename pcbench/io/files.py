@@ -185,7 +185,7 @@ def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()
             raise InputError(f"{path}: the result would replace an input: choose another name")
     if any(target == other.resolve() for other in others):
         raise InputError(f"{path}: two results would be written there: give each a name of its own")
-    if path.is_dir() or not path.absolute().parent.is_dir():
+    if (path.exists() and not path.is_file()) or not path.absolute().parent.is_dir():
         raise InputError(f"{path}: expected the name of a file in an existing folder")
 
 
