@@ -35,7 +35,9 @@ def plugins(specs: tuple[str, ...], time_limit: float) -> None:
     from pcbench.plugins.run import describe
 
     for spec in specs or installed():
-        found = describe(spec, time_limit)
+        with steps(quiet=False) as step:
+            step(f"looking at {spec}")
+            found = describe(spec, time_limit)
         if found.problem is not None:
             problem = found.problem if found.problem.startswith(spec.rpartition(":")[0]) else f"{spec}: {found.problem}"
             if specs:
@@ -87,6 +89,7 @@ def reconstruct(
     from pcbench.io.files import check_output
     from pcbench.plugins.run import ReconstructionJob, check_workspace, note_made, run, was_made
     from pcbench.plugins.wgs84 import in_wgs84
+    from pcbench.regular_files import is_regular_file
     from pcbench.scenes import read_scene
     from pcbench.scenes.folders import find_images
     from pcbench.scenes.write import cameras_files, check_cameras_output
@@ -94,7 +97,7 @@ def reconstruct(
     from pcbench.scratch import claim
 
     values = dict(key_value(text) for text in settings)
-    named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if Path(text).is_file()]
+    named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if is_regular_file(text)]
     work = workspace or out.with_suffix(".work")
     inputs = [scene, *named, *filter(None, [masks]), *([] if cameras in ("auto", "none") else [Path(cameras)])]
     others = [] if write_cameras is None else cameras_files(write_cameras)

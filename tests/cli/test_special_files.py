@@ -14,7 +14,7 @@ from command_line import one_line
 from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.regular_files import open_regular, read_bytes, read_text
+from pcbench.regular_files import is_regular_file, open_regular, read_bytes, read_text
 
 # A command that hangs or fills the memory ends the child, and no more than it: seconds and bytes of address space.
 _MAX_SECONDS, _MAX_MEMORY = 240, 6 << 30
@@ -144,3 +144,9 @@ def test_what_is_no_text_is_said(tmp_path):
         read_text(tmp_path)
     with pytest.raises(FileNotFoundError):
         read_text(Path(tmp_path / "none"))
+
+
+@pytest.mark.parametrize("text", ["x" * 300, "a\0b", "", "none"])
+def test_a_text_that_names_no_file_is_none(text):
+    assert not is_regular_file(text)
+    assert is_regular_file(__file__)
