@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
-from pcbench.regular_files import open_regular, read_text, regular_status
+from pcbench.regular_files import open_regular, read_bytes, regular_status
 from pcbench.scratch import scratch_file
 
 Warn = Callable[[str], None]
@@ -46,7 +46,9 @@ def read_json(path: Path) -> Any:
         OSError: it cannot be read.
     """
     try:
-        return json.loads(read_text(path, _MAX_JSON_BYTES))
+        return json.loads(read_bytes(path, _MAX_JSON_BYTES).decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError("expected JSON, got a binary file") from None
     except InputError:  # a ValueError too, but it says all already
         raise
     except RecursionError:

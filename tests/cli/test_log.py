@@ -1,7 +1,10 @@
 """`pcbench --log FILE`: what a run did, in a file of its own."""
 
 import logging
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -86,10 +89,24 @@ def test_a_log_is_continued(files, run):
      "--log none/run.log info a.ply", "--log pipe info a.ply"],
 )  # fmt: skip
 def test_a_log_replaces_nothing(files, run, command):
-    import os
-
     os.mkfifo("pipe")
     before = (files / "a.ply").read_bytes()
     code, _, err = run(*command.split())
     assert (code, one_line(err)) == (2, True), err
     assert (files / "a.ply").read_bytes() == before
+
+
+def test_a_log_that_a_full_disk_does_not_take_ends_with_one_line(files):
+    """Files may have 300 bytes here, fewer than settings and versions take."""
+    script = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))\n"
+        "sys.argv = 'pcbench --log run.log info a.ply'.split()\n"
+        "from pcbench.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert "1,500 points" in done.stdout
+    told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    assert len(told) == 1
+    assert "the log ends here" in told[0]
+    assert "Traceback" not in done.stderr

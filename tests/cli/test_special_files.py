@@ -47,6 +47,7 @@ NAMED = {
     "core points": "compare a.ply a.ply --no-figures --m3c2 radius=1,cores=FILE.ply",
     "cameras": "scene photos --cameras FILE",
     "control points": "reconstruct sfm photos -o out.ply --set control=FILE",
+    "a buffer of glTF": "info mesh.gltf",
     "a plugin": "reconstruct FILE.py:Mine photos -o out.ply",
 }
 # What a scene's folder may hold in the place of a file, and the file that is replaced by it.
@@ -77,6 +78,7 @@ def ended(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param.__name__)
     for name in ("FILE", "FILE.ply", "FILE.py"):
         request.param(folder / name)
+    (folder / "mesh.gltf").write_text('{"asset": {"version": "2.0"}, "buffers": [{"uri": "FILE", "byteLength": 36}]}')
     write_cloud(folder / "a.ply", Cloud(np.random.default_rng(0).normal(size=(500, 3))))
     scene_folders.ten_pictures(folder / "photos")
     commands = dict(NAMED)
