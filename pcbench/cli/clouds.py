@@ -101,8 +101,8 @@ def register(
             step(f"reading {path}")
             said.append([])
             clouds.append(read_cloud(path, on_warning=said[-1].append))
-            for warning in said[-1]:
-                warn_unless(quiet)(warning)
+            for text in said[-1]:
+                warn_unless(quiet)(text)
         reference_cloud, cloud = clouds
         step("registering")
         result = register_clouds(reference_cloud, cloud, register)
@@ -120,8 +120,8 @@ def register(
     centroid, unit = cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit
     if json_file is not None:
         read = zip((reference, candidate), said, strict=True)
-        files = [InputFile(str(path), digest(path), tuple(texts)) for path, texts in read]
-        output.write(registration_document(result, *files, centroid, unit))
+        first, second = (InputFile(str(path), digest(path), tuple(texts)) for path, texts in read)
+        output.write(registration_document(result, first, second, centroid, unit))
     if not quiet and not output.on_stdout:
         for line in _motion_lines(result, centroid, unit):
             click.echo(f"# {line}")

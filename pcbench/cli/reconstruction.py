@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from pcbench.cli.messages import steps, warn
+from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -113,10 +113,9 @@ def reconstruct(
         step(f"reconstructing with {name}")
         check_workspace(work)
         result = run(job, work, time_limit, lambda text: step(f"reconstructing with {name}: {text}"))
-    if not quiet:
-        for warning in result.warnings:
-            if not (wgs84 and "--wgs84" in warning):
-                warn(warning)
+    for warning in result.warnings:
+        if not (wgs84 and "--wgs84" in warning):
+            warn_unless(quiet)(warning)
     made = result.required()
     if sphere is not None and made.gauge == "georeferenced":
         made = in_wgs84(made, sphere)
@@ -128,12 +127,12 @@ def reconstruct(
         warn(f"{write_cameras}: not written, {name} gave no cameras")
     elif write_cameras is not None:
         write(write_cameras, made.cameras, find_images(scene)[0], made.cloud)
+    for note in made.notes:
+        if note.startswith("warning: "):
+            warn_unless(quiet)(note.removeprefix("warning: "))
+        elif not quiet:
+            click.echo(f"note: {note}")
     if not quiet:
-        for note in made.notes:
-            if note.startswith("warning: "):
-                warn(note.removeprefix("warning: "))
-            else:
-                click.echo(f"note: {note}")
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
         click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
-from pcbench.cli.messages import steps, warn
+from pcbench.cli.log import LOGGER
+from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     background_option,
@@ -131,11 +132,14 @@ def compare_and_print(
     """Compare files, write what is asked for, and print the answer or the JSON document."""
     from pcbench.report import document, print_comparison
     from pcbench.report.compare_files import Outputs, compare_files
+    from pcbench.report.notes import warnings
 
     output = JsonOutput(json_file)
     outputs = Outputs(out, output.file, figures)
     with steps(quiet) as step:
         outcome = compare_files(job, outputs, step)
+    for text in warnings(outcome.comparison):
+        LOGGER.warning("%s", text)
     if output.on_stdout:
         output.write(document(outcome.comparison))
     elif not quiet:
@@ -189,13 +193,13 @@ def deform(
         )
     found = outcome.deformation
     output.write(found)
-    if not quiet:
-        for warning in outcome.warnings:
-            warn(warning)
+    say = warn_unless(quiet)
+    for warning in outcome.warnings:
+        say(warning)
+    for notice in found.further_warnings:
+        say(str(notice))
     if not quiet and not output.on_stdout:
         click.echo(found.sentence(candidate.name, outcome.unit or ""))
-        for notice in found.further_warnings:
-            warn(str(notice))
         for rung in found.rungs:
             mark = "*" if rung.model == found.model else " "
             score, error = rung.cv_score**0.5, rung.cv_se / (2 * rung.cv_score**0.5 or 1.0)

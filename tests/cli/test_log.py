@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import one_line
 
-from pcbench import __version__
+from pcbench import Cloud, __version__, read_cloud, write_cloud
 from pcbench.errors import InputError, recorded
 
 RECORD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (DEBUG|INFO|WARNING|ERROR|CRITICAL) (.*)")
@@ -110,3 +110,12 @@ def test_a_log_that_a_full_disk_does_not_take_ends_with_one_line(files):
     assert len(told) == 1
     assert "the log ends here" in told[0]
     assert "Traceback" not in done.stderr
+
+
+def test_what_a_comparison_warns_of_is_logged(files, run):
+    write_cloud("far.ply", Cloud(1.02 * read_cloud("a.ply").points))
+    code, out, _ = run("--log", "run.log", "compare", "ref.ply", "far.ply", "--register", "none", "--no-figures")
+    assert code == 0
+    printed = [line.removeprefix("warning: ") for line in out.splitlines() if line.startswith("warning: ")]
+    assert printed
+    assert [text for level, text in records("run.log") if level == "WARNING"] == printed
