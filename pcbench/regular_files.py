@@ -76,6 +76,15 @@ def regular_status(path: str | os.PathLike[str]) -> os.stat_result:
     return status
 
 
+def is_regular_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a regular file of this name. A text that cannot be the name of one is none."""
+    try:
+        regular_status(path)
+    except (InputError, OSError):
+        return False
+    return True
+
+
 def has_entry(path: Path) -> bool:
     """Whether a folder has an entry of this name that is no folder: a file, or what is refused in its place.
 

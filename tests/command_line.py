@@ -1,10 +1,13 @@
 """What tests of the command line look at: a report's folder, and errors."""
 
 import json
+import re
 from pathlib import Path
 
 # Files that every report's folder has.
 REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json", "manifest.json"}
+
+_PROGRESS = re.compile(r"^\d+ (s|min|h)(, \d+ (s|min|h) left)?: .*\n", re.MULTILINE)
 
 
 def doc(folder):
@@ -19,4 +22,6 @@ def without_the_clock(values):
 
 
 def one_line(err):
+    """Whether all that was said is an error in one line; on a busy machine a run may have told how far it is."""
+    err = _PROGRESS.sub("", err)
     return err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err

@@ -19,6 +19,7 @@ import pytest
 import wording
 
 from pcbench import cli
+from pcbench.cli import messages
 from pcbench.errors import MissingExtra
 from pcbench.opengl import NoFiguresError
 from pcbench.scenes.synthetic.render import check_renderer
@@ -91,6 +92,12 @@ def renderer():
         check_renderer()
     except (NoFiguresError, MissingExtra) as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(autouse=True)
+def _no_progress(monkeypatch):
+    """Commands called in this process do not tell how far they are: what they print depends on no clock."""
+    monkeypatch.setattr(messages, "_MAX_SILENCE_S", 3600.0)
 
 
 @pytest.fixture

@@ -84,6 +84,8 @@ def _run() -> None:
         if is_of_a_stream(error):
             discard(sys.stdout)
             fail(f"standard output: {error.strerror}")
+        if isinstance(error, FileNotFoundError) and error.filename is None:
+            fail("the current folder does not exist any more: change to another one")
         fail(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
     except MemoryError:
         fail("not enough memory for these clouds: crop or downsample them first")

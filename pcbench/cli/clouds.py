@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
@@ -61,9 +62,16 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
 @click.option("--out", type=FILE, help="Write the aligned candidate.")
 @click.option("--matrix", type=FILE, help="Write the 4x4 matrix candidate -> reference.")
 @register_option()
+@json_option("the pose and how well it is determined")
 @quiet_option
 def register(
-    reference: Path, candidate: Path, out: Path | None, matrix: Path | None, register: str, quiet: bool
+    reference: Path,
+    candidate: Path,
+    out: Path | None,
+    matrix: Path | None,
+    register: str,
+    json_file: str | None,
+    quiet: bool,
 ) -> None:
     """Align CANDIDATE to REFERENCE and say by how much it moved and how well that is determined.
 
@@ -72,20 +80,29 @@ def register(
     """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import atomic_write, check_output, named_file, reading_seconds
+    from pcbench.io.files import atomic_write, check_output, digest, named_file, reading_seconds
     from pcbench.progress import Plan
     from pcbench.registration import register as register_clouds
+    from pcbench.report.document import registration_document
+    from pcbench.report.inputs import InputFile
 
+    output = JsonOutput(json_file)
+    inputs = [reference, candidate, *filter(None, [named_file(register)])]
     for path, other in ((out, matrix), (matrix, out)):
         if path is not None:
-            check_output(path, [reference, candidate, *filter(None, [named_file(register)])], [*filter(None, [other])])
+            check_output(path, inputs, [*filter(None, [other])])
+    output.check(inputs, [*filter(None, [out, matrix])])
+    said: list[list[str]] = []  # warnings of each file's reader
     with steps(quiet) as tell:
         reading = [reading_seconds(path) for path in (reference, candidate)]
         step = Plan(tell, [*reading, 0.5 + 15 * sum(reading)])
         clouds = []
         for path in (reference, candidate):
             step(f"reading {path}")
-            clouds.append(read_cloud(path, on_warning=warn_unless(quiet)))
+            said.append([])
+            clouds.append(read_cloud(path, on_warning=said[-1].append))
+            for text in said[-1]:
+                warn_unless(quiet)(text)
         reference_cloud, cloud = clouds
         step("registering")
         result = register_clouds(reference_cloud, cloud, register)
@@ -100,8 +117,13 @@ def register(
             file.write(text.encode())
     for warning in result.warnings:
         warn(str(warning))
-    if not quiet:
-        for line in _motion_lines(result, cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit):
+    centroid, unit = cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit
+    if json_file is not None:
+        read = zip((reference, candidate), said, strict=True)
+        first, second = (InputFile(str(path), digest(path), tuple(texts)) for path, texts in read)
+        output.write(registration_document(result, first, second, centroid, unit))
+    if not quiet and not output.on_stdout:
+        for line in _motion_lines(result, centroid, unit):
             click.echo(f"# {line}")
         click.echo(text, nl=False)
 

@@ -10,6 +10,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,15 @@ class _LogFile(logging.FileHandler):
         formatter.converter = time.gmtime
         self.setFormatter(formatter)
 
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Say once that the log cannot be continued, such as on a full disk; the run goes on without it."""
+        end_log()
+        click.echo(f"warning: {self.path}: the log ends here: {sys.exc_info()[1]}", err=True)
+
+    def close(self) -> None:
+        with suppress(OSError):  # what a full disk did not take is not written later
+            super().close()
+
 
 def start_log(path: Path) -> None:
     """Log to a file until `end_log`: a new one, or an earlier log, which is continued.
@@ -51,6 +61,8 @@ def start_log(path: Path) -> None:
             file.write(_FIRST_LINE)
     except FileExistsError:
         _check_is_log(path)
+    except OSError as error:  # of a full disk it names no file
+        raise OSError(error.errno, error.strerror, str(path)) from error
     handler = _LogFile(path)
     LOGGER.addHandler(handler)
     LOGGER.setLevel(logging.DEBUG)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from pcbench.cli.messages import steps, warn
+from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -35,7 +35,9 @@ def plugins(specs: tuple[str, ...], time_limit: float) -> None:
     from pcbench.plugins.run import describe
 
     for spec in specs or installed():
-        found = describe(spec, time_limit)
+        with steps(quiet=False) as step:
+            step(f"looking at {spec}")
+            found = describe(spec, time_limit)
         if found.problem is not None:
             problem = found.problem if found.problem.startswith(spec.rpartition(":")[0]) else f"{spec}: {found.problem}"
             if specs:
@@ -87,6 +89,7 @@ def reconstruct(
     from pcbench.io.files import check_output
     from pcbench.plugins.run import ReconstructionJob, check_workspace, note_made, run, was_made
     from pcbench.plugins.wgs84 import in_wgs84
+    from pcbench.regular_files import is_regular_file
     from pcbench.scenes import read_scene
     from pcbench.scenes.folders import find_images
     from pcbench.scenes.write import cameras_files, check_cameras_output
@@ -94,7 +97,7 @@ def reconstruct(
     from pcbench.scratch import claim
 
     values = dict(key_value(text) for text in settings)
-    named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if Path(text).is_file()]
+    named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if is_regular_file(text)]
     work = workspace or out.with_suffix(".work")
     inputs = [scene, *named, *filter(None, [masks]), *([] if cameras in ("auto", "none") else [Path(cameras)])]
     others = [] if write_cameras is None else cameras_files(write_cameras)
@@ -110,10 +113,9 @@ def reconstruct(
         step(f"reconstructing with {name}")
         check_workspace(work)
         result = run(job, work, time_limit, lambda text: step(f"reconstructing with {name}: {text}"))
-    if not quiet:
-        for warning in result.warnings:
-            if not (wgs84 and "--wgs84" in warning):
-                warn(warning)
+    for warning in result.warnings:
+        if not (wgs84 and "--wgs84" in warning):
+            warn_unless(quiet)(warning)
     made = result.required()
     if sphere is not None and made.gauge == "georeferenced":
         made = in_wgs84(made, sphere)
@@ -125,12 +127,12 @@ def reconstruct(
         warn(f"{write_cameras}: not written, {name} gave no cameras")
     elif write_cameras is not None:
         write(write_cameras, made.cameras, find_images(scene)[0], made.cloud)
+    for note in made.notes:
+        if note.startswith("warning: "):
+            warn_unless(quiet)(note.removeprefix("warning: "))
+        elif not quiet:
+            click.echo(f"note: {note}")
     if not quiet:
-        for note in made.notes:
-            if note.startswith("warning: "):
-                warn(note.removeprefix("warning: "))
-            else:
-                click.echo(f"note: {note}")
         for line in (*made.residuals.point_lines(), *made.residuals.rmse_lines(made.cloud.unit)):
             click.echo(line)
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcbench.cli.messages import steps, warn
+from pcbench.cli.json_output import JsonOutput, json_option
+from pcbench.cli.log import LOGGER
+from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     background_option,
@@ -52,7 +54,7 @@ if TYPE_CHECKING:
 @splat_options
 @seed_option("Random seed: points sampled from a mesh and for floors, folds of the cross-validation.")
 @click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
-@click.option("--json", "json_file", metavar="FILE", help="Write comparison.json to FILE; - for standard output.")
+@json_option("comparison.json")
 @no_figures_option()
 @click.option("--full", is_flag=True, help="Print every metric, and every sentence.")
 @figure_options
@@ -128,15 +130,18 @@ def compare_and_print(
     job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool, full: bool = False
 ) -> Comparison:
     """Compare files, write what is asked for, and print the answer or the JSON document."""
-    from pcbench.report import document, print_comparison, to_json
+    from pcbench.report import document, print_comparison
     from pcbench.report.compare_files import Outputs, compare_files
+    from pcbench.report.notes import warnings
 
-    to_stdout = json_file == "-"
-    outputs = Outputs(out, None if json_file is None or to_stdout else Path(json_file), figures)
+    output = JsonOutput(json_file)
+    outputs = Outputs(out, output.file, figures)
     with steps(quiet) as step:
         outcome = compare_files(job, outputs, step)
-    if to_stdout:
-        click.echo(to_json(document(outcome.comparison)), nl=False)
+    for text in warnings(outcome.comparison):
+        LOGGER.warning("%s", text)
+    if output.on_stdout:
+        output.write(document(outcome.comparison))
     elif not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
     if outcome.without_figures:
@@ -152,6 +157,7 @@ def compare_and_print(
 @crop_option
 @no_figures_option()
 @seed_option("Random seed: folds of the cross-validation.")
+@json_option("deformation.json")
 @background_option
 @format_option
 @quiet_option
@@ -163,6 +169,7 @@ def deform(
     crop: str,
     no_figures: bool,
     seed: int,
+    json_file: str | None,
     background: str | None,
     figure_format: str | None,
     quiet: bool,
@@ -173,21 +180,26 @@ def deform(
     Example: pcbench deform ref.ply a.ply --out bend/
     """
     _multiply_on_one_thread()
+    from pcbench.io.files import named_file
     from pcbench.report.deform_files import deform_files
     from pcbench.report.figures import Figures
 
     look = Figures().changed(background, None, figure_format)
+    output = JsonOutput(json_file)
+    output.check([reference, candidate, *filter(None, map(named_file, (register, crop)))], folder=out)
     with steps(quiet) as step:
         outcome = deform_files(
             reference, candidate, register, crop, seed, out, figures=None if no_figures else look, step=step
         )
     found = outcome.deformation
-    if not quiet:
-        for warning in outcome.warnings:
-            warn(warning)
+    output.write(found)
+    say = warn_unless(quiet)
+    for warning in outcome.warnings:
+        say(warning)
+    for notice in found.further_warnings:
+        say(str(notice))
+    if not quiet and not output.on_stdout:
         click.echo(found.sentence(candidate.name, outcome.unit or ""))
-        for notice in found.further_warnings:
-            warn(str(notice))
         for rung in found.rungs:
             mark = "*" if rung.model == found.model else " "
             score, error = rung.cv_score**0.5, rung.cv_se / (2 * rung.cv_score**0.5 or 1.0)

@@ -186,10 +186,13 @@ def warp(
     if about not in ("centre", "origin") and about.count(",") != 2:
         raise InputError(f"expected --about as centre, origin or three numbers x,y,z, got {about!r}")
     given = None if about in ("centre", "origin") else triple("--about", about)
-    data = read_cloud(cloud, on_warning=warn_unless(quiet))
-    lower, upper = data.bounds
-    place = given or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
-    after = turn(angles, offset, scale, place)
-    record = write_warped(out, data, warp_of(kind, data.points, rms, after))
+    with steps(quiet) as step:
+        step(f"reading {cloud}")
+        data = read_cloud(cloud, on_warning=warn_unless(quiet))
+        lower, upper = data.bounds
+        place = given or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
+        after = turn(angles, offset, scale, place)
+        step(f"bending it, and writing {out}")
+        record = write_warped(out, data, warp_of(kind, data.points, rms, after))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")

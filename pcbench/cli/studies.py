@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
@@ -85,7 +86,7 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
         bench_job = demo_job(out / "city", seed, step)
     if not quiet:
         click.echo(f"\nbench: sparse SfM, dense MVS and Gaussian splatting on {out / 'city'}, whose truth is known")
-    _bench_and_print(bench_job, out / "bench", figures=figures, quiet=quiet)
+    _bench_and_print(bench_job, out / "bench", JsonOutput(None), figures=figures, quiet=quiet)
 
 
 @click.command(short_help="Run reconstructors side by side: time and memory against accuracy.")
@@ -122,6 +123,7 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
     help="Of precision, recall and F-score; `2px` is two pixels on the ground. Charts show the last.  [1px,2px,5px]",
 )
 @no_figures_option("charts")
+@json_option("bench.json")
 @quiet_option
 def bench(
     scene: Path,
@@ -139,6 +141,7 @@ def bench(
     crop: str,
     threshold: str | None,
     no_figures: bool,
+    json_file: str | None,
     quiet: bool,
 ) -> None:
     """Make clouds of SCENE with every method at every budget, each in a process of its own, and compare them with the
@@ -149,6 +152,7 @@ def bench(
     Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
              --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
     """
+    from pcbench.io.files import named_file
     from pcbench.studies.bench.plan import Axis
     from pcbench.studies.bench.runs import BenchJob
     from pcbench.studies.bench.score import Rules
@@ -156,10 +160,13 @@ def bench(
     axes = [*map(Axis.fixed, settings), *map(Axis.sweep, sweeps)]
     rules = Rules(register, crop, threshold)
     job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
-    _bench_and_print(job, out, figures=not no_figures, quiet=quiet)
+    output = JsonOutput(json_file)
+    named = filter(None, [masks, truth_mesh, named_file(register), named_file(crop)])
+    output.check([scene, reference, *named], folder=out)
+    _bench_and_print(job, out, output, figures=not no_figures, quiet=quiet)
 
 
-def _bench_and_print(job: BenchJob, out: Path, *, figures: bool, quiet: bool) -> None:
+def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: bool, quiet: bool) -> None:
     from pcbench.report.plot import draw_if_possible
     from pcbench.studies.bench.charts import CHARTS
     from pcbench.studies.bench.runs import Done
@@ -168,14 +175,15 @@ def _bench_and_print(job: BenchJob, out: Path, *, figures: bool, quiet: bool) ->
 
     def say(done: Done) -> None:
         if not quiet:
-            click.echo(f"{done.number}/{done.of} {done.words}")
+            click.echo(f"{done.number}/{done.of} {done.words}", err=output.on_stdout)
 
     with steps(quiet) as step:
         doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))
         if figures:
             step("drawing the charts")
             without = draw_if_possible(out, CHARTS)
-    if not quiet:
+    output.write(doc)
+    if not quiet and not output.on_stdout:
         click.echo()
         print_bench(doc)
         click.echo(f"bench: {out}")

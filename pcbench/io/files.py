@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
-from pcbench.regular_files import open_regular, read_text, regular_status
+from pcbench.regular_files import open_regular, read_bytes, regular_status
 from pcbench.scratch import scratch_file
 from pcbench.systems import rename_open
 
@@ -47,7 +47,9 @@ def read_json(path: Path) -> Any:
         OSError: it cannot be read.
     """
     try:
-        return json.loads(read_text(path, _MAX_JSON_BYTES))
+        return json.loads(read_bytes(path, _MAX_JSON_BYTES).decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError("expected JSON, got a binary file") from None
     except InputError:  # a ValueError too, but it says all already
         raise
     except RecursionError:
@@ -186,7 +188,7 @@ def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()
             raise InputError(f"{path}: the result would replace an input: choose another name")
     if any(target == other.resolve() for other in others):
         raise InputError(f"{path}: two results would be written there: give each a name of its own")
-    if path.is_dir() or not path.absolute().parent.is_dir():
+    if (path.exists() and not path.is_file()) or not path.absolute().parent.is_dir():
         raise InputError(f"{path}: expected the name of a file in an existing folder")
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
 from pcbench.io.files import Warn
 from pcbench.io.polygons import merged
+from pcbench.regular_files import regular_status
 from pcbench.scratch import scratch_folder
 
 
@@ -50,10 +53,25 @@ def read_glb(path: Path, warn: Warn) -> Mesh:
 def read_gltf(path: Path, warn: Warn) -> Mesh:
     """All triangles of a glTF file and the files beside it; raises as `read_glb` does."""
     try:
-        json.loads(path.read_bytes())
+        content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"expected glTF, which is JSON: {str(error)[:100]}") from error
+    for uri in _uris(content):
+        try:
+            regular_status(path.parent / unquote(uri))
+        except InputError as error:
+            raise InputError(f"{uri}, which belongs to it: {error}") from error
+        except OSError:  # trimesh says what it lacks
+            continue
     return _read_with_trimesh(path)
+
+
+def _uris(content: Any) -> list[str]:
+    """The files beside a glTF file that it names."""
+    parts = [content.get(kind) for kind in ("buffers", "images")] if isinstance(content, dict) else []
+    entries = [entry for part in parts if isinstance(part, list) for entry in part if isinstance(entry, dict)]
+    uris = [entry.get("uri") for entry in entries]
+    return [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
 
 
 def _read_with_trimesh(path: Path) -> Mesh:

@@ -18,6 +18,7 @@ import numpy as np
 
 import pcbench
 from pcbench.errors import Notice
+from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.deviation import M3C2, DeviationMap, Spread
 from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.presets import Open3d, Preset, Tnt
@@ -27,6 +28,7 @@ from pcbench.report.inputs import InputFile, SourcedComparison
 from pcbench.systems import cpus
 
 SCHEMA = "pcbench.comparison/1"
+REGISTRATION_SCHEMA = "pcbench.registration/1"
 
 _CODE = ("pcbench", "reconstructors", "CMakeLists.txt", "pyproject.toml")  # what a build is made of
 
@@ -47,6 +49,29 @@ def document(comparison: SourcedComparison) -> dict[str, Any]:
             {"a": d.a, "b": d.b, "metric": d.metric, "difference": d.difference, "ci": d.interval}
             for d in comparison.differences
         ],
+    }
+    plain: dict[str, Any] = _plain(values)
+    return plain
+
+
+def registration_document(
+    registration: Registration, reference: InputFile, candidate: InputFile, centroid: FloatArray, unit: str | None
+) -> dict[str, Any]:
+    """A registration of two files as JSON-ready values: schema `pcbench.registration/1`.
+
+    Args:
+        centroid: (3,) of the candidate's points, at which the motion is described.
+        unit: of lengths; None where it is not known.
+    """
+    motion = registration.T_reference_candidate.motion_at(centroid)
+    values = {
+        "schema": REGISTRATION_SCHEMA,
+        "reference": asdict(reference),
+        "candidate": asdict(candidate),
+        "unit": unit,
+        "registration": {**_registration(registration), "doubtful": registration.doubtful},
+        "motion": {"at": centroid, **motion._asdict()},
+        "provenance": provenance(None),
     }
     plain: dict[str, Any] = _plain(values)
     return plain

@@ -115,7 +115,8 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         files = tuple(_recorded(row) for row in values.get("files", []))
         return Settings(**chosen), Inputs(_recorded(values["reference"]), candidates, files)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: settings are incomplete or damaged: {error}") from error
+        what = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
 
 
 def _recorded(row: dict[str, Any]) -> InputFile:

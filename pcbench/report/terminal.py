@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _GAP = "  "
+_USUAL_WIDTH = 80  # columns
 _UNBOUNDED = 100_000  # columns of a pipe or a file, which have no width
 _ARROWS = ("c→r", "r→c")
 
@@ -101,7 +102,10 @@ def _console() -> Console:
     """Names are data, not markup."""
     from rich.console import Console
 
-    return Console(markup=False, emoji=False, highlight=False)
+    console = Console(markup=False, emoji=False, highlight=False)
+    if console.width < 1:  # some shells say COLUMNS=0 where they know no width
+        console.width = _USUAL_WIDTH
+    return console
 
 
 def _print_lines(console: Console, names: Sequence[str], table: Sequence[Line | None]) -> None:

@@ -61,6 +61,7 @@ def everything():
         ("scene photos --figure photos/sparse/cameras.txt", "no picture of pcbench's"),
         ("scene photos --figure control.txt", "no picture of pcbench's"),
         ("scene photos --figure elsewhere.png", "no picture of pcbench's"),
+        ("scene photos --figure new.bmp", "ends in .png"),
         ("scene photos --write-cameras photos/sparse", "belongs to photos"),
         ("scene photos --write-cameras photos/transforms.json", "belongs to photos"),
         ("scene photos --cameras other.json --write-cameras other.json", "belongs to other.json"),

@@ -1,13 +1,16 @@
 """`pcbench --log FILE`: what a run did, in a file of its own."""
 
 import logging
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from command_line import one_line
 
-from pcbench import __version__
+from pcbench import Cloud, __version__, read_cloud, write_cloud
 from pcbench.errors import InputError, recorded
 
 RECORD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (DEBUG|INFO|WARNING|ERROR|CRITICAL) (.*)")
@@ -86,10 +89,33 @@ def test_a_log_is_continued(files, run):
      "--log none/run.log info a.ply", "--log pipe info a.ply"],
 )  # fmt: skip
 def test_a_log_replaces_nothing(files, run, command):
-    import os
-
     os.mkfifo("pipe")
     before = (files / "a.ply").read_bytes()
     code, _, err = run(*command.split())
     assert (code, one_line(err)) == (2, True), err
     assert (files / "a.ply").read_bytes() == before
+
+
+def test_a_log_that_a_full_disk_does_not_take_ends_with_one_line(files):
+    """Files may have 300 bytes here, fewer than settings and versions take."""
+    script = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))\n"
+        "sys.argv = 'pcbench --log run.log info a.ply'.split()\n"
+        "from pcbench.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert "1,500 points" in done.stdout
+    told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    assert len(told) == 1
+    assert "the log ends here" in told[0]
+    assert "Traceback" not in done.stderr
+
+
+def test_what_a_comparison_warns_of_is_logged(files, run):
+    write_cloud("far.ply", Cloud(1.02 * read_cloud("a.ply").points))
+    code, out, _ = run("--log", "run.log", "compare", "ref.ply", "far.ply", "--register", "none", "--no-figures")
+    assert code == 0
+    printed = [line.removeprefix("warning: ") for line in out.splitlines() if line.startswith("warning: ")]
+    assert printed
+    assert [text for level, text in records("run.log") if level == "WARNING"] == printed

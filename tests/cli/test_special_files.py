@@ -14,7 +14,7 @@ from command_line import one_line
 from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.regular_files import open_regular, read_bytes, read_text
+from pcbench.regular_files import is_regular_file, open_regular, read_bytes, read_text
 
 # A command that hangs or fills the memory ends the child, and no more than it: seconds and bytes of address space.
 _MAX_SECONDS, _MAX_MEMORY = 240, 6 << 30
@@ -47,6 +47,7 @@ NAMED = {
     "core points": "compare a.ply a.ply --no-figures --m3c2 radius=1,cores=FILE.ply",
     "cameras": "scene photos --cameras FILE",
     "control points": "reconstruct sfm photos -o out.ply --set control=FILE",
+    "a buffer of glTF": "info mesh.gltf",
     "a plugin": "reconstruct FILE.py:Mine photos -o out.ply",
 }
 # What a scene's folder may hold in the place of a file, and the file that is replaced by it.
@@ -77,6 +78,7 @@ def ended(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param.__name__)
     for name in ("FILE", "FILE.ply", "FILE.py"):
         request.param(folder / name)
+    (folder / "mesh.gltf").write_text('{"asset": {"version": "2.0"}, "buffers": [{"uri": "FILE", "byteLength": 36}]}')
     write_cloud(folder / "a.ply", Cloud(np.random.default_rng(0).normal(size=(500, 3))))
     scene_folders.ten_pictures(folder / "photos")
     commands = dict(NAMED)
@@ -144,3 +146,9 @@ def test_what_is_no_text_is_said(tmp_path):
         read_text(tmp_path)
     with pytest.raises(FileNotFoundError):
         read_text(Path(tmp_path / "none"))
+
+
+@pytest.mark.parametrize("text", ["x" * 300, "a\0b", "", "none"])
+def test_a_text_that_names_no_file_is_none(text):
+    assert not is_regular_file(text)
+    assert is_regular_file(__file__)

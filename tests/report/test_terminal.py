@@ -168,3 +168,11 @@ def test_a_sentence_is_a_line_where_no_width_is_known(clouds, run, monkeypatch):
     _, out, _ = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
     assert out.splitlines()[1].startswith("a lies ")
     assert out.splitlines()[1].endswith(".")
+
+
+def test_a_shell_that_says_no_width_gets_the_usual_one(clouds, run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "0")
+    code, out, err = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
+    assert (code, err) == (0, "")
+    assert out.splitlines()[1].startswith("a lies ")
+    assert max(map(len, out.splitlines()[:5])) <= 80

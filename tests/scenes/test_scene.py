@@ -92,7 +92,7 @@ def test_splits(photographs):
     assert test.images == ("4.png", "5.png")
     assert len(train) == 8
     for refused in (lambda: scene.split_every(1), lambda: scene.split_every(8)[1].split_blocks(8)):
-        with pytest.raises(InputError, match="images"):
+        with pytest.raises(InputError, match=r"testing|to test"):
             refused()
     with pytest.raises(InputError, match="got 'x'"):
         scene.select(["x"])

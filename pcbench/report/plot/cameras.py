@@ -83,8 +83,12 @@ def draw_cameras(scene: Scene, path: Path) -> None:
 
 
 def _check_picture(path: Path) -> None:
-    """Raises InputError where there is a file already that this program did not draw: photographs are PNG too."""
+    """Raises InputError where there is a file already that this program did not draw (photographs are PNG too), or the
+    name is that of another format.
+    """
     if not path.is_file():
+        if path.suffix.lower() != ".png":
+            raise InputError(f"{path}: expected a file that ends in .png, as the picture is one")
         return
     with path.open("rb") as file:
         start = file.read(1024)

@@ -370,3 +370,12 @@ def test_sfm_on_photographs_whose_truth_is_known(tmp_path, run):
     assert half["points"] < full["points"]
     assert half["fscore"] < full["fscore"]
     assert full["precision"] > 0.9
+
+
+def test_json_on_standard_output_is_the_document_and_nothing_else(here, run):
+    command = ("bench", "photos", "--reference", "truth.ply", "--method", "methods.py:Good", "--no-figures")
+    code, out, err = run(*command, "--out", "out", "--json", "-")
+    assert code == 0
+    assert out == Path("out/bench.json").read_text()
+    assert [row["status"] for row in json.loads(out)["rows"]] == ["ok"]
+    assert err.startswith("1/1 ")  # how far it is

@@ -1,0 +1,74 @@
+"""The option --json: the answer as one JSON document, in a file or on standard output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from pcbench.errors import InputError
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+
+def json_option(what: str) -> Callable[[_Command], _Command]:
+    """`--json FILE`; `what` names the document in the help text."""
+    return click.option("--json", "json_file", metavar="FILE", help=f"Write {what} to FILE; - for standard output.")
+
+
+@dataclass(frozen=True)
+class JsonOutput:
+    """Where a JSON document goes.
+
+    Attributes:
+        target: the value of `--json`: a file's name, `-` for standard output, or None for nowhere.
+    """
+
+    target: str | None
+
+    @property
+    def on_stdout(self) -> bool:
+        """Whether standard output has the document and nothing else."""
+        return self.target == "-"
+
+    @property
+    def file(self) -> Path | None:
+        """The file; None where there is none."""
+        return None if self.target is None or self.on_stdout else Path(self.target)
+
+    def check(self, inputs: Sequence[Path], others: Sequence[Path] = (), folder: Path | None = None) -> None:
+        """Refuse a file that cannot be written, before anything is computed.
+
+        Args:
+            inputs: files, and folders of whose files none may be replaced.
+            others: further results.
+            folder: that other results are written to.
+
+        Raises:
+            InputError: its folder does not exist, or an input or another result would be replaced.
+        """
+        from pcbench.io.files import check_output
+
+        if self.file is None:
+            return
+        check_output(self.file, inputs, others)
+        if folder is not None and self.file.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{self.file}: other results would be there too: write it beside {folder}")
+
+    def write(self, values: Any) -> None:
+        """Write what `pcbench.report.to_json` takes, if it is wanted.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        from pcbench.io.files import atomic_write
+        from pcbench.report import to_json
+
+        if self.on_stdout:
+            click.echo(to_json(values), nl=False)
+        elif self.file is not None:
+            with atomic_write(self.file) as file:
+                file.write(to_json(values).encode())
