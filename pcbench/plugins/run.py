@@ -26,6 +26,9 @@ Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
 _MADE = "made.txt"  # the digest of the file that the cloud was written to
 
+# How BLAS divides a product among threads decides its last bits: results are the same on any number of CPUs.
+_ONE_BLAS_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+
 _MAX_TAIL = 4000  # bytes of a log that its last line is looked for in
 
 
@@ -135,6 +138,7 @@ def _run(
             "pcbench.plugins.reconstruct_child",
             str(workspace.absolute()),
             limits=Limits(seconds=time_limit_s),
+            environment=_ONE_BLAS_THREAD,
             log=log,
         )
     wall_s = time.perf_counter() - start
