@@ -15,6 +15,7 @@ from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.io.files import atomic_write, digest, read_json
+from pcbench.native import _core
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import followed
 from pcbench.registration import SurveyResiduals
@@ -26,6 +27,10 @@ Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 # In the workspace. The plugin has a folder of its own in it, which is kept between runs.
 JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
 _MADE = "made.txt"  # the digest of the file that the cloud was written to
+
+# How BLAS divides a product among threads, and its kernels for a processor, decide last bits: those of COLMAP's global
+# mapping were seen to differ. One thread, and the kernels that every processor with AVX2 has, give the same ones.
+_SAME_BITS = {"OPENBLAS_NUM_THREADS": "1"} | ({} if _core.isa() == "baseline" else {"OPENBLAS_CORETYPE": "Haswell"})
 
 _MAX_TAIL = 4000  # bytes of a log that its last line is looked for in
 
@@ -136,6 +141,7 @@ def _run(
             "pcbench.plugins.reconstruct_child",
             str(workspace.absolute()),
             limits=Limits(seconds=time_limit_s),
+            environment={name: os.environ.get(name, value) for name, value in _SAME_BITS.items()},
             log=log,
         )
     wall_s = time.perf_counter() - start

@@ -29,6 +29,7 @@ from pcbench.report.figures import Figures
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.names import check_name
+from pcbench.report.recorded import record, restore
 from pcbench.report.table import Row, markdown, rows
 from pcbench.scratch import claim, scratch_folder
 
@@ -106,14 +107,14 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
         raise InputError(f"{path}: expected a settings.json that a report holds (schema {SETTINGS_SCHEMA})")
     try:
-        chosen: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values["settings"].items()}
+        settings = restore(values["settings"])
         candidates = {row["name"]: _recorded(row) for row in values["candidates"]}
         if not candidates or len(candidates) < len(values["candidates"]):
             raise ValueError("candidates need names of their own")
         for name in candidates:
             check_name(name)
         files = tuple(_recorded(row) for row in values.get("files", []))
-        return Settings(**chosen), Inputs(_recorded(values["reference"]), candidates, files)
+        return settings, Inputs(_recorded(values["reference"]), candidates, files)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
@@ -134,7 +135,7 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
         "reference": file(inputs.reference),
         "candidates": [{"name": name, **file(read)} for name, read in inputs.candidates.items()],
         "files": [file(read) for read in inputs.files],
-        "settings": settings.plain(),
+        "settings": record(settings),
         "figures": figures.plain(),
     }
 

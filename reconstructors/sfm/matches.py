@@ -17,10 +17,11 @@ from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
 from pcbench.systems import cpus
 from reconstructors.sfm.features import DATABASE, Shared, shared_intrinsics
-from reconstructors.sfm.match_child import match
 
 _MIN_INLIERS = 15  # of a pair that is used: COLMAP's default
 _PAIRS_A_PROCESS = 25  # at least: a process takes 0.3 s to start, a pair 0.01 to 0.2 s
+# Whatever COLMAP's own number of threads is, its libraries would take one for each CPU.
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _MAX_PROCESSES = 8  # each has a copy of the database: about 1.3 MB an image
 
 
@@ -37,12 +38,9 @@ def match_pairs(features: Path, pairs: Sequence[tuple[str, str]], workspace: Pat
         numbers = {name: number for number, name in names.items()}
         numbered = [(numbers[a], numbers[b]) for a, b in pairs]
         processes = max(1, min(cpus(), _MAX_PROCESSES, len(pairs) // _PAIRS_A_PROCESS))
-        if processes == 1:
-            match(folder / DATABASE, _write_list(folder / "pairs", numbered))
-        else:
-            # Neighbours in the list share an image: a process that gets them builds fewer indices.
-            ends = [len(pairs) * k // processes for k in range(processes + 1)]
-            _match_apart(folder, [numbered[start:end] for start, end in pairwise(ends)])
+        # Neighbours in the list share an image: a process that gets them builds fewer indices.
+        ends = [len(pairs) * k // processes for k in range(processes + 1)]
+        _match_apart(folder, [numbered[start:end] for start, end in pairwise(ends)])
         _rename(folder / DATABASE, names)
 
     return stage(workspace, "matches", {"features": stage_key(features), "pairs": pairs}, make)
@@ -56,7 +54,7 @@ def _match_apart(folder: Path, parts: Sequence[Sequence[tuple[int, int]]]) -> No
         copy = folder / f"part-{number}.db"
         shutil.copyfile(folder / DATABASE, copy)
         listed = _write_list(folder / f"pairs-{number}", parts[number])
-        ended = run_module("reconstructors.sfm.match_child", str(copy), str(listed))
+        ended = run_module("reconstructors.sfm.match_child", str(copy), str(listed), environment=_ONE_THREAD)
         if ended.code != 0:
             print(ended.errors, file=sys.stderr)  # into the run's log: its last line is one of a stack
             raise ReconstructionError(f"COLMAP's matching broke down: code {ended.code}")

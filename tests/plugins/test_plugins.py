@@ -102,6 +102,14 @@ def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
     assert 10e6 < result.peak_rss_bytes < 10e9  # an interpreter with numpy is some 40 MB
 
 
+def test_blas_has_one_thread_unless_the_user_says_otherwise(scene, plugin, tmp_path, monkeypatch):
+    job = ReconstructionJob(plugin("print(os.environ['OPENBLAS_NUM_THREADS']);" + GOOD), scene)
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert run(job, tmp_path / "work").log.read_text() == "1\n"
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    assert run(job, tmp_path / "work").log.read_text() == "3\n"
+
+
 @pytest.mark.parametrize(
     "body, status, message",
     [

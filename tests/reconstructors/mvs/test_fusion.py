@@ -1,5 +1,7 @@
 """Fusing exact maps: pixel conventions are right where a plane and a city come back."""
 
+import os
+
 import numpy as np
 import pytest
 from exact_maps import mesh_map, plane_map
@@ -139,6 +141,33 @@ def test_nothing_fused_is_said(tmp_path):
     path = fused(tmp_path, cameras, [made.where(np.zeros(made.depth.shape, bool)) for made in maps])
     with pytest.raises(ReconstructionError, match="nothing is fused"):
         read_fused(*path)
+
+
+@pytest.mark.parametrize("cut", [FUSED, f"{FUSED}.vis", "sparse/images.bin"])
+def test_files_that_colmap_cuts_short_are_refused(tmp_path, monkeypatch, cut):
+    """As on a full disk, which COLMAP does not notice."""
+    import pycolmap
+
+    def shorten(path):
+        os.truncate(path, path.stat().st_size - 10)
+
+    fuse_whole, write_whole = pycolmap.stereo_fusion, pycolmap.Reconstruction.write
+
+    def fuse_partly(out, *arguments, **options):
+        fuse_whole(out, *arguments, **options)
+        shorten(out.with_name(cut))
+
+    def write_partly(model, folder):
+        write_whole(model, folder)
+        shorten(folder.parent / cut)
+
+    if cut.startswith("sparse"):
+        monkeypatch.setattr(pycolmap.Reconstruction, "write", write_partly)
+    else:
+        monkeypatch.setattr(pycolmap, "stereo_fusion", fuse_partly)
+    cameras = over_a_plane()
+    with pytest.raises(ReconstructionError, match="could not be written whole"):
+        fused(tmp_path, cameras, [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras])
 
 
 def test_a_mesh_of_the_plane(plane, tmp_path):

@@ -11,6 +11,7 @@ from pcbench.errors import ReconstructionError
 from pcbench.scenes import read_scene
 from reconstructors.sfm import matches
 from reconstructors.sfm.features import DATABASE, extract_features
+from reconstructors.sfm.match_child import match
 from reconstructors.sfm.pairs import choose_pairs
 
 pycolmap = import_or_skip("pycolmap")
@@ -60,16 +61,21 @@ def test_matches_are_the_same_on_any_number_of_processes(features, scene, tmp_pa
 
 def test_no_two_threads_of_colmap_match_at_a_time(features, scene, tmp_path, monkeypatch):
     """They spoil each other's indices in about one of a hundred runs: too rarely for a test that waits for it."""
-    threads = []
-    real = pycolmap.match_image_pairs
+    found, environments = [], []
+    start = matches.run_module
 
-    def spied(database, matching_options, **others):
-        threads.append(matching_options.num_threads)
-        real(database, matching_options=matching_options, **others)
+    def started(*arguments, environment):
+        environments.append(environment)
+        return start(*arguments, environment=environment)
 
-    monkeypatch.setattr(pycolmap, "match_image_pairs", spied)
+    monkeypatch.setattr(matches, "run_module", started)
     _matched(features, scene, tmp_path)
-    assert threads == [1]
+    assert environments == [{"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}]
+    monkeypatch.setattr(
+        pycolmap, "match_image_pairs", lambda *_, matching_options, **__: found.append(matching_options.num_threads)
+    )
+    match(tmp_path / "any.db", tmp_path / "pairs")
+    assert found == [1]
 
 
 @pytest.mark.slow

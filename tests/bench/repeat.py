@@ -1,0 +1,50 @@
+"""Is a reconstruction the same again? python tests/bench/repeat.py [METHOD ...] [--scene FOLDER] [--runs 3]
+
+Runs `sfm`, `mvs` and `splat` with small settings in new workspaces, on one CPU and on all, on few threads and many,
+and beside busy processes. A row a run with SHA-256 of its cloud; ends with code 1 where two of a method differ.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from measure import setting
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import textured_corner as corner
+from repeats import CONDITIONS, SMALL, repeat
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("methods", nargs="*", default=list(SMALL), metavar="METHOD", help=", ".join(SMALL))
+    parser.add_argument("--scene", type=Path, help="photographs; by default nine made ones of a textured corner")
+    parser.add_argument("--runs", type=int, default=len(CONDITIONS))
+    options = parser.parse_args()
+    if unknown := [method for method in options.methods if method not in SMALL]:
+        parser.error(f"unknown method {unknown[0]!r}: expected some of {', '.join(SMALL)}")
+    print(setting())
+    print(f"{'':7}{'CPUs':>5}{'threads':>8}{'busy':>5}{'points':>9}  sha256 of the cloud")
+    same = True
+    with tempfile.TemporaryDirectory() as folder:
+        scene = options.scene
+        if scene is None:
+            (made := Path(folder) / "corner").mkdir()
+            scene = corner.write_scene(made, corner.cameras(9, corner.standard_intrinsics(320, 240)))
+        for method in options.methods:
+            seen = set()
+            for number in range(options.runs):
+                conditions = CONDITIONS[number % len(CONDITIONS)]
+                found = repeat(method, scene, Path(folder) / f"{method}-{number}", conditions)
+                seen.add(found.sha256)
+                row = f"{method:7}{conditions.cpus:5}{conditions.threads:8}{conditions.busy:5}{found.points:9,}"
+                print(f"{row}  {found.sha256}", flush=True)
+            same &= len(seen) == 1
+    print("every method made the same cloud again" if same else "clouds differ")
+    return 0 if same else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

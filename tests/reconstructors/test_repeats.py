@@ -1,0 +1,33 @@
+"""The same photographs give the same bits: on one CPU and on all, on few threads and many, beside busy processes."""
+
+import pytest
+import textured_corner as corner
+from repeats import CONDITIONS, repeat
+
+pytest.importorskip("pycolmap")
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("corner")
+    return corner.write_scene(folder, corner.cameras(5, corner.standard_intrinsics(320, 240)))
+
+
+@pytest.mark.parametrize("mapping", ["incremental", "global"])
+def test_solved_cameras_give_the_same_points(photographs, tmp_path, mapping):
+    runs = [
+        repeat("sfm", photographs, tmp_path / str(k), conditions, mapping=mapping)
+        for k, conditions in enumerate(CONDITIONS)
+    ]
+    assert runs[0].points > 100
+    assert len(set(runs)) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["mvs", "splat"])
+def test_dense_clouds_and_splats_are_the_same(photographs, tmp_path, method):
+    if method == "splat":
+        pytest.importorskip("torch")
+    runs = [repeat(method, photographs, tmp_path / str(k), conditions) for k, conditions in enumerate(CONDITIONS)]
+    assert runs[0].points > 100
+    assert len(set(runs)) == 1
