@@ -6,16 +6,10 @@ import unicodedata
 from collections.abc import Sequence
 from itertools import accumulate
 
-from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.intervals import Interval
 from pcbench.report.inputs import SourcedComparison
 
 UNKNOWN = "–"
-LABELS = {
-    "sum_unsquared": "Chamfer, sum of means",
-    "sum_squared": "Chamfer, sum of mean squares",
-    **{metric.name: metric.label for metric in MEAN_METRICS},
-}
 _ROUNDING = 1e-9  # of the scene's extent
 
 
