@@ -27,6 +27,7 @@ from pcbench.measure.results import (
     Metrics,
     ThresholdScores,
 )
+from pcbench.measure.wording import counted
 
 MIN_PIECES = 10  # independent ones, of the scene: fewer do not show how far distances are alike
 _CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # of which mean in both directions
@@ -189,8 +190,8 @@ def _doubts(spreads: Mapping[str, Spread], scores: Mapping[str, Sampled], roundi
         metric, _, way = name.partition("/")
         yield Notice(
             "few-pieces",
-            f"intervals are rough: {over}the scene holds about {worst.pieces:.0f} independent pieces, and fewer than"
-            f" {MIN_PIECES} do not show how scores vary ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
+            f"intervals are rough: {over}the scene holds about {counted(round(worst.pieces), 'independent piece')}, and"
+            f" fewer than {MIN_PIECES} do not show how scores vary ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
         )
 
 
