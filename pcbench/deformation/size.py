@@ -14,7 +14,8 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 
 # The covariance is estimated: where it is a third too small, 1e-5 is 1e-3 in truth.
 MAX_P_SURE = 1e-5  # of a verdict
-_POWER_Z = 1.282  # normal deviate of a power of 90 %
+DETECTION_POWER = 0.9  # of the smallest deformation that is called detectable
+_POWER_Z = 1.282  # normal deviate of DETECTION_POWER
 
 
 def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> Amplitude:
@@ -68,7 +69,7 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
 
 
 def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
-    """RMS of a dome that a verdict finds in 90 % of all cases."""
+    """RMS of a dome that a verdict finds in a share of `DETECTION_POWER` of all cases."""
     step = geometry.step("affine", "cubic")
     modes = step.modes.T @ (geometry.matrix @ geometry.dome)
     power = float(modes @ modes)

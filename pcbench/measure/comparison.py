@@ -5,21 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.deformation import Side, residual_deformation
+from pcbench.deformation import Deformation, Side, residual_deformation
 from pcbench.errors import InputError, Notice, RegistrationError
-from pcbench.geometry.arrays import IntArray, bounds
+from pcbench.geometry.arrays import bounds
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
-from pcbench.geometry.neighbors import Index
+from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap
@@ -99,91 +99,135 @@ def expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], s
     return expected
 
 
+@dataclass(frozen=True, eq=False)
+class _Aligned:
+    """A candidate on the reference.
+
+    Attributes:
+        index: of its aligned points, minus the reference's origin.
+        inside: (N,) whether a point lies in the region.
+    """
+
+    cloud: Cloud
+    registration: Registration
+    index: Index
+    inside: NDArray[np.bool_]
+
+
+class _Matched(NamedTuple):
+    """Closest points of the queries in the region, candidate → reference and back, and those of both clouds cropped."""
+
+    forth: Matches
+    back: Matches
+    pair: presets.Pair
+
+
 def _compare_one(
     reference: Reference, name: str, cloud: Cloud, settings: Settings, step: Callable[[str], None]
 ) -> tuple[Candidate, Measurement]:
     timings: dict[str, float] = {}
-
     step(f"{name}: registering")
     with _timed(timings, "registration"):
-        try:
-            registration = register(
-                reference.cloud, cloud, settings.register, initial=settings.initial, target=reference.target
-            )
-        except RegistrationError as error:
-            raise RegistrationError(f"{name}: {error}") from error
-        aligned = registration.T_local.apply(cloud.points - reference.origin)
-        inside = points_inside(aligned, reference.region, settings.crop, f"{name}'s")
-        queries = aligned if reference.region is None else aligned[inside]
-
+        aligned = _align(reference, name, cloud, settings)
     step(f"{name}: matching both ways")
     with _timed(timings, "matching"):
-        index = Index(aligned)
-        pair = _hard_pair(reference, index, inside)
-        if reference.region is None:
-            forth, back = pair.to_reference, pair.to_candidate
-        else:
-            forth, back = reference.index.query(queries), index.query(reference.measured_points)
-
+        matched = _match(reference, aligned)
     step(f"{name}: measuring")
     with _timed(timings, "floors"):
-        accuracy = from_candidate(reference, queries, forth)
-        matched = np.full(len(cloud), -1)
-        matched[inside] = forth.indices
-        completeness = from_reference(reference, index, matched, back, forth=accuracy, seed=settings.seed)
+        forth, back = _directions(reference, aligned, matched, settings.seed)
     with _timed(timings, "metrics"):
-        spacing = reference.spacing
-        thresholds = settings.thresholds or tuple(f * spacing for f in (1.0, 2.0, 5.0) if spacing > 0)
-        measurement = measure(
-            accuracy,
-            completeness,
-            thresholds,
-            cells=reference.cells,
-            voxel=reference.voxel,
-            corner=bounds(reference.measured_points)[0],
-            origin=reference.origin,
-        )
+        thresholds = settings.thresholds or _usual_thresholds(reference.spacing)
+        measurement = _measurement(reference, forth, back, thresholds)
     with _timed(timings, "maps"):
-        deviation = _deviation_map(reference, index, np.flatnonzero(inside), accuracy, registration, settings)
-        missing = DeviationMap(*reference.measured, {"distance": completeness.distances.to_points})
-    step(f"{name}: looking for a bend")
-    with _timed(timings, "deformation"):
-        sides = Side(reference.surface, reference.inside, reference.cloud), Side(Surface(index), inside, cloud)
-        deformation = residual_deformation(*sides, registration, reference.origin, seed=settings.seed)
+        deviation = _deviation_map(reference, aligned, forth, settings)
+        completeness = DeviationMap(*reference.measured, {"distance": back.distances.to_points})
     with _timed(timings, "presets"):
         to_poisson = deviation.scalars.get("poisson_distance")
-        presented = {name: presets.measure_preset(name, pair, thresholds, to_poisson) for name in settings.presets}
-
-    result = Candidate(
+        quoted = {key: presets.measure_preset(key, matched.pair, thresholds, to_poisson) for key in settings.presets}
+    step(f"{name}: looking for a bend")
+    with _timed(timings, "deformation"):
+        deformation = _deformation(reference, aligned, settings.seed)
+    return Candidate(
         name=name,
         points=len(cloud),
-        points_in_region=int(np.count_nonzero(inside)),
-        registration=registration,
-        metrics=replace(measurement.metrics, presets=presented),
+        points_in_region=int(np.count_nonzero(aligned.inside)),
+        registration=aligned.registration,
+        metrics=replace(measurement.metrics, presets=quoted),
         deviation=deviation,
-        completeness=missing,
+        completeness=completeness,
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=peak_memory(),
-        warnings=(
-            *_crs_warnings(reference.cloud, cloud),
-            *measurement.warnings,
-            *(() if deviation.m3c2 is None else m3c2_warnings(deviation.m3c2)),
-        ),
+        warnings=tuple(_warnings(reference, cloud, measurement, deviation)),
+    ), measurement
+
+
+def _align(reference: Reference, name: str, cloud: Cloud, settings: Settings) -> _Aligned:
+    try:
+        registration = register(
+            reference.cloud, cloud, settings.register, initial=settings.initial, target=reference.target
+        )
+    except RegistrationError as error:
+        raise RegistrationError(f"{name}: {error}") from error
+    points = registration.T_local.apply(cloud.points - reference.origin)
+    inside = points_inside(points, reference.region, settings.crop, f"{name}'s")
+    return _Aligned(cloud, registration, Index(points), inside)
+
+
+def _match(reference: Reference, aligned: _Aligned) -> _Matched:
+    """The region selects the queries: what is searched are the whole clouds."""
+    pair = _hard_pair(reference, aligned.index, aligned.inside)
+    if reference.region is None:
+        return _Matched(pair.to_reference, pair.to_candidate, pair)
+    forth = reference.index.query(aligned.index.points[aligned.inside])
+    return _Matched(forth, aligned.index.query(reference.measured_points), pair)
+
+
+def _directions(reference: Reference, aligned: _Aligned, matched: _Matched, seed: int) -> tuple[Direction, Direction]:
+    """Candidate → reference and reference → candidate, with their floors."""
+    points = aligned.index.points
+    queries = points if reference.region is None else points[aligned.inside]
+    forth = from_candidate(reference, queries, matched.forth)
+    closest = np.full(len(aligned.cloud), -1)
+    closest[aligned.inside] = matched.forth.indices
+    return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed)
+
+
+def _usual_thresholds(spacing: float) -> tuple[float, ...]:
+    return tuple(factor * spacing for factor in (1.0, 2.0, 5.0) if spacing > 0)
+
+
+def _measurement(reference: Reference, forth: Direction, back: Direction, thresholds: tuple[float, ...]) -> Measurement:
+    return measure(
+        forth,
+        back,
+        thresholds,
+        cells=reference.cells,
+        voxel=reference.voxel,
+        corner=bounds(reference.measured_points)[0],
+        origin=reference.origin,
     )
-    return result, measurement
 
 
-def _deviation_map(
-    reference: Reference,
-    candidate: Index,
-    measured: IntArray,
-    forth: Direction,
-    registration: Registration,
-    settings: Settings,
-) -> DeviationMap:
-    """All maps of one candidate at its points inside the region, the rows `measured` (M,); the distances to points and
-    planes are those that were measured already.
+def _deformation(reference: Reference, aligned: _Aligned, seed: int) -> Deformation:
+    """The verdict, from closest points that are found anew in the whole clouds."""
+    ours = Side(reference.surface, reference.inside, reference.cloud)
+    theirs = Side(Surface(aligned.index), aligned.inside, aligned.cloud)
+    return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)
+
+
+def _warnings(
+    reference: Reference, cloud: Cloud, measurement: Measurement, deviation: DeviationMap
+) -> Iterator[Notice]:
+    yield from _crs_warnings(reference.cloud, cloud)
+    yield from measurement.warnings
+    if deviation.m3c2 is not None:
+        yield from m3c2_warnings(deviation.m3c2)
+
+
+def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, settings: Settings) -> DeviationMap:
+    """All maps of one candidate at its points inside the region; the distances to points and planes are those that were
+    measured already.
     """
     scalars = {"distance": forth.distances.to_points}
     if forth.distances.to_planes is not None:
@@ -193,8 +237,8 @@ def _deviation_map(
     along_normals = None
     if "m3c2" in settings.maps:
         how = settings.m3c2 if isinstance(settings.m3c2, M3C2Settings) else M3C2Settings()
-        along_normals = compare_along_normals(reference, candidate, registration, how)
-    return DeviationMap(forth.points + reference.origin, measured, scalars, along_normals)
+        along_normals = compare_along_normals(reference, aligned.index, aligned.registration, how)
+    return DeviationMap(forth.points + reference.origin, np.flatnonzero(aligned.inside), scalars, along_normals)
 
 
 def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.Pair:

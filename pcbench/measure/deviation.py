@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,11 @@ class DeviationMap:
     rows: IntArray
     scalars: Mapping[str, FloatArray]
     m3c2: M3C2 | None = None
+
+    @cached_property
+    def spreads(self) -> dict[str, Spread]:
+        """Of each of the scalars."""
+        return {name: Spread.of(values) for name, values in self.scalars.items()}
 
     @property
     def maps(self) -> dict[str, FloatArray]:

@@ -15,8 +15,8 @@ from pcbench.measure.reference import Reference
 
 
 class MeanMetric(NamedTuple):
-    """A metric that is a mean over the queries of a direction. Floors, intervals, area weighting, comparison.json,
-    metrics.csv and the table follow from this definition alone.
+    """A metric that is a mean over the queries of a direction. Floors, intervals, area weighting, differences between
+    candidates and all outputs follow from this definition alone.
 
     Attributes:
         name: its key; root_name: that of its square root, if that is reported too.
@@ -25,6 +25,8 @@ class MeanMetric(NamedTuple):
         power: of the unit of length.
         of_each: what is averaged (M,), None where it does not exist.
         has_symmetric_max: whether the larger of both directions is reported.
+        headline: its label in the summary, or that of its root if there is one; empty: it is not there.
+        column, ranks: heading and `Headline.rank` of its column there, c→r and r→c, each with the rank of its floor.
     """
 
     name: str
@@ -35,6 +37,9 @@ class MeanMetric(NamedTuple):
     root_name: str | None = None
     root_label: str | None = None
     has_symmetric_max: bool = False
+    headline: str = ""
+    column: str = ""
+    ranks: tuple[tuple[int | None, int | None], tuple[int | None, int | None]] = ((None, None), (None, None))
 
 
 def _squares(values: FloatArray | None) -> FloatArray | None:
@@ -61,6 +66,9 @@ MEAN_METRICS = (
         "d2_rms",
         "D2 RMS",
         has_symmetric_max=True,
+        headline="RMS off the surface (D2)",
+        column="D2 RMS",
+        ranks=((0, 1), (None, None)),
     ),
     MeanMetric(
         "mean_distance",
@@ -68,6 +76,9 @@ MEAN_METRICS = (
         "mean distance to the nearest point",
         1,
         lambda distances: distances.to_points,
+        headline="mean distance",
+        column="mean",
+        ranks=((5, 5), (0, 1)),
     ),
 )
 

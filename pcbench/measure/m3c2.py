@@ -15,6 +15,7 @@ from pcbench.geometry.voxels import voxel_downsample_to
 from pcbench.measure.deviation import M3C2, m3c2
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.reference import Reference
+from pcbench.measure.wording import counted
 from pcbench.registration import Registration
 
 _MAX_CORES = 50_000  # where none are given: the reference, voxel-downsampled
@@ -73,8 +74,9 @@ def m3c2_warnings(found: M3C2) -> Iterator[Notice]:
     measured = int(np.count_nonzero(np.isfinite(found.distances)))
     text = (
         f"M3C2 says nothing: a cylinder of radius {found.radius:.3g} and depth {found.half_length:.3g} holds points of"
-        f" both clouds at {measured} of {len(found.cores)} core points, and five of each, which a level of detection"
-        " needs, at none: --m3c2 radius=... and depth=... make it larger, and cores are in the reference's coordinates"
+        f" both clouds at {measured} of {counted(len(found.cores), 'core point')}, and five of each, which a level of"
+        " detection needs, at none: --m3c2 radius=... and depth=... make it larger, and cores are in the"
+        " reference's coordinates"
     )
     yield Notice("empty-m3c2", text)
 
@@ -84,7 +86,7 @@ def _given(reference: Reference, given: Cloud) -> tuple[FloatArray, FloatArray]:
     cores = given.points - reference.origin
     inside = np.ones(len(cores), bool) if reference.region is None else reference.region.contains(cores)
     if not inside.any():
-        raise InputError(f"M3C2: none of the {len(cores)} core points lies inside the region: check --crop")
+        raise InputError(f"M3C2: none of {counted(len(cores), 'core point')} lies inside the region: check --crop")
     cores = cores[inside]
     if given.normals is None:
         return cores, reference.surface.normals(reference.index.query(cores).indices)

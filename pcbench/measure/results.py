@@ -20,6 +20,7 @@ from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import Preset
 from pcbench.measure.settings import Settings
+from pcbench.measure.wording import counted
 from pcbench.registration import Registration
 
 # The directions as keys of comparison.json, and as arrows in tables.
@@ -270,11 +271,12 @@ class Comparison:
 
     def __repr__(self) -> str:
         unit = f" {self.reference.unit}" if self.reference.unit else ""
-        lines = [f"Comparison with {self.reference.points:,} points, spacing {self.reference.spacing_median:.3g}{unit}"]
+        count, spacing = counted(self.reference.points, "point"), self.reference.spacing_median
+        lines = [f"Comparison with {count}, spacing {spacing:.3g}{unit}"]
         for candidate in self.candidates:
             distance = candidate.metrics.mean_distance
             lines.append(
-                f"  {candidate.name}: {candidate.points:,} points, mean distance"
+                f"  {candidate.name}: {counted(candidate.points, 'point')}, mean distance"
                 f" {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c{unit},"
                 f" deformation {candidate.deformation.verdict}"
             )

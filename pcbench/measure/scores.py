@@ -12,7 +12,7 @@ from pcbench.errors import Notice
 from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray, rounding_of
 from pcbench.measure import deviation, intervals, metrics
-from pcbench.measure.directions import MEAN_METRICS, Direction, MeanMetric
+from pcbench.measure.directions import MEAN_METRICS, Direction
 from pcbench.measure.intervals import Sampled, Spread
 from pcbench.measure.results import (
     ARROWS,
@@ -27,6 +27,7 @@ from pcbench.measure.results import (
     Metrics,
     ThresholdScores,
 )
+from pcbench.measure.wording import counted
 
 MIN_PIECES = 10  # independent ones, of the scene: fewer do not show how far distances are alike
 _CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # of which mean in both directions
@@ -69,67 +70,86 @@ def measure(
     shares = {way: np.bincount(d.cells, minlength=cells.number) / len(d.cells) for way, d in ways.items()}
     uneven = shares[FORTH] - shares[BACK]
     means = {way: _means(direction, thresholds, shares[way], uneven) for way, direction in ways.items()}
-    whole = _sampled(means, thresholds)
-    parts = {f"{way}/{_within(t)}": means[way][_within(t)] for way in ways for t in thresholds}
+    compared = _sampled(means, thresholds)
+    within = {f"{way}/{_within(t)}": means[way][_within(t)] for way in ways for t in thresholds}
     both = 0.5 * (shares[FORTH] + shares[BACK])
-    spreads = intervals.spreads({**whole, **parts}, cells, both)
+    known = _Known({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
 
-    def estimate(name: str) -> Estimate:
-        score = whole.get(name) or parts[name]
-        return Estimate(score.value, interval=intervals.interval(score, spreads[name]))
+    spreads = _distributions(forth, back)
+    ranks = {way: spreads["distance"][way].percentiles or {} for way in ways}
+    found = Metrics(
+        directed=_directed(ways, known, {way: voxels.cells(d.points, voxel, corner) for way, d in ways.items()}),
+        hausdorff=Hausdorff(*(_extremes(direction, ranks[way], origin) for way, direction in ways.items())),
+        chamfer=Chamfer(**{name: _chamfer(name, ways, known) for name in _CHAMFER}),
+        fscores=tuple(_threshold_scores(threshold, known) for threshold in thresholds),
+        percentiles_accuracy=ranks[FORTH],
+        percentiles_completeness=ranks[BACK],
+        spreads=spreads,
+    )
+    doubts = _doubts({name: known.spreads[name] for name in compared}, compared, rounding_of(forth.points, origin))
+    return Measurement(found, compared, both, tuple(doubts))
 
-    weighted = {way: voxels.cells(direction.points, voxel, corner) for way, direction in ways.items()}
 
-    def directed(metric: MeanMetric) -> DirectedMetric:
+class _Known(NamedTuple):
+    """Scores by name, and how well each is known."""
+
+    sampled: Mapping[str, Sampled]
+    spreads: Mapping[str, Spread]
+
+    def estimate(self, name: str) -> Estimate:
+        """The value and its interval."""
+        score = self.sampled[name]
+        return Estimate(score.value, interval=intervals.interval(score, self.spreads[name]))
+
+
+def _directed(
+    ways: Mapping[str, Direction], known: _Known, grids: Mapping[str, voxels.Cells]
+) -> dict[str, DirectedMetric]:
+    """The mean metrics by name, with floors and area-weighted means over the cells of `grids`."""
+    found = {}
+    for metric in MEAN_METRICS:
         key = metric.name
-        if f"{key}/{FORTH}" not in whole:  # no normals, no distances to planes
-            return DirectedMetric(symmetric_max=Estimate() if metric.has_symmetric_max else None)
-        found = {}
+        if f"{key}/{FORTH}" not in known.sampled:  # no normals, no distances to planes
+            found[key] = DirectedMetric(symmetric_max=Estimate() if metric.has_symmetric_max else None)
+            continue
+        estimates = {}
         for way, direction in ways.items():
             values = metric.of_each(direction.distances)
             assert values is not None
-            area_weighted = metrics.area_weighted_mean(values, weighted[way])
-            floor = direction.floors[key]
-            found[way] = estimate(f"{key}/{way}")._replace(floor=floor, area_weighted=area_weighted)
-        larger = estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
-        return DirectedMetric(found[FORTH], found[BACK], larger)
+            area_weighted = metrics.area_weighted_mean(values, grids[way])
+            estimates[way] = known.estimate(f"{key}/{way}")._replace(
+                floor=direction.floors[key], area_weighted=area_weighted
+            )
+        larger = known.estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
+        found[key] = DirectedMetric(estimates[FORTH], estimates[BACK], larger)
+    return found
 
-    def chamfer(name: str) -> Estimate:
-        floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
-        return estimate(f"chamfer/{name}")._replace(floor=floor)
 
-    rounding = rounding_of(forth.points, origin)
-    distributed = {"distance": _distributions(forth.distances.to_points, back.distances.to_points)}
-    if forth.distances.to_planes is not None and back.distances.to_planes is not None:
-        distributed["plane_distance"] = _distributions(forth.distances.to_planes, back.distances.to_planes)
-    accuracy = distributed["distance"].accuracy.percentiles or {}
-    completeness = distributed["distance"].completeness.percentiles or {}
-    return Measurement(
-        Metrics(
-            directed={metric.name: directed(metric) for metric in MEAN_METRICS},
-            hausdorff=Hausdorff(_extremes(forth, accuracy, origin), _extremes(back, completeness, origin)),
-            chamfer=Chamfer(**{name: chamfer(name) for name in _CHAMFER}),
-            fscores=tuple(
-                ThresholdScores(
-                    threshold,
-                    precision=estimate(f"{FORTH}/{_within(threshold)}"),
-                    recall=estimate(f"{BACK}/{_within(threshold)}"),
-                    fscore=estimate(f"fscore/{threshold!r}"),
-                )
-                for threshold in thresholds
-            ),
-            percentiles_accuracy=accuracy,
-            percentiles_completeness=completeness,
-            spreads=distributed,
-        ),
-        whole,
-        both,
-        tuple(_doubts({name: spread for name, spread in spreads.items() if name in whole}, whole, rounding)),
+def _chamfer(name: str, ways: Mapping[str, Direction], known: _Known) -> Estimate:
+    floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
+    return known.estimate(f"chamfer/{name}")._replace(floor=floor)
+
+
+def _threshold_scores(threshold: float, known: _Known) -> ThresholdScores:
+    return ThresholdScores(
+        threshold,
+        precision=known.estimate(f"{FORTH}/{_within(threshold)}"),
+        recall=known.estimate(f"{BACK}/{_within(threshold)}"),
+        fscore=known.estimate(f"fscore/{threshold!r}"),
     )
 
 
-def _distributions(forth: FloatArray, back: FloatArray) -> DirectedSpread:
-    return DirectedSpread(deviation.Spread.of(forth), deviation.Spread.of(back))
+def _distributions(forth: Direction, back: Direction) -> dict[str, DirectedSpread]:
+    """How the distances to points and, where there are normals, to tangent planes are distributed."""
+    pairs = {
+        "distance": (forth.distances.to_points, back.distances.to_points),
+        "plane_distance": (forth.distances.to_planes, back.distances.to_planes),
+    }
+    return {
+        kind: DirectedSpread(deviation.Spread.of(a), deviation.Spread.of(b))
+        for kind, (a, b) in pairs.items()
+        if a is not None and b is not None
+    }
 
 
 def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float, ...]) -> dict[str, Sampled]:
@@ -170,8 +190,8 @@ def _doubts(spreads: Mapping[str, Spread], scores: Mapping[str, Sampled], roundi
         metric, _, way = name.partition("/")
         yield Notice(
             "few-pieces",
-            f"intervals are rough: {over}the scene holds about {worst.pieces:.0f} independent pieces, and fewer than"
-            f" {MIN_PIECES} do not show how scores vary ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
+            f"intervals are rough: {over}the scene holds about {counted(round(worst.pieces), 'independent piece')}, and"
+            f" fewer than {MIN_PIECES} do not show how scores vary ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
         )
 
 

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ import numpy as np
 import pcbench
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.deviation import M3C2, DeviationMap, Spread
-from pcbench.measure.directions import MEAN_METRICS
-from pcbench.measure.presets import Open3d, Preset, Tnt
-from pcbench.measure.results import BACK, FORTH, Candidate, DirectedMetric, Metrics, ThresholdScores
+from pcbench.measure.deviation import M3C2
+from pcbench.measure.presets import Preset
+from pcbench.measure.quantities import quantities
+from pcbench.measure.quantity import Quantity
+from pcbench.measure.results import BACK, FORTH, Candidate
 from pcbench.registration import Registration
 from pcbench.report.inputs import InputFile, SourcedComparison
 from pcbench.systems import cpus
@@ -95,66 +97,59 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
         "registration": _registration(candidate.registration),
-        "metrics": _metrics(candidate.metrics),
-        "deviation": _deviation(candidate.deviation),
+        **_measured(candidate),
         "deformation": candidate.deformation,
         "timings_s": candidate.timings_s,
         "peak_rss_bytes": candidate.peak_rss_bytes,
     }
 
 
-def _metrics(m: Metrics) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for metric in MEAN_METRICS:
-        found = m.directed[metric.name]
-        values[metric.name] = _directed(found)
-        if metric.root_name is not None:
-            values[metric.root_name] = {way: found.root()[way].value for way in (FORTH, BACK)}
-    values["hausdorff"] = {
-        **{way: m.hausdorff[way].largest for way in (FORTH, BACK)},
-        "symmetric_max": m.hausdorff.symmetric_max,
-        "p95": {way: m.hausdorff[way].p95 for way in (FORTH, BACK)},
-        "p99": {way: m.hausdorff[way].p99 for way in (FORTH, BACK)},
-        "worst_point": {way: m.hausdorff[way].worst_point for way in (FORTH, BACK)},
+def _measured(candidate: Candidate) -> dict[str, Any]:
+    """`metrics` and `deviation`: every quantity at its path, and beside them what is no single number."""
+    m, deviation = candidate.metrics, candidate.deviation
+    lists = {name: _empty_lists(preset) for name, preset in m.presets.items()}
+    tree: dict[str, Any] = {
+        "metrics": {"fscore": [], "spreads": {}, "presets": lists},
+        "deviation": {"maps": {}, "m3c2": None},
     }
-    sums = {"sum_unsquared": m.chamfer.sum_unsquared, "sum_squared": m.chamfer.sum_squared}
-    values["chamfer"] = {
-        **{name: estimate.value for name, estimate in sums.items()},
-        "ci": {name: estimate.interval for name, estimate in sums.items()},
-        "floor": {name: estimate.floor for name, estimate in sums.items()},
-    }
-    values["fscore"] = [_fscore(score) for score in m.fscores]
-    values["percentiles"] = {FORTH: m.percentiles_accuracy, BACK: m.percentiles_completeness}
-    values["spreads"] = {name: {way: spread[way] for way in (FORTH, BACK)} for name, spread in m.spreads.items()}
-    values["presets"] = {name: _preset(preset) for name, preset in m.presets.items()}
-    return values
+    for quantity in quantities(candidate):
+        if quantity.path:
+            _place(tree, quantity)
+    metrics, maps = tree["metrics"], tree["deviation"]
+    metrics["hausdorff"]["worst_point"] = {way: m.hausdorff[way].worst_point for way in (FORTH, BACK)}
+    metrics["percentiles"] = {FORTH: m.percentiles_accuracy, BACK: m.percentiles_completeness}
+    for kind, both in m.spreads.items():
+        for way in (FORTH, BACK):
+            metrics["spreads"][kind][way]["percentiles"] = both[way].percentiles
+    for name, values in maps["maps"].items():
+        values["percentiles"] = deviation.spreads[name].percentiles
+    if deviation.m3c2 is not None:
+        maps["m3c2"].update(_m3c2(deviation.m3c2))
+    distances, plane = deviation.spreads["distance"], deviation.spreads.get("plane_distance")
+    # Distances to points have no sign; the bias is that of the distances to the tangent planes, positive above.
+    bias = None if plane is None else plane.bias
+    nearest = {"kind": "nearest", "percentiles": distances.percentiles, "rms": distances.rms, "bias": bias}
+    return {"metrics": metrics, "deviation": {**nearest, **maps}}
 
 
-def _directed(metric: DirectedMetric) -> dict[str, Any]:
-    ways = {FORTH: metric.accuracy, BACK: metric.completeness}
-    larger = {} if metric.symmetric_max is None else {"symmetric_max": metric.symmetric_max}
-    return {
-        **{way: estimate.value for way, estimate in (ways | larger).items()},
-        "floor": {way: estimate.floor for way, estimate in ways.items()},
-        "ci": {way: estimate.interval for way, estimate in (ways | larger).items()},
-        "area_weighted": {way: estimate.area_weighted for way, estimate in ways.items()},
-    }
+def _place(tree: dict[str, Any], quantity: Quantity) -> None:
+    """Put a quantity at its path, and its interval under the key `ci` beside it."""
+    place: Any = tree
+    for key, then in pairwise(quantity.path):
+        if isinstance(key, int):  # a list holds an object for each threshold
+            if key == len(place):
+                place.append({"threshold": quantity.threshold})
+        elif place.get(key) is None:
+            place[key] = [] if isinstance(then, int) else {}
+        place = place[key]
+    place[quantity.path[-1]] = quantity.value
+    if quantity.has_interval:
+        place.setdefault("ci", {})[quantity.path[-1]] = quantity.interval
 
 
-def _fscore(score: ThresholdScores) -> dict[str, Any]:
-    parts = {"precision": score.precision, "recall": score.recall, "fscore": score.fscore}
-    return {
-        "threshold": score.threshold,
-        **{name: estimate.value for name, estimate in parts.items()},
-        "ci": {name: estimate.interval for name, estimate in parts.items()},
-    }
-
-
-def _preset(preset: Preset) -> dict[str, Any]:
-    values = asdict(preset)
-    if isinstance(preset, Open3d | Tnt):
-        values["fscore"] = [score._asdict() for score in preset.fscore]
-    return values
+def _empty_lists(preset: Preset) -> dict[str, Any]:
+    """The lists of a preset, which are there without thresholds too."""
+    return {key: [] for key, value in vars(preset).items() if isinstance(value, tuple)}
 
 
 def _registration(registration: Registration) -> dict[str, Any]:
@@ -176,21 +171,6 @@ def _registration(registration: Registration) -> dict[str, Any]:
     }
 
 
-def _deviation(deviation: DeviationMap) -> dict[str, Any]:
-    """The distances to the nearest points, and under `maps` every other map."""
-    distances = Spread.of(deviation.scalars["distance"])
-    plane = deviation.scalars.get("plane_distance")
-    return {
-        "kind": "nearest",
-        "percentiles": distances.percentiles,
-        "rms": distances.rms,
-        # Distances to points have no sign; the bias is that of the distances to the tangent planes, positive above.
-        "bias": None if plane is None else float(np.mean(plane)),
-        "maps": {name: Spread.of(values) for name, values in deviation.maps.items()},
-        "m3c2": None if deviation.m3c2 is None else _m3c2(deviation.m3c2),
-    }
-
-
 def _m3c2(found: M3C2) -> dict[str, Any]:
     return {
         "core_points": len(found.cores),
@@ -199,9 +179,7 @@ def _m3c2(found: M3C2) -> dict[str, Any]:
         "half_length": found.half_length,
         "registration_error": found.registration_error,
         "sign": "positive along the reference's normal",
-        "lod95_median": found.median_lod,
-        "significant_share": found.significant_share,
-        **asdict(found.spread),
+        "percentiles": found.spread.percentiles,
     }
 
 

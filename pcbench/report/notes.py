@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pcbench.measure.quantities import quantities
+from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.words import LABELS, joined, length
+from pcbench.report.words import joined, length
 
 CLAIMS = ("similarity", "affine", "non-affine")  # of a deformation
 _SMALL_OVERLAP = 0.8  # from which down distances tell more of what is not there than of what is
@@ -41,9 +43,10 @@ def details(comparison: SourcedComparison) -> Iterator[str]:
     for candidate in comparison:
         yield bend_sentence(comparison, candidate, candidate.name)
     doubtful = {c.name for c in comparison if c.registration.doubtful}
+    labels = {q.difference: _label(q) for q in quantities(comparison.candidates[0])}
     for difference in comparison.differences:
         if difference.metric in _TOLD and not {difference.a, difference.b} & doubtful:
-            yield _difference_words(difference)
+            yield _difference_words(difference, labels[difference.metric])
 
 
 def bend_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
@@ -79,9 +82,12 @@ def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterat
     yield from map(str, candidate.deformation.further_warnings)
 
 
-def _difference_words(found: Difference) -> str:
-    metric, _, detail = found.metric.partition("/")
-    label = LABELS.get(detail) or f"{LABELS[metric]} {ARROWS[detail]}"
+def _label(quantity: Quantity) -> str:
+    arrow = ARROWS.get(quantity.direction)
+    return f"{quantity.label} {arrow}" if arrow else quantity.label
+
+
+def _difference_words(found: Difference, label: str) -> str:
     low, high = found.interval
     if low <= 0 <= high:
         return f"{label}: {found.a} and {found.b} cannot be told apart (difference in [{low:.3g}, {high:.3g}])"

@@ -16,7 +16,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.regions import Box, Polygon, Sphere, Union
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import named_file
-from pcbench.measure.m3c2 import M3C2Settings
+from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.registration import METHODS, ControlPoints, FeatureSettings, GivenPose, IcpSettings, parse_method
 

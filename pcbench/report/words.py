@@ -6,16 +6,11 @@ import unicodedata
 from collections.abc import Sequence
 from itertools import accumulate
 
-from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.intervals import Interval
+from pcbench.measure.wording import counted
 from pcbench.report.inputs import SourcedComparison
 
 UNKNOWN = "–"
-LABELS = {
-    "sum_unsquared": "Chamfer, sum of means",
-    "sum_squared": "Chamfer, sum of mean squares",
-    **{metric.name: metric.label for metric in MEAN_METRICS},
-}
 _ROUNDING = 1e-9  # of the scene's extent
 
 
@@ -87,4 +82,4 @@ def title(comparison: SourcedComparison) -> str:
     reference = comparison.reference
     unit = f" {reference.unit}" if reference.unit else ""
     name = "reference" if comparison.inputs is None else printable(str(comparison.inputs.reference.path))
-    return f"{name}: {reference.points:,} points, spacing {reference.spacing_median:.3g}{unit}"
+    return f"{name}: {counted(reference.points, 'point')}, spacing {reference.spacing_median:.3g}{unit}"

@@ -37,6 +37,7 @@ def test_names_that_are_promised_are_there():
         ("pcbench/io/formats.py", "CLOUDS"),
         ("pcbench/io/formats.py", "MESHES"),
         ("pcbench/measure/directions.py", "MEAN_METRICS"),
+        ("pcbench/measure/quantities.py", "_PARTS"),
         ("pcbench/measure/presets.py", "_DEFINITIONS"),
         ("pcbench/registration/methods.py", "def parse_method("),
         ("pyproject.toml", '[project.entry-points."pcbench.reconstructors"]'),

@@ -113,13 +113,19 @@ def _inches(corner: FloatArray, window: FloatArray, inches: float, at: FloatArra
     return places
 
 
+def _bar_label(length: float, unit: str) -> str:
+    """A length with its unit; a unit that is not known is described by several words, too long for a bar."""
+    if len(unit) < 6:
+        return f"{length:g} {unit}"
+    return "1 unit" if length == 1 else f"{length:g} units"
+
+
 def _scale_bar(axis: Any, left: float, length: float, inches: float, unit: str, color: str) -> None:
     """Below a view: lengths along its width are true in every one of them."""
     right = left + length * inches
     style = {"color": color, "linewidth": 1.3, "solid_capstyle": "butt", "solid_joinstyle": "miter"}
     axis.plot([left, left, right, right], [0.3, 0.24, 0.24, 0.3], **style)
-    word = f"{length:g} {unit if len(unit) < 6 else 'units'}"
-    axis.text(right + 0.06, 0.26, word, color=color, fontsize=9, ha="left", va="center")
+    axis.text(right + 0.06, 0.26, _bar_label(length, unit), color=color, fontsize=9, ha="left", va="center")
 
 
 class _Bar(NamedTuple):

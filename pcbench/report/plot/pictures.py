@@ -10,6 +10,7 @@ import numpy as np
 from pcbench.deformation import Deformation
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
+from pcbench.measure.wording import counted
 from pcbench.report.colors import Range, largest_but_strays, ranges
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture, bends, charts, maps
@@ -83,10 +84,10 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame
     highest = {name: largest_but_strays(of) for name, of in known.items()}
     scales = ranges(highest, spacing=report.spacing_median, signed=signed, given=look.range)
     label = f"{maps.LABELS.get(scalar, scalar.replace('_', ' '))} [{report.unit}]"
-    noun = "core points" if scalar.startswith("m3c2") else "points"
+    noun = "core point" if scalar.startswith("m3c2") else "point"
 
     def picture(name: str, scale: Range) -> Picture:
-        title = f"{name} ({len(clouds[name]):,} {noun})"
+        title = f"{name} ({counted(len(clouds[name]), noun)})"
         return Picture(
             lambda path: maps.coloured(clouds[name], values[name], title, scale, label, report.unit, frame, path, look)
         )
@@ -105,7 +106,7 @@ def _completeness(report: Report, frame: Frame, look: Figures) -> dict[str, Pict
         def draw(path: Path) -> bool:
             cloud = candidate.completeness()
             assert cloud is not None
-            title = f"completeness of {candidate.name} (the reference's {len(cloud):,} points)"
+            title = f"completeness of {candidate.name} (the reference's {counted(len(cloud), 'point')})"
             values = np.asarray(cloud.attributes["distance"], dtype=np.float64)
             return maps.coloured(cloud, values, title, scale, label, report.unit, frame, path, look)
 

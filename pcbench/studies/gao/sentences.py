@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from pcbench.deformation import Deformation, Trend
+from pcbench.measure.wording import times_as
 from pcbench.report.words import joined, length
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import TRUTH, Against, SceneResult, Study
@@ -46,7 +47,7 @@ def _gain(study: Study) -> Iterator[str]:
     both = [(sparse, means) for sparse, means in counts if sparse and means]
     if both:
         sparse, means = (sum(pair[k] for pair in both) for k in (0, 1))
-        yield f"Densification makes {means:,} points of {sparse:,} ({means / sparse:.2g} times as many)."
+        yield f"Densification makes {means:,} points of {sparse:,} ({times_as(means / sparse, 'many')})."
     for reference, it, found in _densified(study, _back):
         word = found.word("loses completeness", "gains no completeness", "gains completeness")
         yield f"{it} {word}: {reference} to cloud (r→c), {found.words}."

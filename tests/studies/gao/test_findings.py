@@ -24,7 +24,7 @@ def said(*scenes, **more):
 
 def test_gains_and_costs_follow_the_figures():
     words = said(scene())
-    assert words.startswith("Densification makes 1,000 points of 1,000 (1 times as many). ")
+    assert words.startswith("Densification makes 1,000 points of 1,000 (as many). ")
     assert "It gains completeness: mvs to cloud (r→c), 2 m RMS becomes 0.5 m (4 times less)." in words
     assert "It costs accuracy: cloud to mvs (c→r), 0.1 m RMS becomes 0.4 m (4 times as much)." in words
     assert "Against the truth it costs accuracy: cloud to truth (c→r), 0.141 m RMS becomes 0.412 m" in words

@@ -1,0 +1,342 @@
+"""All numbers of a candidate, once.
+
+comparison.json, metrics.csv, the table, the summary and the sentences on differences are renderings of this walk: what
+is yielded here is shown by all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
+
+from pcbench.deformation.size import DETECTION_POWER, MAX_P_SURE
+from pcbench.measure.deviation import M3C2, Spread
+from pcbench.measure.directions import MEAN_METRICS, MeanMetric
+from pcbench.measure.intervals import Interval
+from pcbench.measure.presets import BothWays, Preset
+from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Headline, Quantity
+from pcbench.measure.results import BACK, FORTH, Candidate, Estimate
+
+_UNITS = {0: RATIO, 1: LENGTH, 2: SQUARED_LENGTH}  # by the power of the unit of length
+_SPREADS = {  # the numbers of a `Spread`
+    "bias": "mean",
+    "rms": "root mean square",
+    "median": "median",
+    "std": "standard deviation",
+    "nmad": "NMAD (1.4826 median |v - median v|)",
+}
+_SPREAD_LABELS = {"median": "median", "std": "standard deviation", "nmad": "NMAD"}
+_DISTANCES = {"distance": "distance to the nearest point", "plane_distance": "signed distance to the tangent plane"}
+_SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # whose distances a mean is of
+
+
+def quantities(candidate: Candidate) -> Iterator[Quantity]:
+    """Every number of a candidate, in the order of the table."""
+    for part in _PARTS:
+        yield from part(candidate)
+
+
+def _means(candidate: Candidate) -> Iterator[Quantity]:
+    for metric in MEAN_METRICS:
+        for way in (FORTH, BACK):
+            yield from _mean(candidate.metrics.directed[metric.name][way], metric, way)
+        larger = candidate.metrics.directed[metric.name].symmetric_max
+        if larger is not None:
+            yield _estimated(metric.name, "symmetric_max", metric.definition, larger, _UNITS[metric.power])
+        if (kind := _SPREAD_OF.get(metric.name)) in candidate.metrics.spreads:
+            yield from _distribution(candidate, str(kind))
+
+
+def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
+    """A mean in one direction, its floor, the area-weighted mean, and the roots of a mean square."""
+    name, text, unit = metric.name, metric.definition, _UNITS[metric.power]
+    headline = floor_headline = None
+    if metric.headline:
+        rank, floor_rank = metric.ranks[way != FORTH]
+        headline = Headline(metric.headline, column=metric.column, rank=rank)
+        floor_headline = Headline("  sampling floor", column="floor", rank=floor_rank)
+    root = metric.root_name  # which stands in the summary in place of the mean square
+    value = _estimated(name, way, text, found, unit, label=metric.label)
+    yield value if root else replace(value, headline=headline)
+    yield Quantity(
+        f"{name}_floor",
+        way,
+        f"sampling floor of: {text}",
+        found.floor,
+        unit,
+        path=("metrics", name, "floor", way),
+        label="  sampling floor",
+        headline=None if root else floor_headline,
+    )
+    yield Quantity(
+        f"{name}_area_weighted",
+        way,
+        f"mean over voxels of: {text}",
+        found.area_weighted,
+        unit,
+        path=("metrics", name, "area_weighted", way),
+        label="  area-weighted" if root else "",
+    )
+    if root is None:
+        return
+    yield Quantity(
+        root,
+        way,
+        f"root {text}",
+        _root(found.value),
+        _UNITS[metric.power // 2],
+        path=("metrics", root, way),
+        label=metric.root_label or "",
+        headline=headline,
+    )
+    yield Quantity(
+        f"{root}_floor",
+        way,
+        f"root of the sampling floor of: {text}",
+        _root(found.floor),
+        _UNITS[metric.power // 2],
+        path=("metrics", root, "floor", way),
+        headline=floor_headline,
+    )
+
+
+def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
+    """How the distances of one kind are distributed, both ways."""
+    both = candidate.metrics.spreads[kind]
+    for way in (FORTH, BACK):
+        for key, definition in _SPREADS.items():
+            signed = ", signed" if kind == "plane_distance" and key == "median" else ""
+            yield Quantity(
+                f"{kind}_{key}",
+                way,
+                f"{definition} of: {_DISTANCES[kind]}",
+                getattr(both[way], key),
+                path=("metrics", "spreads", kind, way, key),
+                label=f"  {_SPREAD_LABELS[key]}{signed}" if key in _SPREAD_LABELS else "",
+            )
+
+
+def _largest(candidate: Candidate) -> Iterator[Quantity]:
+    found = candidate.metrics.hausdorff
+    for rank in ("p95", "p99"):
+        for way in (FORTH, BACK):
+            yield Quantity(
+                f"hausdorff_{rank}",
+                way,
+                f"{rank[1:]}th percentile of the distances",
+                getattr(found[way], rank),
+                path=("metrics", "hausdorff", rank, way),
+                label=f"{rank[1:]}th percentile",
+                headline=Headline("95% lie within", column="95%", rank=6) if rank == "p95" else None,
+            )
+    for way, value in (
+        (FORTH, found.accuracy.largest),
+        (BACK, found.completeness.largest),
+        ("symmetric_max", found.symmetric_max),
+    ):
+        is_directed = way != "symmetric_max"
+        yield Quantity(
+            "hausdorff",
+            way,
+            "largest distance to the nearest point",
+            value,
+            path=("metrics", "hausdorff", way),
+            label="Hausdorff (maximum)" if is_directed else "",
+            headline=Headline("all lie within (Hausdorff)", column="largest", rank=9) if is_directed else None,
+        )
+
+
+def _maps(candidate: Candidate) -> Iterator[Quantity]:
+    """The deviation maps but for that to the nearest points. The table has the spread of some of them already."""
+    deviation, spreads = candidate.deviation, candidate.metrics.spreads
+    for name in deviation.maps:
+        title = f"map {name.replace('_distance', '')}"
+        for found in _map(deviation.spreads[name], name, title, is_new=name not in spreads):
+            yield replace(found, path=("deviation", "maps", name, found.variant))
+    if deviation.m3c2 is not None:
+        yield from _m3c2(deviation.m3c2)
+
+
+def _map(spread: Spread, name: str, title: str, *, is_new: bool) -> Iterator[Quantity]:
+    """The spread of a map; the variant is the number's name in `Spread`."""
+    first = f"{title}: bias, rms"
+    labels = {"bias": first, "rms": first}
+    if is_new:
+        labels |= {"median": "  median, NMAD", "nmad": "  median, NMAD", "std": "  standard deviation"}
+    for key, definition in _SPREADS.items():
+        label = labels.get(key, "")
+        yield Quantity(
+            name,
+            FORTH,
+            f"{definition} of the deviation map",
+            getattr(spread, key),
+            variant=key,
+            section="maps",
+            label=label,
+            shares_row=f"{title}{label}",
+            second=key in ("rms", "nmad"),
+            headline=Headline(first, optional=True) if is_new and label == first else None,
+        )
+
+
+def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
+    for found in _map(m3c2.spread, "m3c2", "map m3c2", is_new=True):
+        yield replace(found, metric=f"m3c2_{found.variant}", variant="", path=("deviation", "m3c2", found.variant))
+    label = "  median LoD95, significant"
+    for key, definition, value, unit in (
+        ("lod95_median", "median level of detection at 95 %", m3c2.median_lod, LENGTH),
+        ("significant_share", "share of the distances beyond their level of detection", m3c2.significant_share, RATIO),
+    ):
+        yield Quantity(
+            f"m3c2_{key}",
+            FORTH,
+            definition,
+            value,
+            unit,
+            path=("deviation", "m3c2", key),
+            section="maps",
+            label=label,
+            shares_row=label,
+            second=key == "significant_share",
+            headline=Headline(label, optional=True),
+        )
+
+
+def _chamfer(candidate: Candidate) -> Iterator[Quantity]:
+    chamfer = candidate.metrics.chamfer
+    for variant, found, definition, unit, label in (
+        ("sum_unsquared", chamfer.sum_unsquared, "mean c→r + mean r→c", LENGTH, "means"),
+        ("sum_squared", chamfer.sum_squared, "mean square c→r + mean square r→c", SQUARED_LENGTH, "mean squares"),
+    ):
+        title, path = f"Chamfer, sum of {label}", ("metrics", "chamfer", variant)
+        value = _estimated("chamfer", "both", definition, found, unit, section="scores", label=title)
+        yield replace(value, variant=variant, path=path, difference=f"chamfer/{variant}")
+        floor = Quantity("chamfer_floor", "both", f"sampling floor of: {definition}", found.floor, unit, variant)
+        yield replace(floor, path=("metrics", "chamfer", "floor", variant), section="scores")
+
+
+def _fscores(candidate: Candidate) -> Iterator[Quantity]:
+    for number, scores in enumerate(candidate.metrics.fscores):
+        label = f"F-score at {scores.threshold:.4g}"
+        headline = Headline(label, optional=True, column="F-score", rank=3)
+        fscore = _estimated("fscore", "both", "harmonic mean of precision and recall", scores.fscore, RATIO)
+        yield replace(
+            fscore,
+            threshold=scores.threshold,
+            path=("metrics", "fscore", number, "fscore"),
+            difference=f"fscore/{scores.threshold!r}",
+            section="scores",
+            label=label,
+            headline=headline,
+        )
+        label = "  precision, recall"
+        for metric, way, whose, found in (
+            ("precision", FORTH, "candidate", scores.precision),
+            ("recall", BACK, "reference", scores.recall),
+        ):
+            share = _estimated(metric, way, f"share of the {whose}'s points within the threshold", found, RATIO)
+            yield replace(
+                share,
+                threshold=scores.threshold,
+                path=("metrics", "fscore", number, metric),
+                difference="",
+                section="scores",
+                label=label,
+                shares_row=label,
+                headline=Headline(label, optional=True),
+            )
+
+
+def _presets(candidate: Candidate) -> Iterator[Quantity]:
+    for name, preset in candidate.metrics.presets.items():
+        yield from _preset(name, preset)
+
+
+def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
+    """Units are left out: they are what the quoted tool makes of them."""
+    blank = Quantity("", "", f"preset {name}", None, unit="", variant=name, section=f"preset {name}")
+    for key, value in vars(preset).items():
+        path, label = ("metrics", "presets", name, key), f"{name}: {key}"
+        if isinstance(value, BothWays):  # its a is the reference: b to a is our candidate to reference
+            for way, number in asdict(value).items():
+                found = replace(blank, metric=key, direction=way, value=number, path=(*path, way))
+                yield found if way == "symmetric" else replace(found, label=label, second=way == "a_to_b")
+        elif isinstance(value, tuple):
+            for row, score in enumerate(value):
+                at = score.threshold
+                for metric in ("precision", "recall", "fscore"):
+                    found = replace(blank, metric=metric, direction="both", threshold=at, path=(*path, row, metric))
+                    found = replace(found, value=getattr(score, metric))
+                    yield replace(found, label=f"{name}: F-score at {at:.4g}") if metric == "fscore" else found
+        else:
+            yield replace(blank, metric=key, value=value, path=path, label=label)
+
+
+def _deformation(candidate: Candidate) -> Iterator[Quantity]:
+    """comparison.json holds the deformation as a whole, by which it is read again."""
+    bend, label = candidate.deformation, "  bend RMS, detectable"
+    verdict = f"verdict: {bend.verdict}"
+    size, text = bend.amplitude, f"along the normals, beyond affine; {verdict}"
+    cell = Quantity("", "", text, None, section="deformation", label=label, shares_row=label)
+    if size is None:
+        yield replace(cell, metric="deformation_rms")
+    else:
+        yield replace(cell, metric="deformation_rms", value=size.rms, interval=Interval(*size.ci))
+        yield Quantity("deformation_max", "", text, size.max, section="deformation")
+    text = f"RMS of a dome that is found in {100 * DETECTION_POWER:g} % of all cases at p <= {MAX_P_SURE:g}; {verdict}"
+    least = bend.minimum_detectable_rms
+    yield replace(cell, metric="minimum_detectable_rms", definition=text, value=least, second=True)
+
+
+def _survey(candidate: Candidate) -> Iterator[Quantity]:
+    """The root mean square errors at control and check points, where the candidate was registered by such points."""
+    residuals = candidate.registration.residuals
+    for kind, points in (("control", residuals.control), ("check", residuals.check)):
+        if (rmse := residuals.rmse(points)) is None:
+            continue
+        for part, variant in (("total", "3d"), ("horizontal", "horizontal"), ("vertical", "vertical")):
+            yield Quantity(
+                f"{kind}_points_rmse",
+                "",
+                f"root mean square error of {rmse.points} {kind} points",
+                getattr(rmse, part),
+                variant=variant,
+                path=("registration", "point_rmse", kind, part),
+                section="survey",
+            )
+
+
+def _estimated(
+    metric: str, way: str, definition: str, found: Estimate, unit: str, section: str = "distances", label: str = ""
+) -> Quantity:
+    """A number with an interval, by which candidates are compared too."""
+    return Quantity(
+        metric,
+        way,
+        definition,
+        found.value,
+        unit,
+        interval=found.interval,
+        has_interval=True,
+        path=("metrics", metric, way),
+        difference=f"{metric}/{way}",
+        section=section,
+        label=label,
+    )
+
+
+def _root(value: float | None) -> float | None:
+    return None if value is None else math.sqrt(value)
+
+
+_PARTS: tuple[Callable[[Candidate], Iterator[Quantity]], ...] = (
+    _means,
+    _largest,
+    _maps,
+    _chamfer,
+    _fscores,
+    _presets,
+    _deformation,
+    _survey,
+)

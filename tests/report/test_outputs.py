@@ -1,0 +1,176 @@
+"""One list of metrics: what the walk over a candidate's quantities yields is in every output, once."""
+
+import json
+from dataclasses import replace
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+import shapes
+
+from pcbench import Cloud, Mesh, Settings, compare
+from pcbench.deformation import size
+from pcbench.measure import directions, quantities, reference, scores
+from pcbench.measure.directions import MEAN_METRICS, MeanMetric
+from pcbench.measure.intervals import Interval
+from pcbench.measure.quantity import LENGTH, Headline, Quantity
+from pcbench.measure.results import BACK, FORTH
+from pcbench.report import document, markdown, rows, to_json
+from pcbench.report.summary import main_columns, main_lines
+from pcbench.report.table import lines
+
+EVERYTHING = {"presets": ("open3d", "pdal", "tnt"), "thresholds": (0.1, 0.3), "maps": ("m3c2",)}
+SQUARE = Mesh(np.array([[0.0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def terrain(count, noise):
+    points, rng = shapes.terrain(count, seed=count)[0], np.random.default_rng(count)
+    return points + rng.normal(0, noise, points.shape)
+
+
+def compared(kind):
+    """With presets, two thresholds and M3C2; the same with a mesh and its map; and of two points."""
+    if kind == "mesh":
+        return compare(SQUARE, {"a": terrain(300, 0.05)}, Settings(register="none", **EVERYTHING))
+    if kind == "points":
+        return compare(np.zeros((1, 3)), np.ones((1, 3)), Settings(register="none", presets=("open3d", "tnt")))
+    clouds = {"a": terrain(500, 0.05), "b": terrain(400, 0.1)}
+    return compare(Cloud(terrain(900, 0), unit="m"), clouds, Settings(register="none", **EVERYTHING))
+
+
+@pytest.fixture(scope="module", params=["clouds", "mesh", "points"])
+def comparison(request):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reference, "_MESH_SAMPLES", 3000)
+        return compared(request.param)
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    return compared("clouds")
+
+
+def at(values, path):
+    for key in path:
+        values = values[key]
+    return values
+
+
+def test_metrics_csv_is_tidy(comparison):
+    found = list(rows(comparison))
+    assert len({(r.candidate, r.metric, r.variant, r.threshold, r.direction) for r in found}) == len(found)
+    thresholds = {score.threshold for score in comparison.candidates[0].metrics.fscores}
+    for metric in ("fscore", "precision", "recall"):
+        assert {r.threshold for r in found if (r.metric, r.variant) == (metric, "")} == thresholds
+    presets = {name for name in comparison.settings.presets if thresholds or name != "tnt"}
+    assert {r.variant for r in found} >= {"", "sum_squared", *presets}
+
+
+def test_every_quantity_is_in_the_json_at_its_path(comparison):
+    values = json.loads(to_json(document(comparison)))
+    for candidate, written in zip(comparison, values["candidates"], strict=True):
+        found = [q for q in quantities.quantities(candidate) if q.path]
+        assert len({q.path for q in found}) == len(found) > 50
+        for quantity in found:
+            *place, last = quantity.path
+            assert at(written, quantity.path) == quantity.value
+            if quantity.has_interval:
+                interval = quantity.interval and list(quantity.interval)
+                assert at(written, [*place, "ci", last]) == interval
+            if quantity.threshold is not None:
+                assert at(written, [*place, "threshold"]) == quantity.threshold
+
+
+def test_every_difference_is_one_of_a_quantity(clouds):
+    names = {q.difference for q in quantities.quantities(clouds["a"])} - {""}
+    assert {difference.metric for difference in clouds.differences} == names
+
+
+def largest(candidate):
+    """A maximum, both ways."""
+    for way, values in ((FORTH, candidate.deviation), (BACK, candidate.completeness)):
+        value = float(values.scalars["distance"].max())
+        headline = Headline("farthest", column="far", rank=0)
+        yield Quantity("farthest", way, "largest", value, LENGTH, label="Farthest", headline=headline)
+
+
+def angle(candidate):
+    """One of normals, with an interval, in degrees."""
+    value = 1.0 + len(candidate.name)
+    interval = Interval(value - 0.5, value + 0.5)
+    headline = Headline("normals", column="normals", rank=0)
+    yield Quantity("normals", FORTH, "angle", value, "deg", interval=interval, has_interval=True, headline=headline)
+
+
+def color(candidate):
+    """One of colours, without a direction and in two variants."""
+    for variant, value in (("rgb", 31.5), ("luma", 34.25)):
+        headline = Headline(f"colours, {variant}", column=variant, rank=0)
+        yield Quantity("color_psnr", "both", "PSNR", value, "dB", variant, label=f"PSNR {variant}", headline=headline)
+
+
+@pytest.mark.parametrize("added", [largest, angle, color])
+def test_what_is_yielded_in_one_place_is_in_every_output(clouds, monkeypatch, added):
+    def part(candidate):
+        for quantity in added(candidate):
+            path = ("metrics", quantity.metric, quantity.variant or quantity.direction)
+            yield replace(quantity, path=path, label=quantity.label or quantity.metric)
+
+    monkeypatch.setattr(quantities, "_PARTS", (*quantities._PARTS, part))
+    written = json.loads(to_json(document(clouds)))["candidates"]
+    table, summary = list(filter(None, lines(clouds))), main_lines(clouds)
+    columns = main_columns(clouds, 300)
+    for k, candidate in enumerate(clouds):
+        for quantity in part(candidate):
+            shown = f"{quantity.value:.4g}"
+            assert at(written[k], quantity.path) == quantity.value
+            (row,) = [
+                r
+                for r in rows(clouds)
+                if (r.candidate, r.metric, r.variant) == (candidate.name, quantity.metric, quantity.variant)
+                and r.direction == quantity.direction
+            ]
+            assert (row.value, row.unit) == (quantity.value, "m" if quantity.unit == LENGTH else quantity.unit)
+            assert (row.ci_low, row.ci_high) == (quantity.interval or (None, None))
+            (line,) = [line for line in table if line.label == quantity.label]
+            assert line.cells[k][quantity.column] == shown
+            (line,) = [line for line in summary if line.label == quantity.headline.label]
+            assert line.cells[k][quantity.column] == shown
+            assert any(
+                c.head[0] == quantity.headline.column and float(c.cells[k]) == pytest.approx(quantity.value, rel=5e-3)
+                for c in columns  # which have three digits
+            )
+    assert f"| {quantity.label} |" in markdown(clouds)
+
+
+def test_a_mean_that_is_defined_in_one_place_is_in_every_output(monkeypatch):
+    """With its floor, interval and differences."""
+    capped = MeanMetric(
+        "capped", "Capped", "at most 0.5", 1, lambda d: np.minimum(d.to_points, 0.5), headline="capped mean"
+    )
+    for module in (directions, scores, quantities):
+        monkeypatch.setattr(module, "MEAN_METRICS", (*MEAN_METRICS, capped))
+    found = compared("clouds")
+    values = document(found)["candidates"][0]["metrics"]["capped"]
+    assert values[FORTH] == pytest.approx(np.minimum(found["a"].deviation.scalars["distance"], 0.5).mean())
+    assert values["ci"][FORTH][0] < values[FORTH] < values["ci"][FORTH][1]
+    assert values["floor"][BACK] > 0
+    assert {(r.metric, r.direction) for r in rows(found) if r.metric == "capped"} == {
+        ("capped", w) for w in (FORTH, BACK)
+    }
+    assert "Capped" in [line.label for line in lines(found) if line]
+    assert "capped mean" in [line.label for line in main_lines(found)]
+    assert {d.metric for d in found.differences} >= {f"capped/{FORTH}", f"capped/{BACK}"}
+
+
+def test_what_is_detectable_is_said_as_it_is_computed(clouds, monkeypatch):
+    # Three decimals of the normal deviate are right to 1e-4 of the power.
+    assert NormalDist().cdf(size._POWER_Z) == pytest.approx(size.DETECTION_POWER, abs=1e-4)
+
+    def definition():
+        return next(r.definition for r in rows(clouds) if r.metric == "minimum_detectable_rms")
+
+    assert f"{100 * size.DETECTION_POWER:g} % of all cases at p <= {size.MAX_P_SURE:g}" in definition()
+    monkeypatch.setattr(quantities, "DETECTION_POWER", 0.625)
+    monkeypatch.setattr(quantities, "MAX_P_SURE", 0.25)
+    assert "62.5 %" in definition() and "p <= 0.25" in definition()

@@ -1,0 +1,42 @@
+"""Numbers in sentences: one thing is singular, and a ratio of one is none."""
+
+import numpy as np
+import pytest
+
+from pcbench import compare
+from pcbench.measure.wording import counted, times_as
+from pcbench.report.plot.panels import _bar_label
+from pcbench.report.words import title
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(0, "0 points"), (1, "1 point"), (2, "2 points"), (12_000, "12,000 points")]
+)
+def test_a_number_with_its_noun(count, words):
+    assert counted(count, "point") == words
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"), [(0.5, "0.5 times as many"), (0.999, "as many"), (1.04, "as many"), (11.2, "11 times as many")]
+)
+def test_a_ratio(ratio, words):
+    assert times_as(ratio, "many") == words
+
+
+@pytest.mark.parametrize(
+    ("length", "unit", "words"),
+    [
+        (1.0, "m", "1 m"),
+        (0.5, "ft", "0.5 ft"),
+        (1.0, "units of the file", "1 unit"),
+        (20.0, "units of the file", "20 units"),
+    ],
+)
+def test_a_scale_bar(length, unit, words):
+    assert _bar_label(length, unit) == words
+
+
+def test_a_comparison_of_single_points():
+    found = compare(np.zeros((1, 3)), np.ones((1, 3)), register="none")
+    assert title(found).startswith("reference: 1 point, ")
+    assert [line.count("1 point,") for line in repr(found).splitlines()] == [1, 1]
