@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test lint types docs slow sanitize compilers bench gallery wording clean
+.PHONY: demo test lint types docs slow sanitize compilers processors wheel bench gallery wording clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -33,6 +33,17 @@ test: $(VENV)/.all
 
 slow: $(VENV)/.all
 	$(BIN)/python -m pytest -m slow
+
+# A wheel for other machines in dist/. libgomp goes into it: a plain container has none. What is in it is tested.
+wheel: $(VENV)/.all
+	rm -rf dist build/dist
+	$(BIN)/python -m build --wheel --outdir build/dist . >/dev/null
+	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/auditwheel repair --wheel-dir dist build/dist/*.whl
+	PCBENCH_WHEEL="$$(echo dist/*.whl)" $(BIN)/python -m pytest tests/test_wheel.py
+
+# The kernels on this processor and, where Debian's g++-aarch64-linux-gnu and qemu-user are there, on ARM: the same bits.
+processors: $(VENV)/.all
+	$(BIN)/python -m pytest -s -m slow tests/native/test_golden.py
 
 # The compiled core once more, by another compiler or with other settings: $(1) is the compiler, $(2) the folder in
 # build/, $(3) what CMake defines. Nothing is stripped, so that reports name lines.

@@ -104,9 +104,9 @@ def test_compare_keeps_them_in_json_table_and_csv(files):
     )
     compared.save(files / "report", figures=False)
     with (files / "report/metrics.csv").open() as file:
-        rows = {row["metric"]: row["value"] for row in csv.DictReader(file)}
-    assert float(rows["check_points_rmse_vertical"]) == pytest.approx(0.12, abs=1e-9)
-    assert float(rows["control_points_rmse_3d"]) == pytest.approx(0.02, abs=1e-9)
+        rows = {(row["metric"], row["variant"]): row["value"] for row in csv.DictReader(file)}
+    assert float(rows["check_points_rmse", "vertical"]) == pytest.approx(0.12, abs=1e-9)
+    assert float(rows["control_points_rmse", "3d"]) == pytest.approx(0.02, abs=1e-9)
     assert "2 check points: RMSE H 0.05 m" in (files / "report/table.md").read_text()
 
 

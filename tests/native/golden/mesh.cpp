@@ -1,0 +1,41 @@
+// Distances to triangles, and rays.
+#include "mesh/mesh_index.h"
+
+#include "golden.h"
+
+namespace {
+
+bool never() { return false; }
+
+}  // namespace
+
+void golden::mesh() {
+    constexpr int kSide = 50;
+    constexpr size_t kQueries = 4000;
+    Random random(3);
+    std::vector<double> vertices;
+    for (int y = 0; y < kSide; ++y)
+        for (int x = 0; x < kSide; ++x) vertices.insert(vertices.end(), {x * 1.0, y * 1.0, random.number(0, 2)});
+    std::vector<int64_t> faces;
+    for (int64_t y = 0; y + 1 < kSide; ++y)
+        for (int64_t x = 0; x + 1 < kSide; ++x) {
+            const int64_t corner = y * kSide + x;
+            faces.insert(faces.end(), {corner, corner + 1, corner + kSide});
+            faces.insert(faces.end(), {corner + 1, corner + kSide + 1, corner + kSide});
+        }
+    pcbench::Interrupt interrupt(never);
+    const pcbench::mesh::MeshIndex index(vertices.data(), vertices.size() / 3, faces.data(), faces.size() / 3,
+                                         interrupt);
+    std::vector<double> points, directions;
+    for (size_t i = 0; i < kQueries; ++i) {
+        points.insert(points.end(), {random.number(-2, 54), random.number(-2, 54), random.number(-1, 8)});
+        directions.insert(directions.end(), {random.number(-1, 2), random.number(-1, 2), random.number(-2, 3)});
+    }
+    std::vector<double> distances(kQueries), closest(3 * kQueries);
+    std::vector<int64_t> hit(kQueries);
+    std::vector<uint8_t> features(kQueries);
+    index.query(points.data(), kQueries, distances.data(), closest.data(), hit.data(), features.data(), interrupt);
+    Hash("mesh_distances").add(distances).add(closest).add(hit).add(features);
+    index.cast(points.data(), directions.data(), kQueries, 1e6, distances.data(), hit.data(), interrupt);
+    Hash("mesh_rays").add(distances).add(hit);
+}

@@ -1,0 +1,88 @@
+// The search tree: closest points, neighbourhoods, planes through them, and cells.
+#include <omp.h>
+
+#include <algorithm>
+
+#include "golden.h"
+#include "points/cells.h"
+#include "points/index.h"
+#include "points/normals.h"
+
+namespace {
+
+bool never() { return false; }
+
+// A rough plane far from the origin, with every fourth point a copy of an earlier one: ties are settled by row.
+std::vector<double> make_cloud(size_t count, uint64_t seed) {
+    golden::Random random(seed);
+    std::vector<double> points(3 * count);
+    for (size_t i = 0; i < count; ++i) {
+        const size_t earlier = i % 4 == 3 ? static_cast<size_t>(random.below(static_cast<uint32_t>(i))) : i;
+        for (int axis = 0; axis < 3; ++axis)
+            points[3 * i + axis] =
+                earlier < i ? points[3 * earlier + axis] : 400000 + random.number(0, axis < 2 ? 64 : 1);
+    }
+    return points;
+}
+
+}  // namespace
+
+void golden::points() {
+    constexpr size_t kCount = 20000, kQueries = 3000, kNeighbors = 12;
+    const std::vector<double> cloud = make_cloud(kCount, 1), queries = make_cloud(kQueries, 2);
+    pcbench::Interrupt interrupt(never);
+    const pcbench::Index index(cloud.data(), kCount, interrupt);
+    const pcbench::Tree& tree = index.tree();
+    const pcbench::SortedPoints sorted(queries.data(), kQueries, interrupt);
+    const pcbench::Kernels& kernels = pcbench::kernels();
+
+    std::vector<double> distances(kQueries);
+    std::vector<int64_t> rows(kQueries);
+    kernels.nearest(tree, sorted.leaves.get(), sorted.leaf_count, nullptr, false, distances.data(), rows.data(), {},
+                    interrupt);
+    Hash("nearest").add(distances).add(rows);
+
+    std::vector<double> all_distances(kQueries * kNeighbors);
+    std::vector<int64_t> neighbors(kQueries * kNeighbors);
+    kernels.knearest(tree, sorted.leaves.get(), sorted.leaf_count, kNeighbors, all_distances.data(), neighbors.data(),
+                     interrupt);
+    Hash("knearest").add(all_distances).add(neighbors);
+
+    std::vector<double> normals(3 * kQueries), variation(kQueries);
+    pcbench::plane_fits(cloud.data(), kCount, neighbors.data(), kQueries, kNeighbors, normals.data(), variation.data());
+    Hash("plane_fits").add(normals).add(variation);
+
+    std::vector<double> axes;
+    for (size_t i = 0; i < kQueries; ++i) axes.insert(axes.end(), {0.0, 0.6, 0.8});
+    const auto in_region = [&](const char* name, const auto& search) {
+        std::vector<int64_t> offsets(kQueries + 1);
+        search(offsets.data(), static_cast<int64_t*>(nullptr));
+        for (size_t i = 0; i < kQueries; ++i) offsets[i + 1] += offsets[i];
+        std::vector<int64_t> found(static_cast<size_t>(offsets.back()));
+        search(offsets.data(), found.data());
+        for (size_t i = 0; i < kQueries; ++i) std::sort(found.begin() + offsets[i], found.begin() + offsets[i + 1]);
+        Hash(name).add(offsets).add(found);
+    };
+    in_region("in_balls", [&](int64_t* offsets, int64_t* found) {
+        kernels.in_balls(tree, sorted.leaves.get(), sorted.leaf_count, 1.25, offsets, found, interrupt);
+    });
+    in_region("in_cylinders", [&](int64_t* offsets, int64_t* found) {
+        kernels.in_cylinders(tree, sorted.leaves.get(), sorted.leaf_count, axes.data(), 1.25, 0.5, offsets, found,
+                             interrupt);
+    });
+
+    const size_t stride = (kernels.plane_scratch_bytes(16) + 63) / 64 * 8;
+    const auto threads = static_cast<size_t>(omp_get_max_threads());
+    const pcbench::Block<double> memory = pcbench::allocate<double>(stride * threads);
+    std::vector<double*> scratch;
+    for (size_t t = 0; t < threads; ++t) scratch.push_back(memory.get() + t * stride);
+    normals.resize(3 * kCount), variation.resize(kCount), distances.resize(kCount), rows.resize(kCount);
+    kernels.planes(tree, tree.leaves, tree.leaf_count, nullptr, 16, normals.data(), variation.data(), distances.data(),
+                   rows.data(), scratch.data(), interrupt);
+    Hash("planes").add(normals).add(variation).add(distances).add(rows);
+
+    const double lower[3] = {400000, 400000, 400000};
+    const pcbench::Occupied occupied =
+        pcbench::group_by_cell(cloud.data(), kCount, pcbench::Grid(0.7, lower), rows.data());
+    Hash("group_by_cell").add(rows).add(occupied.first).add(occupied.counts);
+}

@@ -1,0 +1,63 @@
+"""What is in the wheel for other machines: `make wheel` builds one, repairs it and runs this."""
+
+import os
+import subprocess
+import sysconfig
+import zipfile
+from pathlib import Path, PurePosixPath
+
+import pytest
+from repository import ROOT
+
+# Of the sources, the wheel has no C++ but what the CUDA kernels are compiled from when they are first used.
+READ_AT_RUN_TIME = {"reconstructors/splat/maths.h", "reconstructors/splat/pinhole.h"}
+MODULES = {
+    "pcbench/native/_core",
+    "reconstructors/mvs/native/_patchmatch",
+    "reconstructors/splat/cpu/_rasterizer",
+}
+
+
+@pytest.fixture(scope="module")
+def wheel():
+    path = os.environ.get("PCBENCH_WHEEL")
+    if not path:
+        pytest.skip("needs a wheel: `make wheel`")
+    with zipfile.ZipFile(ROOT / path) as archive:
+        yield archive
+
+
+def test_name(wheel):
+    """It says with which C library it runs, and is for this Python."""
+    _, _, python, abi, system = Path(wheel.filename).stem.split("-")
+    assert python == abi == "cp" + sysconfig.get_config_var("py_version_nodot")
+    assert all(tag.startswith("manylinux") for tag in system.split("."))
+
+
+def test_contents(wheel):
+    """Sources that are needed, compiled modules, the OpenMP library and what pip asks for: nothing else."""
+    names = {name for name in wheel.namelist() if not name.endswith("/")}
+    print("\n".join(sorted(names)))
+    tracked = subprocess.run(
+        ["git", "ls-files", "pcbench", "reconstructors"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    sources = {name for name in tracked if PurePosixPath(name).suffix not in (".cpp", ".h") or name in READ_AT_RUN_TIME}
+    modules = {module + sysconfig.get_config_var("EXT_SUFFIX") for module in MODULES}
+    others = names - sources - modules
+    assert sources - names == set()
+    assert modules - names == set()
+    info = "pcbench-0.1.0.dist-info"
+    files = ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")
+    libraries = {name for name in others if name.startswith("pcbench.libs/libgomp")}
+    assert len(libraries) == 1
+    assert others - libraries - {name for name in others if name.startswith(f"{info}/sboms/")} == {
+        f"{info}/{name}" for name in files
+    }
+
+
+def test_entry_points(wheel):
+    text = wheel.read("pcbench-0.1.0.dist-info/entry_points.txt").decode()
+    for line in ("[console_scripts]", "pcbench=pcbench.cli:main", "[pcbench.reconstructors]"):
+        assert line in text.replace(" = ", "=")
+    for name in ("sfm", "mvs", "splat"):
+        assert f"\n{name}=" in text.replace(" = ", "=")
