@@ -1,5 +1,5 @@
-# Two commands matter: `make demo` and `make test`. Both set up .venv first; nothing but python3 (>= 3.11), venv,
-# make and a C++ compiler is needed beforehand.
+# Two commands matter: `make demo` and `make test`. Both set up .venv first; nothing but python3 (>= 3.11) with its
+# headers and venv, make and a C++ compiler is needed beforehand.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
