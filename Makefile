@@ -1,5 +1,5 @@
-# Two commands matter: `make demo` and `make test`. Both set up .venv first; nothing but python3 (>= 3.11), venv,
-# make and a C++ compiler is needed beforehand.
+# Two commands matter: `make demo` and `make test`. Both set up .venv first; nothing but python3 (>= 3.11) with its
+# headers and venv, make and a C++ compiler is needed beforehand.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test lint types docs slow sanitize compilers processors wheel bench gallery wording clean
+.PHONY: demo test variations lint types docs slow sanitize compilers processors wheel bench gallery wording clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -30,6 +30,11 @@ demo: $(VENV)/.demo
 
 test: $(VENV)/.all
 	$(BIN)/python -m pytest -n 2
+
+# Parts of the suite with other kernels, numbers of threads and orders, as on an older processor, and without the optional
+# system libraries.
+variations: $(VENV)/.all
+	$(BIN)/python tests/variations.py
 
 slow: $(VENV)/.all
 	$(BIN)/python -m pytest -m slow

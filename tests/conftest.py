@@ -1,6 +1,7 @@
 """What several test files use."""
 
 import os
+import random
 import signal
 import sys
 from functools import cache
@@ -27,8 +28,26 @@ from pcbench.scenes.synthetic.render import check_renderer
 GOLDEN, RENEWED = pytest.StashKey[wording.Texts](), pytest.StashKey[wording.Texts | None]()
 
 
-def pytest_report_header():
-    return f"real data: {data_root() or 'none (set PCBENCH_DATA)'}"
+def pytest_addoption(parser):
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run files and their tests in random order")
+
+
+def pytest_report_header(config):
+    seed = config.option.shuffle
+    order = [] if seed is None else [f"random order: --shuffle={seed}"]
+    return [f"real data: {data_root() or 'none (set PCBENCH_DATA)'}", *order]
+
+
+def pytest_collection_modifyitems(config, items):
+    """Tests of a file stay together: what they share is made once."""
+    if config.option.shuffle is None:
+        return
+    rng = random.Random(config.option.shuffle)  # the same in every worker
+    files = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    order = rng.sample(sorted(files), len(files))
+    items[:] = [item for file in order for item in rng.sample(files[file], len(files[file]))]
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from repository import ROOT, TESTS
 
@@ -165,3 +166,13 @@ def test_an_unknown_instruction_set_is_refused():
     done = answers_with(PCBENCH_ISA="sse9")
     assert done.returncode != 0
     assert "PCBENCH_ISA: expected one that this machine runs (" in done.stderr and "got 'sse9'" in done.stderr
+
+
+def test_a_command_refuses_an_unknown_instruction_set_in_one_line(tmp_path):
+    np.save(tmp_path / "a.npy", np.eye(3))
+    command = [sys.executable, "-m", "pcbench.cli", "compare", "a.npy", "a.npy"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PCBENCH_ISA": "sse9"}, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1 and done.stderr.startswith("error: PCBENCH_ISA: expected")

@@ -60,7 +60,8 @@ def test_the_pass_back_is_what_autograd_gives():
     for leaf, rows in zip(leaves, pulled[1:6], strict=True):
         full = torch.zeros_like(leaf)
         full[pulled.ids] = rows
-        assert torch.allclose(full, leaf.grad, rtol=1e-12, atol=1e-12)
+        # 100 roundings, times the covariances' largest condition number of 30 (see rounding_bound in test_maths.py).
+        assert (full - leaf.grad).abs().max() < 1e-12 * leaf.grad.abs().max()
     splats = reference.project(reference.Gaussians(*leaves), view)
     nothing = torch.zeros_like(splats.depth)
 
