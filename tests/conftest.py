@@ -29,6 +29,7 @@ GOLDEN, RENEWED = pytest.StashKey[wording.Texts](), pytest.StashKey[wording.Text
 
 
 def pytest_addoption(parser):
+    parser.addoption("--renew-wording", action="store_true", help="write tests/wording.txt anew (see tests/wording.py)")
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run files and their tests in random order")
 
 
@@ -65,10 +66,6 @@ def pytest_xdist_make_scheduler(config, log):
             return file if _shares_fixtures(config.rootpath / file) else nodeid
 
     return Scheduler(config, log)
-
-
-def pytest_addoption(parser):
-    parser.addoption("--renew-wording", action="store_true", help="write tests/wording.txt anew (see tests/wording.py)")
 
 
 def pytest_configure(config):

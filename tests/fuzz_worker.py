@@ -15,8 +15,10 @@ import sys
 import warnings
 from pathlib import Path
 
+import e57_bytes
 import las_bytes
 import mesh_bytes
+import mvs_bytes
 import pcd_bytes
 import ply_bytes
 from repository import TESTS
@@ -38,6 +40,8 @@ CORPORA = {
     "pcd": pcd_bytes.corpus,
     "txt": lambda: {name: text.encode() for name, text in TEXTS.items()},
     "meshes": lambda: mesh_bytes.CUBES,
+    "e57": e57_bytes.corpus,
+    "mvs": mvs_bytes.corpus,
 }
 
 
@@ -70,8 +74,12 @@ def main(corpus, count, seed, folder):
     from pcbench.errors import PcbenchError
     from pcbench.io import read_cloud
     from pcbench.io.meshes import read_mesh
+    from pcbench.io.openmvs import read_openmvs
 
-    read = read_mesh if corpus == "meshes" else read_cloud
+    def read_scene_file(path, on_warning):
+        return read_openmvs(path, lambda name: (64, 48), on_warning).cameras
+
+    read = {"meshes": read_mesh, "mvs": read_scene_file}.get(corpus, read_cloud)
     warnings.simplefilter("error")
     rng = random.Random(seed)
     files = list(CORPORA[corpus]().items())
@@ -86,7 +94,9 @@ def main(corpus, count, seed, folder):
     for number in range(count):
         name, data = rng.choice(files)
         path = folder / f"a{Path(name).suffix if corpus == 'meshes' else f'.{corpus}'}"
-        path.write_bytes(damaged(data, rng))  # stays behind for a look if anything below fails
+        data = damaged(data, rng)
+        # Damage that the checksums of E57 tell is refused at once: most files get new ones.
+        path.write_bytes(e57_bytes.sealed(data) if corpus == "e57" and rng.random() < 0.8 else data)  # stays for a look
         notes = []
         signal.alarm(MAX_SECONDS_PER_FILE)
         try:

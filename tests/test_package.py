@@ -19,6 +19,7 @@ HEAVY = (
     "open3d",
     "trimesh",
     "lazrs",
+    "pye57",
     "matplotlib",
     "rich",
     "kiss_matcher",

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.colmap import read_colmap
+from pcbench.io.e57 import read_e57
 from pcbench.io.files import Fields, Warn
 from pcbench.io.gltf import read_glb, read_gltf
 from pcbench.io.las import read_las, write_las
@@ -38,6 +39,7 @@ class CloudFormat(NamedTuple):
 CLOUDS = {  # by extension in lower case, or by the whole name of the file
     ".asc": CloudFormat(read_text, write_text),
     ".csv": CloudFormat(read_text, write_text),
+    ".e57": CloudFormat(read_e57),
     ".las": CloudFormat(read_las, write_las, filtered=True),
     ".laz": CloudFormat(read_las, write_las, filtered=True),  # .copc.laz too
     ".npy": CloudFormat(read_npy, write_npy),

@@ -27,6 +27,7 @@ _VERSIONS = range(1, 8)
 _NONE = 0xFFFFFFFF  # the number of a pose that an image does not have
 _VIEW_SCORE, _VIEW = 24, 8  # bytes of an item that is skipped
 _CAMERA_MATRICES = 21 * 8  # K, R, C
+_MAX_ROTATION_ENTRY = 2.0  # those of a rotation are at most 1
 
 
 class OpenMvsScene(NamedTuple):
@@ -55,7 +56,8 @@ def read_openmvs(path: Path, size_of: Callable[[str], tuple[int, int] | None], w
     """
     try:
         check_readable(path)
-        return _Reader(path.read_bytes()).scene(size_of, lambda text: warn(f"{path}: {text}"))
+        with np.errstate(all="ignore"):  # damaged numbers become infinite, which is refused
+            return _Reader(path.read_bytes()).scene(size_of, lambda text: warn(f"{path}: {text}"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except InputError as error:
@@ -233,13 +235,13 @@ def _camera(
     except IndexError:
         raise InputError(f"image {image.name!r} has a platform, camera or pose that is not in the file") from None
     try:
+        if not (np.abs([mounted.rotation, turn]) <= _MAX_ROTATION_ENTRY).all():
+            raise InputError("expected the rotations of platform and camera, got matrices that are none")
         intrinsics = mounted.intrinsics(size_of(image.name))
         rotation = rotation_from(mounted.rotation @ turn)
+        translation = -rotation @ (turn.T @ mounted.center + center)
+        if not np.isfinite(translation).all():
+            raise InputError("expected a finite position")
     except InputError as error:
         raise InputError(f"image {image.name!r}: {error}") from None
-    if intrinsics is None:
-        return None
-    position = turn.T @ mounted.center + center
-    if not np.isfinite(position).all():
-        raise InputError(f"image {image.name!r}: expected a finite position")
-    return Camera(image.name, intrinsics, Similarity(rotation, -rotation @ position))
+    return None if intrinsics is None else Camera(image.name, intrinsics, Similarity(rotation, translation))

@@ -3,6 +3,7 @@
 import json
 import struct
 
+import e57_bytes
 import mesh_bytes
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from pcbench.io.formats import CLOUDS, MESHES
 
 POINTS = np.random.default_rng(0).uniform(0, 9, (20, 3)).round(3)
 CUBE = 8  # vertices
-EXTRAS = {".laz": "lazrs", ".glb": "trimesh", ".gltf": "trimesh"}
+EXTRAS = {".laz": "lazrs", ".glb": "trimesh", ".gltf": "trimesh", ".e57": "pye57"}
 
 
 def gltf():
@@ -66,6 +67,8 @@ def example(request, tmp_path, monkeypatch):
     file = tmp_path / (f"a{extension}" if extension.startswith(".") else extension)
     if extension == "tile.copc.laz":
         file.write_bytes(las(7, 12, compress="variable"))
+    elif extension == ".e57":
+        e57_bytes.write(file, [dict(zip(e57_bytes.XYZ, POINTS.T, strict=True))])
     elif extension in MADE:
         file.write_bytes(MADE[extension][0])
     else:

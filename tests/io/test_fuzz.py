@@ -8,12 +8,16 @@ from optional import import_or_skip
 def run(form, count, seed, folder):
     if form == "laz":
         import_or_skip("lazrs")
+    if form == "e57":
+        import_or_skip("pye57")
     fuzz_worker.run(form, count, seed, folder)
 
 
-# Each LAZ file whose header holds is unpacked by a process of its own, which takes some 15 ms.
+# Each LAZ file whose header holds is unpacked by a process of its own, which takes some 15 ms; each E57 file is read by
+# one, which takes some 200 ms.
 @pytest.mark.parametrize(
-    ("form", "count"), [("ply", 1000), ("las", 500), ("laz", 250), ("pcd", 500), ("txt", 500), ("meshes", 500)]
+    ("form", "count"),
+    [("ply", 1000), ("las", 500), ("laz", 250), ("pcd", 500), ("txt", 500), ("meshes", 500), ("e57", 25), ("mvs", 500)],
 )
 def test_some_damaged_files(tmp_path, form, count):
     run(form, count, 1, tmp_path)
@@ -22,7 +26,16 @@ def test_some_damaged_files(tmp_path, form, count):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "count"),
-    [("ply", 20_000), ("las", 20_000), ("laz", 5000), ("pcd", 20_000), ("txt", 20_000), ("meshes", 10_000)],
+    [
+        ("ply", 20_000),
+        ("las", 20_000),
+        ("laz", 5000),
+        ("pcd", 20_000),
+        ("txt", 20_000),
+        ("meshes", 10_000),
+        ("e57", 2000),
+        ("mvs", 20_000),
+    ],
 )
 def test_many_damaged_files(tmp_path, form, count):
     run(form, count, 2, tmp_path)

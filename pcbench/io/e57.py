@@ -1,0 +1,89 @@
+"""E57 files (ASTM E2807), as laser scanners export them: by pye57 in a process of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.children import Limits, run_script
+from pcbench.errors import InputError, MissingExtra
+from pcbench.io.files import Fields, Warn, read_json
+from pcbench.scratch import scratch_folder
+
+_WORKER = str(Path(__file__).with_name("e57_worker.py"))
+_MAX_MEMORY = 2 << 30  # bytes of address space: numpy and libE57Format; points are written as they are read
+_MIN_SPEED = 1e6  # bytes per second, where libE57Format reads tens of millions
+_COLORS = ("colorRed", "colorGreen", "colorBlue")
+_NORMALS = ("nor_normalX", "nor_normalY", "nor_normalZ")
+
+
+def read_e57(path: Path, warn: Warn) -> Fields:
+    """All scans of an E57 file in one frame, each where its pose puts it, in metres.
+
+    Points that the file marks as invalid are dropped. `scan` is the number of a point's scan from 0 on, where there are
+    several; intensity, times and whatever else all scans have are attributes. Fields that some scans lack are left out.
+
+    Raises:
+        InputError: the file is damaged, or holds no valid point.
+        MissingExtra: pye57 is not installed.
+        OSError: the file cannot be read.
+    """
+    if importlib.util.find_spec("pye57") is None:
+        raise MissingExtra("pye57", "e57")
+    with path.open("rb") as file:
+        if file.read(8) != b"ASTM-E57":
+            raise InputError("expected an E57 file, which begins with ASTM-E57")
+    with scratch_folder() as folder:
+        limits = Limits(seconds=30 + path.stat().st_size / _MIN_SPEED, memory=_MAX_MEMORY)
+        done = run_script(
+            _WORKER, str(path.resolve()), str(folder), limits=limits, environment={"OPENBLAS_NUM_THREADS": "1"}
+        )
+        if done.code == 3:
+            raise MissingExtra("pye57", "e57", "it is installed but does not load")
+        if done.timed_out:
+            raise InputError(f"damaged E57 data: not read after {limits.seconds:.0f} s: export the file again")
+        if done.code:
+            reason = "".join(c if c.isprintable() else " " for c in done.last_words)[:200]
+            raise InputError(f"damaged E57 data: {reason or 'the reader broke down'}: export the file again")
+        return _fields(folder, warn)
+
+
+def _fields(folder: Path, warn: Warn) -> Fields:
+    """What the worker wrote, scans one after the other."""
+    described = read_json(folder / "scans.json")
+    scans = [(k, scan) for k, scan in enumerate(described["scans"]) if scan["points"]]
+    if dropped := sum(scan["dropped"] for scan in described["scans"]):
+        warn(
+            f"dropped {dropped} of {dropped + sum(s['points'] for _, s in scans)} points that the file marks as invalid"
+        )
+    if not scans:
+        raise InputError(f"expected at least one point, got {len(described['scans'])} scans without a valid one")
+    if empty := len(described["scans"]) - len(scans):
+        warn(f"{empty} of {len(described['scans'])} scans have no valid point with coordinates")
+    everywhere = [name for name in scans[0][1]["fields"] if all(name in scan["fields"] for _, scan in scans)]
+    if partial := sorted({name for _, scan in scans for name in scan["fields"]} - set(everywhere)):
+        warn(f"left out, as some of {len(scans)} scans have none: {', '.join(partial)}")
+
+    def column(name: str) -> NDArray[np.float64]:
+        return np.concatenate([np.fromfile(folder / f"{k}.{name}", np.float64) for k, _ in scans])
+
+    def columns(names: tuple[str, ...]) -> NDArray[np.float64] | None:
+        return np.stack([column(name) for name in names], axis=1) if set(names) <= set(everywhere) else None
+
+    colors, normals = columns(_COLORS), columns(_NORMALS)
+    attributes: dict[str, NDArray[np.generic]] = {
+        name: column(name) for name in everywhere if name not in (*_COLORS, *_NORMALS)
+    }
+    if len(scans) > 1:
+        attributes["scan"] = np.repeat([k for k, _ in scans], [scan["points"] for _, scan in scans]).astype(np.int32)
+    return Fields(
+        points=column("points").reshape(-1, 3),
+        normals=normals,
+        colors=None if colors is None else colors.astype(np.uint8),
+        attributes=attributes,
+        crs=str(described["crs"]).strip() or None,
+        unit="m",
+    )

@@ -1,0 +1,137 @@
+"""Reads an E57 file with pye57 in a process of its own: `e57_worker.py FILE FOLDER`.
+
+libE57Format, which pye57 wraps, may crash or hang on damaged files: the limits that the process is started with end it,
+and the parent says which file it was. Nothing of pcbench is imported. The folder gets `scans.json` (one entry per scan:
+points, points dropped, fields) and the columns of scan k as raw float64: `k.points` and `k.FIELD`. Points are where the
+scan's pose puts them. The exit status is 0, 3 where pye57 does not load, or 1 with a reason on standard error.
+"""
+
+import json
+import os
+import sys
+from typing import Any
+
+_RECORDS = 1 << 18  # read at a time: whatever count a damaged file states, memory is asked for what is there
+_CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
+_SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+_COLORS = ("colorRed", "colorGreen", "colorBlue")
+_NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
+_STATES = ("cartesianInvalidState", "sphericalInvalidState")
+
+
+def main(source: str, folder: str) -> None:
+    try:
+        from pye57 import libe57
+    except (ImportError, OSError):
+        sys.exit(3)
+
+    file = libe57.ImageFile(source, "r")  # every page's checksum is compared
+    root = file.root()
+    scans = root["data3D"] if root.isDefined("data3D") else []
+    described = []
+    for number in range(len(scans)):
+        described.append(_read(file, libe57, scans[number], os.path.join(folder, str(number))))  # noqa: PTH118
+    crs = root["coordinateMetadata"].value() if root.isDefined("coordinateMetadata") else ""
+    with open(os.path.join(folder, "scans.json"), "w", encoding="utf-8") as out:  # noqa: PTH118, PTH123
+        json.dump({"crs": crs, "scans": described}, out)
+
+
+def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
+    """Write the columns of one scan; its number of points, how many were dropped as invalid, and its fields."""
+    import numpy as np
+
+    points = scan["points"]
+    prototype = libe57.StructureNode(points.prototype())
+    names = [prototype.get(k).elementName() for k in range(prototype.childCount())]
+    axes = next((axes for axes in (_CARTESIAN, _SPHERICAL) if set(axes) <= set(names)), None)
+    if axes is None:
+        return {"points": 0, "dropped": 0, "fields": []}
+    if not points.childCount():  # libE57Format does not begin to read such a scan
+        return {"points": 0, "dropped": 0, "fields": []}
+    turn, shift = _pose(scan)
+    state = _STATES[axes is _SPHERICAL]
+    others = [name for name in names if name not in (*_CARTESIAN, *_SPHERICAL, *_STATES)]
+    wanted = [*axes, *others, *([state] if state in names else [])]
+    columns = {name: np.empty(_RECORDS) for name in wanted}
+    buffers = libe57.VectorSourceDestBuffer()
+    for name, column in columns.items():
+        buffers.append(libe57.SourceDestBuffer(file, name, column, _RECORDS, True, True))
+    colors = _scaled_colors(scan, prototype, libe57) if set(_COLORS) <= set(names) else {}
+    kept = dropped = 0
+    reader = points.reader(buffers)
+    outputs = {name: open(f"{stem}.{name.replace(':', '_')}", "wb") for name in ("points", *others)}  # noqa: PTH123, SIM115
+    while count := reader.read():
+        part = {name: column[:count] for name, column in columns.items()}
+        valid = part[state] == 0 if state in part else np.ones(count, bool)
+        part = {name: column[valid] for name, column in part.items()}
+        xyz = np.stack([part[axis] for axis in axes], axis=1)
+        if axes is _SPHERICAL:
+            distance, azimuth, elevation = xyz.T
+            across = distance * np.cos(elevation)
+            xyz = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
+        xyz = xyz @ turn.T + shift
+        if set(_NORMALS) <= set(part):
+            turned = np.stack([part[axis] for axis in _NORMALS], axis=1) @ turn.T
+            part |= dict(zip(_NORMALS, turned.T, strict=True))
+        for name, (low, high) in colors.items():
+            part[name] = np.clip(np.rint((part[name] - low) * (255 / (high - low))), 0, 255)
+        xyz.tofile(outputs["points"])
+        for name in others:
+            np.ascontiguousarray(part[name]).tofile(outputs[name])
+        kept, dropped = kept + len(xyz), dropped + int(count - valid.sum())
+    reader.close()
+    for output in outputs.values():
+        output.close()
+    stated = points.childCount()
+    if kept + dropped != stated:
+        sys.exit(f"truncated: {kept + dropped} of {stated} points")
+    return {"points": kept, "dropped": dropped, "fields": [name.replace(":", "_") for name in others]}
+
+
+def _pose(scan: Any) -> tuple[Any, Any]:
+    """The rotation (3, 3) and the translation (3,) of a scan in the file's coordinates."""
+    import numpy as np
+
+    turn, shift = np.eye(3), np.zeros(3)
+    if scan.isDefined("pose"):
+        pose = scan["pose"]
+        if pose.isDefined("translation"):
+            shift = np.array([pose["translation"][axis].value() for axis in "xyz"])
+        if pose.isDefined("rotation"):
+            q = np.array([pose["rotation"][axis].value() for axis in "wxyz"])
+            length = float(np.linalg.norm(q))
+            if not abs(length - 1) < 1e-3:
+                sys.exit(f"expected the rotation of a scan as a unit quaternion, got one of length {length:.6g}")
+            w, x, y, z = q / length
+            turn = np.array(
+                [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+                ]
+            )
+    return turn, shift
+
+
+def _scaled_colors(scan: Any, prototype: Any, libe57: Any) -> dict[str, tuple[float, float]]:
+    """The least and largest value of each colour, which become 0 and 255: as the scan says, else as its type does."""
+    limits = {}
+    for name in _COLORS:
+        node = prototype.get(name)
+        low, high = 0.0, 255.0
+        if scan.isDefined("colorLimits") and scan["colorLimits"].isDefined(f"{name}Maximum"):
+            stated = scan["colorLimits"]
+            low, high = stated[f"{name}Minimum"].value(), stated[f"{name}Maximum"].value()
+        elif isinstance(node, libe57.IntegerNode | libe57.FloatNode | libe57.ScaledIntegerNode):
+            low, high = node.minimum(), node.maximum()
+        limits[name] = (float(low), float(high)) if high > low else (0.0, 255.0)
+    return limits
+
+
+if __name__ == "__main__":
+    try:
+        main(*sys.argv[1:])
+    except MemoryError:
+        sys.exit("it asks for more memory than a file of its size can need")
+    except Exception as error:
+        sys.exit(" ".join((str(error).strip().splitlines() or [type(error).__name__])[0].split()))

@@ -1,0 +1,157 @@
+"""E57: scans by their poses, every kind of coordinates, and files that are damaged."""
+
+import sys
+
+import e57_bytes
+import numpy as np
+import pytest
+from data_folder import data_folder
+from e57_bytes import RAE, XYZ, write
+
+from pcbench import read_cloud
+from pcbench.errors import InputError, MissingExtra
+from pcbench.geometry.cameras import rotation_from
+
+RNG = np.random.default_rng(7)
+POINTS = RNG.uniform(-5, 5, (200, 3))
+HALF = np.sqrt(0.5)
+
+
+@pytest.fixture
+def pye57():
+    return pytest.importorskip("pye57")
+
+
+def cartesian(points, **more):
+    return dict(zip(XYZ, points.T, strict=True)) | more
+
+
+def spherical(points):
+    distance = np.linalg.norm(points, axis=1)
+    columns = distance, np.arctan2(points[:, 1], points[:, 0]), np.arcsin(points[:, 2] / distance)
+    return dict(zip(RAE, columns, strict=True))
+
+
+def read(path):
+    notes = []
+    return read_cloud(path, on_warning=notes.append), notes
+
+
+def test_scans_lie_where_their_poses_put_them(pye57, tmp_path):
+    # A quarter turn about z, and another about x.
+    poses = [((HALF, 0, 0, HALF), (100, 200, 300)), ((HALF, HALF, 0, 0), (-1, 0, 1))]
+    turns = [rotation_from([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), rotation_from([[1, 0, 0], [0, 0, -1], [0, 1, 0]])]
+    scans = [cartesian(POINTS, pose=poses[0]), spherical(POINTS) | {"pose": poses[1]}, cartesian(POINTS)]
+    cloud, notes = read(write(tmp_path / "a.e57", scans))
+    expected = [POINTS @ turn.T + pose[1] for turn, pose in zip(turns, poses, strict=True)]
+    # Doubles all the way; angles and sines round in the last digits.
+    np.testing.assert_allclose(cloud.points, np.concatenate([*expected, POINTS]), atol=1e-12)
+    np.testing.assert_array_equal(cloud.attributes["scan"], np.repeat([0, 1, 2], 200))
+    assert cloud.unit == "m"
+    assert notes == []
+
+
+def test_colours_intensity_normals_and_invalid_points(pye57, tmp_path):
+    invalid = np.arange(200) % 4 == 3
+    colors = RNG.integers(0, 65536, (200, 3))
+    normals = POINTS / np.linalg.norm(POINTS, axis=1)[:, None]
+    scan = cartesian(
+        POINTS, cartesianInvalidState=np.where(invalid, np.arange(200) % 3, 0), intensity=POINTS[:, 0] ** 2
+    )
+    scan |= dict(zip(("colorRed", "colorGreen", "colorBlue"), colors.T, strict=True))
+    scan |= dict(zip(("nor:normalX", "nor:normalY", "nor:normalZ"), normals.T, strict=True))
+    kept = np.asarray(scan["cartesianInvalidState"]) == 0
+    scan |= {"limits": (0, 65535), "pose": ((HALF, 0, 0, HALF), (0, 0, 0))}
+    cloud, notes = read(write(tmp_path / "a.e57", [scan], crs="EPSG:25832"))
+    np.testing.assert_array_equal(cloud.colors, np.rint(colors[kept] * (255 / 65535)))
+    np.testing.assert_array_equal(cloud.attributes["intensity"], (POINTS[:, 0] ** 2)[kept])
+    turned = normals[kept] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).T
+    np.testing.assert_allclose(cloud.normals, turned, atol=1e-12)
+    assert "scan" not in cloud.attributes
+    assert cloud.crs == "EPSG:25832"
+    assert notes == [f"{tmp_path / 'a.e57'}: dropped {200 - kept.sum()} of 200 points that the file marks as invalid"]
+
+
+def test_what_some_scans_lack_is_left_out(pye57, tmp_path):
+    scans = [cartesian(POINTS, intensity=POINTS[:, 0]), cartesian(POINTS), {"intensity": POINTS[:, 0]}]
+    cloud, notes = read(write(tmp_path / "a.e57", scans))
+    assert len(cloud) == 400
+    assert set(cloud.attributes) == {"scan"}
+    assert any("1 of 3 scans have no valid point" in note for note in notes)
+    assert any("some of 2 scans have none: intensity" in note for note in notes)
+
+
+def test_more_points_than_are_read_at_a_time(pye57, tmp_path):
+    points = RNG.uniform(-5, 5, (600_000, 3))
+    cloud, _ = read(write(tmp_path / "a.e57", [cartesian(points)]))
+    np.testing.assert_array_equal(cloud.points, points)
+
+
+@pytest.mark.parametrize(
+    ("name", "points", "attributes"),
+    [
+        ("A_moved_B.e57", 6, {"intensity", "scan"}),
+        ("ColouredCubeFloat.e57", 7680, set()),
+        ("bunnyInt32.e57", 30571, set()),
+    ],
+)
+def test_files_of_other_programs(pye57, name, points, attributes):
+    cloud, notes = read(data_folder("e57") / name)
+    assert len(cloud) == points
+    assert set(cloud.attributes) == attributes
+    assert (cloud.colors is not None) == (name != "bunnyInt32.e57")
+    assert notes == []
+
+
+def test_damaged_and_empty_files_of_other_programs(pye57):
+    for name, message in (("bad-crc.e57", "checksum"), ("ZeroPointsInvalid.e57", "at least one point")):
+        path = data_folder("e57") / name
+        with pytest.raises(InputError, match=message) as caught:
+            read(path)
+        assert str(caught.value).startswith(f"{path}: ")
+        assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_none(pye57, tmp_path):
+    good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
+    flipped = good[:3000] + bytes([good[3000] ^ 1]) + good[3001:]
+    (tmp_path / "zero.e57").write_bytes(write(tmp_path / "b.e57", []).read_bytes())
+    for data, message in (
+        (b"ply\nformat ascii", "begins with ASTM-E57"),
+        (good[:2000], "damaged E57 data"),
+        (flipped, "checksum"),
+        ((tmp_path / "zero.e57").read_bytes(), "got 0 scans"),
+        (
+            write(tmp_path / "b.e57", [cartesian(POINTS, pose=((2, 0, 0, 0), (0, 0, 0)))]).read_bytes(),
+            "unit quaternion",
+        ),
+        (write(tmp_path / "b.e57", [cartesian(POINTS, cartesianInvalidState=np.full(200, 2))]).read_bytes(), "without"),
+    ):
+        (tmp_path / "x.e57").write_bytes(data)
+        with pytest.raises(InputError, match=message):
+            read(tmp_path / "x.e57")
+        assert (tmp_path / "x.e57").read_bytes() == data
+
+
+def test_checksums_of_the_tests_are_those_of_the_library(pye57, tmp_path):
+    good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
+    assert e57_bytes.sealed(good) == good
+
+
+def test_without_pye57(monkeypatch, tmp_path):
+    (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
+    monkeypatch.setitem(sys.modules, "pye57", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtra, match=r"pip install 'pcbench\[e57\]'"):
+        read(tmp_path / "a.e57")
+
+
+def test_a_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
+    path = write(tmp_path / "a.e57", [cartesian(POINTS)])
+    (tmp_path / "broken/pye57").mkdir(parents=True)
+    (tmp_path / "broken/pye57/__init__.py").write_text(
+        "raise OSError('libxerces-c.so: cannot open shared object file')"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path / "broken"))
+    with pytest.raises(MissingExtra, match="does not load"):
+        read(path)
