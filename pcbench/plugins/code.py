@@ -53,7 +53,7 @@ def plugin_files(module: str) -> list[tuple[str, Path]]:
     package = next((name for name in packages if _is_package(name)), None)
     if package is not None:
         return list(_files_of_packages([package]))
-    file = getattr(sys.modules[module], "__file__", None)
+    file = getattr(sys.modules.get(module), "__file__", None)
     return [] if file is None else _files_beside(Path(file))
 
 

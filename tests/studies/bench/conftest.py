@@ -42,7 +42,7 @@ def one_process(monkeypatch):
     That a process of their own keeps the bench from their crashes is shown by tests without this.
     """
 
-    def run_module(name, *arguments, limits, log=None):
+    def run_module(name, *arguments, limits, environment=None, log=None):
         with io.TextIOWrapper(io.BytesIO() if log is None else io.FileIO(os.dup(log.fileno()), "w")) as output:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
                 if name == "pcbench.plugins.reconstruct_child":
