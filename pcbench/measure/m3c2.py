@@ -86,7 +86,7 @@ def _given(reference: Reference, given: Cloud) -> tuple[FloatArray, FloatArray]:
     cores = given.points - reference.origin
     inside = np.ones(len(cores), bool) if reference.region is None else reference.region.contains(cores)
     if not inside.any():
-        raise InputError(f"M3C2: none of {counted(len(cores), 'core point')} lies inside the region: check --crop")
+        raise InputError(f"M3C2: no core point lies inside the region ({len(cores)} given): check --crop")
     cores = cores[inside]
     if given.normals is None:
         return cores, reference.surface.normals(reference.index.query(cores).indices)
