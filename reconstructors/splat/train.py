@@ -241,9 +241,8 @@ class Training:
         return shown
 
     def _drawn(self, view: View, *, geometry: bool = False) -> Drawn:
-        model = self.model
-        numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
-        return self._rasterizer.forward(*numbers, view, model.means.new_zeros(3), geometry=geometry)
+        background = self.model.means.new_zeros(3)
+        return self._rasterizer.forward(self.model.drawn_from, view, background, geometry=geometry)
 
     def _photograph(self) -> tuple[int, Photograph]:
         count = len(self.photographs)
@@ -309,9 +308,8 @@ class Training:
 def render(model: Gaussians, view: View) -> Tensor:
     """The image (H, W, 3) of a view, 0 to 1."""
     rasterizer = kernels_of(model.means.device).Rasterizer()
-    numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
     background = model.means.new_zeros(3)
-    return rasterizer.forward(*numbers, view, background, geometry=False, gradient=False).color.clamp(0, 1)
+    return rasterizer.forward(model.drawn_from, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
 def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reconstructors.splat.cpu import _rasterizer
-from reconstructors.splat.interface import Drawn, ImageLoss, Pulled
+from reconstructors.splat.interface import Drawn, GaussianTensors, ImageLoss, Pulled
 from reconstructors.splat.view import View
 
 if TYPE_CHECKING:
@@ -27,11 +27,7 @@ class Rasterizer:
 
     def forward(
         self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
+        gaussians: GaussianTensors,
         view: View,
         background: Tensor,
         *,
@@ -40,16 +36,15 @@ class Rasterizer:
     ) -> Drawn:
         """The image; the tensors must stay as they are until `backward`, which may always follow: it needs no more."""
         size = (view.height, view.width)
-        color, transmittance = means.new_empty((*size, 3)), means.new_empty(size)
-        depth, normal, median_depth = (
-            (means.new_empty(size), means.new_empty((*size, 3)), means.new_empty(size)) if geometry else (None,) * 3
-        )
+        new = gaussians.means.new_empty
+        color, transmittance = new((*size, 3)), new(size)
+        depth, normal, median_depth = (new(size), new((*size, 3)), new(size)) if geometry else (None,) * 3
         self._compiled.forward(
-            _array(means),
-            _array(quats),
-            _array(scales),
-            _array(opacities),
-            _array(sh),
+            _array(gaussians.means),
+            _array(gaussians.quats),
+            _array(gaussians.scales),
+            _array(gaussians.opacities),
+            _array(gaussians.sh),
             np.ascontiguousarray(view.rotation, dtype=np.float32),
             view.position.astype(np.float32),
             np.array([view.fx, view.fy, view.cx, view.cy], dtype=np.float32),
@@ -62,7 +57,7 @@ class Rasterizer:
             _array(normal),
             _array(median_depth),
         )
-        self._shape = tuple(sh.shape)
+        self._shape = tuple(gaussians.sh.shape)
         return Drawn(color, transmittance, depth, normal, median_depth)
 
     def backward(
