@@ -41,9 +41,9 @@ def steps(quiet: bool) -> Iterator[Callable[[str], None]]:
     from rich.progress_bar import ProgressBar
     from rich.text import Text
 
-    from pcbench.progress import Estimate
+    from pcbench.progress import TimeEstimate
 
-    estimate = Estimate(monotonic())
+    estimate = TimeEstimate(monotonic())
 
     class Bar(ProgressColumn):
         def render(self, task: Task) -> ProgressBar:

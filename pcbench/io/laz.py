@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.io.files import Warn
-from pcbench.io.las_header import Header
+from pcbench.io.las_header import LasHeader
 
 LASZIP = ("laszip encoded", 22204)
 _LASZIP = struct.Struct("<HHBBHIIqqH")  # compressor, coder, version (3), options, chunk size, 2 counts, items
@@ -43,7 +43,7 @@ def require_lazrs() -> None:
         raise MissingExtra("lazrs", "las")
 
 
-def decompress(file: BinaryIO, header: Header, warn: Warn) -> NDArray[np.uint8]:
+def decompress(file: BinaryIO, header: LasHeader, warn: Warn) -> NDArray[np.uint8]:
     """The point records as they would stand in a LAS file, (count * record_bytes,).
 
     A warning says where nothing vouches for them: no chunk of them, encoded again, gives the bytes in the file. Where
@@ -93,7 +93,7 @@ def _damaged(reason: str) -> InputError:
     return InputError(f"damaged LAZ data: {reason}: copy or export the file again")
 
 
-def _check(file: BinaryIO, header: Header) -> None:
+def _check(file: BinaryIO, header: LasHeader) -> None:
     """The LASzip record and the place and length of the chunk table, which stands behind the points."""
     record = header.records.get(LASZIP, b"")
     if len(record) < _LASZIP.size:

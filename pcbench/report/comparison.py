@@ -24,7 +24,7 @@ from pcbench.report.inputs import InputFile, Inputs
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(results.Comparison):
+class Comparison(results.CandidateComparisons):
     """A reference, its candidates, and the differences between them. `comparison["a"]` is the candidate named a.
 
     Attributes:
@@ -34,7 +34,7 @@ class Comparison(results.Comparison):
     inputs: Inputs | None = None
 
     @classmethod
-    def of(cls, measured: results.Comparison, inputs: Inputs | None = None) -> Comparison:
+    def of(cls, measured: results.CandidateComparisons, inputs: Inputs | None = None) -> Comparison:
         return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs)
 
     def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:

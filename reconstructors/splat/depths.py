@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
-from reconstructors.mvs.sources import Reference, choose_references
+from reconstructors.mvs.sources import MatchedImage, choose_references
 from reconstructors.mvs.sparse import Sparse
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians, LocalFrame
@@ -94,7 +94,7 @@ class Overlap(NamedTuple):
         footprint: of a pixel, in the local frame: the median over the images of the median over the pixels.
     """
 
-    references: list[Reference]
+    references: list[MatchedImage]
     footprint: float
 
 

@@ -206,7 +206,7 @@ def draw(gaussians: GaussianTensors, view: View, background: Tensor) -> Drawn:
     return blend(splats, torch.zeros_like(splats.depth), view, background).drawn
 
 
-class Rasterizer:
+class ReferenceRasterizer:
     """The interface of the other devices, in float64 whatever type is given. It keeps the graph of what it drew."""
 
     def forward(
@@ -253,6 +253,9 @@ class Rasterizer:
         sums = [torch.autograd.grad(covered, self._ones, weight, retain_graph=True)[0] for weight in weights]
         per_splat = [part[self._blended.seen][order] for part in (by_xy, *sums)]
         return Pulled(ids, *(gradient[ids] for gradient in by_given), *per_splat)
+
+
+Rasterizer = ReferenceRasterizer  # the name in `reconstructors.splat.interface.Kernels`
 
 
 def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:

@@ -107,7 +107,7 @@ def _run(
     truth = read_cloud(_truth(folder, "cloud.ply"))
     surface = MeshIndex(read_mesh(_truth(folder, "mesh.ply")))
     _begin(out)
-    inputs = _Inputs(out, folder, data, settings.seed, describe(PLUGIN).sha256)
+    inputs = _BendInputs(out, folder, data, settings.seed, describe(PLUGIN).sha256)
     inputs.write(surface, truth)
     solutions = []
     for number, variant in enumerate(plan, 1):
@@ -214,7 +214,7 @@ def _looking_down(scene: Scene) -> tuple[list[str], list[str]]:
 
 
 @dataclass(frozen=True)
-class _Inputs:
+class _BendInputs:
     """What the solutions share: the scene, its intrinsics as the variants are told them, and control points."""
 
     out: Path
@@ -276,7 +276,7 @@ def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, see
             yield f"P{number + 1} {place} {cameras[index].name} {float(u)!r} {float(v)!r}"
 
 
-def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
+def _solve(inputs: _BendInputs, variant: Variant, surface: MeshIndex) -> Solution:
     """One variant's cloud in the world of the truth and its intrinsics; the reconstruction is kept for the next run."""
     images = inputs.images(variant)
     cameras_from = inputs.cameras(variant)

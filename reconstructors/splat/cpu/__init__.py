@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-class Rasterizer:
+class CpuRasterizer:
     """See `reconstructors.splat.interface.Rasterizer`. Tensors are float32, contiguous and on the CPU.
 
     It holds, from one view to the next, some 100 bytes a Gaussian, 32 for each Gaussian in each tile of 16 x 16 pixels
@@ -80,6 +80,7 @@ class Rasterizer:
         return pulled
 
 
+Rasterizer = CpuRasterizer  # the name in `reconstructors.splat.interface.Kernels`
 morton_order = None
 
 

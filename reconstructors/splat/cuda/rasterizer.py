@@ -83,7 +83,7 @@ class _Pass:
     geometry: bool
 
 
-class Rasterizer:
+class CudaRasterizer:
     """Draws a view of Gaussians and goes back from the image's derivative to theirs.
 
     Beside its results a pass holds some 100 bytes a Gaussian and 12 an instance (a Gaussian in a tile of 16 x 16

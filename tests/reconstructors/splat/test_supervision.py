@@ -72,7 +72,7 @@ def test_the_derivative_is_that_of_the_loss():
     off = (shown.depth * shown.alpha - shown.alpha * target)[held]
     (0.7 * (off.abs() / target[held]).mean()).backward()
 
-    rasterizer = cpu.Rasterizer()
+    rasterizer = cpu.CpuRasterizer()
     drawn = rasterizer.forward(
         GaussianTensors(*(leaf.detach() for leaf in leaves)), view, torch.zeros(3), geometry=True
     )
