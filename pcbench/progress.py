@@ -52,7 +52,7 @@ class Plan:
         return tell
 
 
-class Estimate:
+class TimeEstimate:
     """How far a work is, from its steps and a clock: `begin` each step, then ask at any time.
 
     All times are in seconds on one clock.

@@ -14,7 +14,7 @@ from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, tile_sums
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.sums import dyadic_moments, groups
-from pcbench.deformation.verdict import Finding, View, decide
+from pcbench.deformation.verdict import Finding, PairEvidence, decide
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.registration import Target, local_origin, register
@@ -132,7 +132,7 @@ class Scene:
         _, powers = dyadic_moments(self.places, self.normals, left, one, one, self.lower, self.side)
         scores = Scores(g, sums, energy, powers)
         noise = estimate_noise(g, scores)
-        return Judged(decide([View(self.sums, g, scores, noise)]), scores, noise)
+        return Judged(decide([PairEvidence(self.sums, g, scores, noise)]), scores, noise)
 
     def fitted(self, judged: Judged) -> np.ndarray:
         """(N,) what the chosen model shows along the normals beyond an affine field."""

@@ -20,8 +20,8 @@ from torch import Tensor
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.splat.devices import kernels_of
-from reconstructors.splat.interface import Drawn, Pulled
-from reconstructors.splat.reference import Gaussians, Projection, project
+from reconstructors.splat.interface import Drawn, GaussianTensors, Pulled
+from reconstructors.splat.reference import Projection, project
 from reconstructors.splat.view import View
 
 SSIM_WEIGHT = 0.2
@@ -38,8 +38,8 @@ class Parameters(NamedTuple):
     logits: Tensor
     sh: Tensor
 
-    def gaussians(self) -> Gaussians:
-        return Gaussians(self.means, self.quats, self.log_scales.exp(), self.logits.sigmoid(), self.sh)
+    def gaussians(self) -> GaussianTensors:
+        return GaussianTensors(self.means, self.quats, self.log_scales.exp(), self.logits.sigmoid(), self.sh)
 
 
 class Picture(NamedTuple):
@@ -107,7 +107,7 @@ class Ours:
 
     def forward(self) -> None:
         self._seen = self._picture.parameters.gaussians()
-        drawn = self.rasterizer.forward(*self._seen, self._picture.view, self._background, geometry=self._geometry)
+        drawn = self.rasterizer.forward(self._seen, self._picture.view, self._background, geometry=self._geometry)
         self.image, self.transmittance = drawn.color, drawn.transmittance
 
     def loss(self) -> None:
@@ -179,7 +179,7 @@ class PlainTorch(ByAutograd):
         return draw_plainly(self._leaves.gaussians(), self._picture.view)
 
 
-def draw_plainly(gaussians: Gaussians, view: View) -> Tensor:
+def draw_plainly(gaussians: GaussianTensors, view: View) -> Tensor:
     return draw_in_tiles(project(gaussians, view), view)
 
 
@@ -397,7 +397,7 @@ class Gsplat(ByAutograd):
         return draw_by_gsplat(self._leaves.gaussians(), self._picture.view)
 
 
-def draw_by_gsplat(gaussians: Gaussians, view: View) -> Tensor:
+def draw_by_gsplat(gaussians: GaussianTensors, view: View) -> Tensor:
     from gsplat import rasterization
 
     device = gaussians.means.device
@@ -419,16 +419,12 @@ class RasterizerByAutograd:
     alone, before black, and density control learns nothing of it.
     """
 
-    def __init__(self, draw: Callable[[Gaussians, View], Tensor]) -> None:
+    def __init__(self, draw: Callable[[GaussianTensors, View], Tensor]) -> None:
         self._draw = draw
 
     def forward(
         self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
+        gaussians: GaussianTensors,
         view: View,
         background: Tensor,
         *,
@@ -436,7 +432,7 @@ class RasterizerByAutograd:
     ) -> Drawn:
         if geometry or background.any():
             raise NotImplementedError("expected colors alone, before black")
-        self._leaves = Gaussians(*(part.detach().requires_grad_() for part in (means, quats, scales, opacities, sh)))
+        self._leaves = GaussianTensors(*(part.detach().requires_grad_() for part in gaussians))
         self._image = self._draw(self._leaves, view)
         color = self._image.detach().contiguous()
         return Drawn(color, torch.zeros_like(color[..., 0]), None, None, None)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.view import View
 
 IMAGES = ("color", "transmittance", "depth", "normal", "median_depth")
@@ -55,7 +56,7 @@ def run_pass(engine, scene, wanted=None, rasterizer=None, geometry=True):
     rasterizer = rasterizer or engine.kernels.Rasterizer()
     view = View.of(scene.camera)
     *gaussians, background = (engine.tensor(array) for array in (*scene.arrays, scene.background))
-    drawn = rasterizer.forward(*gaussians, view, background, geometry=geometry)
+    drawn = rasterizer.forward(GaussianTensors(*gaussians), view, background, geometry=geometry)
     pixels = view.width * view.height
     images = {
         name: image.cpu().double().numpy().reshape(pixels, -1)

@@ -8,7 +8,7 @@ import pytest
 
 from pcbench.cli import messages
 from pcbench.cli.messages import duration, steps
-from pcbench.progress import Estimate, Plan, Step
+from pcbench.progress import Plan, Step, TimeEstimate
 
 MAX_SILENCE_S = messages._MAX_SILENCE_S
 
@@ -28,7 +28,7 @@ def test_a_plan_tells_what_each_step_and_the_rest_take():
 
 def test_the_time_left_follows_the_machine():
     """Of a work of 4 x 25 expected seconds on a machine that takes three times as long."""
-    estimate = Estimate(0.0)
+    estimate = TimeEstimate(0.0)
     for number in range(4):
         now = 75.0 * number
         estimate.begin(Step("run", 25.0, 25.0 * (3 - number)), now)
@@ -39,7 +39,7 @@ def test_the_time_left_follows_the_machine():
 
 
 def test_a_step_that_takes_too_long_never_ends_before_it_does():
-    estimate = Estimate(0.0)
+    estimate = TimeEstimate(0.0)
     estimate.begin(Step("long", 2.0, 1.0), 0.0)
     shares = [estimate.share(float(t)) for t in range(1, 100)]
     assert max(shares) < 1.0
@@ -47,7 +47,7 @@ def test_a_step_that_takes_too_long_never_ends_before_it_does():
 
 
 def test_words_alone_say_nothing_about_time():
-    estimate = Estimate(0.0)
+    estimate = TimeEstimate(0.0)
     estimate.begin("somebody's own words", 1.0)
     assert estimate.left(5.0) is None
     assert estimate.share(5.0) is None

@@ -6,7 +6,7 @@ import numpy as np
 
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
-from reconstructors.mvs.patchmatch import View
+from reconstructors.mvs.patchmatch import GrayView
 
 
 class Photographed(NamedTuple):
@@ -40,6 +40,6 @@ def plane_scene(normal=(0.0, 0.0, -1.0), *, distance=10.0, contrast=50.0, width=
         points = position + world * depth[:, None]
         gray = 128 + (strengths * np.cos(points @ waves.T + phases)).sum(axis=1) + rng.normal(0, noise, len(points))
         gray = np.clip(np.rint(gray), 0, 255).astype(np.uint8).reshape(height, width)
-        views.append(View(gray, camera))
+        views.append(GrayView(gray, camera))
         depths.append(depth.reshape(height, width).astype(np.float32))
     return Photographed(views, depths, focal, baseline)

@@ -12,7 +12,7 @@ from typing import NoReturn
 import click
 
 from pcbench.cli.log import LOGGER
-from pcbench.progress import Estimate
+from pcbench.progress import TimeEstimate
 
 _MAX_SILENCE_S = 9.0  # in a pipe or a file, where nothing moves
 
@@ -97,7 +97,7 @@ def _on_terminal() -> Iterator[Callable[[str], None]]:
     from rich.progress_bar import ProgressBar
     from rich.text import Text
 
-    estimate = Estimate(monotonic())
+    estimate = TimeEstimate(monotonic())
 
     class Bar(ProgressColumn):
         def render(self, task: Task) -> ProgressBar:

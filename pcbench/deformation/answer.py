@@ -11,7 +11,7 @@ from pcbench.deformation.polynomials import PARAMETERS
 from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, rounded
 from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable
 from pcbench.deformation.sums import TileSums
-from pcbench.deformation.verdict import Finding, View, climb, decide
+from pcbench.deformation.verdict import Finding, PairEvidence, climb, decide
 
 
 def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
@@ -23,11 +23,11 @@ def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed:
         resolution: a bend that is surely smaller is none: tangent planes through points that lie apart do not show it.
         seed: of the folds of the cross-validation.
     """
-    view = View.of(sums)
+    view = PairEvidence.of(sums)
     return describe(view, decide([view], metric=metric, resolution=resolution), resolution=resolution, seed=seed)
 
 
-def describe(view: View, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
+def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
     """A finding with all that a view's pairs say about its size, its places and what could have been found."""
     sums, geometry, scores, noise = view
     rungs = climb(geometry, scores, noise, seed)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.deformation.verdict import View
+from pcbench.deformation.verdict import PairEvidence
 from pcbench.geometry.arrays import FloatArray
 
 _AZIMUTHS = 18
@@ -39,7 +39,7 @@ class Break(NamedTuple):
         )
 
 
-def find_break(view: View) -> Break | None:
+def find_break(view: PairEvidence) -> Break | None:
     """The vertical plane that explains most, where that is much and more than the largest smooth model explains."""
     geometry, scores = view.geometry, view.scores
     affine = geometry.half("affine")

@@ -57,7 +57,7 @@ class Noise(NamedTuple):
         return math.sqrt(float(self.components @ np.square(self.lengths)) / self.correlated)
 
 
-class Step:
+class ModelStep:
     """What a model explains beyond a smaller one: orthonormal modes of the information that the smaller leaves."""
 
     def __init__(self, geometry: Geometry, smaller: str, larger: str) -> None:
@@ -117,7 +117,7 @@ class Geometry:
             self.cell_matrices[few] = self.basis @ normal_matrix(sums.moments[few]) @ self.basis.T
         self.tiles = merged(sums.cells, TILE)  # (C,)
         self.tile_matrices = added(self.cell_matrices, self.tiles)
-        self._steps: dict[tuple[str, str], Step] = {}
+        self._steps: dict[tuple[str, str], ModelStep] = {}
         self._halves: dict[str, FloatArray] = {}
         self._mixed: tuple[Noise, FloatArray] | None = None
 
@@ -144,7 +144,7 @@ class Geometry:
             self._mixed = noise, total
         return self._mixed[1]
 
-    def covariance(self, step: Step, noise: Noise) -> FloatArray:
+    def covariance(self, step: ModelStep, noise: Noise) -> FloatArray:
         """(K, K) of a step's modes under a noise: responses of each two cells times the covariance between them."""
         responses, size = step.responses, step.modes.shape[1]
         if size == 0:
@@ -154,9 +154,9 @@ class Geometry:
         total: FloatArray = noise.white * step.white + correlated
         return total
 
-    def step(self, smaller: str, larger: str) -> Step:
+    def step(self, smaller: str, larger: str) -> ModelStep:
         if (smaller, larger) not in self._steps:
-            self._steps[smaller, larger] = Step(self, smaller, larger)
+            self._steps[smaller, larger] = ModelStep(self, smaller, larger)
         return self._steps[smaller, larger]
 
     def observable(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
@@ -180,7 +180,7 @@ class Geometry:
                 self._halves[model] = columns @ (vectors / np.sqrt(values))
         return self._halves[model]
 
-    def over_surface(self, step: Step) -> FloatArray:
+    def over_surface(self, step: ModelStep) -> FloatArray:
         """(K, K) the mean square along the normals, over the surface by its area, of what a step's modes show there
         beyond an affine field.
         """

@@ -13,7 +13,7 @@ from pcbench.deformation.displacement import share_of
 from pcbench.deformation.field import local_changes
 from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
 from pcbench.deformation.result import POSE_NOT_FIXED, Deformation
-from pcbench.deformation.verdict import Finding, View, decide
+from pcbench.deformation.verdict import Finding, PairEvidence, decide
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, rounding_of
 from pcbench.geometry.crs import euclidean_offsets
@@ -50,7 +50,7 @@ def residual_deformation(
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     resolution = _RESOLUTION * pairs.spacing
-    wholes = [View.of(tile_sums(pairs))]
+    wholes = [PairEvidence.of(tile_sums(pairs))]
     views = [without_moved(wholes[0], resolution)]
     finding = decide(views, metric=metric, resolution=resolution)
     if finding.verdict != "none":
@@ -58,7 +58,7 @@ def residual_deformation(
         plain = find_pairs(reference, candidate, follow=False)
         if plain is not None:
             plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
-            wholes.append(View.of(tile_sums(plain)))
+            wholes.append(PairEvidence.of(tile_sums(plain)))
             views.append(without_moved(wholes[1], resolution))
             finding = decide(views, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN) * plain.distance:
@@ -83,7 +83,7 @@ def residual_deformation(
     return answer.shifted(origin).with_warnings(notes)
 
 
-def without_moved(whole: View, resolution: float) -> View:
+def without_moved(whole: PairEvidence, resolution: float) -> PairEvidence:
     """The view of all cells but the few that surely moved by themselves: a smooth model would bend towards them."""
     view, most = whole, (1 - _MAX_MOVED) * len(whole.sums.counts)
     for _ in range(_REMOVALS):  # without some of them, more stand out
@@ -93,7 +93,7 @@ def without_moved(whole: View, resolution: float) -> View:
             break
         if len(moved) - np.count_nonzero(moved) < most:
             return whole
-        view = View.of(view.sums.without(moved))
+        view = PairEvidence.of(view.sums.without(moved))
     return view
 
 

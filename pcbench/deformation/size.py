@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_point
-from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, Step
+from pcbench.deformation.model import MIN_INFORMATION, Geometry, ModelStep, Noise, Scores
 from pcbench.deformation.result import Amplitude, Interval, Observable
 from pcbench.deformation.sums import TileSums, added
 from pcbench.geometry.arrays import FloatArray, IntArray
@@ -18,7 +18,7 @@ DETECTION_POWER = 0.9  # of the smallest deformation that is called detectable
 _POWER_Z = 1.282  # normal deviate of DETECTION_POWER
 
 
-def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: Step) -> Amplitude:
+def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep) -> Amplitude:
     """Size of the displacement along the normals that a step explains; what noise adds to its square is taken off."""
     modes = step.modes.T @ scores.total
     covariance = geometry.covariance(step, noise)

@@ -22,7 +22,7 @@ _MAX_P_DOUBT = 1e-3
 _MIN_BEND = 0.1  # of the noise: a bend that is surely less is not worth a doubt
 
 
-class View(NamedTuple):
+class PairEvidence(NamedTuple):
     """What one kind of pairs shows."""
 
     sums: TileSums
@@ -31,7 +31,7 @@ class View(NamedTuple):
     noise: Noise
 
     @classmethod
-    def of(cls, sums: TileSums) -> View:
+    def of(cls, sums: TileSums) -> PairEvidence:
         geometry = Geometry(sums)
         scores = Scores(geometry, sums.scores, sums.energy, sums.powers)
         return cls(sums, geometry, scores, estimate_noise(geometry, scores))
@@ -63,7 +63,7 @@ class Finding(NamedTuple):
         return self._replace(verdict="undecided", model="rigid", warnings=(reason, *self.warnings))
 
 
-def decide(views: Sequence[View], *, metric: bool = True, resolution: float = 0.0) -> Finding:
+def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
     """The smallest model that explains the pair, from the largest question down; see `judge`."""
     geometry, scores, noise = views[0].geometry, views[0].scores, views[0].noise
 
@@ -125,7 +125,7 @@ def weakest(evidence: Sequence[Evidence]) -> Evidence:
     return max(evidence, key=lambda each: each.p)
 
 
-def weigh_evidence(view: View, smaller: str, larger: str) -> Evidence:
+def weigh_evidence(view: PairEvidence, smaller: str, larger: str) -> Evidence:
     """Test that a smaller model suffices against a larger one."""
     step = view.geometry.step(smaller, larger)
     modes = step.modes.T @ view.scores.total

@@ -27,7 +27,7 @@ from pcbench.io.las_header import (
     POINT_FORMATS,
     VLR,
     Extra,
-    Header,
+    LasHeader,
     read_extras,
     read_header,
 )
@@ -97,7 +97,7 @@ def read_las(
     return _fields(records, header, extras, warn)
 
 
-def _record_type(header: Header, extras: list[Extra]) -> np.dtype[Any]:
+def _record_type(header: LasHeader, extras: list[Extra]) -> np.dtype[Any]:
     """A point record; extra dimensions are named by their number, for their own names may be anything."""
     standard = np.dtype(POINT_FORMATS[header.point_format])
     fields = {name: (dtype, place) for name, (dtype, place, *_) in (standard.fields or {}).items()}
@@ -115,11 +115,11 @@ def _record_type(header: Header, extras: list[Extra]) -> np.dtype[Any]:
     )
 
 
-def _classes(records: NDArray[Any], header: Header) -> NDArray[Any]:
+def _classes(records: NDArray[Any], header: LasHeader) -> NDArray[Any]:
     return records["classification"] if header.extended else records["class_flags"] & 31
 
 
-def _returns(records: NDArray[Any], header: Header) -> tuple[NDArray[Any], NDArray[Any]]:
+def _returns(records: NDArray[Any], header: LasHeader) -> tuple[NDArray[Any], NDArray[Any]]:
     """Number of each return, and how many its pulse had."""
     if header.extended:
         return records["returns"] & 15, records["returns"] >> 4
@@ -127,7 +127,7 @@ def _returns(records: NDArray[Any], header: Header) -> tuple[NDArray[Any], NDArr
 
 
 def _filtered(
-    records: NDArray[Any], header: Header, classes: Collection[int] | None, returns: str | Collection[int] | None
+    records: NDArray[Any], header: LasHeader, classes: Collection[int] | None, returns: str | Collection[int] | None
 ) -> NDArray[Any]:
     present, (number, of) = _classes(records, header), _returns(records, header)
     keep = np.ones(len(records), dtype=np.bool_)
@@ -163,7 +163,7 @@ def _counts(what: str, values: NDArray[Any]) -> str:
     return ", ".join(f"{what} {value} ({counts[value]} points)" for value in np.flatnonzero(counts))
 
 
-def _fields(records: NDArray[Any], header: Header, extras: list[Extra], warn: Warn) -> Fields:
+def _fields(records: NDArray[Any], header: LasHeader, extras: list[Extra], warn: Warn) -> Fields:
     attributes: dict[str, NDArray[Any]] = {"intensity": records["intensity"].copy()}
     attributes["classification"] = _classes(records, header).copy()
     attributes["return_number"], attributes["number_of_returns"] = _returns(records, header)

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.io.files import Warn
-from pcbench.io.las_header import Header
+from pcbench.io.las_header import LasHeader
 
 _ROUNDING = 1e-12  # of a coordinate: what writers differ by in scaling
 
 
 def check_points(
-    records: NDArray[Any], number: NDArray[np.uint8], of: NDArray[np.uint8], header: Header, warn: Warn
+    records: NDArray[Any], number: NDArray[np.uint8], of: NDArray[np.uint8], header: LasHeader, warn: Warn
 ) -> None:
     """Warn where points lie outside the header's bounds, or their returns are not those that it counts.
 

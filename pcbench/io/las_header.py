@@ -65,7 +65,7 @@ class Extra(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Header:
+class LasHeader:
     """What is needed to read the points, and known to lie within the file."""
 
     point_format: int
@@ -90,7 +90,7 @@ class Header:
         return self.record_bytes - np.dtype(POINT_FORMATS[self.point_format]).itemsize
 
 
-def read_header(file: BinaryIO, warn: Warn) -> Header:
+def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
     """The header and the records that matter.
 
     Raises:
@@ -145,7 +145,7 @@ def read_header(file: BinaryIO, warn: Warn) -> Header:
             records = _read_records(file, EVLR, evlr_count, first_evlr, size) | records
         except InputError as error:
             warn(f"extended records left out: {error}")
-    return Header(
+    return LasHeader(
         point_format, bool(format_byte & 0xC0), record_bytes, count, start, end, scales, offsets, records,
         (lowest, highest) if any((*lowest, *highest)) else None, by_return if any(by_return) else (),
     )  # fmt: skip
@@ -177,7 +177,7 @@ def _read_records(
     return records
 
 
-def read_extras(header: Header, warn: Warn) -> list[Extra]:
+def read_extras(header: LasHeader, warn: Warn) -> list[Extra]:
     """The described extra bytes in their order, undescribed gaps (`name` is empty) included.
 
     Descriptions that do not fit the record are left out with a warning: the points do not depend on them.

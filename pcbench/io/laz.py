@@ -21,7 +21,7 @@ from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
 from pcbench.io.files import Warn
-from pcbench.io.las_header import Header
+from pcbench.io.las_header import LasHeader
 
 LASZIP = ("laszip encoded", 22204)
 _LASZIP = struct.Struct("<HHBBHIIqqH")  # compressor, coder, version (3), options, chunk size, 2 counts, items
@@ -37,7 +37,7 @@ _MAX_WORKER_SECONDS = 30.0  # and what it takes for the points at this speed at 
 _MIN_WORKER_SPEED = 1e6  # bytes a second, where lazrs does 30 million on one core, both ways
 
 
-def decompress(file: BinaryIO, header: Header, warn: Warn) -> NDArray[np.uint8]:
+def decompress(file: BinaryIO, header: LasHeader, warn: Warn) -> NDArray[np.uint8]:
     """The point records as they would stand in a LAS file, (count * record_bytes,).
 
     A warning says where nothing vouches for them: no chunk of them, encoded again, gives the bytes in the file. Where
@@ -87,7 +87,7 @@ def _damaged(reason: str) -> InputError:
     return InputError(f"damaged LAZ data: {reason}: copy or export the file again")
 
 
-def _check(file: BinaryIO, header: Header) -> None:
+def _check(file: BinaryIO, header: LasHeader) -> None:
     """The LASzip record and the place and length of the chunk table, which stands behind the points."""
     record = header.records.get(LASZIP, b"")
     if len(record) < _LASZIP.size:

@@ -46,7 +46,7 @@ class _Field:
 
 
 @dataclass(frozen=True)
-class _Header:
+class _PcdHeader:
     fields: list[_Field]
     count: int
     data: str
@@ -125,7 +125,7 @@ def _attributes(columns: Columns) -> Columns:
 # ---- header -------------------------------------------------------------------------------------------------------
 
 
-def _read_header(file: BinaryIO) -> _Header:
+def _read_header(file: BinaryIO) -> _PcdHeader:
     """Reads up to and including the line DATA: the file then stands at the body."""
     entries: dict[str, list[str]] = {}
     used = 0
@@ -170,7 +170,7 @@ def _read_header(file: BinaryIO) -> _Header:
         raise InputError("expected at least one point, got POINTS 0")
     if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA:
         raise InputError(f"header: expected DATA {', '.join(_DATA)}; got {' '.join(entries['DATA'])[:40]!r}")
-    return _Header(fields, count, entries["DATA"][0].lower(), " ".join(entries.get("VIEWPOINT", [_IDENTITY])))
+    return _PcdHeader(fields, count, entries["DATA"][0].lower(), " ".join(entries.get("VIEWPOINT", [_IDENTITY])))
 
 
 def _one(entries: dict[str, list[str]], key: str) -> int:
@@ -211,7 +211,7 @@ def _shown(line: bytes) -> str:
 # ---- body ---------------------------------------------------------------------------------------------------------
 
 
-def _binary_columns(body: NDArray[np.uint8], header: _Header, warn: Warn) -> Columns:
+def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> Columns:
     """Columns (N, count) as views: points stand one after the other."""
     if len(body) < header.count * header.point_bytes:
         raise header.truncated(len(body) // header.point_bytes)
@@ -226,7 +226,7 @@ def _binary_columns(body: NDArray[np.uint8], header: _Header, warn: Warn) -> Col
     return columns
 
 
-def _compressed_columns(body: NDArray[np.uint8], header: _Header) -> Columns:
+def _compressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Columns:
     """Columns (N, count) as views: fields stand one after the other, and are compressed as a whole."""
     total = header.count * header.point_bytes
     if len(body) < 8:
@@ -247,7 +247,7 @@ def _compressed_columns(body: NDArray[np.uint8], header: _Header) -> Columns:
     return columns
 
 
-def _ascii_columns(text: bytes, header: _Header) -> Columns:
+def _ascii_columns(text: bytes, header: _PcdHeader) -> Columns:
     """Columns (N, count) in their types; coordinates in float64."""
     if header.count * header.values * 2 - 1 > len(text):  # a digit and a blank each
         raise header.truncated(min(len(text.splitlines()), header.count - 1))
@@ -270,7 +270,7 @@ def _ascii_columns(text: bytes, header: _Header) -> Columns:
     return columns
 
 
-def _ascii_table(lines: list[bytes], header: _Header) -> NDArray[np.float64]:
+def _ascii_table(lines: list[bytes], header: _PcdHeader) -> NDArray[np.float64]:
     try:
         table = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
         if table.shape == (header.count, header.values):

@@ -18,7 +18,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.ply_body import Columns, read_elements
-from pcbench.io.ply_header import TYPE_NAMES, XYZ, Header, check_faces, check_vertices, read_header
+from pcbench.io.ply_header import TYPE_NAMES, XYZ, PlyHeader, check_faces, check_vertices, read_header
 from pcbench.io.polygons import fans
 
 ABOUT = "coordinates about"  # of a comment: a place in the world that all coordinates are taken about
@@ -90,7 +90,7 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
     return Mesh(points, fans(*polygons, warn), crs=header.tagged("crs"), unit=header.tagged("unit"))
 
 
-def _points(columns: Columns, header: Header) -> FloatArray:
+def _points(columns: Columns, header: PlyHeader) -> FloatArray:
     """The coordinates, taken out of the columns, in the frame that the header tells."""
     points = _stacked(columns, XYZ, np.float64)
     words = (header.tagged(ABOUT) or "").split()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.io.files import read_rest
-from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, Header, Property, shown
+from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, PlyHeader, Property, shown
 
 Columns = dict[str, NDArray[Any]]
 
@@ -40,7 +40,7 @@ class _Wanted(NamedTuple):
 
 
 def read_elements(
-    file: BinaryIO, header: Header, *, scalars: Collection[str], polygons: Collection[str] = ()
+    file: BinaryIO, header: PlyHeader, *, scalars: Collection[str], polygons: Collection[str] = ()
 ) -> dict[str, Table]:
     """The elements of a file that stands at its body, by name; those not asked for are checked for their size only.
 
@@ -76,7 +76,7 @@ def _polygons(lengths: NDArray[np.int64], numbers: NDArray[Any]) -> Polygons:
 # ---- binary -------------------------------------------------------------------------------------------------------
 
 
-def _tables(body: NDArray[np.uint8], header: Header, wanted: dict[str, _Wanted]) -> dict[str, Table]:
+def _tables(body: NDArray[np.uint8], header: PlyHeader, wanted: dict[str, _Wanted]) -> dict[str, Table]:
     tables: dict[str, Table] = {}
     start = 0
     for element in header.elements:
@@ -206,7 +206,7 @@ def _gathered(body: NDArray[np.uint8], places: NDArray[np.int64], dtype: np.dtyp
 # ---- ascii --------------------------------------------------------------------------------------------------------
 
 
-def _ascii_tables(text: bytes, header: Header, wanted: dict[str, _Wanted]) -> dict[str, Table]:
+def _ascii_tables(text: bytes, header: PlyHeader, wanted: dict[str, _Wanted]) -> dict[str, Table]:
     lines = [line for line in text.splitlines() if line.strip()]
     tables: dict[str, Table] = {}
     start = 0

@@ -82,7 +82,7 @@ class Element:
 
 
 @dataclass(frozen=True)
-class Header:
+class PlyHeader:
     byte_order: Literal["<", ">"] | None  # None: ascii
     elements: list[Element]
     comments: list[str]
@@ -95,7 +95,7 @@ class Header:
         return next((c.removeprefix(tag).strip() for c in self.comments if c.startswith(f"{tag} ")), None)
 
 
-def check_vertices(header: Header) -> None:
+def check_vertices(header: PlyHeader) -> None:
     """Raises InputError where there is no vertex, or the vertices have no coordinates or two properties of one name."""
     vertex = header.element("vertex")
     if vertex is None:
@@ -114,7 +114,7 @@ def check_vertices(header: Header) -> None:
         raise InputError("expected at least one point, got 0 vertices")
 
 
-def check_faces(header: Header) -> None:
+def check_faces(header: PlyHeader) -> None:
     """Raises InputError where no element holds the vertex numbers of faces."""
     face = header.element("face")
     if face is None or face.polygon is None:
@@ -123,7 +123,7 @@ def check_faces(header: Header) -> None:
         )
 
 
-def read_header(file: BinaryIO) -> Header:
+def read_header(file: BinaryIO) -> PlyHeader:
     """Reads up to and including the line `end_header`: the file then stands at the body.
 
     Raises:
@@ -183,7 +183,7 @@ def read_header(file: BinaryIO) -> Header:
     if not formats:
         raise InputError(f"header without a format line: expected one of {', '.join(_BYTE_ORDERS)}")
     ordered = [_ordered(element, byte_order or "=") for element in elements.values()]
-    return Header(byte_order, ordered, comments)
+    return PlyHeader(byte_order, ordered, comments)
 
 
 def shown(line: bytes) -> str:

@@ -27,7 +27,7 @@ from pcbench.measure.directions import Direction, from_candidate, from_reference
 from pcbench.measure.m3c2 import compare_along_normals, m3c2_warnings
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.reference import Reference
-from pcbench.measure.results import Candidate, Comparison, Difference
+from pcbench.measure.results import Candidate, CandidateComparisons, Difference
 from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
 from pcbench.progress import Plan
@@ -41,7 +41,7 @@ def compare(
     settings: Settings | None = None,
     *,
     on_step: Callable[[str], None] | None = None,
-) -> Comparison:
+) -> CandidateComparisons:
     """Compare candidate clouds with a reference.
 
     Args:
@@ -85,7 +85,9 @@ def compare(
         result, measurement = _compare_one(prepared, name, cloud, read, step)
         results.append(replace(result, timings_s={**result.timings_s, **shared}))
         measured.append(measurement)
-    return Comparison(settings, prepared.summary(), tuple(results), tuple(_differences(prepared, results, measured)))
+    return CandidateComparisons(
+        settings, prepared.summary(), tuple(results), tuple(_differences(prepared, results, measured))
+    )
 
 
 def expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], settings: Settings) -> list[float]:
@@ -119,7 +121,7 @@ class _Matched(NamedTuple):
 
     forth: Matches
     back: Matches
-    pair: presets.Pair
+    pair: presets.CroppedPair
 
 
 def _compare_one(
@@ -241,7 +243,7 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
     return DeviationMap(forth.points + reference.origin, np.flatnonzero(aligned.inside), scalars, along_normals)
 
 
-def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.Pair:
+def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
     """Both clouds cut to the region: where there is none, matched as they are."""
     rows, given = reference.rows, reference.cloud.normals
     normals = reference.surface.with_normals_at(rows) if reference.has_normals else None

@@ -33,7 +33,7 @@ class Interval(NamedTuple):
     high: float
 
 
-class Cells(NamedTuple):
+class CorrelationCells(NamedTuple):
     """A partition of the scene into cubes; those at the edges hold the stragglers beyond."""
 
     of_point: IntArray  # (N,) the cell of each point of the reference
@@ -53,7 +53,7 @@ class Sampled(NamedTuple):
     largest: float = math.inf  # that the score can be; the least is 0
 
 
-class Spread(NamedTuple):
+class ScoreUncertainty(NamedTuple):
     """How well a score is known.
 
     Attributes:
@@ -69,21 +69,21 @@ class Spread(NamedTuple):
     reach: float
 
 
-def partition(points: FloatArray) -> Cells:
+def partition(points: FloatArray) -> CorrelationCells:
     """Cut the robust bounds of points (N, 3) into cubes."""
     lower, upper = robust_bounds(points)
     side = float(np.linalg.norm(upper - lower)) / _CELLS_ALONG
     if not side > 0:  # all points at one place
-        return Cells(np.zeros(len(points), np.int64), (1, 1, 1), 0.0)
+        return CorrelationCells(np.zeros(len(points), np.int64), (1, 1, 1), 0.0)
     shape = np.maximum(np.ceil((upper - lower) / side), 1).astype(np.int64)
     number = np.zeros(len(points), np.int64)
     for axis in range(3):
         along = np.clip((points[:, axis] - lower[axis]) / side, 0, shape[axis] - 1).astype(np.int64)
         number = number * shape[axis] + along
-    return Cells(number, tuple(int(size) for size in shape), side)
+    return CorrelationCells(number, tuple(int(size) for size in shape), side)
 
 
-def spreads(sampled: Mapping[str, Sampled], cells: Cells, shares: FloatArray) -> dict[str, Spread]:
+def spreads(sampled: Mapping[str, Sampled], cells: CorrelationCells, shares: FloatArray) -> dict[str, ScoreUncertainty]:
     """Of scores by name. shares (B,): of the scene's points in each cell; the sum is 1."""
     if not sampled:
         return {}
@@ -102,7 +102,7 @@ def spreads(sampled: Mapping[str, Sampled], cells: Cells, shares: FloatArray) ->
         step = int(steps[row])
         total, alone = float(within[step, row]), float(within[0, row])
         if not total > 0:
-            found[name] = Spread(0.0, math.inf, math.inf, 0.0)
+            found[name] = ScoreUncertainty(0.0, math.inf, math.inf, 0.0)
             continue
         # The mean was subtracted, and with it the products of the pairs within reach lost their share.
         variance = total / max(1 - float(pairs[step, 0]), _LEAST_LEFT)
@@ -111,11 +111,11 @@ def spreads(sampled: Mapping[str, Sampled], cells: Cells, shares: FloatArray) ->
         # 2 V^2 / Var V, and half of it: the tails that few pieces do not show make it too large.
         degrees = max(total**2 / doubt, _LEAST_DEGREES) if doubt > 0 else math.inf
         pieces = alone / (total * float(pairs[0, 0]))
-        found[name] = Spread(math.sqrt(variance), degrees, pieces, _REACHES[step] * cells.side)
+        found[name] = ScoreUncertainty(math.sqrt(variance), degrees, pieces, _REACHES[step] * cells.side)
     return found
 
 
-def interval(score: Sampled, spread: Spread) -> Interval:
+def interval(score: Sampled, spread: ScoreUncertainty) -> Interval:
     """On a scale on which scores are about normal: the logarithm, and that of the odds of a share."""
     value, largest = score.value, score.largest
     if spread.sigma == 0 or not 0 < value < largest:
@@ -127,7 +127,7 @@ def interval(score: Sampled, spread: Spread) -> Interval:
     return Interval(low, high)
 
 
-def difference(value: float, spread: Spread) -> Interval:
+def difference(value: float, spread: ScoreUncertainty) -> Interval:
     """Of two scores, which may be negative."""
     reach = quantile(spread.degrees) * spread.sigma if spread.sigma > 0 else 0.0
     return Interval(value - reach, value + reach)

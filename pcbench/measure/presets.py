@@ -92,7 +92,7 @@ class Tnt:
 Preset = Gao2025 | Mpeg | Open3d | Pdal | Tnt
 
 
-class Pair(NamedTuple):
+class CroppedPair(NamedTuple):
     """Reference and candidate after a hard crop, and the nearest points both ways."""
 
     reference: Index
@@ -107,7 +107,7 @@ class Pair(NamedTuple):
 
 
 def measure_preset(
-    name: str, pair: Pair, thresholds: tuple[float, ...], to_poisson: FloatArray | None = None
+    name: str, pair: CroppedPair, thresholds: tuple[float, ...], to_poisson: FloatArray | None = None
 ) -> Preset:
     """The preset of that name; `to_poisson` are distances to the reference's Poisson mesh, if there is one."""
     return _DEFINITIONS[name](pair, thresholds, to_poisson)
@@ -119,15 +119,15 @@ def match(
     nearest_other: Matches | None,
     normals: FloatArray | None,
     raw_normals: FloatArray | None,
-) -> Pair:
+) -> CroppedPair:
     """The pair with everything its presets need to know of neighbours."""
     to_reference, tied_to_reference = reference.nearest_of_with_ties(candidate, _TIE)
     to_candidate, tied_to_candidate = candidate.nearest_of_with_ties(reference, _TIE)
     matches = (to_reference, to_candidate, tied_to_reference, tied_to_candidate)
-    return Pair(reference, candidate, *matches, nearest_other, normals, raw_normals)
+    return CroppedPair(reference, candidate, *matches, nearest_other, normals, raw_normals)
 
 
-def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> Gao2025:
+def gao2025(pair: CroppedPair, to_poisson: FloatArray | None = None) -> Gao2025:
     """Gao et al. 2025, table 2, on one consistent reading of its definitions.
 
     D1 and D2 are one way, candidate to reference, mean squares; the Hausdorff distance is symmetric and unsquared;
@@ -153,7 +153,7 @@ def gao2025(pair: Pair, to_poisson: FloatArray | None = None) -> Gao2025:
     )
 
 
-def open3d(pair: Pair, thresholds: tuple[float, ...]) -> Open3d:
+def open3d(pair: CroppedPair, thresholds: tuple[float, ...]) -> Open3d:
     """What Open3D's `t.geometry.PointCloud.compute_metrics` returns: unsquared Chamfer sum, Hausdorff, F-scores."""
     a, b = pair.to_reference.distances, pair.to_candidate.distances
     return Open3d(
@@ -163,7 +163,7 @@ def open3d(pair: Pair, thresholds: tuple[float, ...]) -> Open3d:
     )
 
 
-def pdal(pair: Pair) -> Pdal:
+def pdal(pair: CroppedPair) -> Pdal:
     """What `pdal chamfer` and `pdal hausdorff` print: the SUM of squares both ways, and the largest distance."""
     a, b = pair.to_reference.distances, pair.to_candidate.distances
     return Pdal(
@@ -172,7 +172,7 @@ def pdal(pair: Pair) -> Pdal:
     )
 
 
-def tnt(pair: Pair, thresholds: tuple[float, ...]) -> Tnt:
+def tnt(pair: CroppedPair, thresholds: tuple[float, ...]) -> Tnt:
     """F-scores as in Tanks and Temples (Knapitsch et al. 2017): after cropping (give the selection volume as the crop),
     both clouds are downsampled to one mean point a voxel of half the threshold.
     """
@@ -189,7 +189,7 @@ def _voxel_down(points: FloatArray, side: float) -> FloatArray:
     return cell_means(points, side, points.min(axis=0) - side / 2)
 
 
-def mpeg(pair: Pair) -> Mpeg:
+def mpeg(pair: CroppedPair) -> Mpeg:
     """MPEG's pc_error (mpeg-pcc-dmetric 0.14.2), a = reference, b = candidate; Hausdorff distances are SQUARED.
 
     Duplicate points are merged first. D2 takes the target's normals; the candidate's are averaged from the
@@ -276,7 +276,7 @@ def _row_means(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
     return np.stack([np.bincount(rows, column, minlength=count) / number for column in values.T], axis=1)
 
 
-def _merge_duplicates(pair: Pair) -> Pair:
+def _merge_duplicates(pair: CroppedPair) -> CroppedPair:
     other = pair.nearest_other
     doubled = other is not None and not other.distances.all()  # at a distance of 0
     if not doubled and not _has_duplicates(pair.candidate.points):
@@ -299,7 +299,7 @@ def _has_duplicates(points: FloatArray) -> bool:
     return bool((key[1:] == key[:-1]).any())
 
 
-_DEFINITIONS: dict[str, Callable[[Pair, tuple[float, ...], FloatArray | None], Preset]] = {
+_DEFINITIONS: dict[str, Callable[[CroppedPair, tuple[float, ...], FloatArray | None], Preset]] = {
     "gao2025": lambda pair, _, to_poisson: gao2025(pair, to_poisson),
     "mpeg": lambda pair, *_: mpeg(pair),
     "open3d": lambda pair, thresholds, _: open3d(pair, thresholds),

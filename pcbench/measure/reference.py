@@ -40,7 +40,7 @@ class Reference:
     rows: IntArray | None  # of the points inside; None for all
     nearest_other: Matches | None
     spacing: float
-    cells: intervals.Cells
+    cells: intervals.CorrelationCells
     voxel: float
     meshes: Mapping[str, MeshIndex]  # by the name of the map, in local coordinates
 

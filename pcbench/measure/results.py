@@ -240,7 +240,7 @@ class Difference(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class CandidateComparisons:
     """A reference, its candidates, and the differences between them. `comparison["a"]` is the candidate named a."""
 
     settings: Settings

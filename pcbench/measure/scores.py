@@ -13,7 +13,7 @@ from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray, rounding_of
 from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction
-from pcbench.measure.intervals import Sampled, Spread
+from pcbench.measure.intervals import Sampled, ScoreUncertainty
 from pcbench.measure.results import (
     ARROWS,
     BACK,
@@ -53,7 +53,7 @@ def measure(
     back: Direction,
     thresholds: tuple[float, ...],
     *,
-    cells: intervals.Cells,
+    cells: intervals.CorrelationCells,
     voxel: float,
     corner: FloatArray,
     origin: FloatArray,
@@ -94,7 +94,7 @@ class _Known(NamedTuple):
     """Scores by name, and how well each is known."""
 
     sampled: Mapping[str, Sampled]
-    spreads: Mapping[str, Spread]
+    spreads: Mapping[str, ScoreUncertainty]
 
     def estimate(self, name: str) -> Estimate:
         """The value and its interval."""
@@ -174,7 +174,9 @@ def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float
     return found
 
 
-def _doubts(spreads: Mapping[str, Spread], scores: Mapping[str, Sampled], rounding: float) -> Iterator[Notice]:
+def _doubts(
+    spreads: Mapping[str, ScoreUncertainty], scores: Mapping[str, Sampled], rounding: float
+) -> Iterator[Notice]:
     """Whether the scene is too small to know how well the mean distances are known; of rounding there is no doubt."""
     least = {"mean_distance": rounding, "d2_mse": rounding**2}
     found = {

@@ -30,14 +30,14 @@ _AT_A_TIME = 65_536  # of those: what fits into a processor's cache
 _PROBES = 12
 
 
-class Pairs(NamedTuple):
+class FeaturePairs(NamedTuple):
     """Points (N, 3) of the candidate and of the reference, in cells."""
 
     candidate: FloatArray
     reference: FloatArray
 
 
-def matched(clouds: list[Pairs]) -> list[Pairs]:
+def matched(clouds: list[FeaturePairs]) -> list[FeaturePairs]:
     """Pairs of points that look alike, for each two clouds of cell means in units of the cells' side.
 
     Raises:
@@ -54,11 +54,13 @@ def matched(clouds: list[Pairs]) -> list[Pairs]:
             require("kiss_matcher")
             raise RegistrationError(f"KISS-Matcher failed: {done.last_words or f'exit code {done.code}'}")
         with np.load(target) as found:
-            both = [[found[f"{name}{k}"].astype(np.float64) for name in Pairs._fields] for k in range(len(clouds))]
-    return [Pairs(*two) for two in both]
+            both = [
+                [found[f"{name}{k}"].astype(np.float64) for name in FeaturePairs._fields] for k in range(len(clouds))
+            ]
+    return [FeaturePairs(*two) for two in both]
 
 
-def likely_poses(pairs: Pairs, count: int, *, with_scale: bool) -> list[Similarity]:
+def likely_poses(pairs: FeaturePairs, count: int, *, with_scale: bool) -> list[Similarity]:
     """At most `count` clearly different poses candidate -> reference, in cells, those that most pairs agree on first.
 
     With scale, of one within `RUNG` of 1.
@@ -101,7 +103,7 @@ def apart(a: Similarity, b: Similarity, points: FloatArray) -> float:
     return float(np.sqrt(np.square(a.apply(points) - b.apply(points)).sum(axis=1).mean()))
 
 
-def _alike(pairs: Pairs, triples: IntArray, factor: float) -> IntArray:
+def _alike(pairs: FeaturePairs, triples: IntArray, factor: float) -> IntArray:
     """The triples whose sides are long and about as long in both clouds, whatever the scale within `factor` of 1.
 
     Side by side: most triples fall with their first, and their other sides are never looked at.
@@ -135,7 +137,7 @@ def _frames(corners: FloatArray) -> FloatArray:
     return np.stack([along, np.cross(across, along), across], axis=2)
 
 
-def _support(pairs: Pairs, linear: FloatArray, shifts: FloatArray) -> IntArray:
+def _support(pairs: FeaturePairs, linear: FloatArray, shifts: FloatArray) -> IntArray:
     """How many pairs agree with each pose (T,)."""
     p, q = (np.ascontiguousarray(side.T, np.float32) for side in pairs)  # (3, N): cells need no more digits
     rows, offsets = linear.astype(np.float32), shifts.astype(np.float32)
@@ -153,7 +155,7 @@ def _support(pairs: Pairs, linear: FloatArray, shifts: FloatArray) -> IntArray:
     return support
 
 
-def _refined(pairs: Pairs, pose: Similarity, *, with_scale: bool) -> Similarity:
+def _refined(pairs: FeaturePairs, pose: Similarity, *, with_scale: bool) -> Similarity:
     """The pose fitted to the pairs that agree with it, three times over."""
     for _ in range(3):
         near = np.square(pose.apply(pairs.candidate) - pairs.reference).sum(axis=1) < _TOLERANCE**2

@@ -21,7 +21,7 @@ from pcbench.geometry.normals import Surface, estimate_normals
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
 from pcbench.registration.contrast import SURE, contrast
-from pcbench.registration.correspondences import RUNG, Pairs, apart, likely_poses, matched
+from pcbench.registration.correspondences import RUNG, FeaturePairs, apart, likely_poses, matched
 from pcbench.registration.icp import IcpSettings, align, refine
 from pcbench.registration.quality import Fit, assess_given
 from pcbench.registration.result import AMBIGUOUS, NO_CONVERGENCE
@@ -205,7 +205,7 @@ class _Judge:
         """Poses that features speak for, at each of some scales with cells that are coarser by a factor."""
         sides = [coarser * self.side(scale) for scale, coarser in tried]
         clouds = [
-            Pairs(
+            FeaturePairs(
                 cell_means(self.candidate.points, side / scale) * (scale / side),
                 cell_means(self.reference.points, side) / side,
             )

@@ -37,7 +37,7 @@ class Comparison(SourcedComparison):
     """
 
     @classmethod
-    def of(cls, measured: results.Comparison, inputs: Inputs | None = None) -> Comparison:
+    def of(cls, measured: results.CandidateComparisons, inputs: Inputs | None = None) -> Comparison:
         return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs)
 
     def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:

@@ -34,7 +34,7 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SourcedComparison(results.Comparison):
+class SourcedComparison(results.CandidateComparisons):
     """A measured comparison and the files that its clouds came from: what every output is written from.
 
     Attributes:

@@ -17,7 +17,7 @@ from pcbench.plugins.stages import stage
 from reconstructors.mvs.bundled import GEOMETRIC, Matching, digest_of
 from reconstructors.mvs.fusion import Track, short_names, write_workspace
 from reconstructors.mvs.maps import DepthMap, read_raster, write_map
-from reconstructors.mvs.sources import Reference
+from reconstructors.mvs.sources import MatchedImage
 from reconstructors.mvs.sparse import Sparse
 from reconstructors.mvs.views import IMAGE, in_folder
 
@@ -54,7 +54,7 @@ def why_no_colmap() -> str | None:
 
 
 def colmap_maps(
-    matching: Matching, references: Sequence[Reference], sparse: Sparse, workspace: Path
+    matching: Matching, references: Sequence[MatchedImage], sparse: Sparse, workspace: Path
 ) -> dict[str, Path]:
     """The stages of COLMAP's maps by image name. Its own files are kept as it writes them: those that are complete are
     not made again.
@@ -95,7 +95,7 @@ def colmap_maps(
     return made
 
 
-def _prepare(folder: Path, matching: Matching, references: Sequence[Reference], sparse: Sparse) -> None:
+def _prepare(folder: Path, matching: Matching, references: Sequence[MatchedImage], sparse: Sparse) -> None:
     cameras = matching.photographs.cameras
     images = {name: matching.views[name] / IMAGE for name in cameras}
     rows = sparse.shows.tocsr()

@@ -15,8 +15,8 @@ from pcbench.plugins.progress import counted
 from pcbench.plugins.stages import stage, stage_key
 from reconstructors.mvs import patchmatch
 from reconstructors.mvs.maps import write_map
-from reconstructors.mvs.plan import Plan
-from reconstructors.mvs.sources import Reference
+from reconstructors.mvs.plan import MatchingPlan
+from reconstructors.mvs.sources import MatchedImage
 from reconstructors.mvs.views import Photographs, in_folder
 
 PHOTOMETRIC, GEOMETRIC = "photometric", "geometric"  # in the workspace, with a folder for each image
@@ -32,10 +32,10 @@ class Matching:
 
     photographs: Photographs
     views: Mapping[str, Path]
-    plan: Plan
+    plan: MatchingPlan
     seed: int
 
-    def photometric(self, reference: Reference, workspace: Path) -> Path:
+    def photometric(self, reference: MatchedImage, workspace: Path) -> Path:
         """The stage of an image's map by the photographs alone."""
         plan, photographs = self.plan, self.photographs
         names = (reference.name, *reference.sources)
@@ -57,7 +57,7 @@ class Matching:
 
         return stage(*in_folder(workspace / PHOTOMETRIC, reference.name), inputs, make)
 
-    def geometric(self, reference: Reference, photometric: Mapping[str, Path], workspace: Path) -> Path:
+    def geometric(self, reference: MatchedImage, photometric: Mapping[str, Path], workspace: Path) -> Path:
         """The stage of an image's map with the depths of its sources, as far as these have some."""
         photographs = self.photographs
         sources = [name for name in reference.sources if name in photometric]
@@ -83,7 +83,7 @@ class Matching:
         return stage(*in_folder(workspace / GEOMETRIC, reference.name), inputs, make)
 
 
-def bundled_maps(matching: Matching, references: Sequence[Reference], workspace: Path) -> dict[str, Path]:
+def bundled_maps(matching: Matching, references: Sequence[MatchedImage], workspace: Path) -> dict[str, Path]:
     """The stages of the maps by image name; says how far it is."""
     photometric = {
         reference.name: matching.photometric(reference, workspace)

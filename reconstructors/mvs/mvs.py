@@ -40,8 +40,8 @@ from reconstructors.mvs.fusion import (
     write_workspace,
 )
 from reconstructors.mvs.maps import read_map, write_map
-from reconstructors.mvs.plan import MOST_SOURCES, Plan, Survey, make_plan, textured_share
-from reconstructors.mvs.sources import Reference, choose_references
+from reconstructors.mvs.plan import MOST_SOURCES, MatchingPlan, Survey, make_plan, textured_share
+from reconstructors.mvs.sources import MatchedImage, choose_references
 from reconstructors.mvs.sparse import Sparse, shifted, sparse_of
 from reconstructors.mvs.views import IMAGE, Photographs, in_folder, luminance, pinhole, view_stage
 from reconstructors.sfm.features import some
@@ -169,7 +169,7 @@ class DenseMvs:
         sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
         return sfm.reconstruct(scene, workspace / _SFM)
 
-    def _planned(self, scene: Scene, sparse: Sparse) -> tuple[list[Reference], Plan, list[str]]:
+    def _planned(self, scene: Scene, sparse: Sparse) -> tuple[list[MatchedImage], MatchingPlan, list[str]]:
         """What each image is matched with and how much is done, and a note on the images that are left out."""
         references, alone = choose_references(sparse, _CONFIRMING)
         plan = make_plan(_survey(scene, sparse, references), self.spacing, self.sources)
@@ -182,7 +182,7 @@ class DenseMvs:
         return references, plan, notes
 
     def _filtered(
-        self, photographs: Photographs, references: Sequence[Reference], made: Mapping[str, Path], workspace: Path
+        self, photographs: Photographs, references: Sequence[MatchedImage], made: Mapping[str, Path], workspace: Path
     ) -> _Filtered:
         """What of the maps other maps confirm, a stage for each image.
 
@@ -248,12 +248,12 @@ def _local(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[Sparse, Floa
     return sparse_of(model, cameras).about(origin), origin
 
 
-def _taking_part(references: Sequence[Reference]) -> list[str]:
+def _taking_part(references: Sequence[MatchedImage]) -> list[str]:
     """The names of references and their sources."""
     return list(dict.fromkeys(name for r in references for name in (r.name, *r.sources)))
 
 
-def _survey(scene: Scene, sparse: Sparse, references: Sequence[Reference]) -> Survey:
+def _survey(scene: Scene, sparse: Sparse, references: Sequence[MatchedImage]) -> Survey:
     cameras = [sparse.cameras[r.name].intrinsics for r in references]
     names = [r.name for r in references][:: max(1, len(references) // _SAMPLED)]
     samples = []
@@ -292,7 +292,7 @@ def _mebibytes(size: int) -> str:
     return f"{size / 2**20:,.0f} MiB"
 
 
-def _empties(kept: _Filtered, references: Sequence[Reference]) -> list[str]:
+def _empties(kept: _Filtered, references: Sequence[MatchedImage]) -> list[str]:
     """A note on images without a map, or whose map is empty."""
     lost = [r.name for r in references if r.name not in kept.folders]
     return [f"{len(lost)} of {len(references)} images have no depth that others confirm: {some(lost)}"] if lost else []

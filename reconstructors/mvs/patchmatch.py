@@ -27,7 +27,7 @@ _TEXTURE = 2.5  # times the noise's variance: 1 patch of noise alone in 1000 has
 _VARIED = 3  # sweeps after which the steps of the variation are those of refinement
 
 
-class View(NamedTuple):
+class GrayView(NamedTuple):
     """An undistorted photograph.
 
     Args:
@@ -42,8 +42,8 @@ class View(NamedTuple):
 
 
 def match(
-    reference: View,
-    sources: Sequence[View],
+    reference: GrayView,
+    sources: Sequence[GrayView],
     depth_range: tuple[float, float],
     *,
     levels: int = 3,
@@ -88,8 +88,8 @@ def match(
 
 
 def refine(
-    reference: View,
-    sources: Sequence[View],
+    reference: GrayView,
+    sources: Sequence[GrayView],
     source_depths: Sequence[NDArray[np.float32]],
     initial: DepthMap,
     depth_range: tuple[float, float],
@@ -131,8 +131,8 @@ class _State(NamedTuple):
 
     def improve(
         self,
-        reference: View,
-        sources: Sequence[View],
+        reference: GrayView,
+        sources: Sequence[GrayView],
         depths: Sequence[NDArray[np.float32]] | None,
         depth_range: tuple[float, float],
         iterations: int,
@@ -180,7 +180,7 @@ def noise_variance(gray: NDArray[np.uint8]) -> float:
     return float(0.5 * np.pi * (np.percentile(blocks, 5) / 6) ** 2)
 
 
-def _halved(view: View) -> View:
+def _halved(view: GrayView) -> GrayView:
     """Means over 2 x 2 pixels; an odd last row or column is left out."""
     height, width = view.gray.shape[0] // 2, view.gray.shape[1] // 2
     cut = view.gray[: 2 * height, : 2 * width].astype(np.uint16).reshape(height, 2, width, 2)
@@ -190,7 +190,7 @@ def _halved(view: View) -> View:
         valid = np.asarray(view.valid[: 2 * height, : 2 * width].reshape(height, 2, width, 2).all(axis=(1, 3)))
     k = view.camera.intrinsics
     half = type(k)(width, height, k.fx / 2, k.fy / 2, k.cx / 2, k.cy / 2)
-    return View(gray, Camera(view.camera.name, half, view.camera.cam_from_world), valid)
+    return GrayView(gray, Camera(view.camera.name, half, view.camera.cam_from_world), valid)
 
 
 def _matrix(camera: Camera) -> FloatArray:

@@ -41,7 +41,7 @@ class Survey:
 
 
 @dataclass(frozen=True)
-class Plan:
+class MatchingPlan:
     """How much is done.
 
     Args:
@@ -63,7 +63,7 @@ class Plan:
     reasons: tuple[str, ...]
 
 
-def make_plan(survey: Survey, spacing: float | None, sources: int | None) -> Plan:
+def make_plan(survey: Survey, spacing: float | None, sources: int | None) -> MatchingPlan:
     """How much is done for points so far apart.
 
     Args:
@@ -83,7 +83,7 @@ def make_plan(survey: Survey, spacing: float | None, sources: int | None) -> Pla
         f"up to {count} sources an image, {why_sources}",
         f"{iterations} + 2 iterations over {levels} levels: {why_iterations}",
     )
-    return Plan(scale, count, levels, iterations, 2, expected, reasons)
+    return MatchingPlan(scale, count, levels, iterations, 2, expected, reasons)
 
 
 def _scale(survey: Survey, spacing: float | None) -> tuple[float, str]:

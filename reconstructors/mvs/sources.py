@@ -23,7 +23,7 @@ _MARGIN = 0.25  # of the nearest and the farthest depth, as COLMAP's
 _TAIL = 0.01  # of the points at each end: some are wrong
 
 
-class Reference(NamedTuple):
+class MatchedImage(NamedTuple):
     """What one image is matched with.
 
     Args:
@@ -41,7 +41,7 @@ class Reference(NamedTuple):
     angle_deg: float
 
 
-def choose_references(sparse: Sparse, most: int) -> tuple[list[Reference], list[str]]:
+def choose_references(sparse: Sparse, most: int) -> tuple[list[MatchedImage], list[str]]:
     """What each image is matched with, at most `most` sources; and the names of the images that share too little.
 
     The sources are chosen one after the other, each for the points that it shows at a good angle and that those before
@@ -63,7 +63,7 @@ def choose_references(sparse: Sparse, most: int) -> tuple[list[Reference], list[
     return found, alone
 
 
-def _choose(sparse: Sparse, name: str, most: int) -> Reference | None:
+def _choose(sparse: Sparse, name: str, most: int) -> MatchedImage | None:
     camera = sparse.cameras[name]
     numbers = sparse.shown(name)
     by_frame = len(numbers) < _MIN_POINTS
@@ -90,7 +90,7 @@ def _choose(sparse: Sparse, name: str, most: int) -> Reference | None:
     # One point at each end at least is left out.
     near = np.quantile(depths, _TAIL, method="higher")
     far = np.quantile(depths, 1 - _TAIL, method="lower")
-    return Reference(
+    return MatchedImage(
         name,
         tuple(others[k] for k in chosen),
         (float((1 - _MARGIN) * near), float((1 + _MARGIN) * far)),

@@ -17,7 +17,7 @@ from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image, decode_mask
 from reconstructors.mvs.maps import read_depth, read_map
-from reconstructors.mvs.patchmatch import View
+from reconstructors.mvs.patchmatch import GrayView
 
 VIEWS = "views"  # in the workspace: image.png and perhaps mask.png in a folder for each image
 IMAGE, MASK = "image.png", "mask.png"
@@ -40,7 +40,7 @@ class Photographs:
         self.map = lru_cache(keep)(read_map)
         self.depth = lru_cache(keep)(read_depth)
 
-    def _view(self, name: str) -> View:
+    def _view(self, name: str) -> GrayView:
         return read_view(self._views[name], self.cameras[name])
 
 
@@ -70,7 +70,7 @@ def view_stage(scene: Scene, camera: Camera, target: Camera, workspace: Path) ->
     return stage(*in_folder(workspace / VIEWS, camera.name), inputs, make)
 
 
-def read_view(folder: Path, camera: Camera) -> View:
+def read_view(folder: Path, camera: Camera) -> GrayView:
     """What the stage of a view holds, as it is matched.
 
     Raises:
@@ -79,7 +79,7 @@ def read_view(folder: Path, camera: Camera) -> View:
     size = (camera.intrinsics.width, camera.intrinsics.height)
     rgb = decode_image(folder / IMAGE, size)
     valid = decode_mask(folder / MASK, size) if (folder / MASK).is_file() else None
-    return View(luminance(rgb), camera, valid)
+    return GrayView(luminance(rgb), camera, valid)
 
 
 def luminance(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

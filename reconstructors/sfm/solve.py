@@ -31,7 +31,7 @@ _MAX_APART_PX, _MAX_APART_MEDIANS = 2.0, 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class SolvedModel:
     """A model of the images, how all verified pairs agree with it, whichever it was solved from, and notes on what is
     left out.
     """
@@ -51,7 +51,7 @@ class Solution:
         return f"{self.how} registers {len(self.cameras)} images and is contradicted by {bad} of {strong} strong pairs"
 
 
-def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int) -> Solution:
+def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int) -> SolvedModel:
     """The cameras and points of the largest component.
 
     Few images are solved in both ways, and from strong pairs alone where many pairs are wrong; it is said where these
@@ -62,10 +62,10 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
         ReconstructionError: no two images start a model.
     """
 
-    def solved(how: Mapper, matches: Path, words: str = "", name: str = "") -> Solution:
+    def solved(how: Mapper, matches: Path, words: str = "", name: str = "") -> SolvedModel:
         model, notes = largest_component(map_images(matches, scene, workspace, how, refine, seed, name), scene)
         cameras = cameras_of(model)
-        return Solution(f"{how} mapping{words}", model, cameras, agreement(verified / DATABASE, cameras), notes)
+        return SolvedModel(f"{how} mapping{words}", model, cameras, agreement(verified / DATABASE, cameras), notes)
 
     asked = solved(mapper, verified)
     found = [asked]
@@ -97,7 +97,7 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
     return replace(best, notes=[*notes, best.agreement.describe("solved"), *repeated(best.agreement, "solved")])
 
 
-def better(found: Sequence[Solution]) -> Solution:
+def better(found: Sequence[SolvedModel]) -> SolvedModel:
     """Of sound solutions the one with the most images, else the one that the fewest strong pairs contradict; the first
     of equals. One with few of the images is none: hardly a pair is left to contradict it.
     """
@@ -111,7 +111,7 @@ def better(found: Sequence[Solution]) -> Solution:
     return min(whole, key=lambda solution: len(solution.agreement.contradicting))
 
 
-def differences(kept: Solution, other: Solution) -> list[str]:
+def differences(kept: SolvedModel, other: SolvedModel) -> list[str]:
     """A note on the cameras that another solution puts elsewhere by more than the errors of both.
 
     A camera that little fixes, such as one that sees a single wall, is what the two ways find in different places. How
@@ -138,7 +138,7 @@ def differences(kept: Solution, other: Solution) -> list[str]:
     return [f"{other.describe()}, and puts {far}"]
 
 
-def _pixel(solution: Solution, name: str) -> float:
+def _pixel(solution: SolvedModel, name: str) -> float:
     """What a pixel of a camera is at the points that it sees (their median depth), in the units of the cameras."""
     model, camera = solution.model, solution.cameras[name]
     image = model.find_image_with_name(name)

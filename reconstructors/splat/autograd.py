@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from reconstructors.splat.interface import Rasterizer
+from reconstructors.splat.interface import GaussianTensors, Rasterizer
 from reconstructors.splat.view import View
 
 
@@ -17,13 +17,8 @@ class Rasterize(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def forward(ctx: Any, rasterizer: Rasterizer, view: View, background: Tensor, *gaussians: Tensor) -> Any:
-        means, quats, scales, opacities, sh = (tensor.detach().contiguous() for tensor in gaussians)
         drawn = rasterizer.forward(
-            means,
-            quats,
-            scales,
-            opacities,
-            sh,
+            GaussianTensors(*(tensor.detach().contiguous() for tensor in gaussians)),
             view,
             background.detach(),
             geometry=True,

@@ -3,37 +3,98 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from reconstructors.splat.interface import Pulled
 from reconstructors.splat.model import Gaussians
+from reconstructors.splat.optimizer import Optimizer
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from reconstructors.splat.train import Training
+
+class ScreenGradients(NamedTuple):
+    """Gradients of the loss with respect to projected means since the density was last controlled; tensors (N,).
+
+    Attributes:
+        gradient: sum over the views of the gradient's length, in units in which the image is 2 wide and 2 high.
+        views: number of views that drew the Gaussian.
+    """
+
+    gradient: Tensor
+    views: Tensor
+
+    @classmethod
+    def zeros(cls, model: Gaussians) -> ScreenGradients:
+        return cls(*(model.logits.new_zeros(len(model)) for _ in cls._fields))
+
+    def add(self, pulled: Pulled, width: int, height: int) -> None:
+        """Add the gradients of one view, in place."""
+        ids = pulled.ids
+        moved = pulled.screen.clone()
+        moved[:, 0] *= width / 2  # a tensor of both numbers would have to be brought to the device, and waited for
+        moved[:, 1] *= height / 2
+        self.gradient[ids] += moved.norm(dim=1)
+        self.views[ids] += 1
 
 
-class Density:
-    """Which Gaussians there are. This one leaves them as they were at the start."""
+class Densifiable(Protocol):
+    """The part of a training that densification reads and changes."""
 
-    def control(self, training: Training) -> None:
-        """Called after every step; may change the model through `Training.keep` and `Training.add`."""
+    @property
+    def step(self) -> int:
+        """Number of steps done."""
+        ...
 
-    def settled(self, training: Training) -> bool:
+    @property
+    def steps(self) -> int:
+        """Number of steps in all."""
+        ...
+
+    @property
+    def model(self) -> Gaussians: ...
+    @property
+    def optimizer(self) -> Optimizer: ...
+    @property
+    def seen(self) -> ScreenGradients: ...
+
+    def rng(self) -> np.random.Generator:
+        """Return the random numbers of this step."""
+        ...
+
+    def keep(self, rows: Tensor) -> None:
+        """Keep some Gaussians, by number or by truth."""
+        ...
+
+    def add(self, others: Gaussians) -> None:
+        """Add Gaussians."""
+        ...
+
+
+Trained = TypeVar("Trained", contravariant=True)  # the training that a density is given
+
+
+class Density(Generic[Trained]):
+    """Densification strategy; the base class changes nothing."""
+
+    def control(self, training: Trained) -> None:
+        """Change the model through `keep` and `add` of the training; called after every step."""
+
+    def settled(self, training: Trained) -> bool:
         """Whether it changes the model no more."""
         return True
 
     def state(self) -> object:
         """What it has to remember beside the model, as `torch.load` reads it with `weights_only`."""
 
-    def restore(self, training: Training, state: Any) -> None:
+    def restore(self, training: Trained, state: Any) -> None:
         """Go on with a training and what `state` gave."""
 
 
 @dataclass(frozen=True)
-class Classic(Density):
+class Classic(Density[Densifiable]):
     """The rules of Kerbl et al. 2023: what is pulled across the image hard is cloned if it is small, else split.
 
     Args:
@@ -61,11 +122,11 @@ class Classic(Density):
     reset_opacity: float = 0.01
     most: int = 1_000_000
 
-    def control(self, training: Training) -> None:
+    def control(self, training: Densifiable) -> None:
         import torch
 
         step = training.step
-        if step > self.last * training.schedule.steps:
+        if step > self.last * training.steps:
             return
         if step >= self.first and step % self.every == 0:
             self._densify(training)
@@ -80,10 +141,10 @@ class Classic(Density):
             torch.clamp_(training.model.logits, max=held)
             training.optimizer.forget("logits")
 
-    def settled(self, training: Training) -> bool:
-        return training.step > self.last * training.schedule.steps
+    def settled(self, training: Densifiable) -> bool:
+        return training.step > self.last * training.steps
 
-    def _densify(self, training: Training) -> None:
+    def _densify(self, training: Densifiable) -> None:
         model, seen = training.model, training.seen
         pulled = seen.gradient / seen.views.clamp(min=1)
         wanted = pulled > self.gradient

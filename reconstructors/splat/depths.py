@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
-from reconstructors.mvs.sources import Reference, choose_references
+from reconstructors.mvs.sources import MatchedImage, choose_references
 from reconstructors.mvs.sparse import Sparse
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians, LocalFrame
@@ -58,23 +58,15 @@ class Depths:
         self.cameras = {name: frame.camera(camera) for name, camera in cameras.items()}
         kernels = kernels_of(gaussians.means.device)
         self._rasterizer = kernels.Rasterizer()
-        self._gaussians, self._scales, self._opacities = gaussians, gaussians.scales, gaussians.opacities
+        self._gaussians = gaussians.drawn_from
         largest = max(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
         self.of = lru_cache(max(confirming + 1, _MEMORY // (_BYTES * largest)))(self._drawn)
 
     def _drawn(self, name: str) -> Seen:
         camera = self.cameras[name]
-        model = self._gaussians
+        background = self._gaussians.means.new_zeros(3)
         drawn = self._rasterizer.forward(
-            model.means,
-            model.quats,
-            self._scales,
-            self._opacities,
-            model.sh,
-            View.of(camera, NEAREST),
-            model.means.new_zeros(3),
-            geometry=True,
-            gradient=False,
+            self._gaussians, View.of(camera, NEAREST), background, geometry=True, gradient=False
         )
         assert drawn.depth is not None and drawn.normal is not None and drawn.median_depth is not None
         color, transmittance = drawn.color.cpu().numpy(), drawn.transmittance.cpu().numpy()
@@ -102,7 +94,7 @@ class Overlap(NamedTuple):
         footprint: of a pixel, in the local frame: the median over the images of the median over the pixels.
     """
 
-    references: list[Reference]
+    references: list[MatchedImage]
     footprint: float
 
 

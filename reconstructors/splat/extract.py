@@ -21,7 +21,7 @@ from pcbench.geometry.normals import estimate_normals
 from pcbench.geometry.splats import check_limits, spread
 from pcbench.plugins.progress import counted
 from reconstructors.mvs.filter import Criteria, confirmed, world_points
-from reconstructors.mvs.sources import Reference
+from reconstructors.mvs.sources import MatchedImage
 from reconstructors.splat.depths import Depths, overlap
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame
 from reconstructors.splat.rotations import rotated
@@ -141,7 +141,7 @@ def _smooth_normals(points: Points) -> FloatArray:
     return turned
 
 
-def _confirmed_points(depths: Depths, reference: Reference, criteria: Criteria) -> tuple[Points, FloatArray]:
+def _confirmed_points(depths: Depths, reference: MatchedImage, criteria: Criteria) -> tuple[Points, FloatArray]:
     """What a camera sees and enough others confirm, in the local frame, and how uncertain (N,) it is."""
     camera, seen = depths.cameras[reference.name], depths.of(reference.name)
     made = seen.made

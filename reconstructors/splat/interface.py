@@ -16,6 +16,24 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+class GaussianTensors(NamedTuple):
+    """N Gaussians as they are drawn.
+
+    Attributes:
+        means: (N, 3).
+        quats: (N, 4) wxyz of any length.
+        scales: (N, 3) standard deviations along the axes.
+        opacities: (N,) 0 to 1.
+        sh: (N, K, 3) spherical harmonics, K = 1, 4, 9 or 16; the color is their sum plus 0.5, and at least 0.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    sh: Tensor
+
+
 class Drawn(NamedTuple):
     """The sums over the Gaussians of each pixel, w being the weight (alpha times transmittance) of one of them.
 
@@ -62,18 +80,14 @@ class Rasterizer(Protocol):
 
     def forward(
         self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
+        gaussians: GaussianTensors,
         view: View,
         background: Tensor,
         *,
         geometry: bool,
         gradient: bool = True,
     ) -> Drawn:
-        """Draw N Gaussians: means (N, 3), quats (N, 4), scales (N, 3), opacities (N,), sh (N, K, 3), background (3,).
+        """Draw Gaussians before a background (3,).
 
         Args:
             geometry: whether depth, normal and median depth are wanted.

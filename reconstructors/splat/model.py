@@ -12,6 +12,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
+from reconstructors.splat.interface import GaussianTensors
 
 if TYPE_CHECKING:
     import torch
@@ -90,6 +91,11 @@ class Gaussians:
     def opacities(self) -> Tensor:
         """(N,) 0 to 1."""
         return self.logits.sigmoid()
+
+    @property
+    def drawn_from(self) -> GaussianTensors:
+        """What a rasterizer draws."""
+        return GaussianTensors(self.means, self.quats, self.scales, self.opacities, self.sh)
 
     @property
     def degree(self) -> int:

@@ -160,7 +160,7 @@ class _Kept(NamedTuple):
     begun: Snapshot  # before the steps after which it was judged
 
 
-class Parsimonious(Density):
+class Parsimonious(Density["Training"]):
     """Trains all Gaussians for half of the steps. From that model others are made that are smaller: half of the
     Gaussians stay, of which the photographs show most, then half of these, and so on; then a degree of the harmonics is
     taken away, and another. Each is trained for as many steps more, at the same rates and with the same photographs,

@@ -19,7 +19,7 @@ import torch
 from numpy.polynomial import Legendre, Polynomial
 from torch import Tensor
 
-from reconstructors.splat.interface import Drawn, ImageLoss, Pulled
+from reconstructors.splat.interface import Drawn, GaussianTensors, ImageLoss, Pulled
 from reconstructors.splat.view import View
 
 # As float32 rounds them: two Gaussians held at 0.99 leave 1e-4 of a ray, all but exactly, and on which side of the
@@ -29,16 +29,6 @@ _DILATION = 0.3  # square pixels
 _LEAST_QUATERNION = 1e-24  # squared length
 _MOST_DETERMINANT = 1e36  # of the covariance in pixels, to the fourth: float32 has no room for much more
 _PAIRS_AT_ONCE = 1_000_000  # of a pixel and a Gaussian: 8 MB a number
-
-
-class Gaussians(NamedTuple):
-    """Of shapes (N, 3), (N, 4) wxyz, (N, 3), (N,) and (N, K, 3), K being 1, 4, 9 or 16."""
-
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
-    opacities: Tensor
-    sh: Tensor
 
 
 class Projection(NamedTuple):
@@ -106,7 +96,7 @@ def _legendre(degree: int, order: int) -> list[float]:
     return coefficients
 
 
-def project(gaussians: Gaussians, view: View) -> Projection:
+def project(gaussians: GaussianTensors, view: View) -> Projection:
     """The Gaussians in the image, but for those behind `near`, fainter than 1/255 or without a rotation."""
     means, quats, scales, opacities, sh = gaussians
     rotation, position = means.new_tensor(view.rotation), means.new_tensor(view.position)
@@ -210,32 +200,27 @@ def blend(splats: Projection, numbers: Tensor, view: View, background: Tensor) -
     return Blended(drawn, covered.reshape(size), seen)
 
 
-def draw(gaussians: Gaussians, view: View, background: Tensor) -> Drawn:
+def draw(gaussians: GaussianTensors, view: View, background: Tensor) -> Drawn:
     """The image, differentiable by autograd in the type of the tensors."""
     splats = project(gaussians, view)
     return blend(splats, torch.zeros_like(splats.depth), view, background).drawn
 
 
-class Rasterizer:
+class ReferenceRasterizer:
     """The interface of the other devices, in float64 whatever type is given. It keeps the graph of what it drew."""
 
     def forward(
         self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
+        gaussians: GaussianTensors,
         view: View,
         background: Tensor,
         *,
         geometry: bool,
         gradient: bool = True,
     ) -> Drawn:
-        given = (means, quats, scales, opacities, sh)
         with torch.enable_grad():
-            self._leaves = [tensor.detach().double().requires_grad_() for tensor in given]
-            self._splats = project(Gaussians(*self._leaves), view)
+            self._leaves = GaussianTensors(*(tensor.detach().double().requires_grad_() for tensor in gaussians))
+            self._splats = project(self._leaves, view)
             self._ones = torch.ones_like(self._splats.depth).requires_grad_()
             self._blended = blend(self._splats, self._ones, view, background.double())
         color, transmittance, *rest = (image.detach() for image in self._blended.drawn if image is not None)
@@ -268,6 +253,9 @@ class Rasterizer:
         sums = [torch.autograd.grad(covered, self._ones, weight, retain_graph=True)[0] for weight in weights]
         per_splat = [part[self._blended.seen][order] for part in (by_xy, *sums)]
         return Pulled(ids, *(gradient[ids] for gradient in by_given), *per_splat)
+
+
+Rasterizer = ReferenceRasterizer  # the name in `reconstructors.splat.interface.Kernels`
 
 
 def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:

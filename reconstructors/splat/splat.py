@@ -241,7 +241,7 @@ class GaussianSplatting:
 
     def _density(
         self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
-    ) -> tuple[Density, list[Pyramid]]:
+    ) -> tuple[Density[Training], list[Pyramid]]:
         """Which Gaussians there are, and the photographs that training begins with."""
         names = [name for name in split.train if photographs[name][0].shows]
         if not names:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.files import atomic_write
+from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.optimizer import Optimizer, Rates, fewer_harmonics, more_harmonics
@@ -21,8 +22,7 @@ from reconstructors.splat.supervision import Pull, Supervision
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from reconstructors.splat.density import Density
-    from reconstructors.splat.interface import Drawn, Pulled
+    from reconstructors.splat.interface import Drawn
     from reconstructors.splat.view import View
 
 
@@ -63,32 +63,6 @@ class Schedule:
         return min(self.sh_degree, 10 * step // self.steps)
 
 
-class Seen(NamedTuple):
-    """What was seen of each Gaussian since the density was last controlled; tensors (N,).
-
-    Attributes:
-        gradient: sum over the views of the length of the derivative by the projected mean, in units in which the image
-            is 2 wide and 2 high.
-        views: that drew it.
-    """
-
-    gradient: Tensor
-    views: Tensor
-
-    @classmethod
-    def nothing(cls, model: Gaussians) -> Seen:
-        return cls(*(model.logits.new_zeros(len(model)) for _ in cls._fields))
-
-    def add(self, pulled: Pulled, width: int, height: int) -> None:
-        """Add what one view saw, in place."""
-        ids = pulled.ids
-        moved = pulled.screen.clone()
-        moved[:, 0] *= width / 2  # a tensor of both numbers would have to be brought to the device, and waited for
-        moved[:, 1] *= height / 2
-        self.gradient[ids] += moved.norm(dim=1)
-        self.views[ids] += 1
-
-
 class Snapshot(NamedTuple):
     """A model after a step, and the moments of its numbers; nothing changes it."""
 
@@ -126,7 +100,7 @@ class Training:
         model: Gaussians,
         photographs: Sequence[Pyramid],
         schedule: Schedule,
-        density: Density,
+        density: Density[Training],
         supervision: Supervision | None = None,
     ):
         self.model = model
@@ -138,10 +112,15 @@ class Training:
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.ended = False
         self._means: list[float] = []  # PSNR after each tenth of the steps
-        self.seen = Seen.nothing(model)
+        self.seen = ScreenGradients.zeros(model)
         self._kernels = kernels_of(model.means.device)
         self._rasterizer = self._kernels.Rasterizer()
         self.optimizer = Optimizer(model, self._kernels.adam)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the schedule."""
+        return self.schedule.steps
 
     def run(self, until: int, each: Callable[[Training], None] | None = None) -> None:
         """Train up to a step, or to where the photographs get no better, calling `each` after every step.
@@ -190,19 +169,19 @@ class Training:
         """Keep some Gaussians (by number or truth), begin to count anew."""
         self.model = self.model.select(rows)
         self.optimizer.select(rows)
-        self.seen = Seen.nothing(self.model)
+        self.seen = ScreenGradients.zeros(self.model)
 
     def arrange(self, order: Tensor) -> None:
         """Bring the Gaussians, and all that is known of them, into an order."""
         self.model = self.model.select(order)
         self.optimizer.select(order)
-        self.seen = Seen(*(part[order] for part in self.seen))
+        self.seen = ScreenGradients(*(part[order] for part in self.seen))
 
     def add(self, others: Gaussians) -> None:
         """Add Gaussians, begin to count anew."""
         self.model = self.model.joined(others)
         self.optimizer.extend(others)
-        self.seen = Seen.nothing(self.model)
+        self.seen = ScreenGradients.zeros(self.model)
 
     def snapshot(self) -> Snapshot:
         """The model as it is now, for `return_to`."""
@@ -214,7 +193,7 @@ class Training:
         self.step = snapshot.step
         self.model, first, second = (Gaussians(*(t.clone() for t in _tensors(part))) for part in snapshot[1:])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
-        self.seen = Seen.nothing(self.model)
+        self.seen = ScreenGradients.zeros(self.model)
 
     def limit_degree(self, degree: int) -> None:
         """Go on with spherical harmonics of at most this degree."""
@@ -241,9 +220,8 @@ class Training:
         return shown
 
     def _drawn(self, view: View, *, geometry: bool = False) -> Drawn:
-        model = self.model
-        numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
-        return self._rasterizer.forward(*numbers, view, model.means.new_zeros(3), geometry=geometry)
+        background = self.model.means.new_zeros(3)
+        return self._rasterizer.forward(self.model.drawn_from, view, background, geometry=geometry)
 
     def _photograph(self) -> tuple[int, Photograph]:
         count = len(self.photographs)
@@ -298,7 +276,7 @@ class Training:
         held: dict[str, Any] = torch.load(path, map_location=self.model.means.device, weights_only=True)
         if held["key"] != key:
             return False
-        self.step, self.seen = held["step"], Seen(*held["seen"])
+        self.step, self.seen = held["step"], ScreenGradients(*held["seen"])
         self.model, first, second = (Gaussians(*part) for part in held["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, held["density"])
@@ -309,9 +287,8 @@ class Training:
 def render(model: Gaussians, view: View) -> Tensor:
     """The image (H, W, 3) of a view, 0 to 1."""
     rasterizer = kernels_of(model.means.device).Rasterizer()
-    numbers = (model.means, model.quats, model.scales, model.opacities, model.sh)
     background = model.means.new_zeros(3)
-    return rasterizer.forward(*numbers, view, background, geometry=False, gradient=False).color.clamp(0, 1)
+    return rasterizer.forward(model.drawn_from, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
 def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:

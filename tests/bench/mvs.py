@@ -35,7 +35,7 @@ def load(folder: Path, number: int, count: int) -> Case:
     from PIL import Image
 
     from pcbench.scenes import read_scene
-    from reconstructors.mvs.patchmatch import View
+    from reconstructors.mvs.patchmatch import GrayView
 
     scene = read_scene(folder)
     exact = {name: np.load(folder / "truth" / "depth" / f"{Path(name).stem}.npy") for name in scene.images}
@@ -52,8 +52,8 @@ def load(folder: Path, number: int, count: int) -> Case:
 
     others = sorted((other for other in scene.images if other != name), key=off)[:count]
 
-    def view(which: str) -> View:
-        return View(np.asarray(Image.open(scene.folder / which).convert("L")), scene.cameras[which])
+    def view(which: str) -> GrayView:
+        return GrayView(np.asarray(Image.open(scene.folder / which).convert("L")), scene.cameras[which])
 
     seen = truth[truth > 0]
     depth_range = (0.9 * float(seen.min()), 1.1 * float(seen.max()))

@@ -55,7 +55,9 @@ def surface(begun: Begun, model: Gaussians) -> CloudScore:
     return score_cloud(begun.city.truth, extract.surface(model, begun.frame, begun.cameras).points)
 
 
-def trained(begun: Begun, count: int, steps: int, density: Density, shown: list[Pyramid]) -> tuple[Training, float]:
+def trained(
+    begun: Begun, count: int, steps: int, density: Density[Training], shown: list[Pyramid]
+) -> tuple[Training, float]:
     """And the CPU seconds of it."""
     schedule = Schedule(steps=steps, sh_degree=DEGREE)
     training = Training(

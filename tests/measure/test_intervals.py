@@ -6,10 +6,10 @@ from coverage_cases import Case, coverage, draw
 from scipy.stats import t
 
 from pcbench.measure.intervals import (
-    Cells,
+    CorrelationCells,
     Interval,
     Sampled,
-    Spread,
+    ScoreUncertainty,
     difference,
     interval,
     partition,
@@ -18,7 +18,7 @@ from pcbench.measure.intervals import (
 )
 
 SIDE = 24
-CELLS = Cells(np.arange(SIDE * SIDE), (SIDE, SIDE, 1), 0.5)
+CELLS = CorrelationCells(np.arange(SIDE * SIDE), (SIDE, SIDE, 1), 0.5)
 EVEN = np.full(SIDE * SIDE, 1 / SIDE**2)
 
 
@@ -66,13 +66,13 @@ def test_quantiles_are_those_of_student():
 
 
 def test_scales_keep_scores_possible():
-    spread = Spread(0.4, 3.0, 20.0, 1.0)
+    spread = ScoreUncertainty(0.4, 3.0, 20.0, 1.0)
     low, high = interval(Sampled(0.5, EVEN), spread)
     assert 0 < low < 0.5 < high
     low, high = interval(Sampled(0.95, EVEN, 1.0), spread)
     assert 0 < low < 0.95 < high < 1
     assert interval(Sampled(1.0, EVEN, 1.0), spread) == Interval(1.0, 1.0)
-    assert difference(-0.5, Spread(0.0, np.inf, np.inf, 0.0)) == Interval(-0.5, -0.5)
+    assert difference(-0.5, ScoreUncertainty(0.0, np.inf, np.inf, 0.0)) == Interval(-0.5, -0.5)
     low, high = difference(-0.5, spread)
     assert low < -1 < 0 < high
 

@@ -18,7 +18,7 @@ from pcbench.extras import unavailable
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity, read_matrix
 from pcbench.registration import register
-from pcbench.registration.correspondences import Pairs, likely_poses
+from pcbench.registration.correspondences import FeaturePairs, likely_poses
 from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
@@ -193,11 +193,11 @@ def test_poses_from_pairs_of_which_most_are_wrong():
     candidate = rng.uniform(-50, 50, (1000, 3))
     reference = true.apply(candidate)
     reference[60:] = rng.uniform(-50, 50, (940, 3))  # 6 % are right
-    found = likely_poses(Pairs(candidate, reference), 3, with_scale=True)
+    found = likely_poses(FeaturePairs(candidate, reference), 3, with_scale=True)
     np.testing.assert_allclose(found[0].matrix, true.matrix, atol=0.5)
-    assert likely_poses(Pairs(candidate[:2], reference[:2]), 3, with_scale=True) == []
+    assert likely_poses(FeaturePairs(candidate[:2], reference[:2]), 3, with_scale=True) == []
     line = np.linspace(0, 100, 50)[:, None] * [1.0, 0, 0]
-    assert len(likely_poses(Pairs(line, line), 3, with_scale=False)) <= 3
+    assert len(likely_poses(FeaturePairs(line, line), 3, with_scale=False)) <= 3
 
 
 @needs_kiss

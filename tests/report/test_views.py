@@ -6,7 +6,7 @@ import pytest
 from pcbench import Cloud
 from pcbench.report.plot.maps import frame
 from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import VIEWS, Box, Frame, View, round_length
+from pcbench.report.plot.views import VIEWS, AxisBox, Frame, Viewpoint, round_length
 
 GROUND = np.array([10, 20, 30], np.uint8)
 ABOVE = VIEWS[0]
@@ -41,19 +41,19 @@ def test_what_a_candidate_has_beyond_the_reference_is_shown_up_to_a_quarter():
 
 def test_strays_do_not_widen_it():
     points = np.concatenate([cube([10, 10, 10]).points, [[1e5, 0, 0], [0, -1e6, 0]]])
-    assert Box.around(points).high.max() < 6
+    assert AxisBox.around(points).high.max() < 6
 
 
 def test_a_wall_and_a_point_still_get_windows():
     wall = cube([10, 0, 4]).points
-    assert (Frame.of(Box.around(wall), [wall]).sizes > 0.1).all()
+    assert (Frame.of(AxisBox.around(wall), [wall]).sizes > 0.1).all()
     point = np.zeros((1, 3))
-    assert np.isfinite(Frame.of(Box.around(point), [point]).windows).all()
-    assert (Frame.of(Box.around(point), [point]).sizes > 0).all()
+    assert np.isfinite(Frame.of(AxisBox.around(point), [point]).windows).all()
+    assert (Frame.of(AxisBox.around(point), [point]).sizes > 0).all()
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.title)
-def test_views_are_rotations_that_look_where_they_say(view: View):
+def test_views_are_rotations_that_look_where_they_say(view: Viewpoint):
     np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(view.axes) == pytest.approx(1)
     assert view.axes[0, 2] == 0  # the picture's width is level: lengths along it are true

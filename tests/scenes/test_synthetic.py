@@ -12,7 +12,7 @@ from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.visibility import views
 from pcbench.scenes.synthetic import surface
 from pcbench.scenes.synthetic.layout import lay_out
-from pcbench.scenes.synthetic.noise import Grid, Noise
+from pcbench.scenes.synthetic.noise import FractalNoise, Grid
 from pcbench.scenes.synthetic.paint import Painter
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
@@ -134,7 +134,7 @@ def test_textures_fade_to_plain_surfaces():
 
 def test_noise_is_of_places_not_of_texels():
     """Finer texels show more of the same noise: its means over squares are what coarse texels show."""
-    noise = Noise(3, 0.075)
+    noise = FractalNoise(3, 0.075)
 
     def seen(texel):
         at = np.arange(0.5 * texel, 40, texel)

@@ -17,7 +17,7 @@ from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import compose, save
 from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import Frame, View, round_length
+from pcbench.report.plot.views import Frame, Viewpoint, round_length
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _FAINTEST = 0.12  # from the ground to the ink: a tile of which nothing is left
@@ -89,10 +89,10 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
     faint = np.broadcast_to(np.rint(0.7 * behind + 0.3 * 138).astype(np.uint8), cloud.points.shape)
     about = cloud.points - frame.box.center
 
-    def image(view: View, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
+    def image(view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
         return splat(about, faint, view, window, pixels, behind.astype(np.uint8))
 
-    def over(axis: Any, view: View, placed: Callable[[FloatArray], FloatArray], factor: float) -> None:
+    def over(axis: Any, view: Viewpoint, placed: Callable[[FloatArray], FloatArray], factor: float) -> None:
         flat = view.axes[:2].T
         (x, y), (u, v) = placed(tails @ flat).T, exaggeration * factor * (vectors @ flat).T
         # Like a pencil's: a shaft that is seen, a head that is told from it.

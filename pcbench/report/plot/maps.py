@@ -16,7 +16,7 @@ from pcbench.report.colors import Range
 from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import Image, compose, titled
 from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import Box, Frame
+from pcbench.report.plot.views import AxisBox, Frame
 
 LABELS = {
     "distance": "distance to the nearest reference point",
@@ -40,12 +40,12 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
         clouds: the candidates' measured points.
     """
     if measured is None:
-        boxes = [Box.around(cloud.points) for cloud in clouds.values()]
-        box = Box(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
+        boxes = [AxisBox.around(cloud.points) for cloud in clouds.values()]
+        box = AxisBox(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
         return Frame.of(box, [cloud.points for cloud in clouds.values()])
-    box = Box.around(measured.points)
+    box = AxisBox.around(measured.points)
     near = [cloud.points for cloud in clouds.values() if box.grown().share(cloud.points) > 1 - _MOST_OUTSIDE]
-    return Frame.of(box.widened(map(Box.around, near)), [measured.points, *near])
+    return Frame.of(box.widened(map(AxisBox.around, near)), [measured.points, *near])
 
 
 def coloured(
@@ -58,7 +58,7 @@ def coloured(
     outside = 1 - shared.box.share(points)
     note = ""
     if outside > _MOST_OUTSIDE:
-        shared = Frame.of(Box.around(points), [points])
+        shared = Frame.of(AxisBox.around(points), [points])
         note = f"in a frame of its own, {outside:.0%} are outside the others' frame"
     elif outside > _WORTH_SAYING:
         note = f"{outside:.1%} of them outside the picture"

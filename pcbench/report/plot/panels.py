@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
-from pcbench.report.plot.views import VIEWS, Frame, View, round_length
+from pcbench.report.plot.views import VIEWS, Frame, Viewpoint, round_length
 
 DPI = 120
 # All in inches.
@@ -27,8 +27,8 @@ _MIN_BAR, _MAX_BAR = 1.9, 4.2  # heights
 _LETTER = 0.092  # of the title, on average
 _SCALE_SHARE = 0.22  # of the widest view at most: the length of the scale bar
 
-Image = Callable[[View, FloatArray, tuple[int, int]], NDArray[np.uint8]]
-Over = Callable[[Any, View, Callable[[FloatArray], FloatArray], float], None]
+Image = Callable[[Viewpoint, FloatArray, tuple[int, int]], NDArray[np.uint8]]
+Over = Callable[[Any, Viewpoint, Callable[[FloatArray], FloatArray], float], None]
 
 
 def compose(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.report.plot.views import View
+from pcbench.report.plot.views import Viewpoint
 
 _FINER = 2  # drawn so many times larger and averaged: round dots, smooth edges
 _FUZZ = 0.01  # of a view's height: depths that are told apart no more
@@ -18,7 +18,7 @@ _MIN_DOT, _MAX_DOT = 2.2, 9.0  # pixels
 def splat(
     points: FloatArray,
     colors: NDArray[np.uint8],
-    view: View,
+    view: Viewpoint,
     window: FloatArray,
     pixels: tuple[int, int],
     ground: NDArray[np.uint8],

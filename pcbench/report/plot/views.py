@@ -16,7 +16,7 @@ _MAX_LOOKED_AT = 200_000  # points that a box or a window is found from
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """A parallel camera: where it stands as a direction from the centre, and what is up."""
 
     title: str
@@ -33,14 +33,14 @@ class View:
 
 
 VIEWS = (
-    View("from above", (0, 0, 1), (0, 1, 0)),
-    View("from the south-west", (-1, -1, 1.1), (0, 0, 1)),
-    View("from the north-east", (1, 1, 1.1), (0, 0, 1)),
+    Viewpoint("from above", (0, 0, 1), (0, 1, 0)),
+    Viewpoint("from the south-west", (-1, -1, 1.1), (0, 0, 1)),
+    Viewpoint("from the north-east", (1, 1, 1.1), (0, 0, 1)),
 )
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class AxisBox:
     """Corners (3,) along the axes."""
 
     low: FloatArray
@@ -51,24 +51,24 @@ class Box:
         return 0.5 * (self.low + self.high)
 
     @classmethod
-    def around(cls, points: FloatArray) -> Box:
+    def around(cls, points: FloatArray) -> AxisBox:
         """Of the inner 99 % of points (N, 3) along each axis, with a margin: strays do not decide."""
         low, high = np.percentile(some(points), [0.5, 99.5], axis=0)
         margin = _MARGIN * (high - low) + 1e-3 * float(np.linalg.norm(high - low))
         return cls(low - margin, high + margin)
 
-    def grown(self) -> Box:
+    def grown(self) -> AxisBox:
         """A quarter of its own size larger to each side."""
         reach = _BEYOND * (self.high - self.low)
-        return Box(self.low - reach, self.high + reach)
+        return AxisBox(self.low - reach, self.high + reach)
 
-    def widened(self, others: Iterable[Box]) -> Box:
+    def widened(self, others: Iterable[AxisBox]) -> AxisBox:
         """With what of others lies beyond it, as far as it may grow."""
         low, high, most = self.low, self.high, self.grown()
         for other in others:
             low = np.minimum(low, np.maximum(other.low, most.low))
             high = np.maximum(high, np.minimum(other.high, most.high))
-        return Box(low, high)
+        return AxisBox(low, high)
 
     def holds(self, points: FloatArray) -> NDArray[np.bool_]:
         """Which of points (N, 3) lie inside."""
@@ -88,11 +88,11 @@ class Frame:
         windows: (V, 2, 2): lower left and upper right corner of each view, in units of the scene from the box's centre.
     """
 
-    box: Box
+    box: AxisBox
     windows: FloatArray
 
     @classmethod
-    def of(cls, box: Box, clouds: Sequence[FloatArray]) -> Frame:
+    def of(cls, box: AxisBox, clouds: Sequence[FloatArray]) -> Frame:
         """Around what of points (N, 3) is in the box."""
         shown = [points[box.holds(points)] for points in map(some, clouds)]
         inside = np.concatenate([*shown, *([np.stack([box.low, box.high])] if not any(map(len, shown)) else [])])

@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 
 from pcbench.scenes.synthetic.buildings import cars, countryside, fill
-from pcbench.scenes.synthetic.plan import CELLS, Block, CitySettings, Plan, Solid, Street, Terrain, Tree
+from pcbench.scenes.synthetic.plan import CELLS, Block, CityPlan, CitySettings, Solid, Street, Terrain, Tree
 
 
-def lay_out(settings: CitySettings) -> Plan:
+def lay_out(settings: CitySettings) -> CityPlan:
     """A city of these settings; the same for the same settings."""
     rng = np.random.default_rng([settings.seed, 1])
     terrain = _terrain(settings, rng)
@@ -32,7 +32,7 @@ def lay_out(settings: CitySettings) -> Plan:
     if not settings.symmetric:
         solids += cars(lines, terrain, settings, rng)
         trees += countryside(settings, terrain, rng)
-    return Plan(settings, terrain, [*lines[0], *lines[1]], blocks, solids, trees)
+    return CityPlan(settings, terrain, [*lines[0], *lines[1]], blocks, solids, trees)
 
 
 def _blocks(settings: CitySettings, lines: list[list[Street]], rng: np.random.Generator) -> list[Block]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.scenes.synthetic.paint import Image
-from pcbench.scenes.synthetic.plan import Plan
+from pcbench.scenes.synthetic.plan import CityPlan
 
 SUN = np.array([-0.52, -0.46, 0.72]) / np.linalg.norm([-0.52, -0.46, 0.72])  # towards it: an afternoon, south-west
 MARGIN = 4  # texels around a chart, painted as it goes on: mipmaps take their colours from there
@@ -61,7 +61,7 @@ class _Lattice(NamedTuple):
     normal: FloatArray  # (3,) or (rows * columns, 3)
 
 
-def lights(plan: Plan, charts: list[Chart], index: MeshIndex) -> list[Image | None]:
+def lights(plan: CityPlan, charts: list[Chart], index: MeshIndex) -> list[Image | None]:
     """Light (rows, columns, 3) on a lattice over each chart: sun where it reaches, sky by the open share of it."""
     sun = [None if c.kind == "leaves" else _lattice(plan, c, 2 * c.nominal) for c in charts]
     sky = [None if c.kind == "leaves" else _lattice(plan, c, 8 * c.nominal) for c in charts]
@@ -100,7 +100,7 @@ def _rays(points: list[FloatArray], direction: FloatArray) -> tuple[FloatArray, 
     return starts, np.broadcast_to(direction, starts.shape)
 
 
-def _lattice(plan: Plan, chart: Chart, step: float) -> _Lattice:
+def _lattice(plan: CityPlan, chart: Chart, step: float) -> _Lattice:
     width, height = chart.size
     columns, rows = max(2, round(width / step)), max(2, round(height / step))
     s, t = np.meshgrid(*((np.arange(-chart.ring, n + chart.ring) + 0.5) / n for n in (columns, rows)))

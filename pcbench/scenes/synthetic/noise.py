@@ -25,7 +25,7 @@ class Grid(NamedTuple):
         return len(self.v), len(self.u)
 
 
-class Noise:
+class FractalNoise:
     """Windows of one periodic tile of fractal noise, of mean 0 and variance 1, averaged over cells as large as texels.
 
     Args:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.scenes.synthetic.noise import Grid, Noise, Plane
-from pcbench.scenes.synthetic.plan import Block, CitySettings, Plan
+from pcbench.scenes.synthetic.noise import FractalNoise, Grid, Plane
+from pcbench.scenes.synthetic.plan import Block, CityPlan, CitySettings
 
 Image = NDArray[np.float32]  # (rows, columns, 3), 0 to 1; row 0 is at v = 0
 
@@ -61,7 +61,7 @@ class Painter:
 
     def __init__(self, settings: CitySettings) -> None:
         self.settings = settings
-        self.noise = Noise(settings.seed, _CELL * max(1.0, settings.extent / 400))
+        self.noise = FractalNoise(settings.seed, _CELL * max(1.0, settings.extent / 400))
 
     def face(self, kind: str, side: str, seed: int, grid: Grid) -> Paint:
         """A wall, roof or gable of a solid."""
@@ -184,7 +184,7 @@ class Painter:
         green = (0.27, 0.40, 0.16)
         return self._faded(_tinted(green, 1 + noise + rng.normal(0, 0.15, (side, side)).astype(np.float32)), green)
 
-    def town(self, plan: Plan, grid: Grid) -> Paint:
+    def town(self, plan: CityPlan, grid: Grid) -> Paint:
         """A part of the city's ground; the grid counts from the city's south-western corner."""
         if not self.settings.symmetric:
             return self._town(plan, grid)
@@ -198,7 +198,7 @@ class Painter:
         planes = [nothing if paint.mirror is None else paint.mirror for paint in (here, turned)]
         return Paint(color, np.where(north, planes[1][::-1, ::-1], planes[0]))
 
-    def _town(self, plan: Plan, grid: Grid) -> Paint:
+    def _town(self, plan: CityPlan, grid: Grid) -> Paint:
         half = self.settings.extent / 2
         rng = np.random.default_rng([self.settings.seed, 5])
         x, y = grid.u - half, grid.v - half
@@ -224,7 +224,7 @@ class Painter:
         return self._faded(image, plain, mirror)
 
     def _markings(
-        self, image: Image, plan: Plan, axis: int, at: float, width: float, x: FloatArray, y: FloatArray
+        self, image: Image, plan: CityPlan, axis: int, at: float, width: float, x: FloatArray, y: FloatArray
     ) -> None:
         """A dashed line in the middle, lines at the kerbs, zebra crossings where it meets others."""
         across, along = (x, y) if axis == 0 else (y, x)

@@ -154,7 +154,7 @@ class Terrain:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class CityPlan:
     """A city, laid out."""
 
     settings: CitySettings

@@ -17,7 +17,7 @@ from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.light import MARGIN, SUN, Chart, lights, upsampled
 from pcbench.scenes.synthetic.noise import Grid
 from pcbench.scenes.synthetic.paint import Paint, Painter
-from pcbench.scenes.synthetic.plan import CitySettings, Plan, Solid, Terrain, Tree
+from pcbench.scenes.synthetic.plan import CityPlan, CitySettings, Solid, Terrain, Tree
 
 _PAGE = 4096  # texels along a page, which every OpenGL can hold
 _LEAVES = 256  # texels along the foliage
@@ -29,7 +29,7 @@ _MOST_TEXELS = 120e6  # of a city: 0.4 GB, and minutes of painting
 class CitySurface:
     """A city to photograph: the mesh is the truth, the rest is how it looks."""
 
-    plan: Plan
+    plan: CityPlan
     mesh: Mesh
     uv: NDArray[np.float32]  # (F, 3, 2) of each face's corners on its page
     page: IntArray  # (F,)
@@ -62,7 +62,9 @@ class _Faces:
         self.shade.append(np.ones((len(faces), 3)) if shade is None else shade)
 
 
-def build_city(given: CitySettings | Plan, texel: float | None = None, cameras: Sequence[Camera] = ()) -> CitySurface:
+def build_city(
+    given: CitySettings | CityPlan, texel: float | None = None, cameras: Sequence[Camera] = ()
+) -> CitySurface:
     """Lay out, mesh, paint and light a city; about 20 CPU seconds for the default one.
 
     Args:
@@ -241,7 +243,7 @@ def _finer(terrain: Terrain, charts: list[Chart], cameras: Sequence[Camera]) -> 
 
 
 def _paint(
-    plan: Plan, charts: list[Chart], places: list[_Place], index: MeshIndex
+    plan: CityPlan, charts: list[Chart], places: list[_Place], index: MeshIndex
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8] | None]]:
     painter = Painter(plan.settings)
     heights = [max(p.y + c.shape[0] + 2 * MARGIN for c, p in zip(charts, places, strict=True) if p.page == page)
@@ -274,7 +276,7 @@ def _grid(chart: Chart) -> Grid:
     return Grid(u, v, width, height)
 
 
-def _albedo(painter: Painter, plan: Plan, chart: Chart, grid: Grid) -> Paint:
+def _albedo(painter: Painter, plan: CityPlan, chart: Chart, grid: Grid) -> Paint:
     if chart.kind == "leaves":
         return painter.leaves(grid.shape[0])
     if chart.kind not in ("town", "country"):

@@ -12,7 +12,7 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.visibility import SEEN_BY, views
-from pcbench.scenes.synthetic.plan import Plan
+from pcbench.scenes.synthetic.plan import CityPlan
 
 
 def depth_map(index: MeshIndex, camera: Camera) -> NDArray[np.float32]:
@@ -25,7 +25,7 @@ def depth_map(index: MeshIndex, camera: Camera) -> NDArray[np.float32]:
     return depth.reshape(k.height, k.width).astype(np.float32)
 
 
-def surface_cloud(plan: Plan, index: MeshIndex, cameras: Sequence[Camera], count: int, seed: int = 0) -> Cloud:
+def surface_cloud(plan: CityPlan, index: MeshIndex, cameras: Sequence[Camera], count: int, seed: int = 0) -> Cloud:
     """Points of the exposed surface, uniform by area, with normals and the attribute `visible`.
 
     What stands in the ground, and the ground under buildings, is part of the mesh but not of the cloud. `visible` is 1
@@ -42,7 +42,7 @@ def surface_cloud(plan: Plan, index: MeshIndex, cameras: Sequence[Camera], count
     return Cloud(exposed.points, normals=exposed.normals, attributes={"visible": seen.astype(np.uint8)}, unit="m")
 
 
-def _buried(plan: Plan, points: FloatArray) -> NDArray[np.bool_]:
+def _buried(plan: CityPlan, points: FloatArray) -> NDArray[np.bool_]:
     """Which points (N, 3) of the mesh are under the ground or inside a solid."""
     skin = 1e-6  # m: points of a surface are not inside it
     buried: NDArray[np.bool_] = points[:, 2] < plan.terrain.at(points[:, 0], points[:, 1]) - skin

@@ -118,7 +118,7 @@ def _run(
     out: Path, survey: _SurveyFiles, seed: int, figures: bool, step: Callable[[str], None]
 ) -> tuple[BendStudy, str | None]:
     data, plan, truth = survey.scene, survey.plan, survey.truth
-    inputs = _Inputs(out, survey.folder, data, seed, describe(PLUGIN).sha256)
+    inputs = _BendInputs(out, survey.folder, data, seed, describe(PLUGIN).sha256)
     inputs.write(survey.surface, truth)
     solutions = []
     for number, variant in enumerate(plan, 1):
@@ -217,7 +217,7 @@ def _looking_down(scene: Scene) -> tuple[list[str], list[str]]:
 
 
 @dataclass(frozen=True)
-class _Inputs:
+class _BendInputs:
     """What the solutions share: the scene, its intrinsics as the variants are told them, and control points."""
 
     out: Path
@@ -279,7 +279,7 @@ def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, see
             yield f"P{number + 1} {place} {cameras[index].name} {float(u)!r} {float(v)!r}"
 
 
-def _solve(inputs: _Inputs, variant: Variant, surface: MeshIndex) -> Solution:
+def _solve(inputs: _BendInputs, variant: Variant, surface: MeshIndex) -> Solution:
     """One variant's cloud in the world of the truth and its intrinsics; the reconstruction is kept for the next run."""
     images = inputs.images(variant)
     cameras_from = inputs.cameras(variant)

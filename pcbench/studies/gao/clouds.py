@@ -20,7 +20,7 @@ from pcbench.plugins.run import ReconstructionJob, describe, run
 from pcbench.plugins.stages import library_versions, stage, stage_key
 from pcbench.progress import Step
 from pcbench.scenes import Scene
-from pcbench.studies.gao.plan import SPARSE, GaoJob, Method, methods
+from pcbench.studies.gao.plan import SPARSE, CloudMethod, GaoJob, methods
 
 CLOUD, CAMERAS = "cloud.ply", "cameras"
 _RUN, _RUNS, WORK = "run.json", "runs", "work"
@@ -40,7 +40,7 @@ class Made:
         failure: one line where there is no cloud.
     """
 
-    method: Method
+    method: CloudMethod
     folder: Path | None = None
     seconds: float | None = None
     resumed: bool = False
@@ -103,7 +103,7 @@ class _Maker:
     unit: str | None
     tell: Callable[[Step], None]
 
-    def make(self, method: Method, before: Sequence[Made]) -> Made:
+    def make(self, method: CloudMethod, before: Sequence[Made]) -> Made:
         sparse = next((made for made in before if made.method.name == SPARSE), None)
         if sparse is not None and self.job.poses == "solve" and sparse.folder is None:
             return Made(method, failure=f"no cameras: {sparse.failure}")
@@ -127,7 +127,7 @@ class _Maker:
         known: Mapping[str, Any] = read_json(folder / _RUN)
         return Made(method, folder, **{**known, "notes": tuple(known["notes"])})
 
-    def _run(self, method: Method, solved: Path | None, target: Path) -> None:
+    def _run(self, method: CloudMethod, solved: Path | None, target: Path) -> None:
         workspace, begun = self.out / WORK / method.workspace, self.out / WORK / f"{method.name}.begun"
         resumed = begun.exists()
         begun.touch()

@@ -61,7 +61,7 @@ class GaoJob:
     seed: int = 0
 
 
-class Method(NamedTuple):
+class CloudMethod(NamedTuple):
     """A cloud that is made.
 
     Attributes:
@@ -77,7 +77,7 @@ class Method(NamedTuple):
     workspace: str
 
 
-def methods(job: GaoJob) -> list[Method]:
+def methods(job: GaoJob) -> list[CloudMethod]:
     """Sparse, dense, and the two clouds of one training, in the order in which they are made.
 
     Raises:
@@ -90,10 +90,10 @@ def methods(job: GaoJob) -> list[Method]:
     seed = str(job.seed)
     splat = {**SPLAT_SETTINGS, **job.settings, "poses": "given", "seed": seed}
     return [
-        Method(SPARSE, "sfm", {"poses": job.poses, "seed": seed}, SPARSE),
-        Method(MVS, "mvs", {"poses": "given", "seed": seed}, MVS),
-        Method(MEANS, "splat", {**splat, "cloud": "means"}, SPLAT),
-        Method(SURFACE, "splat", {**splat, "cloud": "surface"}, SPLAT),
+        CloudMethod(SPARSE, "sfm", {"poses": job.poses, "seed": seed}, SPARSE),
+        CloudMethod(MVS, "mvs", {"poses": "given", "seed": seed}, MVS),
+        CloudMethod(MEANS, "splat", {**splat, "cloud": "means"}, SPLAT),
+        CloudMethod(SURFACE, "splat", {**splat, "cloud": "surface"}, SPLAT),
     ]
 
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reconstructors.splat.cpu import _rasterizer
-from reconstructors.splat.interface import Drawn, ImageLoss, Pulled
+from reconstructors.splat.interface import Drawn, GaussianTensors, ImageLoss, Pulled
 from reconstructors.splat.view import View
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 
-class Rasterizer:
+class CpuRasterizer:
     """See `reconstructors.splat.interface.Rasterizer`. Tensors are float32, contiguous and on the CPU.
 
     It holds, from one view to the next, some 100 bytes a Gaussian, 32 for each Gaussian in each tile of 16 x 16 pixels
@@ -27,11 +27,7 @@ class Rasterizer:
 
     def forward(
         self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
+        gaussians: GaussianTensors,
         view: View,
         background: Tensor,
         *,
@@ -40,16 +36,15 @@ class Rasterizer:
     ) -> Drawn:
         """The image; the tensors must stay as they are until `backward`, which may always follow: it needs no more."""
         size = (view.height, view.width)
-        color, transmittance = means.new_empty((*size, 3)), means.new_empty(size)
-        depth, normal, median_depth = (
-            (means.new_empty(size), means.new_empty((*size, 3)), means.new_empty(size)) if geometry else (None,) * 3
-        )
+        new = gaussians.means.new_empty
+        color, transmittance = new((*size, 3)), new(size)
+        depth, normal, median_depth = (new(size), new((*size, 3)), new(size)) if geometry else (None,) * 3
         self._compiled.forward(
-            _array(means),
-            _array(quats),
-            _array(scales),
-            _array(opacities),
-            _array(sh),
+            _array(gaussians.means),
+            _array(gaussians.quats),
+            _array(gaussians.scales),
+            _array(gaussians.opacities),
+            _array(gaussians.sh),
             np.ascontiguousarray(view.rotation, dtype=np.float32),
             view.position.astype(np.float32),
             np.array([view.fx, view.fy, view.cx, view.cy], dtype=np.float32),
@@ -62,7 +57,7 @@ class Rasterizer:
             _array(normal),
             _array(median_depth),
         )
-        self._shape = tuple(sh.shape)
+        self._shape = tuple(gaussians.sh.shape)
         return Drawn(color, transmittance, depth, normal, median_depth)
 
     def backward(
@@ -85,6 +80,7 @@ class Rasterizer:
         return pulled
 
 
+Rasterizer = CpuRasterizer  # the name in `reconstructors.splat.interface.Kernels`
 morton_order = None
 
 

@@ -166,6 +166,7 @@ void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first
     std::vector<float> scaled(columns);
     for (size_t k = 0; k < columns; ++k) scaled[k] = static_cast<float>(rates.data()[k] * correction);
     constexpr int64_t kRows = 1024;
+    kernels();
     nb::gil_scoped_release release;
 #pragma omp parallel for schedule(static)
     for (int64_t begin = 0; begin < count; begin += kRows)

@@ -24,6 +24,7 @@ const Kernels& kernels() {
 
 void Rasterizer::forward(const Model& model, const Pinhole& pinhole, const float* background, const Pictures& pictures,
                          bool geometry) {
+    kernels();  // where the environment names some that do not run here, this throws before threads start
     frame_.model = model;
     frame_.pinhole = pinhole;
     std::copy_n(background, 3, frame_.background);
@@ -181,6 +182,7 @@ void Rasterizer::backward(const PictureGradients& by, const ModelGradients& out)
 }
 
 LossParts image_loss(const float* x, const float* y, int height, int width, float weight, float* gradient) {
+    kernels();
     const int length = 3 * width;
     const size_t size = static_cast<size_t>(height) * length;
     std::vector<float> by_mean(size), by_square(size), by_product(size);

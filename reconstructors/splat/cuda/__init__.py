@@ -6,7 +6,7 @@ will do (`pip install 'pcbench[cuda]'`). Importing this needs neither torch nor 
 Compiled for sm_80, sm_90 and sm_120 and emulated on the CPU by the tests; not run on a GPU.
 """
 
-from reconstructors.splat.cuda.rasterizer import Rasterizer
+from reconstructors.splat.cuda.rasterizer import CudaRasterizer as Rasterizer
 from reconstructors.splat.cuda.training import adam, image_loss, morton_order
 
 __all__ = ["Rasterizer", "adam", "image_loss", "morton_order"]

@@ -24,7 +24,7 @@ from pcbench.errors import InputError
 from reconstructors.splat.cuda import kernels
 from reconstructors.splat.cuda.device import each, launcher_of, plain
 from reconstructors.splat.cuda.kernels import Launcher
-from reconstructors.splat.interface import Drawn, Pulled
+from reconstructors.splat.interface import Drawn, GaussianTensors, Pulled
 from reconstructors.splat.view import View
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _MOST_SHORT, _MOST_INT = 2**15 - 1, 2**31 - 1
 class _Projected:
     """N Gaussians, of which V touch a tile, in I pairs of a Gaussian and a tile: the instances."""
 
-    given: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+    given: GaussianTensors
     camera: Tensor  # struct Pinhole
     splats: Tensor  # (N, 16), not written where nothing is touched
     boxes: Tensor  # (N, 4)
@@ -83,7 +83,7 @@ class _Pass:
     geometry: bool
 
 
-class Rasterizer:
+class CudaRasterizer:
     """Draws a view of Gaussians and goes back from the image's derivative to theirs.
 
     Beside its results a pass holds some 100 bytes a Gaussian and 12 an instance (a Gaussian in a tile of 16 x 16
@@ -100,11 +100,7 @@ class Rasterizer:
 
     def forward(
         self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        sh: Tensor,
+        gaussians: GaussianTensors,
         view: View,
         background: Tensor,
         *,
@@ -118,9 +114,9 @@ class Rasterizer:
             MissingExtra: cuda-core or NVRTC is not installed.
         """
         self._pass = None
-        given = (plain(means), plain(quats), plain(scales), plain(opacities), plain(sh))
-        launcher = self._launcher or launcher_of(means)
-        background = plain(background.to(means.device, non_blocking=True))
+        given = GaussianTensors(*map(plain, gaussians))
+        launcher = self._launcher or launcher_of(gaussians.means)
+        background = plain(background.to(gaussians.means.device, non_blocking=True))
         projected = _project(launcher, given, view)
         ordered = _sort(launcher, projected, view)
         drawn, rays = _blend(launcher, projected, ordered, view, background, geometry, gradient)
@@ -139,7 +135,7 @@ class Rasterizer:
         """The derivatives by the Gaussians; see `reconstructors.splat.interface.Rasterizer`. It waits for nothing."""
         assert self._pass is not None, "there is no forward pass with a gradient to go back through"
         projected, ordered, rays = self._pass.projected, self._pass.sorted, self._pass.rays
-        geometry, drawn, harmonics = self._pass.geometry, len(projected.ids), projected.given[-1].shape[1]
+        geometry, drawn, harmonics = self._pass.geometry, len(projected.ids), projected.given.sh.shape[1]
         launcher = self._launcher or launcher_of(projected.splats)
         shapes = [(drawn, 3), (drawn, 4), (drawn, 3), (drawn,), (drawn, harmonics, 3), (drawn, 2), (drawn,), (drawn,)]
         pulled = Pulled(projected.ids, *(projected.splats.new_empty(shape) for shape in shapes))
@@ -159,11 +155,11 @@ class Rasterizer:
         return pulled
 
 
-def _project(launcher: Launcher, given: tuple[Tensor, Tensor, Tensor, Tensor, Tensor], view: View) -> _Projected:
+def _project(launcher: Launcher, given: GaussianTensors, view: View) -> _Projected:
     """Splats, and which Gaussians have one that touches a tile. It waits for the GPU, to know how many there are."""
     import torch
 
-    means, sh = given[0], given[-1]
+    means, sh = given.means, given.sh
     camera = torch.from_numpy(_pinhole(view)).to(means.device, non_blocking=True)
     number, count = ctypes.c_int32(len(means)), len(means)
     splats, depths = means.new_empty(count, 16), means.new_empty(count)

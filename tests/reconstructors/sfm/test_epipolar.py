@@ -16,7 +16,7 @@ from reconstructors.sfm.alignment import moved
 from reconstructors.sfm.epipolar import Agreement, Pair, agreement, check_cameras, repeated, write_pairs
 from reconstructors.sfm.features import DATABASE
 from reconstructors.sfm.matches import without_pairs
-from reconstructors.sfm.solve import Solution, better, differences
+from reconstructors.sfm.solve import SolvedModel, better, differences
 
 pycolmap = import_or_skip("pycolmap")
 
@@ -105,7 +105,7 @@ def test_groups_of_the_graph():
 
 def solution(images, contradicting):
     pairs = tuple(Pair("a", f"{n}", 150, 0.0 if n < contradicting else 1.0) for n in range(20))
-    return Solution(f"{images}, {contradicting}", None, dict.fromkeys(map(str, range(images))), Agreement(pairs), [])
+    return SolvedModel(f"{images}, {contradicting}", None, dict.fromkeys(map(str, range(images))), Agreement(pairs), [])
 
 
 @pytest.mark.parametrize(
@@ -150,9 +150,11 @@ def test_cameras_that_two_ways_put_apart_by_more_than_their_errors_are_named():
     elsewhere = Similarity(turn, np.array([10.0, 20.0, 30.0]), 2.5)
 
     def other(cameras):
-        return Solution("global mapping", None, {n: moved(c, elsewhere) for n, c in cameras.items()}, Agreement(()), [])
+        return SolvedModel(
+            "global mapping", None, {n: moved(c, elsewhere) for n, c in cameras.items()}, Agreement(()), []
+        )
 
-    here = Solution("incremental mapping", seen_by(kept), kept, Agreement(()), [])
+    here = SolvedModel("incremental mapping", seen_by(kept), kept, Agreement(()), [])
     noisy = ring(1, 0.002)  # a pixel at 5 is 0.0116
     assert differences(here, other(noisy)) == []
     pose = noisy["c"].cam_from_world

@@ -9,6 +9,7 @@ from optional import import_or_skip
 from splat_passes import Engine, random_wanted, run_pass
 from splat_scenes import SCENES, huge, make, scattered
 
+from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.rasterize import rasterize
 from reconstructors.splat.view import View
 
@@ -116,14 +117,14 @@ def test_kernels_run_on_the_current_stream(gpu):
     """Behind what was queued there: on another one they would read the scales before they are set."""
     scene = make(huge)
     view = View.of(scene.camera)
-    means, quats, scales, opacities, sh, background = (gpu.tensor(array) for array in (*scene.arrays, scene.background))
-    expected = gpu.kernels.Rasterizer().forward(means, quats, scales, opacities, sh, view, background, geometry=True)
+    gaussians, background = GaussianTensors(*map(gpu.tensor, scene.arrays)), gpu.tensor(scene.background)
+    expected = gpu.kernels.Rasterizer().forward(gaussians, view, background, geometry=True)
     torch.cuda.synchronize()
     with torch.cuda.stream(torch.cuda.Stream()):
-        late = torch.zeros_like(scales)
+        late = torch.zeros_like(gaussians.scales)
         torch.cuda._sleep(200_000_000)  # about a tenth of a second
-        late.copy_(scales)
-        drawn = gpu.kernels.Rasterizer().forward(means, quats, late, opacities, sh, view, background, geometry=True)
+        late.copy_(gaussians.scales)
+        drawn = gpu.kernels.Rasterizer().forward(gaussians._replace(scales=late), view, background, geometry=True)
     torch.cuda.synchronize()
     for ours, theirs in zip(drawn, expected, strict=True):
         assert torch.equal(ours, theirs)

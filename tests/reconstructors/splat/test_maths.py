@@ -13,6 +13,7 @@ from optional import import_or_skip
 from repository import ROOT
 from splat_scenes import SCENES, crowd, make, needles, nothing, opaque, scattered
 
+from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.view import View
 
 torch = import_or_skip("torch")
@@ -132,7 +133,7 @@ def plain(scene, view, sums, errors):
     size, n = (view.height, view.width), len(scene.means)
     rasterizer = reference.Rasterizer()
     given = [torch.from_numpy(a) for a in (*scene.arrays, scene.background)]
-    drawn = rasterizer.forward(*given[:5], view, given[5], geometry=True)
+    drawn = rasterizer.forward(GaussianTensors(*given[:5]), view, given[5], geometry=True)
     by = torch.from_numpy(sums)
     shapes = [by[:, :3].reshape(*size, 3), by[:, 3].reshape(size), by[:, 4].reshape(size), by[:, 5:].reshape(*size, 3)]
     back = rasterizer.backward(*shapes, torch.from_numpy(errors).reshape(size))
@@ -195,7 +196,7 @@ def test_boxes_hold_the_ellipses(exact):
     scene = make(scattered)
     view = View.of(scene.camera)
     boxes = exact.rasterize(scene, view, *some_gradients(scene)).boxes
-    splats = reference.project(reference.Gaussians(*(torch.from_numpy(a).double() for a in scene.arrays)), view)
+    splats = reference.project(GaussianTensors(*(torch.from_numpy(a).double() for a in scene.arrays)), view)
     assert len(splats.ids) == (boxes[:, 4] > 0).sum()
     spread = torch.linalg.inv(splats.inverse).diagonal(dim1=1, dim2=2)
     half = (2 * torch.log(255 * splats.opacities[:, None]) * spread).sqrt()

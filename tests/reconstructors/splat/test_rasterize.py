@@ -15,6 +15,7 @@ from splat_scenes import make, nothing, scattered
 from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.transform import Similarity
 from reconstructors.splat import rasterize
+from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.view import View
 
 torch = import_or_skip("torch")
@@ -49,7 +50,7 @@ def test_images_and_derivatives_are_those_of_the_plain_rasterizer(device):
     some_loss(ours).backward()
 
     exact = [torch.from_numpy(array).double().requires_grad_() for array in (*scene.arrays, scene.background)]
-    drawn = reference.draw(reference.Gaussians(*exact[:5]), View.of(scene.camera), exact[5])
+    drawn = reference.draw(GaussianTensors(*exact[:5]), View.of(scene.camera), exact[5])
     alpha = 1 - drawn.transmittance
     theirs = ours._replace(
         color=drawn.color,

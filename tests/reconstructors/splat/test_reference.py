@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 from splat_scenes import make, odd_quaternions, on_the_border, scattered
 
+from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.view import View
 
 torch = import_or_skip("torch")
@@ -15,7 +16,7 @@ reference = pytest.importorskip("reconstructors.splat.reference")
 
 
 def in_double(scene):
-    return reference.Gaussians(*(torch.from_numpy(array).double() for array in scene.arrays))
+    return GaussianTensors(*(torch.from_numpy(array).double() for array in scene.arrays))
 
 
 @pytest.mark.parametrize("kind", [scattered, on_the_border])
@@ -29,7 +30,7 @@ def test_gradients_are_finite_differences(kind):
     weights = [torch.from_numpy(rng.normal(size=(view.height, view.width, *rest))) for rest in [(3,), (), (), (3,)]]
 
     def loss(tensors):
-        images = reference.draw(reference.Gaussians(*tensors[:5]), view, tensors[5])[:4]
+        images = reference.draw(GaussianTensors(*tensors[:5]), view, tensors[5])[:4]
         return sum((image * weight).sum() for image, weight in zip(images, weights, strict=True))
 
     inputs = [tensor.requires_grad_() for tensor in (*(given[-30:] for given in in_double(scene)), background)]
@@ -50,19 +51,19 @@ def test_the_pass_back_is_what_autograd_gives():
     scene = make(scattered)
     view, leaves = View.of(scene.camera), [tensor.requires_grad_() for tensor in in_double(scene)]
     background = torch.from_numpy(scene.background).double()
-    drawn = reference.draw(reference.Gaussians(*leaves), view, background)
+    drawn = reference.draw(GaussianTensors(*leaves), view, background)
     rng = np.random.default_rng(1)
     by = [torch.from_numpy(rng.normal(size=image.shape)) for image in drawn[:4]]
     torch.autograd.backward([(image * weight).sum() for image, weight in zip(drawn[:4], by, strict=True)])
     rasterizer = reference.Rasterizer()
-    rasterizer.forward(*leaves, view, background, geometry=True)
+    rasterizer.forward(GaussianTensors(*leaves), view, background, geometry=True)
     pulled = rasterizer.backward(*by, None)
     for leaf, rows in zip(leaves, pulled[1:6], strict=True):
         full = torch.zeros_like(leaf)
         full[pulled.ids] = rows
         # 100 roundings, times the covariances' largest condition number of 30 (see rounding_bound in test_maths.py).
         assert (full - leaf.grad).abs().max() < 1e-12 * leaf.grad.abs().max()
-    splats = reference.project(reference.Gaussians(*leaves), view)
+    splats = reference.project(GaussianTensors(*leaves), view)
     nothing = torch.zeros_like(splats.depth)
 
     def loss(xy):
@@ -83,7 +84,7 @@ def test_weights_and_errors_are_sums_over_pixels():
     """The weights of all Gaussians are what is hidden of the background, and so it is of the error."""
     scene = make(scattered)
     rasterizer, view = reference.Rasterizer(), View.of(scene.camera)
-    drawn = rasterizer.forward(*in_double(scene), view, torch.zeros(3), geometry=True)
+    drawn = rasterizer.forward(in_double(scene), view, torch.zeros(3), geometry=True)
     error = torch.rand(view.height, view.width, generator=torch.Generator().manual_seed(1))
     pulled = rasterizer.backward(drawn.color, None, None, None, error)
     assert pulled.weight.sum().item() == pytest.approx((1 - drawn.transmittance).sum().item(), rel=1e-12)

@@ -22,6 +22,7 @@ torch = import_or_skip("torch")
 from reconstructors.splat import cpu, rasterize  # noqa: E402
 from reconstructors.splat import splat as plugin  # noqa: E402
 from reconstructors.splat.density import Density  # noqa: E402
+from reconstructors.splat.interface import GaussianTensors  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
 from reconstructors.splat.supervision import Supervision, depths_at, read_supervision  # noqa: E402
@@ -72,8 +73,10 @@ def test_the_derivative_is_that_of_the_loss():
     off = (shown.depth * shown.alpha - shown.alpha * target)[held]
     (0.7 * (off.abs() / target[held]).mean()).backward()
 
-    rasterizer = cpu.Rasterizer()
-    drawn = rasterizer.forward(*(leaf.detach() for leaf in leaves), view, torch.zeros(3), geometry=True)
+    rasterizer = cpu.CpuRasterizer()
+    drawn = rasterizer.forward(
+        GaussianTensors(*(leaf.detach() for leaf in leaves)), view, torch.zeros(3), geometry=True
+    )
     photograph = Photograph("view", view, torch.zeros(view.height, view.width, 3, dtype=torch.uint8), None)
     pull = Supervision({"view": [target]}, 0.7).pull(photograph, drawn)
     pulled = rasterizer.backward(torch.zeros_like(drawn.color), pull.transmittance, pull.depth, None, None)
