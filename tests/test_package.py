@@ -85,7 +85,7 @@ IMPORTED_AS = {"pillow": "PIL", "kiss-matcher": "kiss_matcher", "cuda-core": "cu
 
 @functools.cache
 def imports(folder):
-    """Every module that the code in a folder imports."""
+    """Every module that the code in a folder imports, by a statement or by `pcbench.extras.require`."""
     found = set()
     for file in (repository.ROOT / folder).rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
@@ -93,6 +93,8 @@ def imports(folder):
                 found |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 found.add(node.module.partition(".")[0])
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", None) == "require":
+                found |= {name.value.partition(".")[0] for name in node.args[:1] if isinstance(name, ast.Constant)}
     return found
 
 

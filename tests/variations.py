@@ -83,7 +83,10 @@ def main(names: list[str], seed: int) -> int:
             sys.exit(f"expected variations among {', '.join(known)}, got {', '.join(sorted(unknown))}")
         for name in names or known:
             environment, tests = known[name]
-            print(f"-- {name}: {' '.join(f'{key}={value!r}' for key, value in environment.items())}", flush=True)
+            print(
+                f"-- {name}: --shuffle={seed} {' '.join(f'{key}={value!r}' for key, value in environment.items())}",
+                flush=True,
+            )
             if not runs_here(environment):
                 print("skipped: this processor lacks the instruction set")
                 continue
