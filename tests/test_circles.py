@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-# Imports that are known to close a circle and not broken up yet, as (importing file, imported file).
-KNOWN: set[tuple[str, str]] = {("reconstructors/splat/density.py", "reconstructors/splat/train.py")}
 ROOMS = sorted(
     folder.relative_to(ROOT).as_posix()
     for package in ("pcbench", "reconstructors")
@@ -47,12 +45,4 @@ def circle(graph: dict[Path, set[Path]]) -> list[str]:
 def test_no_room_imports_in_a_circle(room):
     files = set((ROOT / room).rglob("*.py"))
     graph = {file: imports(file) & files for file in files}
-    for importing, imported in KNOWN:
-        graph.get(ROOT / importing, set()).discard(ROOT / imported)
     assert not circle(graph)
-
-
-def test_every_known_circle_is_still_there():
-    """What was broken up is taken off the list."""
-    for importing, imported in KNOWN:
-        assert ROOT / imported in imports(ROOT / importing)

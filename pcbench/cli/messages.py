@@ -61,7 +61,7 @@ def _silent() -> Iterator[Callable[[str], None]]:
 @contextmanager
 def _in_lines() -> Iterator[Callable[[str], None]]:
     """A line on stderr whenever nothing was said for a while; what is done at once says nothing."""
-    estimate, lock, ended = Estimate(monotonic()), Lock(), Event()
+    estimate, lock, ended = TimeEstimate(monotonic()), Lock(), Event()
     start, current = monotonic(), "starting"
 
     def step(text: str) -> None:

@@ -35,7 +35,7 @@ from reconstructors.splat import extract
 from reconstructors.splat.density import Density
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
-from reconstructors.splat.reference import Gaussians
+from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.splat import BEGINNING, first_model
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate
@@ -60,7 +60,7 @@ class Contestant(NamedTuple):
 
     name: str
     supervised: bool
-    draw: Callable[[Gaussians, View], Tensor] | None = None
+    draw: Callable[[GaussianTensors, View], Tensor] | None = None
 
 
 class Run(NamedTuple):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from data_folder import data_folder
 from e57_bytes import RAE, XYZ, write
+from optional import import_or_skip
 
 from pcbench import read_cloud
 from pcbench.errors import InputError, MissingExtra
@@ -19,7 +20,7 @@ HALF = np.sqrt(0.5)
 
 @pytest.fixture
 def pye57():
-    return pytest.importorskip("pye57")
+    return import_or_skip("pye57")
 
 
 def cartesian(points, **more):

@@ -4,6 +4,7 @@ import importlib
 import sys
 
 import pytest
+from optional import import_or_skip
 
 from pcbench.plugins.code import _files_of_packages, digest_files, plugin_files
 from pcbench.plugins.run import ReconstructionJob, describe, run
@@ -88,7 +89,7 @@ def test_a_bundled_plugin_is_described_by_its_whole_package():
 
 @pytest.fixture
 def photographs(tmp_path):
-    image = pytest.importorskip("PIL.Image")
+    image = import_or_skip("PIL.Image")
     (tmp_path / "photos/images").mkdir(parents=True)
     image.new("RGB", (40, 30)).save(tmp_path / "photos/images/0.png")
     return tmp_path / "photos"

@@ -2,9 +2,10 @@
 
 import pytest
 import textured_corner as corner
+from optional import import_or_skip
 from repeats import CONDITIONS, repeat
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def test_solved_cameras_give_the_same_points(photographs, tmp_path, mapping):
 @pytest.mark.parametrize("method", ["mvs", "splat"])
 def test_dense_clouds_and_splats_are_the_same(photographs, tmp_path, method):
     if method == "splat":
-        pytest.importorskip("torch")
+        import_or_skip("torch")
     runs = [repeat(method, photographs, tmp_path / str(k), conditions) for k, conditions in enumerate(CONDITIONS)]
     assert runs[0].points > 100
     assert len(set(runs)) == 1

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 from registrations import motion
 
 from pcbench import Cloud, compare, write_cloud
@@ -111,7 +112,7 @@ def test_compare_keeps_them_in_json_table_and_csv(files):
 
 
 def test_a_map_grid_has_heights():
-    pytest.importorskip("pyproj")
+    import_or_skip("pyproj")
     points = np.random.default_rng(5).uniform(-10, 10, (500, 3))
     for crs, z_is_up in (("EPSG:32617", True), ("EPSG:4978", False), ("EPSG:4326", False), (None, False)):
         reference = Cloud(TRUE.apply(points), crs=crs)

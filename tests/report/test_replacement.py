@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench import Cloud, compare
 from pcbench.errors import InputError
@@ -173,7 +174,7 @@ def test_a_document_of_something_else_makes_no_report(tmp_path, text):
 
 
 def test_pictures_that_are_drawn_later_are_the_report_s_own(tmp_path):
-    pytest.importorskip("matplotlib")
+    import_or_skip("matplotlib")
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(0, 10, (400, 2)), np.zeros(400)])
     found = compare(Cloud(points), Cloud(points[::2] + rng.normal(0, 0.01, (200, 3))), register="none")

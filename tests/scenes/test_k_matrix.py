@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from data_folder import data_folder
+from optional import import_or_skip
 from scene_folders import NAMES, orbit
 
 from pcbench.errors import InputError
@@ -90,7 +91,7 @@ def test_fountain():
 
 
 def test_sfm_begins_with_them(photographs):
-    pytest.importorskip("pycolmap")
+    import_or_skip("pycolmap")
     from reconstructors.sfm.features import shared_intrinsics
 
     scene, _ = scene_with(photographs, FULL)

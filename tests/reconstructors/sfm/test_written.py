@@ -7,13 +7,14 @@ import sys
 import numpy as np
 import pytest
 import textured_corner as corner
+from optional import import_or_skip
 
 from pcbench.errors import ReconstructionError
 from pcbench.scenes import read_scene
 from reconstructors.sfm.model import check_written
 from reconstructors.sfm.sfm import ColmapSfm
 
-pytest.importorskip("pycolmap")
+import_or_skip("pycolmap")
 
 QUICK = ColmapSfm(upsample=False, features=1000)
 

@@ -179,7 +179,7 @@ def rounding_bound(scene, view):
     at most eps, which the inverse of the covariance in pixels multiplies by no more than its condition number (Higham
     2002, section 14.1). Sums over Gaussians and pixels round once per term.
     """
-    splats = reference.project(reference.Gaussians(*(torch.from_numpy(a).double() for a in scene.arrays)), view)
+    splats = reference.project(GaussianTensors(*(torch.from_numpy(a).double() for a in scene.arrays)), view)
     condition = torch.linalg.cond(splats.inverse).max().item() if len(splats.ids) else 1.0
     return np.finfo(float).eps * (100 * condition + len(scene.means) + view.width * view.height)
 

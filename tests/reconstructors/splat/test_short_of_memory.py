@@ -5,8 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from optional import import_or_skip
 
-pytest.importorskip("torch")
+import_or_skip("torch")
 
 CODE = """
 import resource, sys
