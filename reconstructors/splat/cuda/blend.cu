@@ -57,7 +57,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     }
 
     if (kBorders) {
-        reached[tile * kTilePixels + pixel] = seen_last;
+        reached[static_cast<long long>(tile) * kTilePixels + pixel] = seen_last;
         store_ray<kGeometry>(ends + static_cast<long long>(tile) * kFloats * kTilePixels, pixel, ray);
     }
     if (!inside) return;

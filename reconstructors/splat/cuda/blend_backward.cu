@@ -46,19 +46,20 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     const int left_x = tile % across * kTile, top_y = tile / across * kTile;
     const float* start_rays = borders + static_cast<long long>(bucket) * kFloats * kTilePixels;
     const float* end_rays = ends + static_cast<long long>(tile) * kFloats * kTilePixels;
+    const int* seen_counts = reached + static_cast<long long>(tile) * kTilePixels;
     const Vec<float> behind_all = {background[0], background[1], background[2]};
 
     Moments<float> m = {};
     float left = 0.0f, behind = 0.0f;
     bool reaches = false;
     for (int pixel = lane; pixel < kTilePixels; pixel += kLanes)
-        reaches = reaches || reached[tile * kTilePixels + pixel] > begin;
+        reaches = reaches || seen_counts[pixel] > begin;
     const int steps = __any_sync(kWarp, reaches) ? kTilePixels + kLanes - 1 : 0;
     for (int step = 0; step < steps; ++step) {
         if (step % kLanes == 0 && step < kTilePixels) {
             // The next 32 pixels, a lane each. None is seen beyond the image: `reached` is 0 there.
             const int pixel = step + lane, slot = pixel % kRing;
-            const int limit = reached[tile * kTilePixels + pixel] - begin;
+            const int limit = seen_counts[pixel] - begin;
             __syncwarp();
             ring.limit[slot] = static_cast<float>(min(max(limit, 0), kLanes));
             if (limit > 0) {

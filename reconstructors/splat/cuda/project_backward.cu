@@ -9,7 +9,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                      const float* coefficients, const Stored* splats, const float* records, float* by_means,
                      float* by_quaternions, float* by_scales, float* by_opacities, float* by_coefficients,
                      float* by_screen, float* weights, float* errors) {
-    const int row = blockIdx.x * kThreads + threadIdx.x;
+    const long long row = static_cast<long long>(blockIdx.x) * kThreads + threadIdx.x;  // times 3 and 4 below
     if (row >= count) return;
     const Pinhole at = *camera;
     const long long id = ids[row];
