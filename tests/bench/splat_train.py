@@ -33,9 +33,9 @@ from reconstructors.mvs.mvs import MAPS
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.splat import extract
 from reconstructors.splat.density import Density
+from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
-from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.splat import BEGINNING, first_model
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate
