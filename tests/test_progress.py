@@ -78,11 +78,11 @@ def test_long_steps_are_told_in_lines_where_no_terminal_is(capsys, monkeypatch):
     monkeypatch.setattr(messages, "_MAX_SILENCE_S", 0.01)
     with steps(False) as step:
         step(Step("reading a.ply", 30.0, 60.0))
-        lines = _said(capsys, lambda text: text.count("reading a.ply\n") > 2).splitlines()
+        lines = _said(capsys, lambda text: text.count("reading a.ply (") > 2).splitlines()
         step("registering")
         later = _said(capsys, lambda text: text.count("registering\n") > 1)
-    assert lines[-1] == "1 s, 90 s left: reading a.ply"
-    assert "1 s: registering" in later
+    assert lines[-1] == "[0:00] reading a.ply (about 90 s left)"
+    assert "[0:00] registering" in later
     capsys.readouterr()
     time.sleep(0.05)
     assert capsys.readouterr().err == ""

@@ -46,7 +46,7 @@ def test_contents(wheel):
     others = names - sources - modules
     assert sources - names == set()
     assert modules - names == set()
-    info = "pcbench-0.1.0.dist-info"
+    info = metadata_folder(wheel)
     files = ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")
     libraries = {name for name in others if name.startswith("pcbench.libs/libgomp")}
     assert len(libraries) == 1
@@ -55,8 +55,12 @@ def test_contents(wheel):
     }
 
 
+def metadata_folder(wheel):
+    return next(name.partition("/")[0] for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
+
+
 def test_entry_points(wheel):
-    text = wheel.read("pcbench-0.1.0.dist-info/entry_points.txt").decode()
+    text = wheel.read(f"{metadata_folder(wheel)}/entry_points.txt").decode()
     for line in ("[console_scripts]", "pcbench=pcbench.cli:main", "[pcbench.reconstructors]"):
         assert line in text.replace(" = ", "=")
     for name in ("sfm", "mvs", "splat"):

@@ -91,9 +91,17 @@ def run_module(
     Raises:
         OSError: the log cannot be written.
     """
-    # What lies in the current folder is not imported, what the user's own PYTHONPATH names is.
-    path = [_PACKAGES, os.environ.get("PYTHONPATH", "")]
-    return _run([name, *arguments], path, limits, environment, log=log)
+    return _run([name, *arguments], _import_path(), limits, environment, log=log)
+
+
+def _import_path() -> list[str]:
+    """Where a child imports from first: this very package, and the user's own PYTHONPATH, in the order of this process.
+
+    What lies in the current folder is not imported.
+    """
+    named = os.environ.get("PYTHONPATH", "")
+    before = sys.path[: sys.path.index(_PACKAGES)] if _PACKAGES in sys.path else []
+    return [named, _PACKAGES] if set(named.split(os.pathsep)) & set(before) else [_PACKAGES, named]
 
 
 def run_script(

@@ -110,13 +110,15 @@ def register(
     if out is not None:
         aligned = cloud.transformed(result.T_reference_candidate)
         if lost := set(cloud.attributes) - set(aligned.attributes):
-            warn(f"{out}: left out {len(lost)} attributes that a change of frame makes wrong, such as {min(lost)!r}")
+            warn_unless(quiet)(
+                f"{out}: left out {len(lost)} attributes that a change of frame makes wrong, such as {min(lost)!r}"
+            )
         write_cloud(out, aligned)
     if matrix is not None:
         with atomic_write(matrix) as file:
             file.write(text.encode())
     for warning in result.warnings:
-        warn(str(warning))
+        warn_unless(quiet)(str(warning))
     centroid, unit = cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit
     if json_file is not None:
         read = zip((reference, candidate), said, strict=True)

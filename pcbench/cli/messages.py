@@ -75,8 +75,8 @@ def _in_lines() -> Iterator[Callable[[str], None]]:
             with lock:
                 now = monotonic()
                 left = estimate.left(now)
-                words = "" if left is None else f", {duration(left)} left"
-                line = f"{duration(now - start)}{words}: {current}"
+                words = "" if left is None else f" (about {duration(left)} left)"
+                line = f"[{_clock(now - start)}] {current}{words}"
             with suppress(OSError, ValueError):  # nobody reads it
                 click.echo(line, err=True)
 
@@ -118,6 +118,12 @@ def _on_terminal() -> Iterator[Callable[[str], None]]:
             progress.update(task, description=escape(text))
 
         yield step
+
+
+def _clock(seconds: float) -> str:
+    """Minutes and seconds, such as 12:05."""
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes}:{rest:02}"
 
 
 def duration(seconds: float) -> str:

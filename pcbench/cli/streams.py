@@ -45,7 +45,10 @@ def finish_output() -> None:
 
 
 def is_of_a_stream(error: OSError) -> bool:
-    """Whether an error is that of a standard stream: those of files name their file."""
+    """Whether an OSError is that of a standard stream: it names no file.
+
+    Writers of files add the name of theirs (`scratch.naming`).
+    """
     return error.filename is None and error.errno in (errno.ENOSPC, errno.EFBIG, errno.EBADF)
 
 

@@ -122,7 +122,9 @@ def _scaled_colors(scan: Any, prototype: Any, libe57: Any) -> dict[str, tuple[fl
         if scan.isDefined("colorLimits") and scan["colorLimits"].isDefined(f"{name}Maximum"):
             stated = scan["colorLimits"]
             low, high = stated[f"{name}Minimum"].value(), stated[f"{name}Maximum"].value()
-        elif isinstance(node, libe57.IntegerNode | libe57.FloatNode | libe57.ScaledIntegerNode):
+        elif isinstance(node, libe57.ScaledIntegerNode):
+            low, high = node.scaledMinimum(), node.scaledMaximum()
+        elif isinstance(node, libe57.IntegerNode | libe57.FloatNode):
             low, high = node.minimum(), node.maximum()
         limits[name] = (float(low), float(high)) if high > low else (0.0, 255.0)
     return limits

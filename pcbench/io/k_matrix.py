@@ -9,8 +9,9 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Intrinsics
-from pcbench.io.files import check_readable
+from pcbench.regular_files import read_text
 
+K_MATRIX = "K.txt"  # the name of the file
 _FACTORS = (1, 2, 3, 4, 6, 8)  # by which data sets reduce their images
 _MAX_OFF_CENTER = 0.1  # of a principal point, in image sizes: lenses are mounted better than that
 
@@ -22,8 +23,7 @@ def read_k_matrix(path: Path) -> FloatArray:
         InputError: it is no such file, or has skew; the message starts with the path.
     """
     try:
-        check_readable(path)
-        words = path.read_text(encoding="utf-8-sig").replace(",", " ").split()
+        words = read_text(path).replace(",", " ").split()
         values = np.array([float(word) for word in words])
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.plugins.code import code_digest
+from pcbench.scratch import naming
 
 _KEY = "stage.json"
 # COLMAP adds one to these counters in the header of a database whenever it opens it, though it changes nothing.
@@ -46,9 +47,10 @@ def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[
         if old.exists():
             shutil.rmtree(old)
     temporary.mkdir()
-    make(temporary)
-    record = {"inputs": recorded, "files": _files(temporary)}
-    (temporary / _KEY).write_text(json.dumps(record, sort_keys=True, indent=1), encoding="utf-8")
+    with naming(folder, temporary):
+        make(temporary)
+        record = {"inputs": recorded, "files": _files(temporary)}
+        (temporary / _KEY).write_text(json.dumps(record, sort_keys=True, indent=1), encoding="utf-8")
     temporary.replace(folder)
     return folder
 

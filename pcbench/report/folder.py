@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,9 +19,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
+from pcbench.io.files import read_json
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
-from pcbench.regular_files import read_text
 from pcbench.report.colors import Range, largest_but_strays, ranges
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures
@@ -101,8 +100,8 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     """
     complete_replacement(path.parent)
     try:
-        values = json.loads(read_text(path))
-    except (OSError, ValueError, RecursionError) as error:
+        values = read_json(path)
+    except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read settings: {getattr(error, 'strerror', None) or error}") from error
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
         raise InputError(f"{path}: expected a settings.json that a report holds (schema {SETTINGS_SCHEMA})")

@@ -20,7 +20,7 @@ from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
 from pcbench.io.earth_studio import PROJECT, read_earth_studio, sphere_in_words
 from pcbench.io.image_header import ImageHeader, read_image_header
-from pcbench.io.k_matrix import intrinsics_from_k, read_k_matrix
+from pcbench.io.k_matrix import K_MATRIX, intrinsics_from_k, read_k_matrix
 from pcbench.io.openmvs import is_openmvs, read_openmvs
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
@@ -146,10 +146,8 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     if choice == "none":
         return scene
     source = find_cameras(path) if choice == "auto" else Path(choice)
-    if unread := unread_calibrations(scene.folder, source):
-        there = "there are no cameras" if source is None else f"cameras are those of {source}"
-        warn(f"{scene.folder / unread[0]}: looks like a calibration and is not read: {there}")
     if source is None:
+        _warn_of_unread(scene, None, scene.images, warn)
         if projects := sorted(path.glob("*.esp")):
             warn(f"{projects[0]}: {PROJECT}")
         return scene
@@ -184,15 +182,24 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
         warn(f"{source}: {count} cameras are left out, their images are missing: {_some(lost)}")
     if bare := [name for name in scene.images if name not in placed]:
         warn(f"{source}: {len(bare)} of {len(scene)} images have no camera: {_some(bare)}")
+    _warn_of_unread(scene, source, bare, warn)
     if given.origin is not None:
         warn(f"{source}: {sphere_in_words(given.origin)}")
     on_sphere = given.origin is not None  # Earth Studio alone says where its origin is
     return replace(scene, cameras=placed, points=given.points, origin=given.origin, on_sphere=on_sphere)
 
 
+def _warn_of_unread(scene: Scene, source: Path | None, bare: Sequence[str], warn: Callable[[str], None]) -> None:
+    """Warn of a calibration among the images that is not read; that of a K.txt is, where images have no camera."""
+    unread = [name for name in unread_calibrations(scene.folder, source) if name != K_MATRIX or not bare]
+    if unread:
+        there = "there are no cameras" if source is None else f"cameras are those of {source}"
+        warn(f"{scene.folder / unread[0]}: looks like a calibration and is not read: {there}")
+
+
 def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> Scene:
     """The scene with the intrinsics of a K.txt for the images without a camera, or as it is where there is none."""
-    file = next((place / "K.txt" for place in (scene.folder, path) if (place / "K.txt").exists()), None)
+    file = next((place / K_MATRIX for place in (scene.folder, path) if has_entry(place / K_MATRIX)), None)
     bare = [name for name in scene.images if name not in scene.cameras]
     if file is None or not bare:
         return scene

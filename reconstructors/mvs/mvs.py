@@ -40,7 +40,7 @@ from reconstructors.mvs.fusion import (
     write_workspace,
 )
 from reconstructors.mvs.maps import read_map, write_map
-from reconstructors.mvs.plan import MOST_SOURCES, MatchingPlan, Survey, make_plan, textured_share
+from reconstructors.mvs.plan import MOST_SOURCES, ImageSurvey, MatchingPlan, make_plan, textured_share
 from reconstructors.mvs.sources import MatchedImage, choose_references
 from reconstructors.mvs.sparse import Sparse, shifted, sparse_of
 from reconstructors.mvs.views import IMAGE, Photographs, in_folder, luminance, pinhole, view_stage
@@ -253,7 +253,7 @@ def _taking_part(references: Sequence[MatchedImage]) -> list[str]:
     return list(dict.fromkeys(name for r in references for name in (r.name, *r.sources)))
 
 
-def _survey(scene: Scene, sparse: Sparse, references: Sequence[MatchedImage]) -> Survey:
+def _survey(scene: Scene, sparse: Sparse, references: Sequence[MatchedImage]) -> ImageSurvey:
     cameras = [sparse.cameras[r.name].intrinsics for r in references]
     names = [r.name for r in references][:: max(1, len(references) // _SAMPLED)]
     samples = []
@@ -262,7 +262,7 @@ def _survey(scene: Scene, sparse: Sparse, references: Sequence[MatchedImage]) ->
         part = min(1.0, _SAMPLE_SIDE / max(width, height))
         size = (max(1, round(part * width)), max(1, round(part * height)))
         samples.append(luminance(decode_image(scene.folder / name, size)))
-    return Survey(
+    return ImageSurvey(
         side=round(float(np.median([max(k.width, k.height) for k in cameras]))),
         footprint=float(np.median([r.median_depth / k.fx for r, k in zip(references, cameras, strict=True)])),
         angle_deg=float(np.median([r.angle_deg for r in references])),

@@ -22,7 +22,7 @@ _PATCH, _FLAT = 9, 4.0  # pixels along a patch; standard deviation of grey value
 
 
 @dataclass(frozen=True)
-class Survey:
+class ImageSurvey:
     """What the images can give.
 
     Args:
@@ -63,7 +63,7 @@ class MatchingPlan:
     reasons: tuple[str, ...]
 
 
-def make_plan(survey: Survey, spacing: float | None, sources: int | None) -> MatchingPlan:
+def make_plan(survey: ImageSurvey, spacing: float | None, sources: int | None) -> MatchingPlan:
     """How much is done for points so far apart.
 
     Args:
@@ -86,7 +86,7 @@ def make_plan(survey: Survey, spacing: float | None, sources: int | None) -> Mat
     return MatchingPlan(scale, count, levels, iterations, 2, expected, reasons)
 
 
-def _scale(survey: Survey, spacing: float | None) -> tuple[float, str]:
+def _scale(survey: ImageSurvey, spacing: float | None) -> tuple[float, str]:
     if spacing is None:
         halvings = max(0, math.ceil(math.log2(survey.side / _MOST_SIDE)))
         if not halvings:
@@ -104,7 +104,7 @@ def _scale(survey: Survey, spacing: float | None) -> tuple[float, str]:
     return wanted, f"{wanted:.2f} of their size, as a spacing of {spacing:.3g} asks for"
 
 
-def _sources(survey: Survey) -> tuple[int, str]:
+def _sources(survey: ImageSurvey) -> tuple[int, str]:
     """So many that what few images show is matched with those that show it, as far as images overlap."""
     seen = f"they see points at {survey.angle_deg:.0f} degrees (median)"
     if survey.overlap < MOST_SOURCES:

@@ -14,7 +14,7 @@ from pcbench.geometry.transform import Similarity, fit_similarity, robust_simila
 from pcbench.plugins import Gauge
 from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
-from reconstructors.sfm.control import Survey, adjust, measure
+from reconstructors.sfm.control import ControlSurvey, adjust, measure
 from reconstructors.sfm.level import level
 from reconstructors.sfm.model import Refine, cameras_of, quality
 
@@ -37,7 +37,7 @@ class Aligned(NamedTuple):
     residuals: SurveyResiduals = SurveyResiduals()
 
 
-def align(model: Any, scene: Scene, survey: Survey, how: Align, refine: Refine) -> Aligned:
+def align(model: Any, scene: Scene, survey: ControlSurvey, how: Align, refine: Refine) -> Aligned:
     """The model in the world of control points, cameras or GPS, in this order or as asked for. Control points are held
     fast while everything is adjusted once more. A model that is brought to none of these is levelled.
 
@@ -91,7 +91,7 @@ def levelled(model: Any, notes: Sequence[str]) -> Aligned:
     return Aligned(model, "arbitrary", False, [*notes, note])
 
 
-def _unscored(survey: Survey) -> list[str]:
+def _unscored(survey: ControlSurvey) -> list[str]:
     """A note on control and check points whose frame is not that of the cloud."""
     if not survey.points:
         return []
@@ -120,7 +120,7 @@ def camera_errors(cameras: Mapping[str, Camera], truth: Mapping[str, Camera]) ->
     return np.array(positions), np.array(angles)
 
 
-def _onto_control(found: Mapping[str, Camera], survey: Survey, scale: float) -> tuple[Similarity, str]:
+def _onto_control(found: Mapping[str, Camera], survey: ControlSurvey, scale: float) -> tuple[Similarity, str]:
     """By the control points that two or more registered images show; check points take no part."""
     used = measure(found, survey.control, scale)
     if len(used) < 3:

@@ -41,7 +41,7 @@ class ControlPoint(NamedTuple):
         return self.name.endswith("*")
 
 
-class Survey(NamedTuple):
+class ControlSurvey(NamedTuple):
     """Control and check points, and whether the z of their positions is stated to be height."""
 
     points: tuple[ControlPoint, ...] = ()
@@ -68,7 +68,7 @@ class Survey(NamedTuple):
         return SurveyResiduals.of(names, differences, is_check, z_is_up=self.z_is_up)
 
 
-def read_control(path: Path) -> Survey:
+def read_control(path: Path) -> ControlSurvey:
     """Control points: lines of name, x y z, image, and the point's pixel in it; one line per observation. Lines that
     start with # are comments, of which `# z is up` states that z is height; names that end in * are check points.
 
@@ -108,10 +108,10 @@ def read_control(path: Path) -> Survey:
         if name.endswith("*") and name.rstrip("*") in observations:
             raise InputError(f"{path}: {name.rstrip('*')} is a control point and, with a *, a check point: choose one")
     points = tuple(ControlPoint(name, positions[name], tuple(seen)) for name, seen in observations.items())
-    return Survey(points, any(map(states_z_is_up, lines)))
+    return ControlSurvey(points, any(map(states_z_is_up, lines)))
 
 
-def check_names(survey: Survey, images: Collection[str]) -> list[str]:
+def check_names(survey: ControlSurvey, images: Collection[str]) -> list[str]:
     """A note on the marks in images that are not in the scene.
 
     Raises:

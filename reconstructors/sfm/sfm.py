@@ -17,7 +17,7 @@ from pcbench.extras import unavailable
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import Scene
 from reconstructors.sfm.alignment import Align, Aligned, align, levelled
-from reconstructors.sfm.control import Survey, check_names, read_control
+from reconstructors.sfm.control import ControlSurvey, check_names, read_control
 from reconstructors.sfm.epipolar import check_cameras, repeated, write_pairs
 from reconstructors.sfm.features import (
     DATABASE,
@@ -90,7 +90,7 @@ class ColmapSfm:
         import pycolmap
 
         pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
-        survey = read_control(self.control) if self.control is not None else Survey()
+        survey = read_control(self.control) if self.control is not None else ControlSurvey()
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         unknown = check_names(survey, scene.images)
         scene, notes = _usable(scene, given, survey)
@@ -119,7 +119,7 @@ class ColmapSfm:
         cameras, said = cameras_of(made.model), [*notes, *made.notes, *left_out]
         return Reconstruction(cloud, made.gauge, cameras, said, made.residuals)
 
-    def _triangulated(self, verified: Path, scene: Scene, workspace: Path, survey: Survey) -> Aligned:
+    def _triangulated(self, verified: Path, scene: Scene, workspace: Path, survey: ControlSurvey) -> Aligned:
         """The points of the given cameras, in their frame."""
         import pycolmap
 
@@ -130,7 +130,7 @@ class ColmapSfm:
         residuals = survey.residuals(scene.cameras, scene.image_scale)
         return Aligned(model, "georeferenced", scene.origin is not None, notes, residuals)
 
-    def _solved(self, verified: Path, scene: Scene, workspace: Path, survey: Survey) -> Aligned:
+    def _solved(self, verified: Path, scene: Scene, workspace: Path, survey: ControlSurvey) -> Aligned:
         """Cameras and points of the largest component, in the world where one is known."""
         solution = solve(verified, scene, workspace, self.mapping, self.refine, self.seed)
         write_pairs(workspace / PAIRS, solution.agreement)
@@ -155,7 +155,7 @@ class ColmapSfm:
         )
 
 
-def _usable(scene: Scene, given: bool, survey: Survey) -> tuple[Scene, list[str]]:
+def _usable(scene: Scene, given: bool, survey: ControlSurvey) -> tuple[Scene, list[str]]:
     """The images that can take part, and a note on those that cannot.
 
     Raises:

@@ -131,7 +131,7 @@ def test_deform_leaves_a_folder(clouds, bent, tmp_path, capsys):
     values = json.loads((tmp_path / "bend/deformation.json").read_text())
     assert Deformation.from_json(values) == bent
     assert {p.name for p in (tmp_path / "bend").iterdir()} == {
-        "T.txt", "aligned.ply", "deformation.csv", "deformation.json", "deformation.ply",
+        "T.txt", "aligned.ply", "deformation.csv", "deformation.json", "deformation.ply", "manifest.json",
     }  # fmt: skip
     field = read_cloud(tmp_path / "bend/deformation.ply")
     table = read_cloud(tmp_path / "bend/deformation.csv")

@@ -166,7 +166,7 @@ def test_where_the_rest_lies(printed):
 def test_a_sentence_is_a_line_where_no_width_is_known(clouds, run, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     _, out, _ = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
-    assert out.splitlines()[1].startswith("a lies ")
+    assert any(line.startswith("a lies ") for line in out.splitlines())
     assert out.splitlines()[1].endswith(".")
 
 
@@ -174,5 +174,5 @@ def test_a_shell_that_says_no_width_gets_the_usual_one(clouds, run, monkeypatch)
     monkeypatch.setenv("COLUMNS", "0")
     code, out, err = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
     assert (code, err) == (0, "")
-    assert out.splitlines()[1].startswith("a lies ")
+    assert any(line.startswith("a lies ") for line in out.splitlines())
     assert max(map(len, out.splitlines()[:5])) <= 80

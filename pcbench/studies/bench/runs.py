@@ -22,6 +22,7 @@ from pcbench.io.files import digest
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
+from pcbench.regular_files import is_regular_file
 from pcbench.report.document import provenance, to_json
 from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bench.pareto import choice_words, mark_front
@@ -230,7 +231,7 @@ class _Inputs:
 def _named_files(rules: Rules) -> list[Path]:
     """Of matrices, pairs of points and polygons."""
     paths = [Path(text.partition(":")[2]) for text in (rules.register, rules.crop)]
-    return [path for path in paths if path.is_file()]
+    return [path for path in paths if is_regular_file(path)]
 
 
 def _row(job: BenchJob, trial: Trial, inputs: _Inputs, yardstick: Yardstick, out: Path) -> tuple[dict[str, Any], bool]:
@@ -258,7 +259,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "origin": trial.method.described.origin,
         "image_scale": trial.image_scale,
         "settings": trial.settings,
-        "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if Path(text).is_file()},
+        "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if is_regular_file(text)},
     }
     old = kept_record(folder / _RUN, key)
     if old is not None and _still_stands(old, job.time_limit_s, folder):
@@ -322,7 +323,10 @@ def _measure(inputs: _Inputs, yardstick: Yardstick, folder: Path, identity: str)
     old = kept_record(folder / _SCORE, key)
     if old is not None:
         return old, True
-    made = read_reconstruction(folder)
+    try:
+        made = read_reconstruction(folder)
+    except (PcbenchError, OSError, ValueError, MemoryError) as error:  # not kept: the next run tries again
+        return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
     try:
         values = score(yardstick, made, folder).row()
     except (InputError, RegistrationError) as error:

@@ -31,7 +31,7 @@ from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bend.findings import MEASURING_S, Solution, Variant, csv_text, explain, findings
-from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, Lens, Survey, document
+from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, Lens, SurveyedScene, document
 from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_pages
 
 PLUGIN = "sfm"
@@ -128,7 +128,7 @@ def _run(
     intrinsics = data.cameras[data.images[0]].intrinsics
     rows = findings(solutions, truth, intrinsics, seed, step)
     study = BendStudy(
-        scene=Survey(str(survey.folder), len(data), Lens.of(intrinsics), truth.unit),
+        scene=SurveyedScene(str(survey.folder), len(data), Lens.of(intrinsics), truth.unit),
         plugin=PLUGIN,
         rows=rows,
         sentences=tuple(explain(rows, truth.unit or "")),

@@ -237,7 +237,7 @@ def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> 
     return found, candidate.transformed(registration.T_reference_candidate)
 
 
-class _Change(NamedTuple):
+class _BendChange(NamedTuple):
     """Two solutions that differ in one factor, and by how much the worse one is bent more."""
 
     factor: str
@@ -247,13 +247,13 @@ class _Change(NamedTuple):
     is_sure: bool  # the worse one is bent, and their intervals are apart
 
 
-def _changes(rows: Sequence[SolutionResult]) -> Iterator[_Change]:
+def _changes(rows: Sequence[SolutionResult]) -> Iterator[_BendChange]:
     for pair in combinations(judged(rows), 2):
         differ = [factor for factor in FACTORS if pair[0][0].factors[factor] != pair[1][0].factors[factor]]
         if len(differ) == 1:
             (worse, more), (better, less) = sorted(pair, key=lambda of: -(of[1].rms or 0.0))
             apart = more.ci is not None and less.ci is not None and more.ci[0] > less.ci[1]
-            yield _Change(differ[0], worse, better, (more.rms or 0.0) - (less.rms or 0.0), more.is_bent and apart)
+            yield _BendChange(differ[0], worse, better, (more.rms or 0.0) - (less.rms or 0.0), more.is_bent and apart)
 
 
 def _shape(row: SolutionResult, unit: str) -> Iterator[str]:

@@ -113,7 +113,7 @@ class SolutionResult:
 
 
 @dataclass(frozen=True)
-class Survey:
+class SurveyedScene:
     """The scene: its folder, number of images, true lens, and unit of lengths."""
 
     path: str
@@ -131,7 +131,7 @@ class BendStudy:
         sentences: on the cause, computed from the rows.
     """
 
-    scene: Survey
+    scene: SurveyedScene
     plugin: str
     rows: tuple[SolutionResult, ...]
     sentences: tuple[str, ...]
@@ -172,7 +172,7 @@ def read_study(folder: Path) -> BendStudy:
     try:
         scene = values["scene"]
         return BendStudy(
-            Survey(scene["path"], scene["images"], _lens(scene["lens"]), scene["unit"]),
+            SurveyedScene(scene["path"], scene["images"], _lens(scene["lens"]), scene["unit"]),
             values["plugin"],
             tuple(map(_row, values["rows"])),
             tuple(values["sentences"]),

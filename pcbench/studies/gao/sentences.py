@@ -60,18 +60,18 @@ def _cost(study: Study) -> Iterator[str]:
         yield f"{it} {word}: cloud to {reference} (c→r), {found.words}."
 
 
-def _densified(study: Study, rms: Length) -> Iterator[tuple[str, str, _Change]]:
+def _densified(study: Study, rms: Length) -> Iterator[tuple[str, str, _Densified]]:
     """Against each reference what densification changes, and what a sentence on it begins with."""
     for reference, it in ((MVS, "It"), (TRUTH, "Against the truth it")):
-        if (found := _Change.of(study, (SPARSE, reference), (MEANS, reference), rms)) is not None:
+        if (found := _Densified.of(study, (SPARSE, reference), (MEANS, reference), rms)) is not None:
             yield reference, it, found
 
 
 def _surface(study: Study) -> Iterator[str]:
     """The other cloud of the same training."""
     reference = TRUTH if any(scene.has_truth for scene in study.scenes) else MVS
-    forth = _Change.of(study, (MEANS, reference), (SURFACE, reference), _forth)
-    back = _Change.of(study, (MEANS, reference), (SURFACE, reference), _back)
+    forth = _Densified.of(study, (MEANS, reference), (SURFACE, reference), _forth)
+    back = _Densified.of(study, (MEANS, reference), (SURFACE, reference), _back)
     if forth is not None and back is not None:
         yield (
             f"The surface that the same Gaussians show, instead of their centres, against {reference}:"
@@ -105,7 +105,7 @@ def _hidden(study: Study) -> Iterator[str]:
         f" truth (c→r), and the truth that cameras saw is {length(back, study.unit)} RMS from it (r→c)."
     )
     for name in (SPARSE, MEANS, SURFACE):
-        found = _Change.of(study, (name, MVS), (name, TRUTH), _forth)
+        found = _Densified.of(study, (name, MVS), (name, TRUTH), _forth)
         if found is not None:
             word = found.word("worse than mvs says", "as far off as mvs says", "better than mvs says")
             yield f"By the truth {name} is {word}: c→r {found.words}."
@@ -289,7 +289,7 @@ def _caveats(study: Study) -> Iterator[str]:
         )
 
 
-class _Change:
+class _Densified:
     """A length in two cases, over the scenes that have both: geometric means."""
 
     def __init__(self, pairs: Sequence[tuple[float, float]], unit: str) -> None:
@@ -297,7 +297,7 @@ class _Change:
         self._ratios, self._unit = [after / before for before, after in pairs], unit
 
     @classmethod
-    def of(cls, study: Study, before: tuple[str, str], after: tuple[str, str], rms: Length) -> _Change | None:
+    def of(cls, study: Study, before: tuple[str, str], after: tuple[str, str], rms: Length) -> _Densified | None:
         """From one cloud and reference to another; None where no scene has both."""
         pairs = []
         for scene in study.scenes:

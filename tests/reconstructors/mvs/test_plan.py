@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from reconstructors.mvs.plan import Survey, make_plan, textured_share
+from reconstructors.mvs.plan import ImageSurvey, make_plan, textured_share
 
-USUAL = Survey(side=1600, footprint=0.1, angle_deg=20.0, overlap=8, textured=0.9)
+USUAL = ImageSurvey(side=1600, footprint=0.1, angle_deg=20.0, overlap=8, textured=0.9)
 
 
 def test_by_default_images_of_up_to_2000_pixels_give_what_they_can():

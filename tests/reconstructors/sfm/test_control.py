@@ -7,7 +7,15 @@ from optional import import_or_skip
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.sfm.alignment import camera_errors
-from reconstructors.sfm.control import ControlPoint, Observation, Survey, adjust, measure, read_control, triangulate
+from reconstructors.sfm.control import (
+    ControlPoint,
+    ControlSurvey,
+    Observation,
+    adjust,
+    measure,
+    read_control,
+    triangulate,
+)
 from reconstructors.sfm.model import cameras_of
 
 K = Intrinsics(400, 300, 350, 350, 200, 150, (-0.05, 0.0, 0.0, 0.0))
@@ -130,7 +138,7 @@ def test_a_bent_model_is_straight_again(refine, intrinsics):
     errors = [max(np.linalg.norm(m.at - m.point.position) for m in measured) for measured in (before, after)]
     assert errors[0] > 0.1
     assert errors[1] < 1e-3
-    residuals = Survey(tuple(control)).residuals(found, 0.5)
+    residuals = ControlSurvey(tuple(control)).residuals(found, 0.5)
     assert [point.name for point in residuals.control] == list("ABCDE")
     assert residuals.rmse(residuals.control).total < 1e-3
     # The control points are no points of the cloud.

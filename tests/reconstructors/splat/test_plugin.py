@@ -81,7 +81,7 @@ def test_what_cannot_be_is_refused_before_any_work(train, monkeypatch):
     with pytest.raises(ValueError, match="set cloud=means"):
         train(cloud="surface", min_opacity=0.5)
     monkeypatch.setattr(Points, "reconstruct", lambda *_: pytest.fail("work was begun"))
-    with pytest.raises(InputError, match="of which every 8th is for testing"):
+    with pytest.raises(InputError, match="at least 9 images"):
         train(hold_out="every")
 
 

@@ -32,7 +32,7 @@ from pcbench.studies.bend.findings import (
     intrinsics_error,
     table,
 )
-from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, Survey, document, read_study
+from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, SurveyedScene, document, read_study
 from reconstructors.sfm.alignment import moved
 
 INTRINSICS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
@@ -63,7 +63,7 @@ def study():
         Solution(Variant("every second", "half", "true", "true", False), 6, failure="nothing registers"),
     ]
     rows = findings(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
-    scene = Survey("photos", 12, Lens.of(INTRINSICS), "m")
+    scene = SurveyedScene("photos", 12, Lens.of(INTRINSICS), "m")
     return BendStudy(scene, "sfm", rows, tuple(explain(rows, "m")), {"seed": 0})
 
 
