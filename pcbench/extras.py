@@ -23,6 +23,7 @@ LIBRARIES = {
     "matplotlib": _Library("matplotlib", "plot"),
     "open3d": _Library("open3d", "open3d"),
     "pycolmap": _Library("pycolmap", "sfm"),
+    "pye57": _Library("pye57", "e57"),
     "pyproj": _Library("pyproj", "las"),
     "pyvista": _Library("pyvista", "plot"),
     "torch": _Library("torch", "splat"),

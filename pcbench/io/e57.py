@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
+from pcbench.extras import require
 from pcbench.io.files import Fields, Warn, read_json
 from pcbench.scratch import scratch_folder
 
@@ -28,11 +28,10 @@ def read_e57(path: Path, warn: Warn) -> Fields:
 
     Raises:
         InputError: the file is damaged, or holds no valid point.
-        MissingExtra: pye57 is not installed.
+        MissingExtra: pye57 is not installed, or does not load.
         OSError: the file cannot be read.
     """
-    if importlib.util.find_spec("pye57") is None:
-        raise MissingExtra("pye57", "e57")
+    require("pye57")
     with path.open("rb") as file:
         if file.read(8) != b"ASTM-E57":
             raise InputError("expected an E57 file, which begins with ASTM-E57")
