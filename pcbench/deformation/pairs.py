@@ -174,9 +174,10 @@ def _graduated_fit(
     for number in range(_ROUNDS):
         final = number >= _ROUNDS - 3
         some = rows if final else rows[::step]
-        pairs = _closest_planes(queries, surface, some, field, max_distance, sign=sign, follow=follow, final=final)
-        if pairs is None or not pairs.weights.any():
+        found = _closest_planes(queries, surface, some, field, max_distance, sign=sign, follow=follow, final=final)
+        if found is None or not found.weights.any():
             return None
+        pairs = found
         field = field.fitted(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
         narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
         max_distance = max(narrower, min_distance, min(4 * pairs.noise, max_distance))
