@@ -7,7 +7,7 @@ from pathlib import Path
 # Files that every report's folder has.
 REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json", "manifest.json"}
 
-_PROGRESS = re.compile(r"^\d+ (s|min|h)(, \d+ (s|min|h) left)?: .*\n", re.MULTILINE)
+_PROGRESS = re.compile(r"^\[\d+:\d\d\] .*\n", re.MULTILINE)
 
 
 def doc(folder):

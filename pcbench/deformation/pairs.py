@@ -8,6 +8,7 @@ under none: where points fill a volume, whatever is assumed finds closest points
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,86 +115,184 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
     where there are too few pairs.
     """
     swapped = len(candidate.surface) > len(reference.surface)
-    asking, surface = (reference, candidate) if swapped else (candidate, reference)
-    rows = np.flatnonzero(asking.inside)
+    queries, surface = (reference, candidate) if swapped else (candidate, reference)
+    sign = -1.0 if swapped else 1.0  # query minus closest point, times the sign: candidate minus reference
+    spread = _spread_queries(queries, surface)
+    if spread is None:
+        return None
+    rows, max_distance = spread
+    fitted = _graduated_fit(queries, surface, rows, max_distance, sign=sign, follow=follow)
+    if fitted is None:
+        return None
+    matches, field = fitted
+    return _freeze(matches, field, surface.surface)
+
+
+class _PlanePairs(NamedTuple):
+    """Closest points within the maximum correspondence distance, N pairs, and how much each of them counts."""
+
+    queries: FloatArray  # (N, 3) points of the sparser cloud
+    closest: IntArray  # (N,) rows of the denser cloud
+    distances: FloatArray  # (N,) point to point
+    normals: FloatArray  # (N, 3) unit normals at the closest points
+    residuals: FloatArray  # (N,) candidate minus reference, along the normals
+    quality: FloatArray  # (N,) weights that do not depend on the residuals
+    variation: FloatArray  # (N,) surface variation at the closest points
+    width: FloatArray  # (N,) residual from the model at which Tukey's biweight is zero
+    weights: FloatArray  # (N,)
+    noise: float  # robust standard deviation of the residuals from the model
+
+
+def _spread_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | None:
+    """Rows of evenly spread points that may have a counterpart, and the first maximum correspondence distance."""
+    rows = np.flatnonzero(queries.inside)
     if len(rows) < MIN_PAIRS or len(surface.surface) < MIN_PAIRS:
         return None
-    if extent(asking.surface.points[rows]) == 0 or surface.surface.spacing == 0:
+    points = queries.surface.points[rows]
+    if extent(points) == 0 or surface.surface.spacing == 0:
         return None  # one place, however often
-    points = asking.surface.points[rows]
     rows = rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
-    sign = -1.0 if swapped else 1.0  # a point that asks less the surface's, times it: candidate less reference
-    index = surface.surface.index
-    spacing = surface.surface.spacing
     # The nearest tenth lies on the surface however little the clouds overlap, and bends are a few times as far. Voxel
     # downsampling leaves strays, which fill space, more than their share: what is far off is dropped before it is
     # counted.
-    first = index.query(asking.surface.points[rows]).distances
-    max_distance = max(10 * float(np.percentile(first, 10)), 3 * float(np.percentile(first, 25)), 5 * spacing)
-    rows = rows[first <= max_distance]
-    rows = rows[:: -(-len(rows) // _MAX_PAIRS)]
-    points = asking.surface.points[rows]
+    distances = surface.surface.index.query(queries.surface.points[rows]).distances
+    lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
+    max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing)
+    rows = rows[distances <= max_distance]
+    return rows[:: -(-len(rows) // _MAX_PAIRS)], max_distance
+
+
+def _graduated_fit(
+    queries: Side, surface: Side, rows: IntArray, max_distance: float, *, sign: float, follow: bool
+) -> tuple[_PlanePairs, Displacement] | None:
+    """Fit the largest model in rounds of closest points; the pairs of the last round and the model fitted to them."""
+    points = queries.surface.points[rows]
     step = max(1, len(rows) // _MAX_COARSE_PAIRS)
     lower, upper = np.percentile(points, [1, 99], axis=0)
     field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
-    last = 4 * spacing
+    min_distance = 4 * surface.surface.spacing
     for number in range(_ROUNDS):
         final = number >= _ROUNDS - 3
-        asked = points if final else points[::step]
-        bend = field(asked)
-        distances, closest = index.query(asked - sign * bend if follow else asked)
-        near = np.flatnonzero(distances <= max_distance)
-        if len(near) < MIN_PAIRS:
+        some = rows if final else rows[::step]
+        found = _closest_planes(queries, surface, some, field, max_distance, sign=sign, follow=follow, final=final)
+        if found is None or not found.weights.any():
             return None
-        normals = surface.surface.normals(closest[near])
-        residuals = sign * np.einsum("ni,ni->n", asked[near] - index.points[closest[near]], normals)
-        left = residuals - np.einsum("ni,ni->n", bend[near], normals)
-        # Graduated: at first nearly everything within that distance counts.
-        noise = 1.4826 * float(np.median(np.abs(left)))
-        variation = surface.surface.variation(closest[near])
-        classes = asking.class_weights((rows if final else rows[::step])[near]) * surface.class_weights(closest[near])
-        quality = _smoothness(variation) * classes
-        sizes = noise_sizes(asked[near], left, quality) if final else np.full(len(left), noise)
-        width = np.maximum(_TUKEY * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
-        weights = quality * np.square(1 - np.square(np.clip(left / width, -1, 1)))
-        if not weights.any():
-            return None
-        field = field.fitted(asked[near], normals, residuals, weights, noise)
+        pairs = found
+        field = field.fitted(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
         narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
-        max_distance = max(narrower, last, min(4 * noise, max_distance))
-    closest, asked = closest[near], asked[near]
-    # A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
-    around = index.query(index.points[closest], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
-    places = index.points[around].mean(axis=1)
-    left = np.full(len(residuals), np.inf)
-    for _ in range(_LAST_FITS):  # with all that these pairs show, now that none are looked for any more
-        field = field.fitted(places, normals, residuals, weights, noise, _HALF_FOLLOWED_LAST)
-        fitted = np.einsum("ni,ni->n", field(places), normals)
-        before, left = left, residuals - fitted
-        squared = np.square(np.clip(left / width, -1, 1))
-        weights = quality * np.square(1 - squared)
-        if np.abs(left - before).max() <= _SETTLED * noise:
-            break
+        max_distance = max(narrower, min_distance, min(4 * pairs.noise, max_distance))
+    return pairs, field
+
+
+def _closest_planes(
+    queries: Side,
+    surface: Side,
+    rows: IntArray,
+    field: Displacement,
+    max_distance: float,
+    *,
+    sign: float,
+    follow: bool,
+    final: bool,
+) -> _PlanePairs | None:
+    """Pairs of query points with tangent planes within a distance, weighted; None where there are too few.
+
+    Args:
+        queries, surface: the sparser and the denser cloud.
+        rows: of the query points.
+        field: the model so far.
+        max_distance: the maximum correspondence distance.
+        sign: times query minus closest point is candidate minus reference.
+        follow: whether closest points are those of the points that the model brings back.
+        final: whether the weights follow the local noise; before, nearly all pairs within the distance count.
+    """
+    points, index = queries.surface.points[rows], surface.surface.index
+    bend = field(points)
+    distances, closest = index.query(points - sign * bend if follow else points)
+    near = np.flatnonzero(distances <= max_distance)
+    if len(near) < MIN_PAIRS:
+        return None
+    points, closest = points[near], closest[near]
+    normals = surface.surface.normals(closest)
+    residuals = sign * np.einsum("ni,ni->n", points - index.points[closest], normals)
+    left = residuals - np.einsum("ni,ni->n", bend[near], normals)
+    noise = 1.4826 * float(np.median(np.abs(left)))
+    variation = surface.surface.variation(closest)
+    quality = _smoothness(variation) * (queries.class_weights(rows[near]) * surface.class_weights(closest))
+    sizes = noise_sizes(points, left, quality) if final else np.full(len(left), noise)
+    width = np.maximum(_TUKEY * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
+    return _PlanePairs(
+        points,
+        closest,
+        distances[near],
+        normals,
+        residuals,
+        quality,
+        variation,
+        width,
+        weights=quality * np.square(1 - _squared_ratios(left, width)),
+        noise=noise,
+    )
+
+
+def _squared_ratios(left: FloatArray, width: FloatArray) -> FloatArray:
+    """Squares of residuals (N,) over the width of Tukey's biweight, at most 1: there the weight is zero."""
+    squared: FloatArray = np.square(np.clip(left / width, -1, 1))
+    return squared
+
+
+def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
+    """The robust fit to pairs that no longer change, as pseudo-values for least squares."""
+    places = _local_means(surface.index, pairs.closest)
+    quality = pairs.quality
+    fitted, left = _last_fit(pairs, field, places)
+    squared = _squared_ratios(left, pairs.width)
     slopes = (1 - squared) * (1 - 5 * squared)  # of Tukey's influence function left * (1 - squared)^2
-    mean_slope = np.maximum(smoothed(asked, slopes, quality), _MIN_SLOPE)
+    mean_slope = np.maximum(smoothed(pairs.queries, slopes, quality), _MIN_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope
-    power = smoothed(asked, np.square(limited), quality)
-    inliers = float(np.average(squared < 1, weights=quality))
+    power = smoothed(pairs.queries, np.square(limited), quality)
     return Pairs(
         places,
-        normals,
+        pairs.normals,
         residuals=fitted + limited,
         weights=quality * mean_slope,
         scales=np.sqrt(power / np.average(power, weights=quality)) if power.any() else np.ones(len(power)),
         left=limited,
         apart=left,
         quality=quality,
-        areas=_areas(asked),
-        inliers=inliers,
-        rough=float(np.mean(variation > _MAX_ROUGH)),
-        spacing=spacing,
-        distance=float(np.median(distances[near])),
+        areas=_areas(pairs.queries),
+        inliers=float(np.average(squared < 1, weights=quality)),
+        rough=float(np.mean(pairs.variation > _MAX_ROUGH)),
+        spacing=surface.spacing,
+        distance=float(np.median(pairs.distances)),
     )
+
+
+def _local_means(index: Index, rows: IntArray) -> FloatArray:
+    """Means (N, 3) of the nearest other points of rows (N,) of an index.
+
+    A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
+    """
+    around = index.query(index.points[rows], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
+    means: FloatArray = index.points[around].mean(axis=1)
+    return means
+
+
+def _last_fit(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The model along the normals (N,) and the residuals from it (N,), by iteratively reweighted least squares.
+
+    The model follows all that these pairs show, as no further closest points are looked for.
+    """
+    weights = pairs.weights
+    left = np.full(len(pairs.residuals), np.inf)
+    for _ in range(_LAST_FITS):
+        field = field.fitted(places, pairs.normals, pairs.residuals, weights, pairs.noise, _HALF_FOLLOWED_LAST)
+        fitted: FloatArray = np.einsum("ni,ni->n", field(places), pairs.normals)
+        before, left = left, pairs.residuals - fitted
+        if np.abs(left - before).max() <= _SETTLED * pairs.noise:
+            break
+        weights = pairs.quality * np.square(1 - _squared_ratios(left, pairs.width))
+    return fitted, left
 
 
 def tile_sums(pairs: Pairs) -> TileSums:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.children import Limits, run_script
-from pcbench.errors import InputError
+from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
 from pcbench.io.files import Fields, Warn, read_json
 from pcbench.scratch import scratch_folder
@@ -28,9 +28,10 @@ def read_e57(path: Path, warn: Warn) -> Fields:
 
     Raises:
         InputError: the file is damaged, or holds no valid point.
-        MissingExtra: pye57 is not installed.
+        MissingExtra: pye57 is not installed, or does not load.
         OSError: the file cannot be read.
     """
+    require("pye57")
     with path.open("rb") as file:
         if file.read(8) != b"ASTM-E57":
             raise InputError("expected an E57 file, which begins with ASTM-E57")
@@ -40,8 +41,7 @@ def read_e57(path: Path, warn: Warn) -> Fields:
             _WORKER, str(path.resolve()), str(folder), limits=limits, environment={"OPENBLAS_NUM_THREADS": "1"}
         )
         if done.code == 3:
-            require("pye57")
-            raise InputError("pye57 does not load in a process of its own: reinstall it")
+            raise MissingExtra("pye57", "e57", "it is installed but does not load")
         if done.timed_out:
             raise InputError(f"damaged E57 data: not read after {limits.seconds:.0f} s: export the file again")
         if done.code:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from data_folder import data_folder
 from e57_bytes import RAE, XYZ, write
-from optional import import_or_skip
+from optional import break_library, import_or_skip
 
 from pcbench import read_cloud
 from pcbench.errors import InputError, MissingExtra
@@ -142,7 +142,6 @@ def test_checksums_of_the_tests_are_those_of_the_library(pye57, tmp_path):
 def test_without_pye57(monkeypatch, tmp_path):
     (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
     monkeypatch.setitem(sys.modules, "pye57", None)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r"pip install 'pcbench\[e57\]'"):
         read(tmp_path / "a.e57")
 
@@ -156,3 +155,11 @@ def test_a_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
     monkeypatch.syspath_prepend(str(tmp_path / "broken"))
     with pytest.raises(MissingExtra, match="does not load"):
         read(path)
+
+
+def test_why_pye57_does_not_load_is_said(monkeypatch, tmp_path):
+    (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
+    error = "ImportError('libxerces-c-3.2.so: cannot open shared object file: No such file or directory')"
+    break_library(monkeypatch, tmp_path / "packages", "pye57", error)
+    with pytest.raises(MissingExtra, match=r"libxerces-c-3\.2\.so: cannot open .* apt-get install libxerces-c-3\.2"):
+        read(tmp_path / "a.e57")

@@ -25,7 +25,7 @@ from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
 from pcbench.io.meshes import read_mesh
 from pcbench.plugins import find_plugin
 from pcbench.plugins.run import ReconstructionJob, describe, run
-from pcbench.plugins.stages import library_versions, stage
+from pcbench.plugins.stages import stage
 from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
@@ -185,7 +185,7 @@ def _synthetic(out: Path, settings: Experiment, step: Callable[[str], None]) -> 
     intrinsics = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV), distortion=DISTORTION)
     town = CitySettings(seed=settings.seed)
     made = SceneSettings(town, settings.images, intrinsics, "drone", points=_POINTS)
-    key = {"settings": repr(made), "versions": library_versions()}
+    key = {"settings": repr(made)}
     return stage(out, "scene", key, lambda folder: write_scene(folder, made, step))
 
 
@@ -290,7 +290,6 @@ def _solve(inputs: _BendInputs, variant: Variant, surface: MeshIndex) -> Solutio
         "scene": inputs.scene.fingerprint(),
         "control": control,
         "plugin": inputs.plugin_sha256,
-        "versions": library_versions(),
     }
     runs = inputs.out / "runs"
     runs.mkdir(exist_ok=True)

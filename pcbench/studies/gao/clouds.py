@@ -17,7 +17,7 @@ from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
 from pcbench.io.files import read_json
 from pcbench.plugins.run import ReconstructionJob, describe, run
-from pcbench.plugins.stages import library_versions, stage, stage_key
+from pcbench.plugins.stages import stage, stage_key
 from pcbench.progress import Step
 from pcbench.scenes import Scene
 from pcbench.studies.gao.plan import SPARSE, CloudMethod, GaoJob, methods
@@ -118,7 +118,6 @@ class _Maker:
             "scene": self.scene.fingerprint(),
             "cameras": None if solved is None else stage_key(solved),
             "unit": self.unit,
-            "versions": library_versions(),
         }
         try:
             folder = stage(self.out / _RUNS, method.name, key, lambda target: self._run(method, solved, target))

@@ -15,7 +15,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region, parse_region
 from pcbench.io import read_cloud
 from pcbench.plugins import find_plugin
-from pcbench.plugins.stages import library_versions, stage
+from pcbench.plugins.stages import stage
 from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
@@ -259,7 +259,7 @@ def _synthetic(cities: Cities, out: Path, seed: int, step: Callable[[str], None]
         town = CitySettings(cities.extent, density, height, relief, seed=seed + number)
         made = SceneSettings(town, cities.images, intrinsics, "circles", points=_POINTS)
         step(Step(f"photographing city {number + 1} of {cities.count}", _MAKING_S, _SCENE_S * cities.count))
-        key = {"settings": repr(made), "versions": library_versions()}
+        key = {"settings": repr(made)}
 
         def make(folder: Path, made: SceneSettings = made) -> None:
             write_scene(folder, made)

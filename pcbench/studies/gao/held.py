@@ -18,7 +18,7 @@ from pcbench.io.files import digest, read_json
 from pcbench.measure.presets import Gao2025
 from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings
-from pcbench.plugins.stages import library_versions, stage
+from pcbench.plugins.stages import stage
 from pcbench.registration import Target, local_origin, register
 from pcbench.report import Comparison, to_json
 from pcbench.report.compare_files import ComparisonJob, Outputs, compare_files
@@ -61,7 +61,6 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         "reference": digest(reference),
         "clouds": {cloud: digest(path) for cloud, path in clouds.items()},
         "settings": settings.plain(),
-        "versions": library_versions(),
         "results": _RESULTS,
     }
 
@@ -119,7 +118,7 @@ def visible_truth(truth: Path, out: Path) -> Path:
             cloud = cloud.select(np.flatnonzero(seen))
         write_cloud(folder / "truth.ply", cloud)
 
-    return stage(out, "truth", {"cloud": digest(truth), "versions": library_versions()}, make) / "truth.ply"
+    return stage(out, "truth", {"cloud": digest(truth)}, make) / "truth.ply"
 
 
 class _Asked(NamedTuple):
