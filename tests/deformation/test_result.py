@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 from bent_clouds import dome, noisy, sampled, verdict
+from wording import refused
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.deformation import Deformation, deform
-from pcbench.errors import InputError, Notice
+from pcbench.errors import Notice
 from pcbench.geometry.regions import Box
 from pcbench.geometry.transform import Similarity
 from pcbench.report import to_json
@@ -84,7 +85,7 @@ def test_an_answer_in_words(bent):
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "x", None, [1], True])
 def test_a_seed_is_a_whole_number(seed):
-    with pytest.raises(InputError, match="expected the seed as a whole number >= 0"):
+    with refused():
         deform(np.eye(3), np.eye(3), seed=seed)
 
 
@@ -116,7 +117,7 @@ def test_a_region_is_an_object_or_its_text(clouds):
 
 
 def test_a_region_that_holds_nothing_is_refused(clouds):
-    with pytest.raises(InputError, match="leaves none of the reference's 60000 points"):
+    with refused():
         deform(*clouds, crop=Box(LEFT_HALF.lower - 1000, LEFT_HALF.upper - 1000))
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from wording import refused
 
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -73,5 +74,5 @@ def test_directions_undo_projection(distortion):
 
 def test_a_lens_that_folds_is_refused():
     k = Intrinsics(320, 200, 110, 110, 160, 100, (-0.6, 0, 0, 0))
-    with pytest.raises(InputError, match="folds the image over"):
+    with refused():
         k.directions(np.array([[0.0, 0.0], [160, 100]]))

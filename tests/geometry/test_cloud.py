@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from optional import import_or_skip
+from wording import refused
 
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.geometry.cloud import Cloud, as_cloud
@@ -95,7 +96,7 @@ def test_as_cloud():
 
 @pytest.mark.parametrize("make", [Cloud, Cloud.from_finite])
 def test_sums_that_overflow_are_too_large_and_not_dropped_as_infinite(make):
-    with pytest.raises(InputError, match=r"expected coordinates up to 1e\+100, got 1.7e\+308"):
+    with refused():
         make(np.full((3, 3), 1.7e308))
 
 
@@ -240,11 +241,11 @@ def test_a_cloud_from_open3d_is_a_copy():
 
 
 def test_what_is_no_open3d_cloud():
-    with pytest.raises(InputError, match="expected an open3d PointCloud, got list"):
+    with refused():
         Cloud.from_open3d([1, 2])
     open3d = import_or_skip("open3d")
     for empty in (open3d.geometry.PointCloud(), open3d.t.geometry.PointCloud()):
-        with pytest.raises(InputError, match="at least one point, got none"):
+        with refused():
             Cloud.from_open3d(empty)
 
 
@@ -262,7 +263,7 @@ def test_from_trimesh():
     assert Cloud.from_trimesh(box).colors is None
     box.visual.vertex_colors = np.tile(colors[:1], (8, 1))
     assert (Cloud.from_trimesh(box).colors == colors[0, :3]).all()
-    with pytest.raises(InputError, match="expected a trimesh PointCloud or Trimesh, got Scene"):
+    with refused():
         Cloud.from_trimesh(trimesh.Scene(box))
 
 

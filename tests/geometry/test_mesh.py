@@ -5,6 +5,7 @@ import pytest
 from mesh_shapes import cube, height_field, spiky, tetrahedron
 from scipy.stats import chi2
 from shapes import UTM
+from wording import refused
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh, MeshIndex
@@ -77,7 +78,7 @@ def test_sample_lies_on_the_mesh_and_repeats():
     np.testing.assert_array_equal(cloud.points, mesh.sample(2000, seed=1).points)
     assert not np.array_equal(cloud.points, mesh.sample(2000, seed=2).points)
     assert (cloud.crs, cloud.unit, len(mesh.sample(1))) == ("EPSG:32632", "m", 1)
-    with pytest.raises(InputError, match="at least 1 point, got 0"):
+    with refused():
         mesh.sample(0)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wording import refused
 
 import pcbench
 from pcbench import Box, Cloud, Polygon, Sphere, crop, parse_region
@@ -30,7 +31,7 @@ def test_objects_and_texts_are_regions():
     assert as_region(box, CLOUD) is box
     assert as_region("box:0,0,0,1,1,1", CLOUD).text == box.text
     for wrong in (None, 3, [0, 0, 0, 1, 1, 1]):
-        with pytest.raises(InputError, match=r"expected a region, such as pcbench.Box\(lower, upper\), or its text"):
+        with refused():
             as_region(wrong, CLOUD)
 
 
@@ -114,7 +115,7 @@ def test_refused_texts(text, message):
 
 
 def test_refused_quantile_of_one_place():
-    with pytest.raises(InputError, match="all in one place"):
+    with refused():
         parse_region("quantile:0.5", Cloud(np.vstack([np.zeros((9, 3)), np.ones((1, 3))])))
 
 

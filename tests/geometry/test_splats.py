@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import splat_models
+from wording import refused
 
 import pcbench
 from pcbench import Cloud, read_cloud, write_cloud
@@ -54,10 +55,10 @@ def test_refusals(tmp_path):
         ),
         (cloud, {"min_opacity": 0.5}, "known of Gaussian splats only: the cloud has no attributes opacity, scale_0"),
     ):
-        with pytest.raises(InputError) as refused:
+        with pytest.raises(InputError) as caught:
             read_cloud(path, **options)
-        assert str(refused.value).startswith(f"{path}: ")
-        assert message in str(refused.value)
+        assert str(caught.value).startswith(f"{path}: ")
+        assert message in str(caught.value)
 
 
 def test_a_comparison_leaves_faint_and_long_splats_out(tmp_path):
@@ -76,7 +77,7 @@ def test_a_comparison_leaves_faint_and_long_splats_out(tmp_path):
     called = pcbench.compare(plane, {"the reference": splats}, **limits)
     assert [(c.name, c.points) for c in called] == [("the reference", 900)]
     assert called.reference.points == 900
-    with pytest.raises(InputError, match="none of the clouds is a model"):
+    with refused():
         pcbench.compare(plane, plane, **limits)
-    with pytest.raises(InputError, match="candidate_1: none of 1200 splats is left"):
+    with refused():
         pcbench.compare(plane, splats, register="none", min_opacity=1.0)

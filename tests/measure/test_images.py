@@ -5,8 +5,8 @@ import importlib.util
 import numpy as np
 import pytest
 from optional import break_library, import_or_skip
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.measure import perceptual
 from pcbench.measure.images import absolute_error, psnr, ssim
 from pcbench.measure.perceptual import Perceptual
@@ -96,13 +96,13 @@ def test_error_maps_are_in_levels():
 @pytest.mark.parametrize("metric", [psnr, ssim])
 def test_refusals(metric):
     image = photograph(0)
-    with pytest.raises(InputError, match="67 x 48 and 67 x 47 pixels"):
+    with refused():
         metric(image, image[:-1])
-    with pytest.raises(InputError, match="shape"):
+    with refused():
         metric(image[..., 0], image[..., 0])
-    with pytest.raises(InputError, match="int64"):
+    with refused():
         metric(image.astype(int), image.astype(int))
-    with pytest.raises(InputError, match="mask"):
+    with refused():
         metric(image, image, np.ones((48, 67), dtype=np.uint8))
 
 

@@ -8,6 +8,7 @@ import pytest
 import shapes
 from command_line import one_line
 from data_folder import data_folder
+from wording import refused
 
 from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
 from pcbench.errors import InputError
@@ -92,7 +93,7 @@ def test_core_points_outside_the_region_are_left_out(pair):
     found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
     inside = cores[(cores[:, 0] >= low) & (cores[:, 2] < 1000)]
     np.testing.assert_allclose(found.cores, inside)
-    with pytest.raises(InputError, match="no core point lies inside the region"):
+    with refused():
         compare(reference, candidate, Settings(register="none", m3c2=M3C2Settings(1.2, cores=cores[-1:]), crop=box))
 
 
@@ -123,9 +124,9 @@ def test_texts_are_read_back():
     assert M3C2Settings.parse(how.text).text == how.text
     assert Settings(m3c2="radius=1").maps == ("m3c2",)
     for wrong in (3, True, {"radius": 1}):
-        with pytest.raises(InputError, match="m3c2"):
+        with refused():
             Settings(m3c2=wrong)
-    with pytest.raises(InputError, match="radius"):
+    with refused():
         M3C2Settings("0.5")
 
 

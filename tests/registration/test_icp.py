@@ -6,6 +6,7 @@ import shapes
 from data_folder import data_folder
 from registrations import codes, error, motion
 from shapes import UTM_WHOLE as UTM
+from wording import refused
 
 from pcbench import Similarity, read_cloud
 from pcbench.errors import InputError, RegistrationError
@@ -118,7 +119,7 @@ def test_doubled_points_and_exact_copies():
         assert result.overlap == 1.0
         assert result.warnings == ()
     assert register(1e-160 * points, 1e-160 * points, "none").warnings
-    with pytest.raises(RegistrationError, match="an extent to register to"):
+    with refused(RegistrationError):
         register(1e-160 * points, 1e-160 * points)
 
 
@@ -172,7 +173,7 @@ def test_settings_change_what_icp_does(scene):
     assert small.T_local.matrix.tolist() != register(reference, moved).T_local.matrix.tolist()
     near = register(reference, candidate + [0, 0, 30.0], IcpSettings(max_correspondence_distance=40.0))
     assert error(near.T_reference_candidate, away([0, 0, -30.0]), candidate) < 0.003
-    with pytest.raises(RegistrationError, match=r"lie within 0\.5 of it"):
+    with refused(RegistrationError):
         register(reference, candidate + [0, 0, 100.0], IcpSettings(max_correspondence_distance=0.5))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapes
 from registrations import codes, motion
+from wording import refused
 
 from pcbench import Cloud, Similarity
 from pcbench.errors import InputError, Notice, RegistrationError
@@ -28,14 +29,14 @@ from pcbench.registration.result import NO_CONVERGENCE, UNIT_MISMATCH, UNOBSERVA
 
 def test_refusals(scene):
     reference, candidate = scene
-    with pytest.raises(InputError, match="unknown registration 'magic'"):
+    with refused():
         register(reference, candidate, "magic")
-    with pytest.raises(InputError, match="no-such"):
+    with refused():
         register(reference, candidate, "matrix:no-such")
     for method in ("icp", "none"):
-        with pytest.raises(RegistrationError, match="does not overlap"):
+        with refused(RegistrationError):
             register(reference, candidate + 5000, method)
-    with pytest.raises(RegistrationError, match="extent"):
+    with refused(RegistrationError):
         register(np.zeros((100, 3)), candidate)
 
 
@@ -84,19 +85,19 @@ def test_files_are_read_as_the_text_is_parsed(tmp_path):
     assert found.text == f"matrix:{tmp_path / 'T.txt'}"
     assert parse_method("none").text == "none"
     for text in ("matrix", "matrix:", "points", "points:", "icp:", "none:x", "ICP", ""):
-        with pytest.raises(InputError, match="unknown registration"):
+        with refused():
             parse_method(text)
 
 
 @pytest.mark.parametrize("wrong", [None, 3, {"method": "icp"}, object()])
 def test_what_is_no_method(wrong):
-    with pytest.raises(InputError, match=f"expected the registration as a text, .*, got {type(wrong).__name__}"):
+    with refused():
         register(np.eye(3), np.eye(3), wrong)
 
 
 def test_only_icp_starts_somewhere():
     for method in ("none", "global", Similarity.identity(), ControlPoints(np.eye(3), np.eye(3))):
-        with pytest.raises(InputError, match=r"an initial pose is where ICP starts: `.*` takes none"):
+        with refused():
             register(np.eye(3), np.eye(3), method, initial=np.eye(4))
 
 
@@ -117,7 +118,7 @@ def test_a_target_of_another_reference_is_refused(scene):
     ):
         with pytest.raises(InputError, match=message):
             register(reference, candidate, target=Target(Surface(Index(surface))))
-    with pytest.raises(InputError, match="expected a target made from"):
+    with refused():
         register(Cloud(moved), candidate, target=Target.of(reference))
 
 
@@ -143,9 +144,9 @@ def test_a_registration_is_told_in_a_line(scene):
 
 
 def failure(reference, candidate, method="icp"):
-    with pytest.raises(RegistrationError) as refused:
+    with pytest.raises(RegistrationError) as caught:
         register(reference, candidate, method)
-    return str(refused.value)
+    return str(caught.value)
 
 
 def test_what_both_files_state_stands_before_the_failure(scene):

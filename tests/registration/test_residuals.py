@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from registrations import motion
+from wording import refused
 
 from pcbench import Cloud, compare, write_cloud
 from pcbench.cli.clouds import register as register_command
@@ -140,5 +141,5 @@ def test_points_that_do_not_do(names, is_check, message, tmp_path):
 
 def test_a_control_and_a_check_point_of_one_name_are_refused(tmp_path):
     (tmp_path / "p.txt").write_text("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 0 1 0 0 1 0\na* 1 1 0 1 1 0\n")
-    with pytest.raises(InputError, match=r"p\.txt: .*'a' twice"):
+    with refused():
         ControlPoints.read(tmp_path / "p.txt")

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 import shapes
 from optional import break_library, import_or_skip
+from wording import refused
 
 from pcbench import Cloud, Settings, read_cloud, write_cloud
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import MissingExtra, PcbenchError
 from pcbench.opengl import NoFiguresError
 from pcbench.report import Figures, plot
 from pcbench.report.plot import bends, draw, worker
@@ -70,7 +71,7 @@ def test_one_picture_again(figures, report):
     figures["a_distance"].unlink()
     assert draw(report, ("a_distance",)) == [report / "figures/a_distance.png"]
     assert figures["a_distance"].is_file()
-    with pytest.raises(InputError, match="no picture 'z': expected distribution, reference"):
+    with refused():
         draw(report, ("z",))
 
 
@@ -81,7 +82,7 @@ def test_the_reference_may_have_gone(figures, report, tmp_path):
     settings = json.loads((copy / "settings.json").read_text())
     settings["reference"]["path"] = "/nowhere/ref.ply"
     (copy / "settings.json").write_text(json.dumps(settings))
-    with pytest.raises(InputError, match="reference's file has gone"):
+    with refused():
         draw(copy, ("reference",))
     assert draw(copy, ("distribution",)) == [copy / "figures/distribution.png"]
 
@@ -94,18 +95,18 @@ def test_a_display_is_not_needed(monkeypatch, report):
 
 def test_without_matplotlib_it_names_the_extra(monkeypatch, report, tmp_path):
     break_library(monkeypatch, tmp_path, "matplotlib", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'pcbench\[plot\]'"):
+    with refused(MissingExtra):
         draw(report)
 
 
 def test_a_crash_while_drawing_is_one_line(monkeypatch, report):
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
-    with pytest.raises(NoFiguresError, match="drawing failed"):
+    with refused(NoFiguresError):
         draw(report)
 
 
 def test_not_a_report():
-    with pytest.raises(InputError, match="expected a report folder"):
+    with refused():
         draw(Path("/"))
 
 
@@ -130,7 +131,7 @@ def test_formats_by_name_and_by_setting(report):
     before = svg.read_bytes()
     (again,) = drawn_here(report, "distribution", format="svg")
     assert again.read_bytes() == before  # nothing of the clock, nothing of chance
-    with pytest.raises(PcbenchError, match=r"no picture 'distribution\.gif'"):
+    with refused(PcbenchError):
         drawn_here(report, "distribution.gif")
 
 
@@ -176,7 +177,7 @@ def test_a_report_without_the_completeness_map_is_drawn_too(report, tmp_path):
     for path in copy.glob("*_completeness.ply"):
         path.unlink()
     assert drawn_here(copy, "a_distance") == [copy / "figures/a_distance.png"]
-    with pytest.raises(PcbenchError, match="no picture 'a_completeness'"):
+    with refused(PcbenchError):
         drawn_here(copy, "a_completeness")
 
 
@@ -190,7 +191,7 @@ def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
     compare(points, {"same": points}, Settings(register="none")).save(tmp_path / "report", figures=False)
     drawn = {path.stem: path for path in drawn_here(tmp_path / "report")}
     assert "distribution" not in drawn  # there is nothing to tell
-    with pytest.raises(PcbenchError, match="no point is off the reference"):
+    with refused(PcbenchError):
         drawn_here(tmp_path / "report", "distribution")
     image = imread(drawn["same_distance"])[..., :3]
     assert (np.abs(image - image[2, 2]) > 0.05).any(axis=2).mean() > 0.05
