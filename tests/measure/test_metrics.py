@@ -155,9 +155,9 @@ BOTH_WAYS = ("hausdorff", "chamfer_unsquared", "chamfer_squared", "fscore")
 def test_points_are_refused_with_the_call_that_takes_them(name):
     points, further = np.zeros((7, 3)), [1.0] if name == "fscore" else []
     arguments = [points] if name in ONE_WAY else [points, points]
-    with refused() as refused:
+    with refused() as caught:
         getattr(metrics, name)(*arguments, *further)
-    named = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(refused.value))
+    named = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(caught.value))
     assert getattr(metrics, named[1])(points, points, *further) is not None
     if name in BOTH_WAYS:
         with refused():
