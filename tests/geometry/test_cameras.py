@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 
@@ -43,16 +42,16 @@ def test_scaling_keeps_rays():
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (lambda: Intrinsics(0, 5, 1, 1, 0, 0), "at least one pixel, got 0 x 5"),
-        (lambda: Intrinsics(5, 5, -1, 1, 0, 0), "positive focal lengths, got -1"),
-        (lambda: Intrinsics(5, 5, 1, 1, float("nan"), 0), "finite principal point"),
-        (lambda: look_at([1, 2, 3], [1, 2, 3]), "different points"),
+        lambda: Intrinsics(0, 5, 1, 1, 0, 0),
+        lambda: Intrinsics(5, 5, -1, 1, 0, 0),
+        lambda: Intrinsics(5, 5, 1, 1, float("nan"), 0),
+        lambda: look_at([1, 2, 3], [1, 2, 3]),
     ],
 )
-def test_refusals(make, message):
-    with pytest.raises(InputError, match=message):
+def test_refusals(make):
+    with refused():
         make()
 
 

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import refused, said
 
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import MissingExtra, PcbenchError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.io import read_cloud, write_cloud
@@ -40,8 +40,8 @@ def test_length_bounds_and_name():
     cloud = full_cloud()
     assert len(cloud) == 4
     assert [corner.tolist() for corner in cloud.bounds] == [[0, 1, 2], [9, 10, 11]]
-    assert repr(cloud) == "Cloud(4 points, normals, colors, intensity, rot_0, scale_2, f_rest_44)"
-    assert repr(Cloud(POINTS)) == "Cloud(4 points)"
+    said(repr(cloud), masked=False)
+    said(repr(Cloud(POINTS)), masked=False)
 
 
 def test_is_frozen():
@@ -125,39 +125,37 @@ ONE_NAN = np.vstack([POINTS[:3], NAN[:1]])
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (lambda: Cloud(np.empty((0, 3))), "expected a point cloud with at least one point, got none"),
-        (lambda: Cloud(np.zeros(3)), "expected points of shape (N, 3), got (3,)"),
-        (lambda: Cloud(np.zeros((4, 2))), "expected points of shape (N, 3), got (4, 2)"),
-        (lambda: Cloud("cloud.ply"), "expected points as an (N, 3) array of numbers, got str"),
-        (lambda: Cloud([[1, 2, 3], [4, 5]]), "expected points as an (N, 3) array of numbers, got list"),
-        (lambda: Cloud([{}, {}]), "expected points as an (N, 3) array of numbers, got list"),
-        (lambda: Cloud(ONE_NAN), "expected finite coordinates, got NaN or Inf in 1 of 4 points: drop them first"),
-        (lambda: Cloud([[np.inf, 0, 0], [-np.inf, 0, 0]]), "got NaN or Inf in 2 of 2 points"),
-        (lambda: Cloud(POINTS, normals=POINTS[:3]), "expected normals of shape (4, 3), got (3, 3)"),
-        (lambda: Cloud(POINTS, normals=np.zeros(4)), "expected normals of shape (N, 3), got (4,)"),
-        (lambda: Cloud(POINTS, colors=np.zeros((4, 4), np.uint8)), "expected colors of shape (4, 3), got (4, 4)"),
-        (lambda: Cloud(POINTS, colors=np.full((4, 3), 0.5)), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors=np.full((4, 3), 256)), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors=[[-1, 0, 0]] * 4), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors=NAN), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors="red"), "expected colors as whole numbers 0 to 255, got str of"),
-        (lambda: Cloud(POINTS, attributes={"a": np.zeros(3)}), "expected attribute 'a' of shape (4,), got (3,)"),
-        (lambda: Cloud(POINTS, attributes={"a": 1.0}), "expected attribute 'a' of shape (4,), got ()"),
-        (lambda: Cloud.from_finite(NAN), "all 4 points are NaN or Inf"),
-        (lambda: Cloud.from_finite(np.empty((0, 3))), "expected a point cloud with at least one point, got none"),
-        (lambda: Cloud.from_finite(ONE_NAN, normals=POINTS[:2]), "expected normals of shape (4, 3), got (2, 3)"),
-        (lambda: Cloud.from_finite(ONE_NAN, attributes={"a": [1]}), "expected attribute 'a' of shape (4,), got (1,)"),
-        (lambda: full_cloud().select(np.zeros(4, dtype=bool)), "at least one point, got none"),
-        (lambda: as_cloud(np.zeros((2, 2))), "expected points of shape (N, 3), got (2, 2)"),
+        lambda: Cloud(np.empty((0, 3))),
+        lambda: Cloud(np.zeros(3)),
+        lambda: Cloud(np.zeros((4, 2))),
+        lambda: Cloud("cloud.ply"),
+        lambda: Cloud([[1, 2, 3], [4, 5]]),
+        lambda: Cloud([{}, {}]),
+        lambda: Cloud(ONE_NAN),
+        lambda: Cloud([[np.inf, 0, 0], [-np.inf, 0, 0]]),
+        lambda: Cloud(POINTS, normals=POINTS[:3]),
+        lambda: Cloud(POINTS, normals=np.zeros(4)),
+        lambda: Cloud(POINTS, colors=np.zeros((4, 4), np.uint8)),
+        lambda: Cloud(POINTS, colors=np.full((4, 3), 0.5)),
+        lambda: Cloud(POINTS, colors=np.full((4, 3), 256)),
+        lambda: Cloud(POINTS, colors=[[-1, 0, 0]] * 4),
+        lambda: Cloud(POINTS, colors=NAN),
+        lambda: Cloud(POINTS, colors="red"),
+        lambda: Cloud(POINTS, attributes={"a": np.zeros(3)}),
+        lambda: Cloud(POINTS, attributes={"a": 1.0}),
+        lambda: Cloud.from_finite(NAN),
+        lambda: Cloud.from_finite(np.empty((0, 3))),
+        lambda: Cloud.from_finite(ONE_NAN, normals=POINTS[:2]),
+        lambda: Cloud.from_finite(ONE_NAN, attributes={"a": [1]}),
+        lambda: full_cloud().select(np.zeros(4, dtype=bool)),
+        lambda: as_cloud(np.zeros((2, 2))),
     ],
 )
-def test_refusals(make, message):
-    with pytest.raises(InputError) as caught:
+def test_refusals(make):
+    with refused() as caught:
         make()
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
     assert isinstance(caught.value, PcbenchError)
 
 
@@ -268,7 +266,7 @@ def test_from_trimesh():
 
 
 def test_errors_are_of_the_kinds_that_python_programs_catch():
-    with pytest.raises(ValueError, match="at least one point"):
+    with refused(ValueError):
         Cloud(np.zeros((0, 3)))
     assert issubclass(MissingExtra, ImportError)
-    assert str(MissingExtra("trimesh", "mesh")) == "trimesh is needed for this: pip install 'pcbench[mesh]'"
+    said(MissingExtra("trimesh", "mesh"))

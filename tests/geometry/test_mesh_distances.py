@@ -309,5 +309,5 @@ def test_kernel_checks_what_it_is_given():
     with refused(IndexError):
         _core.MeshIndex(vertices, faces + 1)
     tree = _core.MeshIndex(vertices, faces)
-    with pytest.raises(ValueError, match="one row for each point"):
+    with refused(ValueError):
         tree.query(np.zeros((2, 3)), np.empty(1), np.empty((2, 3)), np.empty(2, np.int64), np.empty(2, np.uint8))
