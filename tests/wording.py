@@ -18,7 +18,7 @@ from repository import ROOT, TESTS
 from pcbench.errors import InputError
 
 GOLDEN = TESTS / "wording.txt"
-_NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(\.\d+)?(e[-+]?\d+)?(?![\w])")
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(,\d{3})*(\.\d+)?(e[-+]?\d+)?(?![\w])")
 _HEADING = "== "
 
 Texts = dict[str, list[str]]

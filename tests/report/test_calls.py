@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wording import refused
+from wording import refused, said
 
 import pcbench
 from pcbench import Cloud, PcbenchError, Settings
@@ -60,9 +60,11 @@ def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path, monkeypatch):
 def test_what_readers_left_out_is_a_warning(files):
     with Path("a.xyz").open("a") as file:
         file.write("nan nan nan\n")
-    with pytest.warns(UserWarning, match="dropped 1 of 401 points"):
+    with pytest.warns(UserWarning) as warned:
         found = pcbench.compare("ref.ply", "a.xyz", register="none")
-    assert "dropped 1 of 401 points" in found.inputs.candidates["a"].warnings[0]
+    (text,) = found.inputs.candidates["a"].warnings
+    said(text, masked=False)
+    said("\n".join(str(warning.message) for warning in warned))
 
 
 def test_a_report_of_paths_can_be_repeated(files, tmp_path):
@@ -94,8 +96,6 @@ def test_arrays_and_paths_are_written_as_clouds_are(files, tmp_path):
 
 def test_a_comparison_shows_itself_in_a_few_lines(files):
     found = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
-    first, *rest = repr(found).splitlines()
-    assert first.startswith("Comparison with 400 points, spacing 0.")
-    assert first.endswith(" m")
+    _, *rest = said(repr(found)).splitlines()
     assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]
     assert max(map(len, repr(found).splitlines())) < 120
