@@ -119,7 +119,7 @@ def drawn_here(folder, *names, **look):
 
 def words(svg):
     """What a drawing says: its texts that are more than a number, in the order of the alphabet, each once."""
-    texts = {text.strip() for text in svg.itertext()}
+    texts = {"".join(text.itertext()).strip() for text in svg.iter("{http://www.w3.org/2000/svg}text")}
     return "\n".join(sorted(text for text in texts if re.search("[a-z]{2}", text)))
 
 

@@ -120,7 +120,7 @@ def test_wide_letters_take_two_columns(clouds, run, monkeypatch, tmp_path):
 
 def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
     above, table, _, _ = shown("a", "b", "astray")
-    said("\n".join(above))
+    said(" ".join(" ".join(above).split()))
     assert table[1].split()[0] == "pose"
     (row,) = [line for line in table if line.startswith("astray")]
     assert "doubtful" in row
@@ -139,7 +139,7 @@ def test_full_prints_all(printed):
     _, _, _, out = printed("a", "b", options=["--full"])
     for label in ("Chamfer, sum of means", "mpeg: d1_psnr", "  median, signed", "  standard deviation", "  NMAD"):
         assert label in out
-    said(" ".join(out.split()))
+    assert "D1 MSE c→r: a and b " in " ".join(out.split())
     assert "--full" not in out
 
 
@@ -170,5 +170,5 @@ def test_a_shell_that_says_no_width_gets_the_usual_one(clouds, run, monkeypatch)
     monkeypatch.setenv("COLUMNS", "0")
     code, out, err = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
     assert (code, err) == (0, "")
-    said(" ".join(out.split()))
+    assert out.splitlines()[1].startswith("a ")
     assert max(map(len, out.splitlines()[:5])) <= 80
