@@ -1,5 +1,6 @@
 """Child processes: what they find, what they may take, and that nothing of them is left."""
 
+import errno
 import os
 import re
 import resource
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from processes import ends
+from wording import said
 
 import pcbench
 from pcbench import children
@@ -128,14 +130,15 @@ def test_a_log_has_a_limit_which_is_said_in_it(tmp_path, monkeypatch):
     assert text.startswith("0\n1\n2\n")
     assert text.endswith("99999\nthe end\n")
     assert len(text) < 1400
-    left_out = int(re.search(r"\n\[(\d+) bytes are left out here: a log has 1000 bytes and its end\]\n", text)[1])
+    left_out = int(re.search(r"\n\[(\d+) [^]]*\]\n", text)[1])
+    said(text[text.index("\n[") : text.index("]\n") + 2])
     assert left_out + len(text) - len(text[text.index("\n[") : text.index("]\n") + 2]) == 588_890 + len("the end\n")
 
 
 def test_a_log_that_cannot_be_written_is_named():
-    with Path("/dev/full").open("wb", buffering=0) as log, pytest.raises(OSError, match="No space") as caught:
+    with Path("/dev/full").open("wb", buffering=0) as log, pytest.raises(OSError) as caught:
         run_module("pcbench.cli", "no-such-command", log=log)
-    assert caught.value.filename == "/dev/full"
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, "/dev/full")
 
 
 def test_it_ends_with_its_parent(script, tmp_path):
@@ -226,7 +229,7 @@ def test_a_script_imports_what_this_program_would(script, tmp_path, monkeypatch)
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "module_of_mine.py").write_text("VALUE = 3")
     file = script("import module_of_mine", "print(module_of_mine.VALUE)")
-    assert "No module named" in run_script(file).last_words
+    assert "module_of_mine" in run_script(file).last_words
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "elsewhere")])
     assert run_script(file).output == "3\n"
 

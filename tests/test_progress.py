@@ -5,6 +5,7 @@ import sys
 import time
 
 import pytest
+from wording import said
 
 from pcbench.cli import messages
 from pcbench.cli.messages import duration, steps

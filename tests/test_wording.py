@@ -11,7 +11,8 @@ HERE = "tests/test_wording.py::test_texts_are_compared_once_a_test_has_passed"
 
 
 def test_numbers_and_folders_are_masked_in_texts_and_numbers_stay_in_errors(tmp_path):
-    said(f"{tmp_path}/a.ply: 1,270,820 points,   spacing 2.31e-1 m, d2 of T_a_b4 at -3")
+    said(f"{tmp_path}/a.ply: 1,270,820 points,   spacing 2.31e-1 m, d2 of T_a_b4 at (-3, 4.5, 6)")
+    said("4 of 5 points", masked=False)
     with refused():
         raise InputError(f"{ROOT}/README.md: expected 3 numbers, got 4")
 

@@ -18,7 +18,7 @@ from repository import ROOT, TESTS
 from pcbench.errors import InputError
 
 GOLDEN = TESTS / "wording.txt"
-_NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(\.\d+)?(e[-+]?\d+)?(?![\w])")
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(,\d{3})*(\.\d+)?(e[-+]?\d+)?(?![\w])")
 _HEADING = "== "
 
 Texts = dict[str, list[str]]
@@ -27,28 +27,38 @@ Texts = dict[str, list[str]]
 _spoken: list[str] | None = None
 
 
-def said(text: object) -> str:
+def said(text: object, *, masked: bool = True) -> str:
     """Compare a text with the golden file once the running test has passed, and return it.
 
-    Its numbers are masked: they depend on the processor, and tests assert them as values. So are the folders of the
-    test and of the repository, and runs of spaces, which depend on the widths of numbers.
+    Its numbers are masked: they depend on the processor, and tests assert them as values. So are runs of spaces, which
+    depend on the widths of numbers. The folders of the test and of the repository are masked in any case.
     """
-    _hand_in(re.sub(r" {2,}", "  ", _NUMBER.sub("#", _without_folders(str(text)))))
+    spoken = _without_folders(str(text))
+    _hand_in(re.sub(r" {2,}", "  ", _NUMBER.sub("#", spoken)) if masked else spoken)
     return str(text)
 
 
 @contextmanager
-def refused(error: type[BaseException] = InputError) -> Iterator[pytest.ExceptionInfo[BaseException]]:
-    """Expect an error, and compare its message, numbers included, with the golden file. The message is one line."""
+def refused(
+    error: type[BaseException] = InputError, *, masked: bool = False
+) -> Iterator[pytest.ExceptionInfo[BaseException]]:
+    """Expect an error, and compare its message with the golden file. The message is one line.
+
+    Its numbers are compared too, unless they are `masked` because they are measured.
+    """
     with pytest.raises(error) as caught:
         yield caught
     message = str(caught.value)
     assert "\n" not in message
-    _hand_in(_without_folders(message))
+    if masked:
+        said(message)
+    else:
+        _hand_in(_without_folders(message))
 
 
 def _hand_in(text: str) -> None:
     assert _spoken is not None, "said() and refused() belong into the body of a test"
+    text = text.replace("\0", "\\0")  # the file is a text
     _spoken.append("\n".join(line.rstrip() for line in text.strip().splitlines()))
 
 

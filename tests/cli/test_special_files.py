@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scene_folders
 from command_line import one_line
+from wording import refused
 
 from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError
@@ -130,7 +131,7 @@ def test_texts_are_bounded(tmp_path):
     """A file that is larger than it takes on the disk: nothing of it is read."""
     with (tmp_path / "a").open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(InputError, match="at most 64 MiB"):
+    with refused():
         read_bytes(tmp_path / "a")
     (tmp_path / "b").write_bytes(bytes(11))
     assert read_bytes(tmp_path / "b", 11) == bytes(11)
@@ -140,9 +141,9 @@ def test_texts_are_bounded(tmp_path):
 
 def test_what_is_no_text_is_said(tmp_path):
     (tmp_path / "a").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not a text file"):
+    with refused():
         read_text(tmp_path / "a")
-    with pytest.raises(InputError, match="got a folder"):
+    with refused():
         read_text(tmp_path)
     with pytest.raises(FileNotFoundError):
         read_text(Path(tmp_path / "none"))

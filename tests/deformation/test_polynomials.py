@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from wording import refused
 
 from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
 
@@ -24,7 +25,7 @@ def test_moments_hold_the_normal_equations_of_a_cubic_field():
 def test_sums_over_groups_that_are_none_are_refused():
     one, places = np.ones(4), np.zeros((4, 3))
     for starts in ([2, 1], [0, 5], [-1]):
-        with pytest.raises(ValueError, match="ascending"):
+        with refused(ValueError):
             normal_equations(places, places, one, one, np.array(starts))
 
 

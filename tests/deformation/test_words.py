@@ -4,8 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from wording import said
 
 from pcbench import Cloud, Settings, compare, deform
+from pcbench.registration.result import UNOBSERVABLE
 from pcbench.report.table import markdown
 from pcbench.scenes.synthetic import city
 
@@ -32,19 +34,18 @@ def field(bend, seed):
 def test_a_pose_that_nothing_fixes_comes_before_the_verdict(scene):
     reference, straight, bent = scene(0.0, 1), scene(0.0, 2), scene(0.2, 3)
     registration, found = deform(reference, straight)
-    assert "scores along it mean nothing" in str(registration.warnings[0])
+    assert registration.warnings[0].code == UNOBSERVABLE
     assert found.verdict == "none"
-    assert found.sentence("a").startswith("as far as the geometry fixes the pose, a is not deformed")
+    said(found.sentence("a"))
     assert not found.further_warnings  # the sentence holds it
     _, found = deform(reference, bent)
     assert found.verdict == "undecided"
-    assert found.sentence("a").startswith("a: whether it is deformed is undecided: the geometry does not fix the pose")
-    assert "p =" not in found.sentence("a")
+    assert "p =" not in said(found.sentence("a"))
     assert (found.amplitude, found.p_value, found.local, found.minimum_detectable_rms) == (None,) * 4
     # A pose that was given was not found along what nothing fixes.
     _, found = deform(reference, bent, "none")
     assert found.verdict == "non-affine"
-    assert found.sentence("a").startswith("as far as the geometry fixes the pose, a is bent against the reference")
+    said(found.sentence("a"))
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,8 @@ def test_nothing_is_said_of_candidates_that_may_lie_wrong(town):
     assert wrong.deformation.warnings[0].code == "doubtful-registration"
     assert (wrong.deformation.amplitude, wrong.deformation.p_value, wrong.deformation.growth) == (None, None, None)
     text = markdown(found)
-    assert "wrong: whether it is deformed is undecided: the registration is doubtful" in text
+    said(wrong.deformation.sentence("wrong"))
+    assert wrong.deformation.sentence("wrong") in text
     assert "than wrong" not in text
     assert "told apart" not in text
 
@@ -80,7 +82,7 @@ def test_a_cloud_against_itself_differs_by_nothing(town, place):
     assert not (*itself.warnings, *itself.registration.warnings, *itself.deformation.warnings)
     assert itself.deformation.remaining_rms == itself.deformation.noise.sigma_white == 0
     text = markdown(found)
-    assert "candidate_1 lies on the reference but for the rounding of coordinates: it is not deformed" in text
+    assert said(itself.deformation.sentence("candidate_1")) in text
     assert not re.search(r"e-1\d", text)
 
 
@@ -88,5 +90,5 @@ def test_a_copy_that_is_brought_back_differs_by_rounding(town):
     found = compare(town + UTM, town + UTM + [0.3, 0.1, 0.05])["candidate_1"]
     assert 0 < found.metrics.hausdorff.symmetric_max < 1e-8
     assert not (*found.warnings, *found.registration.warnings, *found.deformation.warnings)
-    assert found.deformation.sentence().endswith("but for the rounding of coordinates: it is not deformed")
+    said(found.deformation.sentence())
     assert found.deformation.amplitude.rms == found.deformation.minimum_detectable_rms == 0

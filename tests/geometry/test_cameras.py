@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 
@@ -42,16 +42,16 @@ def test_scaling_keeps_rays():
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (lambda: Intrinsics(0, 5, 1, 1, 0, 0), "at least one pixel, got 0 x 5"),
-        (lambda: Intrinsics(5, 5, -1, 1, 0, 0), "positive focal lengths, got -1"),
-        (lambda: Intrinsics(5, 5, 1, 1, float("nan"), 0), "finite principal point"),
-        (lambda: look_at([1, 2, 3], [1, 2, 3]), "different points"),
+        lambda: Intrinsics(0, 5, 1, 1, 0, 0),
+        lambda: Intrinsics(5, 5, -1, 1, 0, 0),
+        lambda: Intrinsics(5, 5, 1, 1, float("nan"), 0),
+        lambda: look_at([1, 2, 3], [1, 2, 3]),
     ],
 )
-def test_refusals(make, message):
-    with pytest.raises(InputError, match=message):
+def test_refusals(make):
+    with refused():
         make()
 
 
@@ -73,5 +73,5 @@ def test_directions_undo_projection(distortion):
 
 def test_a_lens_that_folds_is_refused():
     k = Intrinsics(320, 200, 110, 110, 160, 100, (-0.6, 0, 0, 0))
-    with pytest.raises(InputError, match="folds the image over"):
+    with refused():
         k.directions(np.array([[0.0, 0.0], [160, 100]]))

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 from optional import import_or_skip
+from wording import refused, said
 
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import MissingExtra, PcbenchError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.io import read_cloud, write_cloud
@@ -39,8 +40,8 @@ def test_length_bounds_and_name():
     cloud = full_cloud()
     assert len(cloud) == 4
     assert [corner.tolist() for corner in cloud.bounds] == [[0, 1, 2], [9, 10, 11]]
-    assert repr(cloud) == "Cloud(4 points, normals, colors, intensity, rot_0, scale_2, f_rest_44)"
-    assert repr(Cloud(POINTS)) == "Cloud(4 points)"
+    said(repr(cloud), masked=False)
+    said(repr(Cloud(POINTS)), masked=False)
 
 
 def test_is_frozen():
@@ -95,7 +96,7 @@ def test_as_cloud():
 
 @pytest.mark.parametrize("make", [Cloud, Cloud.from_finite])
 def test_sums_that_overflow_are_too_large_and_not_dropped_as_infinite(make):
-    with pytest.raises(InputError, match=r"expected coordinates up to 1e\+100, got 1.7e\+308"):
+    with refused():
         make(np.full((3, 3), 1.7e308))
 
 
@@ -124,39 +125,37 @@ ONE_NAN = np.vstack([POINTS[:3], NAN[:1]])
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (lambda: Cloud(np.empty((0, 3))), "expected a point cloud with at least one point, got none"),
-        (lambda: Cloud(np.zeros(3)), "expected points of shape (N, 3), got (3,)"),
-        (lambda: Cloud(np.zeros((4, 2))), "expected points of shape (N, 3), got (4, 2)"),
-        (lambda: Cloud("cloud.ply"), "expected points as an (N, 3) array of numbers, got str"),
-        (lambda: Cloud([[1, 2, 3], [4, 5]]), "expected points as an (N, 3) array of numbers, got list"),
-        (lambda: Cloud([{}, {}]), "expected points as an (N, 3) array of numbers, got list"),
-        (lambda: Cloud(ONE_NAN), "expected finite coordinates, got NaN or Inf in 1 of 4 points: drop them first"),
-        (lambda: Cloud([[np.inf, 0, 0], [-np.inf, 0, 0]]), "got NaN or Inf in 2 of 2 points"),
-        (lambda: Cloud(POINTS, normals=POINTS[:3]), "expected normals of shape (4, 3), got (3, 3)"),
-        (lambda: Cloud(POINTS, normals=np.zeros(4)), "expected normals of shape (N, 3), got (4,)"),
-        (lambda: Cloud(POINTS, colors=np.zeros((4, 4), np.uint8)), "expected colors of shape (4, 3), got (4, 4)"),
-        (lambda: Cloud(POINTS, colors=np.full((4, 3), 0.5)), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors=np.full((4, 3), 256)), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors=[[-1, 0, 0]] * 4), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors=NAN), "expected colors as whole numbers 0 to 255"),
-        (lambda: Cloud(POINTS, colors="red"), "expected colors as whole numbers 0 to 255, got str of"),
-        (lambda: Cloud(POINTS, attributes={"a": np.zeros(3)}), "expected attribute 'a' of shape (4,), got (3,)"),
-        (lambda: Cloud(POINTS, attributes={"a": 1.0}), "expected attribute 'a' of shape (4,), got ()"),
-        (lambda: Cloud.from_finite(NAN), "all 4 points are NaN or Inf"),
-        (lambda: Cloud.from_finite(np.empty((0, 3))), "expected a point cloud with at least one point, got none"),
-        (lambda: Cloud.from_finite(ONE_NAN, normals=POINTS[:2]), "expected normals of shape (4, 3), got (2, 3)"),
-        (lambda: Cloud.from_finite(ONE_NAN, attributes={"a": [1]}), "expected attribute 'a' of shape (4,), got (1,)"),
-        (lambda: full_cloud().select(np.zeros(4, dtype=bool)), "at least one point, got none"),
-        (lambda: as_cloud(np.zeros((2, 2))), "expected points of shape (N, 3), got (2, 2)"),
+        lambda: Cloud(np.empty((0, 3))),
+        lambda: Cloud(np.zeros(3)),
+        lambda: Cloud(np.zeros((4, 2))),
+        lambda: Cloud("cloud.ply"),
+        lambda: Cloud([[1, 2, 3], [4, 5]]),
+        lambda: Cloud([{}, {}]),
+        lambda: Cloud(ONE_NAN),
+        lambda: Cloud([[np.inf, 0, 0], [-np.inf, 0, 0]]),
+        lambda: Cloud(POINTS, normals=POINTS[:3]),
+        lambda: Cloud(POINTS, normals=np.zeros(4)),
+        lambda: Cloud(POINTS, colors=np.zeros((4, 4), np.uint8)),
+        lambda: Cloud(POINTS, colors=np.full((4, 3), 0.5)),
+        lambda: Cloud(POINTS, colors=np.full((4, 3), 256)),
+        lambda: Cloud(POINTS, colors=[[-1, 0, 0]] * 4),
+        lambda: Cloud(POINTS, colors=NAN),
+        lambda: Cloud(POINTS, colors="red"),
+        lambda: Cloud(POINTS, attributes={"a": np.zeros(3)}),
+        lambda: Cloud(POINTS, attributes={"a": 1.0}),
+        lambda: Cloud.from_finite(NAN),
+        lambda: Cloud.from_finite(np.empty((0, 3))),
+        lambda: Cloud.from_finite(ONE_NAN, normals=POINTS[:2]),
+        lambda: Cloud.from_finite(ONE_NAN, attributes={"a": [1]}),
+        lambda: full_cloud().select(np.zeros(4, dtype=bool)),
+        lambda: as_cloud(np.zeros((2, 2))),
     ],
 )
-def test_refusals(make, message):
-    with pytest.raises(InputError) as caught:
+def test_refusals(make):
+    with refused() as caught:
         make()
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
     assert isinstance(caught.value, PcbenchError)
 
 
@@ -240,11 +239,11 @@ def test_a_cloud_from_open3d_is_a_copy():
 
 
 def test_what_is_no_open3d_cloud():
-    with pytest.raises(InputError, match="expected an open3d PointCloud, got list"):
+    with refused():
         Cloud.from_open3d([1, 2])
     open3d = import_or_skip("open3d")
     for empty in (open3d.geometry.PointCloud(), open3d.t.geometry.PointCloud()):
-        with pytest.raises(InputError, match="at least one point, got none"):
+        with refused():
             Cloud.from_open3d(empty)
 
 
@@ -262,12 +261,12 @@ def test_from_trimesh():
     assert Cloud.from_trimesh(box).colors is None
     box.visual.vertex_colors = np.tile(colors[:1], (8, 1))
     assert (Cloud.from_trimesh(box).colors == colors[0, :3]).all()
-    with pytest.raises(InputError, match="expected a trimesh PointCloud or Trimesh, got Scene"):
+    with refused():
         Cloud.from_trimesh(trimesh.Scene(box))
 
 
 def test_errors_are_of_the_kinds_that_python_programs_catch():
-    with pytest.raises(ValueError, match="at least one point"):
+    with refused(ValueError):
         Cloud(np.zeros((0, 3)))
     assert issubclass(MissingExtra, ImportError)
-    assert str(MissingExtra("trimesh", "mesh")) == "trimesh is needed for this: pip install 'pcbench[mesh]'"
+    said(MissingExtra("trimesh", "mesh"))

@@ -5,8 +5,8 @@ import pytest
 from mesh_shapes import cube, height_field, spiky, tetrahedron
 from scipy.stats import chi2
 from shapes import UTM
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.transform import Affine, Similarity
 
@@ -77,27 +77,27 @@ def test_sample_lies_on_the_mesh_and_repeats():
     np.testing.assert_array_equal(cloud.points, mesh.sample(2000, seed=1).points)
     assert not np.array_equal(cloud.points, mesh.sample(2000, seed=2).points)
     assert (cloud.crs, cloud.unit, len(mesh.sample(1))) == ("EPSG:32632", "m", 1)
-    with pytest.raises(InputError, match="at least 1 point, got 0"):
+    with refused():
         mesh.sample(0)
 
 
 VERTICES, FACES = tetrahedron()
 REFUSED = {
-    "no faces": (VERTICES, np.empty((0, 3), int), "expected a mesh with at least one face, got none"),
-    "quads": (VERTICES, [(0, 1, 2, 3)], r"expected faces as an \(F, 3\) array of whole numbers, got \(1, 4\) of int64"),
-    "floats": (VERTICES, FACES * 1.0, r"whole numbers, got \(4, 3\) of float64"),
-    "too high": (VERTICES, [(0, 1, 4)], "expected faces of the 4 vertices 0 to 3, got 4"),
-    "negative": (VERTICES, [(0, 1, -1)], "got -1"),
-    "nan": (np.where(VERTICES == 0, np.nan, 1), FACES, "expected finite coordinates, got NaN or Inf in 4 of 4"),
-    "flat": (VERTICES[:, :2], FACES, r"expected vertices of shape \(N, 3\), got \(4, 2\)"),
-    "words": ("mesh", FACES, "expected vertices as an"),
-    "no area": (VERTICES, [(0, 1, 1)], "expected a mesh with an area, got 1 faces of area 0 together"),
-    "overflow": (VERTICES * 1e200, FACES, "expected a mesh with an area, got 4 faces of area inf"),
+    "no faces": (VERTICES, np.empty((0, 3), int)),
+    "quads": (VERTICES, [(0, 1, 2, 3)]),
+    "floats": (VERTICES, FACES * 1.0),
+    "too high": (VERTICES, [(0, 1, 4)]),
+    "negative": (VERTICES, [(0, 1, -1)]),
+    "nan": (np.where(VERTICES == 0, np.nan, 1), FACES),
+    "flat": (VERTICES[:, :2], FACES),
+    "words": ("mesh", FACES),
+    "no area": (VERTICES, [(0, 1, 1)]),
+    "overflow": (VERTICES * 1e200, FACES),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refusals(name):
-    vertices, faces, message = REFUSED[name]
-    with pytest.raises(InputError, match=message):
+    vertices, faces = REFUSED[name]
+    with refused():
         Mesh(vertices, faces)

@@ -9,8 +9,8 @@ import pytest
 from mesh_shapes import cube, height_field, icosphere, spiky, tetrahedron
 from repository import TESTS
 from shapes import UTM
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh, MeshIndex
 
 # ---- oracles ----
@@ -276,7 +276,7 @@ def test_faces_that_name_a_vertex_twice_change_nothing():
 
 def test_signed_refusals():
     vertices, faces = cube()
-    with pytest.raises(InputError, match="expected a closed mesh"):
+    with refused():
         MeshIndex(Mesh(vertices, faces[1:])).query([(0, 0, 0)], signed=True)
     # Corner 8 on the edge 01 of the first face: a face of no area closes the gap.
     first, rest = faces[0], faces[1:]
@@ -284,7 +284,7 @@ def test_signed_refusals():
     split = [(a, 8, c), (8, b, c), (a, b, 8)]
     mesh = Mesh(np.concatenate([vertices, [(vertices[a] + vertices[b]) / 2]]), np.concatenate([split, rest]))
     assert mesh.is_closed
-    with pytest.raises(InputError, match="got 1 of 14 whose three vertices lie on one line: repair the mesh first"):
+    with refused():
         MeshIndex(mesh).query([(0, 0, 0)], signed=True)
     assert MeshIndex(mesh).query([(0, 0, 0)]).distances == 1
     assert not MeshIndex(mesh).has_inside and not MeshIndex(Mesh(vertices, faces[1:])).has_inside
@@ -296,9 +296,9 @@ def test_signed_refusals():
 
 def test_query_refusals():
     index = MeshIndex(Mesh(*cube()))
-    with pytest.raises(InputError, match=r"expected points of shape \(N, 3\), got \(3,\)"):
+    with refused():
         index.query(np.zeros(3))
-    with pytest.raises(InputError, match="expected points of finite coordinates"):
+    with refused():
         index.query([(0, 0, np.nan)])
 
 
@@ -306,8 +306,8 @@ def test_kernel_checks_what_it_is_given():
     from pcbench.native import _core
 
     vertices, faces = cube()
-    with pytest.raises(IndexError, match="a vertex that is not there"):
+    with refused(IndexError):
         _core.MeshIndex(vertices, faces + 1)
     tree = _core.MeshIndex(vertices, faces)
-    with pytest.raises(ValueError, match="one row for each point"):
+    with refused(ValueError):
         tree.query(np.zeros((2, 3)), np.empty(1), np.empty((2, 3)), np.empty(2, np.int64), np.empty(2, np.uint8))

@@ -5,8 +5,8 @@ import pytest
 from mesh_shapes import cube, icosphere
 from oracles import first_hits
 from shapes import UTM
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh, MeshIndex
 
 
@@ -69,11 +69,11 @@ def test_rays_end_at_their_limit():
 
 def test_rays_that_are_refused():
     index = MeshIndex(Mesh(*cube()))
-    for origins, directions, message in (
-        ([[0, 0, 0]], [[0, 0, 0]], "zero"),
-        ([[0, 0, np.nan]], [[0, 0, 1]], "finite"),
-        ([[0, 0, 0], [1, 1, 1]], [[0, 0, 1]], "an origin for each"),
-        ([0, 0], [[0, 0, 1]], "shape"),
+    for origins, directions in (
+        ([[0, 0, 0]], [[0, 0, 0]]),
+        ([[0, 0, np.nan]], [[0, 0, 1]]),
+        ([[0, 0, 0], [1, 1, 1]], [[0, 0, 1]]),
+        ([0, 0], [[0, 0, 1]]),
     ):
-        with pytest.raises(InputError, match=message):
+        with refused():
             index.cast(origins, directions)

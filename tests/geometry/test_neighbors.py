@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from optional import import_or_skip
 from point_shapes import SHAPES, clustered, grid, oblique_plane, uniform
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.neighbors import Index, match_both_ways, median_spacing
 
 
@@ -279,38 +279,32 @@ def moved_with_hint(hint):
 
 
 @pytest.mark.parametrize(
-    "make, message",
+    "make",
     [
-        (lambda: Index(np.empty((0, 3))), "points: expected at least one point, got none"),
-        (lambda: Index(np.zeros((4, 2))), r"points: expected real numbers of shape \(N, 3\), got float64 \(4, 2\)"),
-        (lambda: Index([["a", "b", "c"]]), "points: expected real numbers"),
-        (lambda: Index([[0, 0, 0], [0, np.nan, 0]]), "points: expected finite coordinates .* in row 1"),
-        (lambda: Index([[0, 0, -1e101]]), "points: expected finite coordinates of at most 1e"),
-        (lambda: Index(np.zeros((3, 3))).query([[np.inf, 0, 0]]), "queries: expected finite coordinates"),
-        (lambda: Index(np.zeros((3, 3))).query([0, 0, 0]), "queries: expected real numbers"),
-        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 4), "k: expected 1 to 3 .* got 4"),
-        (lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 0), "k: expected 1 to 3 .* got 0"),
-        (lambda: moved_with_hint([3]), "hint: expected indices from 0 to 2"),
-        (lambda: moved_with_hint([0, 1]), "hint: expected one index for each"),
-        (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0), "radius: expected a finite length"),
-        (lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan), "radius: expected a finite length"),
-        (lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1), "unit vectors, got length 2"),
-        (lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], np.eye(3), 1, 1), "axes: expected one for each"),
-        (
-            lambda: Index(np.eye(3)).nearest_of_with_ties(Index(np.eye(3)), -1.0),
-            "slack: expected a finite squared length",
-        ),
-        (lambda: Index(np.zeros((3, 3))).local_planes(4), "k: expected 3 to 3 .* got 4"),
-        (lambda: Index(np.zeros((3, 3))).local_planes(3, [-1]), "rows: expected indices from 0 to 2, got -1 to -1"),
-        (
-            lambda: Index(np.zeros((3, 3))).local_planes(3, [0.5]),
-            r"rows: expected indices of shape \(M,\), got float64",
-        ),
-        (lambda: Index(np.zeros((1, 3))).nearest_other(), "at least two points, got one"),
+        lambda: Index(np.empty((0, 3))),
+        lambda: Index(np.zeros((4, 2))),
+        lambda: Index([["a", "b", "c"]]),
+        lambda: Index([[0, 0, 0], [0, np.nan, 0]]),
+        lambda: Index([[0, 0, -1e101]]),
+        lambda: Index(np.zeros((3, 3))).query([[np.inf, 0, 0]]),
+        lambda: Index(np.zeros((3, 3))).query([0, 0, 0]),
+        lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 4),
+        lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 0),
+        lambda: moved_with_hint([3]),
+        lambda: moved_with_hint([0, 1]),
+        lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0),
+        lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan),
+        lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1),
+        lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], np.eye(3), 1, 1),
+        lambda: Index(np.eye(3)).nearest_of_with_ties(Index(np.eye(3)), -1.0),
+        lambda: Index(np.zeros((3, 3))).local_planes(4),
+        lambda: Index(np.zeros((3, 3))).local_planes(3, [-1]),
+        lambda: Index(np.zeros((3, 3))).local_planes(3, [0.5]),
+        lambda: Index(np.zeros((1, 3))).nearest_other(),
     ],
 )
-def test_refusals(make, message):
-    with pytest.raises(InputError, match=message):
+def test_refusals(make):
+    with refused():
         make()
 
 
@@ -326,7 +320,7 @@ def test_nearest_of_moved_is_a_query_with_moved_points(shape):
         np.testing.assert_allclose(moved, queries @ motion[:, :3].T + motion[:, 3], rtol=0, atol=1e-14 * scale)
         for column, expected in zip(found, index.query(moved), strict=True):
             np.testing.assert_array_equal(column, expected)
-    with pytest.raises(InputError, match="finite coordinates"):
+    with refused():
         index.nearest_of_moved(source, np.hstack([turn, np.full((3, 1), 1e200)]))
 
 

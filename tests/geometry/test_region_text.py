@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wording import refused
 
 import pcbench
 from pcbench import Box, Cloud, Polygon, Sphere, crop, parse_region
@@ -30,7 +31,7 @@ def test_objects_and_texts_are_regions():
     assert as_region(box, CLOUD) is box
     assert as_region("box:0,0,0,1,1,1", CLOUD).text == box.text
     for wrong in (None, 3, [0, 0, 0, 1, 1, 1]):
-        with pytest.raises(InputError, match=r"expected a region, such as pcbench.Box\(lower, upper\), or its text"):
+        with refused():
             as_region(wrong, CLOUD)
 
 
@@ -56,65 +57,59 @@ def test_a_crop_to_the_whole_is_the_cloud():
 
 
 @pytest.mark.parametrize(
-    ("region", "message"),
+    "region",
     [
-        ("box:9,9,9,10,10,10", "the crop 'box:9,9,9,10,10,10' leaves none of the cloud's 500 points"),
-        (Box([9, 9, 9], [10, 10, 10]), "the crop 'box:9,9,9,10,10,10' leaves none of the cloud's 500 points"),
-        (Polygon([[9, 9], [10, 9], [10, 10]]), "the crop 'polygon of 3 vertices in xy' leaves none"),
-        ("cube:1", "region 'cube:1': expected none, box:"),
-        (7, "expected a region"),
+        "box:9,9,9,10,10,10",
+        Box([9, 9, 9], [10, 10, 10]),
+        Polygon([[9, 9], [10, 9], [10, 10]]),
+        "cube:1",
+        7,
     ],
 )
-def test_a_crop_that_leaves_nothing_is_refused(region, message):
-    with pytest.raises(InputError) as caught:
+def test_a_crop_that_leaves_nothing_is_refused(region):
+    with refused():
         pcbench.crop(CLOUD, region)
-    assert message in str(caught.value)
 
 
 # Refusals
 
 
-KNOWN = "none, box:xmin,ymin,zmin,xmax,ymax,zmax, sphere:x,y,z,r, polygon:FILE, reference or quantile:q"
-
-
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("", f"region '': expected {KNOWN}"),
-        ("cube:1", f"region 'cube:1': expected {KNOWN}"),
-        ("none:1", "expected 'none' alone"),
-        ("reference:", "expected 'reference' alone"),
-        ("polygon:", "expected polygon:FILE, got no file name"),
-        ("polygon", "expected polygon:FILE, got no file name"),
-        ("box:1,2,3", "region 'box:1,2,3': expected 6 numbers (xmin,ymin,zmin,xmax,ymax,zmax), got 3"),
-        ("box", "expected 6 numbers (xmin,ymin,zmin,xmax,ymax,zmax), got 0"),
-        ("box:1,2,3,4,5,x", "expected finite numbers (xmin,ymin,zmin,xmax,ymax,zmax), got 'x'"),
-        ("box:1,2,3,4,5,nan", "got 'nan'"),
-        ("box:1,2,3,4,5,inf", "got 'inf'"),
-        ("box:1,2,3,4,5,1e200", "got 1e+200"),
-        ("box:1,2,3,4,1,6", "expected a box with lower <= upper, got y from 2 to 1"),
-        ("sphere:1,2,3", "expected 4 numbers (x,y,z,r), got 3"),
-        ("sphere:1,2,3,", "expected finite numbers (x,y,z,r), got ''"),
-        ("sphere:1,2,3,0", "expected a sphere with a positive, finite radius, got 0"),
-        ("sphere:1,2,3,-1", "got -1"),
-        ("quantile:", "expected 1 number (q), got 0"),
-        ("quantile:0", "expected a quantile in (0, 1], such as 0.99, got 0"),
-        ("quantile:1.01", "expected a quantile in (0, 1], such as 0.99, got 1.01"),
-        ("quantile:99%", "expected finite numbers (q), got '99%'"),
-        ("polygon:/nowhere/a.json", "/nowhere/a.json: cannot read a polygon: No such file or directory"),
-        ("polygon:/", "/: cannot read a polygon: expected a file, got a folder"),
-        ("polygon:a\0b", "cannot read a polygon"),
+        "",
+        "cube:1",
+        "none:1",
+        "reference:",
+        "polygon:",
+        "polygon",
+        "box:1,2,3",
+        "box",
+        "box:1,2,3,4,5,x",
+        "box:1,2,3,4,5,nan",
+        "box:1,2,3,4,5,inf",
+        "box:1,2,3,4,5,1e200",
+        "box:1,2,3,4,1,6",
+        "sphere:1,2,3",
+        "sphere:1,2,3,",
+        "sphere:1,2,3,0",
+        "sphere:1,2,3,-1",
+        "quantile:",
+        "quantile:0",
+        "quantile:1.01",
+        "quantile:99%",
+        "polygon:/nowhere/a.json",
+        "polygon:/",
+        "polygon:a\0b",
     ],
 )
-def test_refused_texts(text, message):
-    with pytest.raises(InputError) as caught:
+def test_refused_texts(text):
+    with refused():
         parse_region(text, CLOUD)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_refused_quantile_of_one_place():
-    with pytest.raises(InputError, match="all in one place"):
+    with refused():
         parse_region("quantile:0.5", Cloud(np.vstack([np.zeros((9, 3)), np.ones((1, 3))])))
 
 

@@ -6,8 +6,8 @@ import shapes
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapes import UTM_DECIMAL as UTM
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
 
 unhurried = settings(deadline=None)  # a busy machine is no failure
@@ -308,81 +308,64 @@ BLOB = np.random.default_rng(7).normal(size=(5, 3))
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (
-            lambda: Similarity(np.eye(4), np.zeros(3)),
-            "expected a (3, 3) rotation and a (3,) translation, got (4, 4), (3,)",
-        ),
-        (lambda: Similarity(np.eye(3), np.zeros(2)), "got (3, 3), (2,)"),
-        (lambda: Similarity(np.eye(3), [0, 0, np.nan]), "expected a transform of finite numbers, got NaN or Inf"),
-        (lambda: Similarity(np.eye(3), np.zeros(3), 0), "expected a positive scale, got 0"),
-        (lambda: Similarity(np.eye(3), np.zeros(3), -1), "expected a positive scale, got -1"),
-        (lambda: Similarity(np.eye(3), np.zeros(3), np.inf), "expected a positive scale, got inf"),
-        (lambda: Similarity(np.eye(3), np.zeros(3), 1e101), "expected a scale of 1e-100 to 1e+100, got 1e+101"),
-        (lambda: Similarity(np.eye(3), [1e308] * 3), "expected a translation up to 1e+100, got 1e+308"),
-        (lambda: Similarity.from_matrix(1e308 * np.eye(4)), "expected a matrix of numbers up to 1e+100, got 1e+308"),
-        (lambda: Similarity(2 * np.eye(3), np.zeros(3)), "expected a rotation matrix: orthonormal rows"),
-        (
-            lambda: Similarity(np.diag([1, 1, -1]), np.zeros(3)),
-            "expected a rotation matrix: orthonormal rows and determinant +1",
-        ),
-        (lambda: Similarity.from_matrix(np.eye(3)), "expected a 4x4 matrix, got shape (3, 3)"),
-        (lambda: Similarity.from_matrix(matrix(m30=0.5)), "expected the last row 0 0 0 1, got 0.5 0 0 1"),
-        (
-            lambda: Similarity.from_matrix(matrix(m00=-1)),
-            "expected a rotation with a positive scale, got determinant -1",
-        ),
-        (lambda: Similarity.from_matrix(matrix(m00=0)), "expected a rotation with a positive scale, got determinant 0"),
-        (lambda: Similarity.from_matrix(matrix(m01=0.1)), "expected a rotation matrix: orthonormal rows"),
-        (lambda: Similarity.from_matrix(matrix(m00=np.nan)), "expected a transform of finite numbers, got NaN or Inf"),
-        (lambda: Affine(np.eye(4), np.zeros(3)), "expected a (3, 3) matrix and a (3,) translation, got (4, 4), (3,)"),
-        (lambda: Affine(np.eye(3), [np.inf, 0, 0]), "expected a transform of finite numbers"),
-        (lambda: Affine(np.diag([1, 1, 0]), np.zeros(3)), "expected an invertible transform, got a singular matrix"),
-        (lambda: Affine(np.zeros((3, 3)), np.zeros(3)), "expected an invertible transform, got a singular matrix"),
-        (lambda: fit_similarity(BLOB, BLOB[:4]), "expected two (N, 3) arrays of pairs, got (5, 3) and (4, 3)"),
-        (
-            lambda: fit_similarity(BLOB[:, :2], BLOB[:, :2]),
-            "expected two (N, 3) arrays of pairs, got (5, 2) and (5, 2)",
-        ),
-        (lambda: fit_similarity(BLOB[:2], BLOB[:2]), "expected at least 3 pairs of points to fit a transform, got 2"),
-        (lambda: fit_similarity(LINE, BLOB), "expected pairs that span a plane, got points on one line"),
-        (lambda: fit_similarity(BLOB, LINE), "expected pairs that span a plane, got points on one line"),
-        (lambda: fit_similarity(LINE + UTM, LINE), "expected pairs that span a plane, got points on one line"),
-        (lambda: fit_similarity(np.ones((4, 3)), BLOB[:4]), "expected pairs that span a plane, got points on one line"),
-        (lambda: fit_similarity(BLOB, np.ones((5, 3))), "expected pairs that span a plane, got points on one line"),
-        (lambda: fit_affine(BLOB, BLOB[:4]), "expected two (N, 3) arrays of pairs, got (5, 3) and (4, 3)"),
-        (lambda: fit_affine(BLOB[:3], BLOB[:3]), "expected at least 4 pairs of points to fit an affine map, got 3"),
-        (lambda: fit_affine(BLOB * [1, 1, 0], BLOB), "expected pairs that span space, got points in one plane"),
+        lambda: Similarity(np.eye(4), np.zeros(3)),
+        lambda: Similarity(np.eye(3), np.zeros(2)),
+        lambda: Similarity(np.eye(3), [0, 0, np.nan]),
+        lambda: Similarity(np.eye(3), np.zeros(3), 0),
+        lambda: Similarity(np.eye(3), np.zeros(3), -1),
+        lambda: Similarity(np.eye(3), np.zeros(3), np.inf),
+        lambda: Similarity(np.eye(3), np.zeros(3), 1e101),
+        lambda: Similarity(np.eye(3), [1e308] * 3),
+        lambda: Similarity.from_matrix(1e308 * np.eye(4)),
+        lambda: Similarity(2 * np.eye(3), np.zeros(3)),
+        lambda: Similarity(np.diag([1, 1, -1]), np.zeros(3)),
+        lambda: Similarity.from_matrix(np.eye(3)),
+        lambda: Similarity.from_matrix(matrix(m30=0.5)),
+        lambda: Similarity.from_matrix(matrix(m00=-1)),
+        lambda: Similarity.from_matrix(matrix(m00=0)),
+        lambda: Similarity.from_matrix(matrix(m01=0.1)),
+        lambda: Similarity.from_matrix(matrix(m00=np.nan)),
+        lambda: Affine(np.eye(4), np.zeros(3)),
+        lambda: Affine(np.eye(3), [np.inf, 0, 0]),
+        lambda: Affine(np.diag([1, 1, 0]), np.zeros(3)),
+        lambda: Affine(np.zeros((3, 3)), np.zeros(3)),
+        lambda: fit_similarity(BLOB, BLOB[:4]),
+        lambda: fit_similarity(BLOB[:, :2], BLOB[:, :2]),
+        lambda: fit_similarity(BLOB[:2], BLOB[:2]),
+        lambda: fit_similarity(LINE, BLOB),
+        lambda: fit_similarity(BLOB, LINE),
+        lambda: fit_similarity(LINE + UTM, LINE),
+        lambda: fit_similarity(np.ones((4, 3)), BLOB[:4]),
+        lambda: fit_similarity(BLOB, np.ones((5, 3))),
+        lambda: fit_affine(BLOB, BLOB[:4]),
+        lambda: fit_affine(BLOB[:3], BLOB[:3]),
+        lambda: fit_affine(BLOB * [1, 1, 0], BLOB),
     ],
 )
-def test_refusals(make, message):
-    with pytest.raises(InputError) as caught:
+def test_refusals(make):
+    with refused():
         make()
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    "content",
     [
-        (None, "cannot read a matrix: No such file or directory"),
-        (b"\xff\xfe\x00", "cannot read a matrix: not a text file"),
-        (b"", "expected 4 rows of 4 numbers, got 0 rows of []"),
-        (b"1 0 0\n0 1 0\n0 0 1\n", "expected 4 rows of 4 numbers, got 3 rows of [3, 3, 3]"),
-        (b"1 0 0 0\n0 1 0 0\n0 0 1\n", "expected 4 rows of 4 numbers, got 3 rows of [4, 4, 3]"),
-        (b"1 0 0 0\n0 1 0 x\n0 0 1 0\n", "expected a 4x4 matrix of numbers: could not convert string to float: 'x'"),
-        (b"1 0 0 0\n0 1 0 0\n0 0 -1 0\n", "expected a rotation with a positive scale, got determinant -1"),
-        (b"1 0 0 nan\n0 1 0 0\n0 0 1 0\n", "expected a transform of finite numbers"),
-        (b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 2", "expected the last row 0 0 0 1, got 0 0 0 2"),
+        None,
+        b"\xff\xfe\x00",
+        b"",
+        b"1 0 0\n0 1 0\n0 0 1\n",
+        b"1 0 0 0\n0 1 0 0\n0 0 1\n",
+        b"1 0 0 0\n0 1 0 x\n0 0 1 0\n",
+        b"1 0 0 0\n0 1 0 0\n0 0 -1 0\n",
+        b"1 0 0 nan\n0 1 0 0\n0 0 1 0\n",
+        b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 2",
     ],
 )
-def test_refused_files(tmp_path, content, message):
+def test_refused_files(tmp_path, content):
     path = tmp_path / "m.txt"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputError) as caught:
+    with refused():
         read_matrix(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.voxels import cell_means, cells, voxel_downsample, voxel_downsample_to
 
 
@@ -30,7 +30,7 @@ def test_cells_equal_a_sort(count, side):
 def test_far_cells_share_the_outermost():
     points = np.array([[0.0, 0, 0], [1e90, 0, 0], [1e95, 0, 0], [-1e95, 0, 0]])
     np.testing.assert_array_equal(cells(points, 1.0, np.zeros(3)).of_point, [0, 1, 1, 2])
-    with pytest.raises(InputError, match="positive cell side, got 0"):
+    with refused():
         cells(points, 0.0)
 
 

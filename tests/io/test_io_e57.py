@@ -8,6 +8,7 @@ import pytest
 from data_folder import data_folder
 from e57_bytes import RAE, XYZ, write
 from optional import break_library, import_or_skip
+from wording import refused
 
 from pcbench import read_cloud
 from pcbench.errors import InputError, MissingExtra
@@ -142,7 +143,7 @@ def test_checksums_of_the_tests_are_those_of_the_library(pye57, tmp_path):
 def test_without_pye57(monkeypatch, tmp_path):
     (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
     monkeypatch.setitem(sys.modules, "pye57", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'pcbench\[e57\]'"):
+    with refused(MissingExtra):
         read(tmp_path / "a.e57")
 
 
@@ -153,7 +154,7 @@ def test_a_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
         "raise OSError('libxerces-c.so: cannot open shared object file')"
     )
     monkeypatch.syspath_prepend(str(tmp_path / "broken"))
-    with pytest.raises(MissingExtra, match="does not load"):
+    with refused(MissingExtra):
         read(path)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from ply_bytes import damaged
 from refusals import refusal
+from wording import refused
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
@@ -224,7 +225,7 @@ def test_npz_refuses_two_arrays_of_one_name(tmp_path):
 
 @pytest.mark.parametrize(("name", "values"), [("crs", [1]), ("", [1]), ("a\0b", [1]), ("a", ["text"]), ("a", [None])])
 def test_npz_refuses_attributes(tmp_path, name, values):
-    with pytest.raises(InputError, match="expected attribute"):
+    with refused():
         write_cloud(tmp_path / "a.npz", Cloud(np.zeros((1, 3)), attributes={name: np.array(values)}))
     assert not list(tmp_path.iterdir())
 

@@ -5,8 +5,8 @@ import pytest
 import refusals
 from optional import import_or_skip
 from pcd_bytes import XYZ, corpus, lzf, pcd, points
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf as reader
 from pcbench.io import read_cloud, write_cloud
@@ -127,12 +127,12 @@ def test_lzf_overlapping_copies():
 
 @pytest.mark.parametrize("data", [b"\x05abc", b"\xe0", b"\x00a\x20", b"\x00a", b"\x00a\xe0\xff\x00" * 9])
 def test_lzf_of_another_size(data):
-    with pytest.raises(InputError, match=r"damaged LZF data: expected 7 bytes, got \d+"):
+    with refused():
         reader.decompress(data, 7)
 
 
 def test_lzf_reference_before_the_start():
-    with pytest.raises(InputError, match="a reference to before the first byte"):
+    with refused():
         reader.decompress(b"\x00a\x20\x05", 4)
 
 
@@ -237,13 +237,13 @@ def test_what_open3d_writes(tmp_path, options):
 @pytest.mark.parametrize("name", ["", "_", "two words", "x", "rgb", "Größe"])
 def test_refuses_names(tmp_path, name):
     cloud = Cloud(np.zeros((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)})
-    with pytest.raises(InputError, match="rename it"):
+    with refused():
         write_cloud(tmp_path / "a.pcd", cloud)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
 def test_refuses_what_is_no_number(tmp_path, values):
-    with pytest.raises(InputError, match="expected attribute 'a' as numbers"):
+    with refused():
         write_cloud(tmp_path / "a.pcd", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())

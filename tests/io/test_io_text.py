@@ -7,8 +7,8 @@ from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 
@@ -221,7 +221,7 @@ def test_as_written(tmp_path):
 
 
 def test_pts_is_not_written(tmp_path):
-    with pytest.raises(InputError, match=r"\.pts is read but not written: choose one of \.asc"):
+    with refused():
         write_cloud(tmp_path / "a.pts", Cloud(np.zeros((1, 3))))
 
 
@@ -230,13 +230,13 @@ def test_refuses_names(tmp_path, name):
     cloud = Cloud(
         np.zeros((1, 3)), normals=np.ones((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)}
     )
-    with pytest.raises(InputError, match="rename it"):
+    with refused():
         write_cloud(tmp_path / "a.csv", cloud)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
 def test_refuses_what_is_no_number(tmp_path, values):
-    with pytest.raises(InputError, match="expected attribute 'a' as numbers"):
+    with refused():
         write_cloud(tmp_path / "a.csv", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())

@@ -11,13 +11,14 @@ import pytest
 import shapes
 from optional import import_or_skip
 from shapes import UTM_WHOLE as UTM
+from wording import refused
 
 from pcbench import Cloud, Settings, Sphere, compare
-from pcbench.errors import InputError, RegistrationError
+from pcbench.errors import RegistrationError
 from pcbench.geometry.regions import Box
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.measure.results import BACK, FORTH
-from pcbench.registration import IcpSettings
+from pcbench.registration import IcpSettings, advice
 from pcbench.report import document, to_json
 
 NONE = Settings(register="none")
@@ -264,18 +265,19 @@ def test_the_caller_keeps_what_it_gave(pair):
     np.testing.assert_array_equal(candidate.points, pair[1])
 
 
-def test_refusals(pair):
+def test_refusals(pair, monkeypatch):
     reference, candidate = pair
     for crop in ("sphere:900,0,0,1", Sphere([900, 0, 0], 1)):
-        with pytest.raises(InputError, match="the crop 'sphere:900,0,0,1' leaves none of the reference's"):
+        with refused():
             compare(reference, candidate, Settings(crop=crop))
-    with pytest.raises(RegistrationError, match="does not overlap"):
+    monkeypatch.setattr(advice, "has_global", lambda: True)  # the message does not depend on what is installed
+    with refused(RegistrationError, masked=True):
         compare(reference, candidate + 1e4, NONE)
-    with pytest.raises(InputError, match="at least one candidate"):
+    with refused():
         compare(reference, [], NONE)
-    with pytest.raises(InputError, match="thresholds as positive lengths"):
+    with refused():
         Settings(thresholds=(0.0,))
-    with pytest.raises(InputError, match="leaves none of x's"):
+    with refused():
         compare(reference, {"x": candidate[candidate[:, 0] > 20]}, Settings("none", crop="box:0,0,-9,10,40,9"))
 
 
@@ -334,9 +336,9 @@ def test_poses_and_methods_are_objects_or_texts(pair, tmp_path):
     assert doc["settings"]["register"] == "icp"
     np.testing.assert_array_equal(doc["settings"]["initial"], turn.matrix)
     assert "initial" not in document(compare(reference, candidate, NONE))["settings"]
-    with pytest.raises(InputError, match="not the matrix of a similarity"):
+    with refused():
         Settings(register=np.diag([1.0, 2, 1, 1]))
-    with pytest.raises(InputError, match="expected the registration as a text"):
+    with refused():
         Settings(register=7)
 
 
@@ -347,7 +349,7 @@ def test_a_comparison_is_handy(pair, tmp_path):
     assert [c.name for c in comparison] == ["a", "<b>"]
     assert len(comparison) == 2
     assert "a" in comparison and "c" not in comparison
-    with pytest.raises(KeyError, match="no candidate 'c': there are a, <b>"):
+    with refused(KeyError):
         comparison["c"]
     text = repr(comparison)
     assert len(text.splitlines()) == 3
@@ -369,13 +371,13 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     names = {path.name for path in (tmp_path / "report").iterdir()}
     assert {"metrics.csv", "table.md", "a_deviation.ply", "a_T.txt"} <= names
     assert "settings.json" not in names  # there are no files to read again
-    monkeypatch.setattr("pcbench.report.plot.draw_if_possible", lambda folder, figures: "no pictures: no library")
-    with pytest.warns(UserWarning, match="no pictures: no library"):
+    monkeypatch.setattr("pcbench.report.plot.draw_if_possible", lambda folder, figures: "no-library")
+    with pytest.warns(UserWarning, match="no-library"):
         comparison.save(tmp_path / "without")
     assert (tmp_path / "without/comparison.json").is_file()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").touch()
-    with pytest.raises(InputError, match="holds no report"):
+    with refused():
         comparison.save(tmp_path / "mine", figures=False)
 
 
@@ -383,7 +385,7 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
 def test_a_name_that_no_file_can_have_is_not_saved(name, tmp_path):
     corners = np.eye(3)
     comparison = compare(corners, {name: corners}, NONE)
-    with pytest.raises(InputError, match="expected a candidate's name that a file can have"):
+    with refused():
         comparison.save(tmp_path / "report", figures=False)
     assert not any(tmp_path.iterdir())  # nothing beside the report either
 
@@ -394,7 +396,7 @@ def test_regions_are_objects_or_texts(pair):
     by_object = document(compare(reference, candidate, Settings("none", crop=Box([10, 10, -9], [25, 30, 9]))))
     assert by_object["candidates"][0]["metrics"] == by_text["candidates"][0]["metrics"]
     assert by_object["settings"]["crop"] == "box:10,10,-9,25,30,9"
-    with pytest.raises(InputError, match="expected crop as a region or as text"):
+    with refused():
         Settings(crop=(0, 1))
 
 
@@ -403,5 +405,5 @@ def test_names_are_taken_from_any_iterable():
     assert names.presets == ("gao2025", "mpeg", "pdal")
     assert names.maps == ("m3c2",)
     for wrong in ("pdal", None, 7):
-        with pytest.raises(InputError, match="expected presets as several names"):
+        with refused():
             Settings(presets=wrong)

@@ -5,8 +5,8 @@ import importlib.util
 import numpy as np
 import pytest
 from optional import break_library, import_or_skip
+from wording import refused, said
 
-from pcbench.errors import InputError
 from pcbench.measure import perceptual
 from pcbench.measure.images import absolute_error, psnr, ssim
 from pcbench.measure.perceptual import Perceptual
@@ -96,13 +96,13 @@ def test_error_maps_are_in_levels():
 @pytest.mark.parametrize("metric", [psnr, ssim])
 def test_refusals(metric):
     image = photograph(0)
-    with pytest.raises(InputError, match="67 x 48 and 67 x 47 pixels"):
+    with refused():
         metric(image, image[:-1])
-    with pytest.raises(InputError, match="shape"):
+    with refused():
         metric(image[..., 0], image[..., 0])
-    with pytest.raises(InputError, match="int64"):
+    with refused():
         metric(image.astype(int), image.astype(int))
-    with pytest.raises(InputError, match="mask"):
+    with refused():
         metric(image, image, np.ones((48, 67), dtype=np.uint8))
 
 
@@ -126,7 +126,7 @@ def test_what_is_not_installed_is_said(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "flip_evaluator", None)
     here = Perceptual.here()
     assert [notice.code for notice in here.missing] == ["no-lpips", "no-flip"]
-    assert all("pip install" in notice.text for notice in here.missing)
+    said("\n".join(notice.text for notice in here.missing))
     scores = here.scores(photograph(0), photograph(1))
     assert scores.lpips is None
     assert scores.flip is None
@@ -141,7 +141,8 @@ def test_lpips_without_its_weights_downloads_nothing(monkeypatch, tmp_path):
     monkeypatch.setattr(perceptual, "require", pytest.fail)
     here = Perceptual.here()
     assert here.lpips is None
-    assert "vgg16-397923af.pth is not there, and nothing is downloaded" in here.missing[0].text
+    assert here.missing[0].code == "no-lpips"
+    said(here.missing[0].text)
 
 
 @pytest.mark.slow

@@ -8,9 +8,9 @@ import pytest
 import shapes
 from command_line import one_line
 from data_folder import data_folder
+from wording import refused, said
 
 from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
-from pcbench.errors import InputError
 
 GIVEN = {"radius": 1.2, "depth": 1.5, "normal_radius": 1.5, "registration_error": 0.02}
 
@@ -92,28 +92,28 @@ def test_core_points_outside_the_region_are_left_out(pair):
     found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
     inside = cores[(cores[:, 0] >= low) & (cores[:, 2] < 1000)]
     np.testing.assert_allclose(found.cores, inside)
-    with pytest.raises(InputError, match="no core point lies inside the region"):
+    with refused():
         compare(reference, candidate, Settings(register="none", m3c2=M3C2Settings(1.2, cores=cores[-1:]), crop=box))
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("", r"expected NAME=VALUE with a name of radius, depth, normal_radius, cores, registration_error, got ''"),
-        ("0.5", r"expected NAME=VALUE .* got '0\.5'"),
-        ("scale=2", "got 'scale=2'"),
-        ("radius=0.5,dept=2", "got 'dept=2'"),
-        ("radius=a", "expected M3C2's radius as a number, got 'a'"),
-        ("radius=", "expected a value after radius="),
-        ("radius=1,radius=2", "radius is given twice"),
-        ("radius=0", "expected M3C2's radius as a positive number, got 0"),
-        ("depth=-1", "expected M3C2's depth as a positive number"),
-        ("normal_radius=nan", "expected M3C2's normal_radius as a positive number, got nan"),
-        ("registration_error=-1", "at least 0, got -1"),
+        "",
+        "0.5",
+        "scale=2",
+        "radius=0.5,dept=2",
+        "radius=a",
+        "radius=",
+        "radius=1,radius=2",
+        "radius=0",
+        "depth=-1",
+        "normal_radius=nan",
+        "registration_error=-1",
     ],
 )
-def test_texts_that_are_no_settings(text, message):
-    with pytest.raises(InputError, match=message):
+def test_texts_that_are_no_settings(text):
+    with refused():
         Settings(m3c2=text)
 
 
@@ -123,9 +123,9 @@ def test_texts_are_read_back():
     assert M3C2Settings.parse(how.text).text == how.text
     assert Settings(m3c2="radius=1").maps == ("m3c2",)
     for wrong in (3, True, {"radius": 1}):
-        with pytest.raises(InputError, match="m3c2"):
+        with refused():
             Settings(m3c2=wrong)
-    with pytest.raises(InputError, match="radius"):
+    with refused():
         M3C2Settings("0.5")
 
 
@@ -144,22 +144,20 @@ def test_from_the_command_line_and_again(pair, tmp_path, run):
     again = run("compare", "--settings", tmp_path / "report" / "settings.json", "--json", tmp_path / "again.json")
     assert again[0] == 0
     assert json.loads((tmp_path / "again.json").read_text())["candidates"][0]["deviation"]["m3c2"] == found
-    for wrong, said in ((f"cores={tmp_path / 'no.ply'}", "no.ply"), ("diameter=1", "diameter=1")):
+    for wrong, named in ((f"cores={tmp_path / 'no.ply'}", "no.ply"), ("diameter=1", "diameter=1")):
         code, _, err = run("compare", *files, "--m3c2", wrong)
         assert code == 2
         assert one_line(err)
-        assert said in err
+        assert named in err
 
 
 def test_cylinders_that_hold_too_little_are_said(pair):
     reference, candidate, _ = pair
 
-    def said(text):
+    def warned(text):
         found = compare(reference, candidate, register="none", m3c2=text).candidates[0]
         return [str(notice) for notice in found.warnings if notice.code == "empty-m3c2"]
 
-    assert said("radius=1.2") == []
-    (text,) = said("radius=1e-9")
-    assert text.startswith(
-        "M3C2 says nothing: a cylinder of radius 1e-09 and depth 1e-09 holds points of both clouds at 0"
-    )
+    assert warned("radius=1.2") == []
+    (text,) = warned("radius=1e-9")
+    said(text, masked=False)

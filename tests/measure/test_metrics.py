@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from wording import refused
 
 from pcbench import Cloud, metrics, write_cloud
-from pcbench.errors import InputError
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.voxels import cells
 
@@ -112,7 +112,7 @@ def test_plane_distances_by_rows_are_those_of_copies():
     found = metrics.plane_distances(queries, closest, normals, **rows)
     np.testing.assert_array_equal(found, metrics.plane_distances(*copies))
     np.testing.assert_allclose(found, ((copies[0] - copies[1]) * copies[2]).sum(axis=1), rtol=0, atol=1e-14)
-    with pytest.raises(IndexError, match="outside"):
+    with refused(IndexError):
         metrics.plane_distances(queries, closest, normals, closest_rows=np.full(50, 50))
 
 
@@ -137,13 +137,13 @@ def test_psnr_of_mpeg():
     ],
 )
 def test_no_distances_are_refused(call):
-    with pytest.raises(InputError, match="at least one distance"):
+    with refused():
         call(np.empty(0))
 
 
 @pytest.mark.parametrize("threshold", [0.0, -1.0, np.nan])
 def test_thresholds_are_positive(threshold):
-    with pytest.raises(InputError, match="positive threshold"):
+    with refused():
         metrics.fscore(np.ones(3), np.ones(3), threshold)
 
 
@@ -155,22 +155,22 @@ BOTH_WAYS = ("hausdorff", "chamfer_unsquared", "chamfer_squared", "fscore")
 def test_points_are_refused_with_the_call_that_takes_them(name):
     points, further = np.zeros((7, 3)), [1.0] if name == "fscore" else []
     arguments = [points] if name in ONE_WAY else [points, points]
-    with pytest.raises(InputError, match=r"expected one-way distances of shape \(N,\), got \(7, 3\)") as refused:
+    with refused() as caught:
         getattr(metrics, name)(*arguments, *further)
-    named = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(refused.value))
+    named = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(caught.value))
     assert getattr(metrics, named[1])(points, points, *further) is not None
     if name in BOTH_WAYS:
-        with pytest.raises(InputError, match="got \\(7, 3\\)"):
+        with refused():
             getattr(metrics, name)(np.zeros(7), points, *further)
 
 
 def test_values_of_points_are_refused_where_they_are_not_one_a_point():
     voxels = cells(np.random.default_rng(0).random((7, 3)), 0.5)
-    with pytest.raises(InputError, match="got \\(7, 3\\)"):
+    with refused():
         metrics.area_weighted_mean(np.zeros((7, 3)), voxels)
-    with pytest.raises(InputError, match="each of 7 points, got 6"):
+    with refused():
         metrics.area_weighted_mean(np.zeros(6), voxels)
-    with pytest.raises(InputError, match="NaN in 1 of 3"):
+    with refused():
         metrics.fscore([0.0, np.nan, 1.0], [0.0], 1.0)
 
 
@@ -203,15 +203,15 @@ def test_two_clouds_may_be_clouds_or_files(tmp_path):
     write_cloud(tmp_path / "a.ply", Cloud(first))
     assert metrics.hausdorff_between(tmp_path / "a.ply", Cloud(second)) == expected
     assert metrics.hausdorff_between(str(tmp_path / "a.ply"), second.tolist()) == expected
-    with pytest.raises(InputError, match=r"b\.ply"):
+    with refused():
         metrics.hausdorff_between(tmp_path / "b.ply", second)
-    with pytest.raises(InputError, match="expected"):
+    with refused():
         metrics.chamfer_unsquared_between(first[:, 0], second)
 
 
 @pytest.mark.parametrize("name", ["chamfer_unsquared", "hausdorff", "fscore"])
 def test_signed_distances_are_refused_where_they_would_cancel(name):
     further = [0.1] if name == "fscore" else []
-    with pytest.raises(InputError, match="expected unsigned distances, got 1 of 2 below 0"):
+    with refused():
         getattr(metrics, name)([1.0, -1.0], [1.0], *further)
     assert metrics.mean_square([1.0, -1.0]) == 1.0  # of squares the sign is no matter

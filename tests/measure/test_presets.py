@@ -8,9 +8,9 @@ import pytest
 import shapes
 from data_folder import data_folder
 from optional import import_or_skip
+from wording import refused
 
 from pcbench import Cloud, Settings, compare, read_cloud
-from pcbench.errors import InputError
 
 
 def preset(name, reference, candidate, **settings):
@@ -115,7 +115,7 @@ def test_identical_clouds_have_no_psnr():
 
 
 def test_unknown_preset():
-    with pytest.raises(InputError, match="unknown preset 'nonsense': expected one of gao2025, mpeg"):
+    with refused():
         Settings(presets=("nonsense",))
 
 

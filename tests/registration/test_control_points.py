@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from registrations import motion
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.registration import (
     ControlPoints,
     register,
@@ -36,18 +36,18 @@ def test_control_and_check_points(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("a 1 2 3 4 5\n", "line 1: expected a name and six"),
-        ("a 1 2 3 4 5 6\nb x 2 3 4 5 6\n", "line 2"),
-        ("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\n", "at least 3 pairs"),
-        ("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 2 0 0 2 0 0\n", "on one line"),
-        ("", "at least 3 pairs"),
+        "a 1 2 3 4 5\n",
+        "a 1 2 3 4 5 6\nb x 2 3 4 5 6\n",
+        "a 0 0 0 0 0 0\nb 1 0 0 1 0 0\n",
+        "a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 2 0 0 2 0 0\n",
+        "",
     ],
 )
-def test_bad_pairs(scene, tmp_path, text, message):
+def test_bad_pairs(scene, tmp_path, text):
     (tmp_path / "pairs.txt").write_text(text)
-    with pytest.raises(InputError, match=message):
+    with refused():
         register(*scene, f"points:{tmp_path / 'pairs.txt'}")
 
 
@@ -64,17 +64,17 @@ def test_control_points_without_scale_are_rigid():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    "arguments",
     [
-        ((np.eye(3), np.eye(3)[:2]), "as many rows of candidate .3. as of reference .2."),
-        ((np.eye(3), np.eye(4)), "the reference's control points of shape .N, 3., got .4, 4."),
-        ((np.eye(3) * np.nan, np.eye(3)), "finite control points of the candidate"),
-        (("abc", np.eye(3)), "array of numbers"),
-        ((np.eye(3), np.eye(3), ["a"]), "names .1."),
-        ((np.eye(3), np.eye(3), (), [True, False, False]), "at least 3 control points"),
-        ((np.zeros((4, 3)), np.zeros((4, 3))), "on one line"),
+        (np.eye(3), np.eye(3)[:2]),
+        (np.eye(3), np.eye(4)),
+        (np.eye(3) * np.nan, np.eye(3)),
+        ("abc", np.eye(3)),
+        (np.eye(3), np.eye(3), ["a"]),
+        (np.eye(3), np.eye(3), (), [True, False, False]),
+        (np.zeros((4, 3)), np.zeros((4, 3))),
     ],
 )
-def test_control_points_that_are_none(arguments, message):
-    with pytest.raises(InputError, match=message):
+def test_control_points_that_are_none(arguments):
+    with refused():
         ControlPoints(*arguments)

@@ -11,9 +11,10 @@ from data_folder import data_folder
 from optional import break_library
 from registrations import codes, error
 from shapes import UTM_WHOLE as UTM
+from wording import refused
 
 from pcbench import cli, read_cloud, write_cloud
-from pcbench.errors import InputError, MissingExtra, RegistrationError
+from pcbench.errors import MissingExtra, RegistrationError
 from pcbench.extras import unavailable
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity, read_matrix
@@ -79,14 +80,14 @@ def test_strays_do_not_hide_the_pose():
 def test_refuses_unrelated_clouds(method):
     """Another city on the same ground and the same street grid: three quarters of it could be laid on the first."""
     reference, candidate = windows(1, 1.0, other=9)
-    with pytest.raises(RegistrationError, match="no pose of the candidate fits the reference"):
+    with refused(RegistrationError, masked=True):
         register(reference, pose(1).inverse().apply(candidate), method)
 
 
 @needs_kiss
 def test_refuses_noise():
     rng = np.random.default_rng(7)
-    with pytest.raises(RegistrationError, match="no pose of the candidate fits"):
+    with refused(RegistrationError, masked=True):
         register(rng.normal(size=(5000, 3)), rng.normal(size=(5000, 3)), "global")
 
 
@@ -177,14 +178,14 @@ def test_real_aerial_cloud_from_any_pose():
 def test_says_what_is_missing(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "kiss_matcher", None)
     reference, candidate = windows(1, 1.0, counts=(5000, 5000))
-    with pytest.raises(MissingExtra, match=r"kiss-matcher is needed for this: pip install 'pcbench\[global\]'"):
+    with refused(MissingExtra):
         register(reference, candidate, "global")
 
 
 def test_too_few_points_and_other_names():
-    with pytest.raises(RegistrationError, match="at least 100 points in each cloud to register from nothing, got 20"):
+    with refused(RegistrationError, masked=True):
         register(np.random.default_rng(0).normal(size=(500, 3)), np.eye(3).repeat(7, axis=0)[:20], "global")
-    with pytest.raises(InputError, match="unknown registration 'global:x'"):
+    with refused():
         register(np.eye(3), np.eye(3), "global:x")
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import shapes
 from registrations import motion
+from wording import refused
 
 from pcbench import Similarity
-from pcbench.errors import InputError
 from pcbench.geometry.transform import format_matrix, read_matrix
 from pcbench.registration import (
     GivenPose,
@@ -41,24 +41,23 @@ def test_a_given_scale_was_not_solved(scene):
 
 
 NO_SIMILARITIES = {
-    "reflection": (np.diag([1.0, 1.0, -1.0, 1.0]), "a rotation with a positive scale, got determinant -1"),
-    "shear": (np.array([[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), "expected a rotation matrix"),
-    "stretch": (np.diag([1.0, 1.0, 1.1, 1.0]), "expected a rotation matrix"),
-    "singular": (np.diag([1.0, 1.0, 0.0, 1.0]), "got determinant 0"),
-    "3x3": (np.eye(3), "expected a 4x4 matrix, got shape .3, 3."),
-    "projective": (np.eye(4) + np.eye(4)[:, ::-1] * 0.1, "expected the last row 0 0 0 1"),
-    "nan": (np.eye(4) * np.nan, "finite numbers"),
-    "words": ([["a"] * 4] * 4, "a Similarity or a 4x4 array of numbers, got list"),
-    "ragged": ([[1.0], [1.0, 2.0]], "a Similarity or a 4x4 array of numbers, got list"),
+    "reflection": np.diag([1.0, 1.0, -1.0, 1.0]),
+    "shear": np.array([[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]),
+    "stretch": np.diag([1.0, 1.0, 1.1, 1.0]),
+    "singular": np.diag([1.0, 1.0, 0.0, 1.0]),
+    "3x3": np.eye(3),
+    "projective": np.eye(4) + np.eye(4)[:, ::-1] * 0.1,
+    "nan": np.eye(4) * np.nan,
+    "words": [["a"] * 4] * 4,
+    "ragged": [[1.0], [1.0, 2.0]],
 }
 
 
 @pytest.mark.parametrize("name", NO_SIMILARITIES)
 def test_arrays_that_are_no_similarity(name):
-    array, message = NO_SIMILARITIES[name]
+    array = NO_SIMILARITIES[name]
     cloud = shapes.plane_grid(4)
-    with pytest.raises(InputError, match=message) as as_method:
+    with refused():
         register(cloud, cloud, array)
-    with pytest.raises(InputError, match=message) as as_start:
+    with refused():
         register(cloud, cloud, "icp", initial=array)
-    assert "\n" not in str(as_method.value) + str(as_start.value)

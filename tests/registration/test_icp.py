@@ -6,9 +6,10 @@ import shapes
 from data_folder import data_folder
 from registrations import codes, error, motion
 from shapes import UTM_WHOLE as UTM
+from wording import refused
 
 from pcbench import Similarity, read_cloud
-from pcbench.errors import InputError, RegistrationError
+from pcbench.errors import RegistrationError
 from pcbench.registration import (
     IcpSettings,
     register,
@@ -73,7 +74,6 @@ def test_large_rotations_are_found_or_said_to_be_missed(scene):
         result = register(reference, true.inverse().apply(candidate))
         assert error(result.T_reference_candidate, true, candidate) > 1
         assert OFF_SURFACE in codes(result)
-        assert "near the reference does not lie on it: a wrong alignment" in " ".join(map(str, result.warnings))
 
 
 def test_far_coordinates_change_nothing(scene):
@@ -118,7 +118,7 @@ def test_doubled_points_and_exact_copies():
         assert result.overlap == 1.0
         assert result.warnings == ()
     assert register(1e-160 * points, 1e-160 * points, "none").warnings
-    with pytest.raises(RegistrationError, match="an extent to register to"):
+    with refused(RegistrationError, masked=True):
         register(1e-160 * points, 1e-160 * points)
 
 
@@ -172,24 +172,24 @@ def test_settings_change_what_icp_does(scene):
     assert small.T_local.matrix.tolist() != register(reference, moved).T_local.matrix.tolist()
     near = register(reference, candidate + [0, 0, 30.0], IcpSettings(max_correspondence_distance=40.0))
     assert error(near.T_reference_candidate, away([0, 0, -30.0]), candidate) < 0.003
-    with pytest.raises(RegistrationError, match=r"lie within 0\.5 of it"):
+    with refused(RegistrationError, masked=True):
         register(reference, candidate + [0, 0, 100.0], IcpSettings(max_correspondence_distance=0.5))
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    "settings",
     [
-        ({"residuals": "line"}, "expected the residuals `plane` or `point`, got 'line'"),
-        ({"with_scale": "yes"}, "expected with_scale as True or False, got 'yes'"),
-        ({"residuals": "point", "with_scale": True}, "expected residuals `plane` where the scale is solved for"),
-        ({"max_correspondence_distance": 0}, "expected a positive max_correspondence_distance, got 0"),
-        ({"max_correspondence_distance": float("nan")}, "expected a positive max_correspondence_distance, got nan"),
-        ({"max_correspondence_distance": "1"}, "expected a positive max_correspondence_distance, got '1'"),
-        ({"max_iterations": 0}, "expected max_iterations as a whole number of at least 1, got 0"),
-        ({"max_iterations": 2.5}, "expected max_iterations as a whole number of at least 1, got 2.5"),
-        ({"max_sample": True}, "expected max_sample as a whole number of at least 10, got True"),
+        {"residuals": "line"},
+        {"with_scale": "yes"},
+        {"residuals": "point", "with_scale": True},
+        {"max_correspondence_distance": 0},
+        {"max_correspondence_distance": float("nan")},
+        {"max_correspondence_distance": "1"},
+        {"max_iterations": 0},
+        {"max_iterations": 2.5},
+        {"max_sample": True},
     ],
 )
-def test_settings_that_are_none(settings, message):
-    with pytest.raises(InputError, match=message):
+def test_settings_that_are_none(settings):
+    with refused():
         IcpSettings(**settings)

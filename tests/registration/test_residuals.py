@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from registrations import motion
+from wording import refused, said
 
 from pcbench import Cloud, compare, write_cloud
 from pcbench.cli.clouds import register as register_command
-from pcbench.errors import InputError
 from pcbench.registration import ControlPoints, SurveyResiduals, register
 from pcbench.registration.control_points import fit_pairs
 from pcbench.report.document import document
@@ -58,8 +58,7 @@ def test_horizontal_and_vertical_need_z_that_is_up():
     assert found.rmse(found.check).total == pytest.approx(0.13, abs=1e-9)
     assert found.rmse(found.check).horizontal is None
     assert found.rmse(found.check).vertical is None
-    assert any("not known to be up" in line for line in found.rmse_lines())
-    assert not any(" H " in line or " Z " in line for line in list(found.rmse_lines())[:2])
+    said("\n".join(found.rmse_lines()), masked=False)
 
 
 def test_plain_values_come_back():
@@ -86,10 +85,10 @@ def test_register_prints_every_point_and_the_rmse(files, capsys):
     register_command([*clouds, "--register", f"points:{files / 'points.txt'}"], standalone_mode=False)
     lines = [line.removeprefix("# ") for line in capsys.readouterr().out.splitlines()]
     (check,) = (line for line in lines if line.startswith("check point p"))
-    assert check == "check point p: 0.13 (dx +0.03, dy +0.04, dz +0.12)"
-    assert sum(line.startswith("control point ") for line in lines) == 4
-    assert "2 check points: RMSE H 0.05 m, Z 0.12 m, 3D 0.13 m" in lines
-    assert any(line.startswith("4 control points: RMSE H ") for line in lines)
+    assert check.endswith(": 0.13 (dx +0.03, dy +0.04, dz +0.12)")
+    (rmse,) = (line for line in lines if line.startswith("2 check points: "))
+    assert rmse.endswith(" H 0.05 m, Z 0.12 m, 3D 0.13 m")
+    said("\n".join(lines[:-4]))
     np.testing.assert_allclose(np.loadtxt(lines[-4:]), TRUE.matrix, atol=1e-9)
 
 
@@ -108,7 +107,7 @@ def test_compare_keeps_them_in_json_table_and_csv(files):
         rows = {(row["metric"], row["variant"]): row["value"] for row in csv.DictReader(file)}
     assert float(rows["check_points_rmse", "vertical"]) == pytest.approx(0.12, abs=1e-9)
     assert float(rows["control_points_rmse", "3d"]) == pytest.approx(0.02, abs=1e-9)
-    assert "2 check points: RMSE H 0.05 m" in (files / "report/table.md").read_text()
+    assert " H 0.05 m, Z 0.12 m, 3D 0.13 m" in (files / "report/table.md").read_text()
 
 
 def test_a_map_grid_has_heights():
@@ -125,20 +124,20 @@ def test_other_methods_have_no_residuals():
 
 
 @pytest.mark.parametrize(
-    ("names", "is_check", "message"),
+    ("names", "is_check"),
     [
-        (["a", "b", "c", "d", "p", "a"], [False] * 6, "'a' twice"),
-        (NAMES, [False] * 2 + [True] * 4, "at least 3 control points, got 2 beside 4 check points"),
-        (NAMES, [True] * 6, "at least 3 control points, got 0 beside 6 check points"),
+        (["a", "b", "c", "d", "p", "a"], [False] * 6),
+        (NAMES, [False] * 2 + [True] * 4),
+        (NAMES, [True] * 6),
     ],
 )
-def test_points_that_do_not_do(names, is_check, message, tmp_path):
+def test_points_that_do_not_do(names, is_check, tmp_path):
     good = pairs()
-    with pytest.raises(InputError, match=message):
+    with refused():
         ControlPoints(good.candidate, good.reference, names, is_check)
 
 
 def test_a_control_and_a_check_point_of_one_name_are_refused(tmp_path):
     (tmp_path / "p.txt").write_text("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 0 1 0 0 1 0\na* 1 1 0 1 1 0\n")
-    with pytest.raises(InputError, match=r"p\.txt: .*'a' twice"):
+    with refused():
         ControlPoints.read(tmp_path / "p.txt")

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wording import refused, said
 
 import pcbench
 from pcbench import Cloud, PcbenchError, Settings
-from pcbench.errors import InputError
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_candidates_of_all_kinds_have_names(files):
     assert [c.name for c in pcbench.compare("ref.ply", "a.xyz", register="none")] == ["a"]
     assert [c.name for c in pcbench.compare("ref.ply", {"mine": "a.xyz"}, register="none")] == ["mine"]
     pcbench.write_cloud("candidate_2.ply", "a.xyz")
-    with pytest.raises(InputError, match="two candidates are called 'candidate_2'"):
+    with refused():
         pcbench.compare("ref.ply", ["candidate_2.ply", files["b.npy"]])
 
 
@@ -60,16 +60,18 @@ def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path, monkeypatch):
 def test_what_readers_left_out_is_a_warning(files):
     with Path("a.xyz").open("a") as file:
         file.write("nan nan nan\n")
-    with pytest.warns(UserWarning, match="dropped 1 of 401 points"):
+    with pytest.warns(UserWarning) as warned:
         found = pcbench.compare("ref.ply", "a.xyz", register="none")
-    assert "dropped 1 of 401 points" in found.inputs.candidates["a"].warnings[0]
+    (text,) = found.inputs.candidates["a"].warnings
+    said(text, masked=False)
+    said("\n".join(str(warning.message) for warning in warned))
 
 
 def test_a_report_of_paths_can_be_repeated(files, tmp_path):
     found = pcbench.compare("ref.ply", "a.xyz", register="none")
     found.save("report", figures=False)
     assert (tmp_path / "report" / "settings.json").is_file()
-    with pytest.raises(PcbenchError, match="no-such"):
+    with refused(PcbenchError):
         pcbench.compare("no-such.ply", "a.xyz")
 
 
@@ -78,7 +80,7 @@ def test_settings_by_name(files):
     assert (found.settings.register, found.settings.seed, found.settings.thresholds) == ("none", 5, (0.1,))
     both = pcbench.compare("ref.ply", "a.xyz", Settings(register="none", seed=5), seed=6)
     assert (both.settings.register, both.settings.seed) == ("none", 6)
-    with pytest.raises(InputError, match="unknown setting 'registr': expected one of register, crop,"):
+    with refused():
         pcbench.compare("ref.ply", "a.xyz", registr="none")
 
 
@@ -87,15 +89,13 @@ def test_arrays_and_paths_are_written_as_clouds_are(files, tmp_path):
     np.testing.assert_array_equal(pcbench.read_cloud("c.ply").points, files["b.npy"])
     pcbench.write_cloud("d.xyz", files["b.npy"][:2].tolist())
     assert len(pcbench.read_cloud("d.xyz")) == 2
-    with pytest.raises(InputError, match="points"):
+    with refused():
         pcbench.write_cloud("e.ply", np.zeros((3, 2)))
     assert not (tmp_path / "e.ply").exists()
 
 
 def test_a_comparison_shows_itself_in_a_few_lines(files):
     found = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
-    first, *rest = repr(found).splitlines()
-    assert first.startswith("Comparison with 400 points, spacing 0.")
-    assert first.endswith(" m")
+    _, *rest = said(repr(found)).splitlines()
     assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]
     assert max(map(len, repr(found).splitlines())) < 120

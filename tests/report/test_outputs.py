@@ -7,6 +7,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 import shapes
+from wording import said
 
 from pcbench import Cloud, Mesh, Settings, compare
 from pcbench.deformation import size
@@ -170,7 +171,8 @@ def test_what_is_detectable_is_said_as_it_is_computed(clouds, monkeypatch):
     def definition():
         return next(r.definition for r in rows(clouds) if r.metric == "minimum_detectable_rms")
 
-    assert f"{100 * size.DETECTION_POWER:g} % of all cases at p <= {size.MAX_P_SURE:g}" in definition()
+    said(definition(), masked=False)
+    assert f"{100 * size.DETECTION_POWER:g} %" in definition() and f"p <= {size.MAX_P_SURE:g}" in definition()
     monkeypatch.setattr(quantities, "DETECTION_POWER", 0.625)
     monkeypatch.setattr(quantities, "MAX_P_SURE", 0.25)
     assert "62.5 %" in definition() and "p <= 0.25" in definition()

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from optional import import_or_skip
+from wording import refused
 
 from pcbench import Cloud, compare
-from pcbench.errors import InputError
 from pcbench.report import report_folder
 from pcbench.report.manifest import complete_replacement, is_report
 from pcbench.report.plot import draw
@@ -124,12 +124,12 @@ def test_only_files_that_the_report_wrote_are_replaced(tmp_path):
 def test_a_file_of_the_user_in_the_way_is_refused(tmp_path):
     save(tmp_path / "report", OLD)
     write(tmp_path / "report", {"c_T.txt": "mine"})
-    with pytest.raises(InputError, match=r"c_T\.txt"):
+    with refused():
         save(tmp_path / "report", NEW)
     assert held(tmp_path / "report") == {**OLD, "c_T.txt": "mine"}
     (tmp_path / "report/c_T.txt").unlink()
     (tmp_path / "report/c_T.txt").mkdir()
-    with pytest.raises(InputError, match=r"c_T\.txt"):
+    with refused():
         save(tmp_path / "report", NEW)
     assert held(tmp_path / "report") == OLD
 
@@ -142,9 +142,9 @@ def test_linked_figures_are_refused(tmp_path):
     (tmp_path / "report/figures").rmdir()
     (tmp_path / "report/figures").symlink_to(tmp_path / "pictures")
     before = held(tmp_path)
-    with pytest.raises(InputError, match="figures: expected a folder of the report's own, got a link"):
+    with refused():
         save(tmp_path / "report", NEW)
-    with pytest.raises(InputError, match="figures: expected a folder of the report's own, got a link"):
+    with refused():
         draw(tmp_path / "report")
     assert held(tmp_path) == before
 
@@ -168,7 +168,7 @@ def test_a_document_of_something_else_makes_no_report(tmp_path, text):
         folder = tmp_path / name
         write(folder, {name: text})
         assert not is_report(folder)
-        with pytest.raises(InputError, match="holds no report"):
+        with refused():
             save(folder, NEW)
         assert (folder / name).read_text() == text
 

@@ -9,6 +9,7 @@ from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
 from scene_folders import NAMES, K, orbit
+from wording import refused
 
 from pcbench import Cloud
 from pcbench.errors import InputError
@@ -252,7 +253,7 @@ def test_earth_studio_in_metres_of_wgs84(tmp_path):
     for name in names:  # directions are the same: east is east on either
         rotations = (cameras[name].cam_from_world.rotation for cameras in (converted.cameras, scene.cameras))
         np.testing.assert_array_equal(*rotations)
-    with pytest.raises(InputError, match="expected cameras of Earth Studio"):
+    with refused():
         converted.in_wgs84()
 
 
@@ -282,7 +283,7 @@ def test_json_that_is_nested_too_deeply_is_one_line(photographs):
     deep = photographs / "deep.json"
     deep.write_text("[" * 100_000)
     for read in (read_earth_studio, lambda path: read_transforms(path, lambda _: None)):
-        with pytest.raises(InputError, match=r"deep\.json: expected"):
+        with refused():
             read(deep)
     assert not read_scene(photographs).cameras  # a file beside the images that has nothing to do with them
 
@@ -298,7 +299,7 @@ def test_rotations_are_told_from_other_matrices():
         rotation + np.eye(3)[::-1] * 0.01,
         np.full((3, 3), np.nan),
     ):
-        with pytest.raises(InputError, match="rotation"):
+        with refused():
             rotation_from(wrong)
 
 
@@ -315,7 +316,7 @@ def test_damaged_binary_models_are_one_line(tmp_path):
                 read_colmap_cameras(tmp_path / "model")
         (tmp_path / "model" / name).write_bytes(data)
     (tmp_path / "model/cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, 5, 64, 48))
-    with pytest.raises(InputError, match="model 5 is not supported"):
+    with refused():
         read_colmap_cameras(tmp_path / "model")
-    with pytest.raises(InputError, match="binary COLMAP model"):
+    with refused():
         write_colmap_model(tmp_path / "model", orbit(NAMES))

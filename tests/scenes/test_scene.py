@@ -10,6 +10,7 @@ from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
 from scene_folders import NAMES, orbit, picture
+from wording import refused
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_model import write_colmap_model
@@ -57,7 +58,7 @@ def test_masks(photographs):
     np.testing.assert_array_equal(scene.read_mask("3.png"), mask[::2, ::2] > 0)
     assert scene.read_mask("4.png") is None
     Image.fromarray(mask[:, :60]).save(photographs / "masks/4.png")
-    with pytest.raises(InputError, match="mask of 64 x 48 pixels"):
+    with refused():
         read_scene(photographs)
 
 
@@ -91,10 +92,10 @@ def test_splits(photographs):
     train, test = scene.split_blocks(4, blocks=1)
     assert test.images == ("4.png", "5.png")
     assert len(train) == 8
-    for refused in (lambda: scene.split_every(1), lambda: scene.split_every(8)[1].split_blocks(8)):
-        with pytest.raises(InputError, match=r"testing|to test"):
-            refused()
-    with pytest.raises(InputError, match="got 'x'"):
+    for split in (lambda: scene.split_every(1), lambda: scene.split_every(8)[1].split_blocks(8)):
+        with refused():
+            split()
+    with refused():
         scene.select(["x"])
 
 
@@ -191,7 +192,7 @@ def test_refusals(photographs, tmp_path):
 def test_undecodable_pixels_are_said_when_they_are_read(photographs):
     path = photographs / "images/0.png"
     path.write_bytes(path.read_bytes()[:200])  # the header is whole
-    with pytest.raises(InputError, match=r"0.png: cannot be decoded"):
+    with refused():
         read_scene(photographs).read_image("0.png")
 
 
@@ -208,7 +209,7 @@ def test_positions_of_a_file(photographs):
     assert not scene.select(["4.png"]).positions
     for line in ("3.png 1 2", "3.png 1 2 x", "3.png 1 2 nan"):
         (photographs / "gps.txt").write_text(line)
-        with pytest.raises(InputError, match=r"gps.txt: line 1: expected a name and x y z"):
+        with refused():
             read_scene(photographs)
 
 
@@ -352,7 +353,7 @@ def test_a_project_of_earth_studio_is_not_its_export(photographs):
     assert not read_scene(photographs, on_warning=told.append).cameras
     assert "rome.esp: an Earth Studio project (.esp) holds keyframes and no cameras" in told[0]
     assert "3D camera export as JSON" in told[0]
-    with pytest.raises(InputError, match=r"rome.esp: an Earth Studio project .* 3D camera export as JSON"):
+    with refused():
         read_scene(photographs, cameras=photographs / "rome.esp")
 
 
@@ -362,7 +363,7 @@ def test_a_repeated_frame_is_refused_before_poses_are_read(photographs, monkeypa
     document = {"fl_x": 50, "w": 64, "h": 48, "frames": [frame] * 1000}
     (photographs / "transforms.json").write_text(json.dumps(document))
     monkeypatch.setattr("pcbench.io.transforms_json._pose", lambda _: pytest.fail("a pose was read"))
-    with pytest.raises(InputError, match=r"transforms\.json: frame 1: two cameras for the image images/3\.png"):
+    with refused():
         read_scene(photographs)
 
 

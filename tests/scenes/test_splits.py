@@ -4,8 +4,8 @@ from itertools import chain
 
 import numpy as np
 import pytest
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.scenes.splits import capture_order, every, hold_out, in_blocks
 
 
@@ -56,9 +56,9 @@ def test_every_eighth_begins_with_the_first():
 
 def test_it_is_said_how_many_images_are_needed():
     assert len(every(named(9)).train) == 7
-    with pytest.raises(InputError, match=r"at least 9 images .* got 8"):
+    with refused():
         every(named(8))
-    with pytest.raises(InputError, match="one in 1"):
+    with refused():
         every(named(8), 1)
 
 
@@ -100,9 +100,9 @@ def test_one_place_for_all_keeps_the_names():
 
 def test_too_few_images_are_refused():
     for count, n in ((8, 8), (1, 8), (0, 8), (10, 1)):
-        with pytest.raises(InputError, match=r"for testing|to test with"):
+        with refused():
             every(named(count), n)
-    with pytest.raises(InputError, match="8 blocks of 2 that are held out at least 32 images, got 31"):
+    with refused():
         in_blocks(named(31))
-    with pytest.raises(InputError, match="at least one block"):
+    with refused():
         in_blocks(named(40), 0)

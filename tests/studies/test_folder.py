@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from view_folders import views_of
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.studies.bench.runs import KIND as BENCH
 from pcbench.studies.bend.bend import KIND as BEND
 from pcbench.studies.folder import (
@@ -53,7 +53,7 @@ def files_of(folder):
 def test_a_folder_of_something_else_is_refused(tmp_path, kind, name, text):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match="not empty and holds no results"), study_folder(tmp_path, kind, Job()):
+    with refused(), study_folder(tmp_path, kind, Job()):
         pass
     assert files_of(tmp_path) == {Path(name).name: text}
 
@@ -64,7 +64,7 @@ def test_views_leave_a_folder_of_something_else_alone(tmp_path):
     (tmp_path / "out/runs").mkdir(parents=True)
     for name, text in mine.items():
         (tmp_path / "out" / name).write_text(text)
-    with pytest.raises(InputError, match="not empty and holds no results of `views`"):
+    with refused():
         run_views(ViewsJob((tmp_path / "a",)), tmp_path / "out")
     assert files_of(tmp_path / "out") == mine
 
@@ -73,7 +73,7 @@ def test_views_leave_a_folder_of_something_else_alone(tmp_path):
 def test_a_study_knows_its_own_folder(tmp_path, kind):
     out = tmp_path / "new/out"
     with study_folder(out, kind, Job()):
-        with pytest.raises(InputError, match="another run"), study_folder(out, kind, Job()):
+        with refused(), study_folder(out, kind, Job()):
             pass
     assert json.loads((out / MARK).read_text()) == {
         "schema": "pcbench.study/1",
@@ -84,10 +84,10 @@ def test_a_study_knows_its_own_folder(tmp_path, kind):
         pass
     for other in KINDS:
         if other is not kind:
-            with pytest.raises(InputError, match="not empty"):
+            with refused():
                 check_folder(out, other)
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match="got a file"):
+    with refused():
         check_folder(tmp_path / "file", kind)
 
 

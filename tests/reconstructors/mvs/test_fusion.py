@@ -7,6 +7,7 @@ import pytest
 from exact_maps import mesh_map, plane_map
 from optional import import_or_skip
 from PIL import Image
+from wording import refused
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -139,7 +140,7 @@ def test_nothing_fused_is_said(tmp_path):
     cameras = over_a_plane(3)
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras]
     path = fused(tmp_path, cameras, [made.where(np.zeros(made.depth.shape, bool)) for made in maps])
-    with pytest.raises(ReconstructionError, match="nothing is fused"):
+    with refused(ReconstructionError):
         read_fused(*path)
 
 
@@ -166,7 +167,7 @@ def test_files_that_colmap_cuts_short_are_refused(tmp_path, monkeypatch, cut):
     else:
         monkeypatch.setattr(pycolmap, "stereo_fusion", fuse_partly)
     cameras = over_a_plane()
-    with pytest.raises(ReconstructionError, match="could not be written whole"):
+    with refused(ReconstructionError):
         fused(tmp_path, cameras, [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras])
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from optional import import_or_skip
+from wording import refused
 
 from pcbench.errors import InputError
 from reconstructors.mvs.maps import DepthMap, read_depth, read_map, read_raster, write_map, write_raster
@@ -87,14 +88,14 @@ def test_damaged_files_are_refused(tmp_path, content, message):
 
 def test_what_does_not_fit_is_refused(tmp_path):
     made = a_map()
-    with pytest.raises(InputError, match="expected depths"):
+    with refused():
         DepthMap(made.depth, made.normal[1:], made.confidence)
     write_map(tmp_path, made)
     write_raster(tmp_path / "normal.bin", made.normal[1:])
-    with pytest.raises(InputError, match=str(tmp_path)):
+    with refused():
         read_map(tmp_path)
     write_raster(tmp_path / "depth.bin", made.normal)
-    with pytest.raises(InputError, match="one channel, got 3"):
+    with refused():
         read_depth(tmp_path)
-    with pytest.raises(InputError, match="cannot be read: No such file"):
+    with refused():
         read_map(tmp_path / "nothing")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from repository import TESTS
 from textured_planes import Photographed, plane_scene
+from wording import refused
 
-from pcbench.errors import InputError
 from reconstructors.mvs.patchmatch import MAX_SIDE, MAX_SOURCES, _State, match, noise_variance, refine
 
 
@@ -127,14 +127,14 @@ def test_masks_are_obeyed(slanted):
 
 def test_what_cannot_be_searched_is_refused(slanted):
     scene, _ = slanted
-    with pytest.raises(InputError, match="expected 1 to 16 sources, got 0"):
+    with refused():
         match(scene.views[0], [], (5.0, 20.0))
-    with pytest.raises(InputError, match="got 17"):
+    with refused():
         match(scene.views[0], [scene.views[1]] * (MAX_SOURCES + 1), (5.0, 20.0))
-    with pytest.raises(InputError, match="positive depths"):
+    with refused():
         match(scene.views[0], scene.views[1:], (0.0, 20.0))
     wide = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE + 1), np.uint8))
-    with pytest.raises(InputError, match="at most 32000 pixels a side, got 32001"):
+    with refused():
         match(scene.views[0], [wide], (5.0, 20.0))
 
 

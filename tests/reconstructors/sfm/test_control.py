@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from optional import import_or_skip
+from wording import refused
 
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -32,7 +33,7 @@ def test_a_mark_outside_its_image_is_a_mistake():
     centres = np.eye(3) * 5
     cameras = {f"{k}.jpg": Camera(f"{k}.jpg", K, look_at(centre, np.zeros(3))) for k, centre in enumerate(centres)}
     point = ControlPoint("A", np.zeros(3), (Observation("0.jpg", 5000.0, 20.0), Observation("1.jpg", 200.0, 150.0)))
-    with pytest.raises(InputError, match=r"control point A: \(5000, 20\) lies outside 0.jpg of 400 x 300 pixels"):
+    with refused():
         measure(cameras, [point], 1.0)
 
 
@@ -66,7 +67,7 @@ def test_control_files(tmp_path):
         path.write_text(text)
         with pytest.raises(InputError, match=match):
             read_control(path)
-    with pytest.raises(InputError, match="cannot read control points"):
+    with refused():
         read_control(tmp_path / "none.txt")
 
 

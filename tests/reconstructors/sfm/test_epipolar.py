@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from optional import import_or_skip
+from wording import refused
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -84,7 +85,7 @@ def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(know
     assert found.is_sound
     assert not repeated(found, "solved")
     others = dict(zip(cameras, reversed(cameras.values()), strict=True))
-    with pytest.raises(ReconstructionError, match="do not fit the images"):
+    with refused(ReconstructionError):
         check_cameras(folder / DATABASE, others)
 
 

@@ -6,6 +6,7 @@ import zlib
 import pytest
 import textured_corner as corner
 from optional import import_or_skip
+from wording import refused
 
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.run import ReconstructionJob, run
@@ -73,7 +74,7 @@ def test_whole_images_are_all_used_and_too_few_are_refused(photos, tmp_path):
     assert readable(scene, tmp_path / "a") == (scene, [])
     for number in range(4):
         (photos / f"{number}.png").write_bytes(DAMAGE["truncated"]((photos / f"{number}.png").read_bytes()))
-    with pytest.raises(ReconstructionError, match=r"4 of 5 images cannot be decoded: 0\.png: truncated"):
+    with refused(ReconstructionError):
         readable(read_scene(photos), tmp_path / "b")
 
 

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.geodesy import Gps
 from pcbench.scenes import Scene
@@ -64,5 +63,5 @@ def test_gps_gives_neighbours_too():
 
 
 def test_spatial_needs_positions():
-    with pytest.raises(InputError, match="of every image"):
+    with refused():
         choose_pairs(scene(40), "spatial")

@@ -10,6 +10,7 @@ import textured_corner as corner
 from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
+from wording import refused
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
@@ -92,9 +93,9 @@ def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
     up = fit.rotation[:, 2]
     assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) < 1.0  # solved rolls are good to some tenths
     assert sum(note.startswith("levelled, +z is up") for note in made.notes) == 1
-    with pytest.raises(InputError, match="poses=given needs cameras"):
+    with refused():
         ColmapSfm(poses="given", **QUICK).reconstruct(scene, workspace)
-    with pytest.raises(InputError, match="align=gps needs three positions"):
+    with refused():
         ColmapSfm(align="gps", **QUICK).reconstruct(scene, workspace)
 
 
@@ -157,7 +158,7 @@ def test_points_of_two_images_are_left_out(photographs, workspace):
     assert more.cloud.attributes["track_length"].min() == 2
     left_out = len(more.cloud) - len(some.cloud)
     assert f"{left_out} points of fewer than 3 images are left out" in some.notes
-    with pytest.raises(ReconstructionError, match="points is shown by 8 images"):
+    with refused(ReconstructionError):
         ColmapSfm(min_views=8, **QUICK).reconstruct(scene, workspace)
 
 
@@ -206,7 +207,7 @@ def test_check_points_alone_score_given_cameras(photographs, workspace, tmp_path
     assert made.residuals.control == ()
     lines = [*marks_in(cameras, {"p": [0, 0, 0.5]})]
     (tmp_path / "control.txt").write_text("\n".join(lines))
-    with pytest.raises(InputError, match="the scene gives the cameras"):
+    with refused():
         ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(read_scene(photographs), workspace)
 
 
@@ -221,7 +222,7 @@ def _moved_by(dx, dy, dz):
 def test_marks_in_images_that_are_not_there(photographs, workspace, tmp_path):
     scene = read_scene(photographs)
     (tmp_path / "control.txt").write_text("p* 0 0 0 elsewhere.jpg 1 2\np* 0 0 0 nowhere.jpg 1 2\n")
-    with pytest.raises(InputError, match=r"images such as elsewhere\.jpg, none of which is in the scene"):
+    with refused():
         ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
     lines = [*marks_in(scene.cameras, {"p*": [0, 0, 0.5]}), "p* 0 0 0.5 elsewhere.jpg 1 2"]
     (tmp_path / "control.txt").write_text("\n".join(lines))
@@ -353,7 +354,7 @@ def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photo
     assert re.match("warning: 4 of [0-9]+ pairs of at least 100 matches contradict the solved cameras", note)
     assert "not aligned to the world: its gauge is arbitrary" in made.notes
     assert "000.png" in (tmp_path / "pairs.csv").read_text()
-    with pytest.raises(ReconstructionError, match="cannot be aligned to cameras: places that look alike"):
+    with refused(ReconstructionError):
         ColmapSfm(align="cameras", **settings).reconstruct(scene, tmp_path)
     # Given cameras stay in their own world: theirs is said to be contradicted.
     given = ColmapSfm(**QUICK).reconstruct(scene, tmp_path)
@@ -369,7 +370,7 @@ def test_a_solution_that_known_cameras_contradict_is_not_put_into_their_world(ph
     made = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
     assert made.gauge == "arbitrary"
     assert any(note.startswith("not aligned to cameras: solved positions are off by") for note in made.notes)
-    with pytest.raises(ReconstructionError, match="cannot be aligned to cameras"):
+    with refused(ReconstructionError):
         ColmapSfm(poses="solve", align="cameras", refine="none", **QUICK).reconstruct(scene, workspace)
 
 
@@ -409,7 +410,7 @@ def test_it_is_an_installed_plugin():
     plugin = find_plugin("sfm")
     assert plugin.origin.startswith("pcbench ")
     assert plugin.missing is None
-    with pytest.raises(InputError, match="at least 50 features"):
+    with refused():
         plugin.configure({"features": "3"})
 
 
@@ -473,5 +474,5 @@ def test_images_from_one_place_give_no_point(tmp_path):
         cameras.append(replace(whole, name=f"{k}.png", intrinsics=part))
         Image.fromarray(picture[:, left : left + 400]).save(folder / "images" / f"{k}.png")
     write_colmap_model(folder / "sparse", cameras)
-    with pytest.raises(ReconstructionError, match=r"no point is triangulated: .* from different places"):
+    with refused(ReconstructionError):
         ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from optional import import_or_skip
+from wording import refused
 
 from pcbench.errors import ReconstructionError
 from pcbench.scenes import read_scene
@@ -41,10 +42,10 @@ def test_a_cut_model_is_refused(workspace, tmp_path, name):
     size = (tmp_path / name).stat().st_size
     for left in (size // 2, 8, 0):
         os.truncate(tmp_path / name, left)
-        with pytest.raises(ReconstructionError, match="could not be written whole"):
+        with refused(ReconstructionError):
             check_written(tmp_path)
     (tmp_path / name).unlink()
-    with pytest.raises(ReconstructionError, match="could not be written whole"):
+    with refused(ReconstructionError):
         check_written(tmp_path)
 
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from optional import import_or_skip
+from wording import refused
 
-from pcbench.errors import InputError, ReconstructionError
+from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 torch = import_or_skip("torch")
@@ -117,7 +118,7 @@ def test_a_gaussian_before_one_camera_alone_is_no_surface():
 def test_the_voxel_sets_the_spacing():
     few, many = (surface(plane(), WORLD, around(), voxel=side) for side in (0.4, 0.1))
     assert 8 < len(many) / len(few) < 22
-    with pytest.raises(InputError, match="expected a positive edge"):
+    with refused():
         surface(plane(), WORLD, around(), voxel=0.0)
 
 
@@ -128,12 +129,12 @@ def test_what_all_of_few_cameras_see_is_sure():
 
 def test_no_surface_is_an_error_that_says_so():
     cameras = around()
-    with pytest.raises(InputError, match="expected at least 3 cameras, which have to agree, got 2"):
+    with refused():
         surface(plane(), WORLD, dict(list(cameras.items())[:2]))
     faint = replace(plane(), logits=torch.full_like(plane().logits, -9.0))
-    with pytest.raises(ReconstructionError, match="no surface"):
+    with refused(ReconstructionError):
         surface(faint, WORLD, cameras)
-    with pytest.raises(ReconstructionError, match="no depth is seen alike by 6 images"):
+    with refused(ReconstructionError):
         surface(plane(), WORLD, cameras, criteria=replace(AGREEMENT, views=6, depth=1e-12))
 
 
@@ -182,5 +183,5 @@ def test_means_are_filtered_by_opacity_and_size():
     assert len(means(model, WORLD, min_opacity=0.5)) == len(model) - 10
     assert len(means(model, WORLD, max_axis=1.5)) == len(model) - 15
     assert len(means(model, WORLD, min_opacity=0.5, max_axis=1.5)) == len(model) - 20
-    with pytest.raises(InputError, match="none of 100 Gaussians is left: opacities are"):
+    with refused():
         means(model, WORLD, max_axis=1e-6)

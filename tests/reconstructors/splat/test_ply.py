@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import splat_models
 from optional import import_or_skip
+from wording import refused
 
 from pcbench import Cloud
-from pcbench.errors import InputError
 from pcbench.io import read_cloud, write_cloud
 
 torch = import_or_skip("torch")
@@ -117,7 +117,7 @@ def test_what_is_no_model_is_refused(tmp_path, missing):
     cloud = splat_models.some(4)
     attributes = {name: values for name, values in cloud.attributes.items() if name != missing}
     write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=attributes))
-    with pytest.raises(InputError, match=r"model\.ply: expected a model of Gaussian splats"):
+    with refused():
         read_model(tmp_path / "model.ply")
 
 
@@ -128,5 +128,5 @@ def test_harmonics_of_no_known_degree_are_refused(tmp_path, degree):
     count = {0.5: 5, 4: 72}[degree]
     attributes |= {f"f_rest_{k}": np.zeros(4, np.float32) for k in range(count)}
     write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=attributes))
-    with pytest.raises(InputError, match=rf"expected 0, 9, 24 or 45 properties f_rest_\*, got {count}"):
+    with refused():
         read_model(tmp_path / "model.ply")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from splat_scenes import scattered
+from wording import refused
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -98,7 +99,7 @@ def test_a_mask_hides_what_it_covers():
 def test_what_is_not_finite_ends_with_a_sentence():
     training = begun()
     training.model.sh[3] = float("nan")
-    with pytest.raises(ReconstructionError, match="diverged: at step 5 numbers of 1 Gaussians are not finite"):
+    with refused(ReconstructionError):
         training.run(5)
 
 
@@ -109,13 +110,13 @@ def test_what_is_not_finite_does_not_end_as_a_plateau():
         if now.step == 29:
             now.model.means[3] = np.nan  # the rasterizer skips it
 
-    with pytest.raises(ReconstructionError, match="diverged: at step 30 "):
+    with refused(ReconstructionError):
         training.run(100, spoiled)
 
 
 def test_a_model_that_vanished_ends_with_a_sentence():
     training = begun(Classic(first=5, every=5, faint=1.0))
-    with pytest.raises(ReconstructionError, match="no Gaussian is left at step 5"):
+    with refused(ReconstructionError):
         training.run(5)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from splat_scenes import scattered
+from wording import refused
 
 from pcbench.errors import InputError, MissingExtra, ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -178,7 +179,7 @@ def test_where_to_compute(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     for wanted in ("auto", "cpu"):
         assert computing_on(wanted) == (torch.device("cpu"), None)
-    with pytest.raises(InputError, match="expected a CUDA device for device=cuda, torch finds none: check the driver"):
+    with refused():
         computing_on("cuda")
 
     def fails(error):
@@ -209,7 +210,7 @@ def test_where_to_compute(monkeypatch):
 
 def test_without_a_gpu_nothing_is_begun_on_one(monkeypatch, tmp_path):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(InputError, match="torch finds none"):
+    with refused():
         GaussianSplatting(device="cuda").reconstruct([None] * 3, tmp_path)
     assert not [*tmp_path.iterdir()]
 
@@ -219,9 +220,7 @@ def test_memory_that_a_gpu_has_not_ends_with_a_sentence(monkeypatch, tmp_path):
         raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB.")
 
     monkeypatch.setattr(GaussianSplatting, "_reconstruct", full)
-    with pytest.raises(
-        ReconstructionError, match="too little memory: set fewer gaussians, a smaller image_side, or dev"
-    ):
+    with refused(ReconstructionError):
         GaussianSplatting().reconstruct([None] * 3, tmp_path)
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wording import refused
 
 from pcbench import Cloud
-from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import Mesh
 from pcbench.plugins import Reconstruction
@@ -141,11 +141,11 @@ def test_thresholds_are_lengths_or_pixels():
     bare = Truth(truth.cloud, {}, None, "")
     assert [t.length / bare.spacing for t in Yardstick.of(bare, Rules()).thresholds] == pytest.approx([1, 2, 5])
     for text in ("0", "-1px", "a", "1,,2", "nan", "inf", ""):
-        with pytest.raises(InputError, match="expected --threshold as lengths, or as pixels"):
+        with refused():
             Yardstick.of(truth, Rules(threshold=text))
-    with pytest.raises(InputError, match="no cameras that see the reference"):
+    with refused():
         Yardstick.of(bare, Rules(threshold="2px"))
-    with pytest.raises(InputError, match="no two points apart"):
+    with refused():
         Yardstick.of(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
 
 

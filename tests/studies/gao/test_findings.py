@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from gao_studies import scene, stored, study, verdict
 from optional import import_or_skip
+from wording import refused
 
-from pcbench.errors import InputError, Notice
+from pcbench.errors import Notice
 from pcbench.report import Figures
 from pcbench.studies.gao.figures import pictures
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
@@ -190,10 +191,10 @@ def test_a_study_is_read_as_it_was_written(tmp_path):
     assert tuple(sentences(again)) == found.sentences
     assert again == found
     (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": "pcbench.experiment.bend/1"}))
-    with pytest.raises(InputError, match="expected the schema"):
+    with refused():
         read_study(tmp_path / "a")
     (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": SCHEMA, "scenes": [{}]}))
-    with pytest.raises(InputError, match="damaged"):
+    with refused():
         read_study(tmp_path / "a")
 
 

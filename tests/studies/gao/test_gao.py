@@ -11,9 +11,9 @@ import pytest
 from command_line import one_line
 from optional import import_or_skip
 from scene_folders import orbit, ten_pictures
+from wording import refused
 
 from pcbench import Cloud, read_cloud, write_cloud
-from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.io.colmap_model import write_colmap_model
@@ -212,7 +212,7 @@ def test_photographs_need_no_cameras_where_these_are_solved(tmp_path, monkeypatc
     monkeypatch.setattr(gao, "_run", lambda job, given, *_: begun.append(given))
     run_gao(GaoJob((scene,)), tmp_path / "out")
     assert [len(found.cameras) for found in begun[0].values()] == [0]
-    with pytest.raises(InputError, match="has no camera"):
+    with refused():
         run_gao(GaoJob((scene,), poses="given"), tmp_path / "other")
     assert not (tmp_path / "other").exists()
 
@@ -222,9 +222,9 @@ def test_a_crop_of_nothing_is_refused_before_the_work(tmp_path, monkeypatch):
     (scene / "truth").mkdir()
     write_cloud(scene / "truth/cloud.ply", Cloud(np.arange(30.0).reshape(10, 3)))
     monkeypatch.setattr(gao, "find_plugin", lambda _: SimpleNamespace(missing=None, configure=lambda _: None))
-    with pytest.raises(InputError, match=r"leaves none of .*the truth's 10 points"):
+    with refused():
         run_gao(GaoJob((scene,), crop="sphere:900,0,0,1"), tmp_path / "out")
-    with pytest.raises(InputError, match="region ''"):
+    with refused():
         run_gao(GaoJob((scene,), crop=""), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -242,7 +242,7 @@ def test_a_crop_without_sparse_points_ends_the_work_early(tmp_path, monkeypatch)
 
     monkeypatch.setattr(clouds._Maker, "make", make)
     job = GaoJob((scene.folder,), crop="sphere:900,0,0,1")
-    with pytest.raises(InputError, match=r"leaves none of .*the sparse cloud's 10 points"):
+    with refused():
         clouds.make_clouds(job, scene, scene.folder, tmp_path, None, lambda _: None)
     assert made == [SPARSE]
 
