@@ -5,7 +5,6 @@ import sys
 import time
 
 import pytest
-from wording import said
 
 from pcbench.cli import messages
 from pcbench.cli.messages import duration, steps

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from command_line import one_line
 from optional import import_or_skip
+from wording import said
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.cli import clouds
@@ -16,17 +17,18 @@ from pcbench.geometry.transform import read_matrix
 def test_crop_register_and_info(files, run):
     code, out, _ = run("crop", "a.ply", "cut.ply", "--crop", "box:0,0,-1,10,10,30")
     assert code == 0
-    assert "1,500 points" in out
+    assert "1,500 points" in said(out)
     assert (read_cloud("cut.ply").points[:, 0] <= 10).all()
     code, out, _ = run("register", "ref.ply", "a.ply", "--out", "aligned.ply", "--matrix", "T.txt")
     assert code == 0
-    assert "converged" in out
+    said(out.splitlines()[0])
     moved = read_matrix("T.txt").apply(read_cloud("a.ply").points)
     np.testing.assert_allclose(read_cloud("aligned.ply").points, moved, atol=1e-12)
     code, out, _ = run("compare", "ref.ply", "a.ply", "--register", "matrix:T.txt", "--json", "-")
     assert json.loads(out)["candidates"][0]["registration"]["method"] == f"matrix:{files / 'T.txt'}"
     code, out, _ = run("info", "ref.ply", "a.ply")
     assert code == 0
+    said(out)
     assert "4,000 points" in out
     assert "1,500 points" in out
 
@@ -47,9 +49,9 @@ def test_register_says_the_motion_before_the_matrix(files, run):
     assert shift.split()[6] == "m"
     assert float(turned.split()[2]) == pytest.approx(0.5, abs=0.002)
     assert float(turned.rstrip(")").split()[-1]) == pytest.approx(-1, abs=1e-4)  # back about z
-    assert scale == "# scale: 1 (not solved for)"
-    assert "overlap 100.0%" in fit
-    assert title == "# matrix candidate -> reference:"
+    assert scale.startswith("# scale: 1 ")
+    assert "100.0%" in fit
+    said("\n".join([scale, title]))
     assert len(matrix) == 4
     (files / "T.txt").write_text(out)  # all that is printed is a file of a matrix
     np.testing.assert_allclose(read_matrix("T.txt").apply(read_cloud("moved.ply").points), points, atol=0.005)
@@ -58,7 +60,9 @@ def test_register_says_the_motion_before_the_matrix(files, run):
 def test_register_of_a_cloud_with_itself_moves_nothing(files, run):
     code, out, _ = run("register", "ref.ply", "ref.ply", "--register", "none")
     assert code == 0
-    assert out.startswith("# shift at the centroid: 0 m (+0, +0, +0)\n# turn: 0 degrees\n")
+    shift, turned, *_ = out.splitlines()
+    assert "0 m (+0, +0, +0)" in said(shift)
+    assert " 0 " in said(turned)
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["with pyproj", "without"])
@@ -97,7 +101,7 @@ def test_no_file_that_a_setting_names_is_replaced(files, run):
         code, _, err = run(*command)
         assert code == 2
         assert one_line(err)
-        assert "would replace" in err
+        said(err)
         assert matrix.read_text() == rows
 
 
@@ -108,7 +112,7 @@ def test_convert(files, run):
             import_or_skip("lazrs")
         code, out, err = run("convert", "c.ply", name)
         assert code == 0, err
-        assert "1,500 points" in out
+        assert out == f"{name}: 1,500 points\n"
         np.testing.assert_allclose(read_cloud(name).points, read_cloud("c.ply").points, atol=1e-4)
     code, _, err = run("convert", "c.ply", "c.xyz", "--classes", "2")
     assert code == 2

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from command_line import one_line
 from optional import import_or_skip
+from wording import said
 
 from pcbench import Cloud, read_cloud
 
@@ -37,15 +38,17 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     code, out, err = run("plugins", "mine.py:Mine")
     assert (code, err) == (0, "")
     assert "sfm (pcbench " in run("plugins")[1]
-    assert "min_views: points that fewer images show" not in run("plugins")[1]
-    assert "min_views: points that fewer images show" in run("plugins", "sfm")[1]
-    assert "mine.py:Mine (mine.py): Returns what it got.\n  can run here\n  --set points=int  (default 4)\n" in out
+    assert "min_views: " not in run("plugins")[1]
+    assert "min_views: " in run("plugins", "sfm")[1]
+    said(out)
+    assert "points=int" in out
     arguments = ("reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply")
     code, out, err = run(*arguments, "--set", "points=3", "--write-cameras", "cameras.json")
     assert (code, err) == (0, "warning: four\n")
+    said("\n".join(out.splitlines()[:2]))  # times and memory follow
     assert "note: three\n" in out
     assert "four" not in out
-    assert "cloud.ply: 3 points, georeferenced, 1 cameras" in out
+    assert "3 points, georeferenced, 1 cameras" in out
     assert len(read_cloud("cloud.ply")) == 3
     assert json.loads(Path("cameras.json").read_text())["frames"][0]["file_path"] == "photos/0.png"
     Path("cloud.ply").unlink()
@@ -66,8 +69,8 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     assert not Path("untouched").exists()
     assert not Path("cloud.ply").exists()
     Path("mine.py").write_text(Path("mine.py").read_text().replace("return None", "return 'no such chip'"))
-    assert "cannot run here: no such chip" in run("plugins", "mine.py:Mine")[1]
-    assert "mine.py:Mine cannot run here: no such chip" in run(*arguments)[2]
+    assert "no such chip" in said(run("plugins", "mine.py:Mine")[1])
+    assert "no such chip" in said(run(*arguments)[2])
     code, out, err = run("plugins", "mine.py:Yours")
     assert code == 2
     assert one_line(err)

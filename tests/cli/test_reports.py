@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from command_line import REPORT, doc, one_line, without_the_clock
 from optional import import_or_skip
+from wording import said
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import read_matrix
@@ -17,9 +18,7 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     code, out, err = run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")
     assert code == 0
     assert not err
-    assert "RMS off the surface" in out
-    assert "sampling floor" in out
-    assert "report: report/ holds table.md" in out
+    said(out.splitlines()[-1])
     fields = {f"{name}_deformation.{kind}" for name in "ab" for kind in ("csv", "ply")}
     expected = (
         REPORT | fields | {f"{name}_{kind}" for name in "ab" for kind in ("deviation.ply", "completeness.ply", "T.txt")}
@@ -63,7 +62,7 @@ def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
     assert one == two
     code, _, err = run("compare", "--settings", "one/settings.json", "--crop", "none")
     assert code == 2
-    assert "--settings already names" in err
+    said(err.partition(" (see ")[0])  # how pytest was called
 
 
 def test_settings_notice_a_changed_file(files, run):
@@ -71,7 +70,7 @@ def test_settings_notice_a_changed_file(files, run):
     write_cloud("a.ply", read_cloud("b.ply"))
     code, out, _ = run("compare", "--settings", "one/settings.json")
     assert code == 0
-    assert "has changed since" in out
+    said(next(line for line in out.splitlines() if line.startswith("warning: ")))
 
 
 def test_json_on_standard_output(files, run):
@@ -117,10 +116,10 @@ def test_a_folder_of_something_else_is_left_alone(files, run):
     (files / "thesis/chapter.tex").write_text("years of work")
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "thesis")
     assert code == 2
-    assert "not empty and holds no report" in err
+    said(err)
     code, _, err = run("compare", "ref.ply", "b.ply", "--out", "a.ply")
     assert code == 2
-    assert "expected a folder" in err
+    said(err)
 
 
 def test_nan_points_are_dropped_and_counted(files, run):
@@ -139,7 +138,7 @@ def test_suspected_units_are_warned_about(files, run):
     write_cloud("mm.ply", Cloud(1000 * (points - points.mean(axis=0)) + points.mean(axis=0)))
     code, out, _ = run("compare", "ref.ply", "mm.ply", "--register", "none")
     assert code == 0
-    assert "millimetres against metres" in out
+    said(next(line for line in out.splitlines() if "millimetres" in line))
 
 
 @pytest.mark.parametrize(
@@ -201,7 +200,8 @@ def test_files_that_settings_name_are_absolute_and_hashed(files, run, monkeypatc
     assert run("compare", "--settings", "../one/settings.json", "--out", "two")[0] == 0
     assert doc("two")["candidates"][0]["metrics"] == doc("../one")["candidates"][0]["metrics"]
     (files / "T.txt").write_text((files / "T.txt").read_text() + "# touched\n")
-    assert "T.txt: the file has changed" in run("compare", "--settings", "../one/settings.json")[1]
+    out = run("compare", "--settings", "../one/settings.json")[1]
+    assert "T.txt" in said(next(line for line in out.splitlines() if line.startswith("warning: ")))
 
 
 def test_las_in_las_out(files, run):
@@ -233,7 +233,7 @@ def test_classes_filter_las_inputs_only(files, run):
     assert doc("report")["reference"]["points"] == int((classes == 2).sum())
     code, _, err = run("compare", "ref.ply", "a.ply", "--classes", "2")
     assert code == 2
-    assert "none of the clouds is one" in err
+    said(err)
     code, _, err = run("compare", "ref.las", "a.ply", "--classes", "9")
     assert code == 2
     assert one_line(err)

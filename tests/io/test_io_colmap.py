@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from ply_bytes import damaged
+from wording import refused
 
-from pcbench.errors import InputError, PcbenchError
+from pcbench.errors import PcbenchError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap import read_points3d
@@ -94,11 +95,11 @@ def test_folders(tmp_path, place):
 
 
 def test_what_is_no_model(tmp_path):
-    with pytest.raises(InputError, match=r"expected a COLMAP model: a folder with points3D\.bin or points3D\.txt"):
+    with refused():
         read_points3d(tmp_path)
-    with pytest.raises(InputError, match="got a folder: name the file inside it"):
+    with refused():
         read_cloud(tmp_path)
-    with pytest.raises(InputError, match=r"\.bin is read but not written: choose one of"):
+    with refused():
         write_cloud(tmp_path / "points3D.bin", Cloud(np.zeros((1, 3))))
     assert not list(tmp_path.iterdir())
 
@@ -106,42 +107,39 @@ def test_what_is_no_model(tmp_path):
 HUGE = model(2)[:51] + struct.pack("<Q", 2**63) + model(2)[59:]
 DAMAGED = {
     "points3D.bin": {
-        b"abc": "expected a count of 8 bytes, got 3 bytes",
-        model(0): "expected at least one point, got a model without points",
-        model(1000, (0,))[: 8 + 500 * 51 + 20]: "truncated: 500 of 1000 points: copy or export the model again",
-        model(9)[:-1]: "truncated: 8 of 9 points",
-        struct.pack("<Q", 2**64 - 1) + point(1, 0): f"truncated: 1 of {2**64 - 1} points",
-        HUGE: "truncated: 0 of 2 points",
-        model(3) + b"abc": "3 bytes after the last of 3 points: the file is damaged",
+        "not a count": b"abc",
+        "no points": model(0),
+        "half": model(1000, (0,))[: 8 + 500 * 51 + 20],
+        "the last byte": model(9)[:-1],
+        "absurd count": struct.pack("<Q", 2**64 - 1) + point(1, 0),
+        "absurd track": HUGE,
+        "trailing bytes": model(3) + b"abc",
     },
     "points3D.txt": {
-        b"# nothing\n": "expected at least one point, got a model without points",
-        TEXT[: TEXT.index(b"60 2.0")]: "truncated: 1 of 3 points",
-        TEXT + b"1 2 3\n": "line 8: expected id, x y z, r g b, error, then pairs of image and keypoint; got '1 2 3'",
-        TEXT.replace(b"115", b"256"): "line 4: expected id",
-        TEXT.replace(b"115", b"nan"): "line 4: expected id",
-        TEXT.replace(b"16 6542", b"16"): "line 4: expected id",
-        b"9" * 5000 + b" 1 2 3 4 5 6 7\n": "line 1: expected id",
+        "nothing": b"# nothing\n",
+        "half": TEXT[: TEXT.index(b"60 2.0")],
+        "short line": TEXT + b"1 2 3\n",
+        "colour 256": TEXT.replace(b"115", b"256"),
+        "colour nan": TEXT.replace(b"115", b"nan"),
+        "half a pair": TEXT.replace(b"16 6542", b"16"),
+        "digits": b"9" * 5000 + b" 1 2 3 4 5 6 7\n",
     },
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "data", "message"), [(name, data, text) for name, rows in DAMAGED.items() for data, text in rows.items()],
-    ids=lambda value: value[:30] if isinstance(value, str) else "",
-)  # fmt: skip
-def test_damaged(tmp_path, name, data, message):
+@pytest.mark.parametrize(("name", "damage"), [(name, damage) for name, cases in DAMAGED.items() for damage in cases])
+def test_damaged(tmp_path, name, damage):
     path = tmp_path / name
-    path.write_bytes(data)
-    with pytest.raises(InputError) as caught:
+    path.write_bytes(DAMAGED[name][damage])
+    with refused() as caught:
         read_cloud(tmp_path)
-    assert str(caught.value).startswith(f"{path}: {message}")
+    assert str(caught.value).startswith(f"{path}: ")
     assert str(caught.value).isprintable()
 
 
 def test_damage_by_the_hundred(tmp_path):
     rng = random.Random(1)
-    refused = 0
+    failures = 0
     for name, data in (("points3D.bin", model(9)), ("points3D.txt", TEXT)):
         for _ in range(300):
             (tmp_path / name).write_bytes(damaged(data, rng))
@@ -149,5 +147,5 @@ def test_damage_by_the_hundred(tmp_path):
                 read_cloud(tmp_path / name, on_warning=lambda note: None)
             except PcbenchError as error:
                 assert str(error).startswith(f"{tmp_path / name}: ") and str(error).isprintable()
-                refused += 1
-    assert 100 < refused < 600
+                failures += 1
+    assert 100 < failures < 600

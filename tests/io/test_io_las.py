@@ -13,7 +13,7 @@ import refusals
 from data_folder import data_folder
 from las_bytes import OFFSETS, SCALES, UTM, extra, extras, geo_keys, las, vlr, wkt
 from optional import break_library, import_or_skip
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.cloud import Cloud
@@ -171,20 +171,19 @@ def test_filters(tmp_path):
 
 
 def test_filters_that_leave_nothing_say_what_there_is(tmp_path):
-    there = "the file has class 2 (6 points), class 6 (6 points); return 1 (4 points), return 2 (4 points), return 3"
-    assert refusal(tmp_path, las(0, 12), classes=(9,)).startswith(f"no point is left by classes (9,): {there}")
-    both = refusal(tmp_path, las(0, 12), classes=[9], returns="last")
-    assert both.startswith(f"no point is left by classes [9] and returns last: {there}")
+    for options in ({"classes": (9,)}, {"classes": [9], "returns": "last"}):
+        message = refusal(tmp_path, las(0, 12), **options)
+        assert "class 2 (6 points), class 6 (6 points); return 1 (4 points), return 2 (4 points)" in message
 
 
 @pytest.mark.parametrize("options", [{"classes": ()}, {"classes": (300,)}, {"classes": 2}, {"classes": ("ground",)}])
 def test_wrong_classes(tmp_path, options):
-    assert refusal(tmp_path, las(0, 3), **options).startswith("expected classes as numbers 0 to 255, such as 2,6; got ")
+    refusal(tmp_path, las(0, 3), **options)
 
 
 @pytest.mark.parametrize("returns", ["firts", (), (-1,)])
 def test_wrong_returns(tmp_path, returns):
-    assert refusal(tmp_path, las(0, 3), returns=returns).startswith("expected returns as 'first', 'last' or numbers")
+    refusal(tmp_path, las(0, 3), returns=returns)
 
 
 def test_filters_of_other_formats(tmp_path):
@@ -242,7 +241,7 @@ def test_heights_in_another_unit_are_a_warning():
     cloud = read_cloud(data_folder("autzen") / "autzen-bmx-2010.las", on_warning=notes.append)
     assert cloud.unit is None  # no unit is true of a distance
     assert len(notes) == 1
-    assert notes[0].endswith("x and y are in m, z is in US-ft: the coordinates were left as they are")
+    said(notes[0])
 
 
 def test_without_pyproj(tmp_path, monkeypatch):
@@ -266,32 +265,31 @@ def patched(data, place, code, *numbers):
 PLAIN, LONG = las(0, 10), las(6, 10)
 ONE = las(0, 10, vlrs=[vlr(b"x", 1, b"12")])
 HEADERS = {
-    "magic": (b"ply\n" + PLAIN, "expected a LAS file that starts with b'LASF', got b'ply"),
-    "random": (b"LASF" + bytes(range(7, 250)) * 2, "expected LAS 1.0 to 1.4, got version"),
-    "short": (PLAIN[:100], "truncated: 100 of 227 bytes of the header"),
-    "version": (patched(PLAIN, 25, "B", 5), "expected LAS 1.0 to 1.4, got version 1.5"),
-    "header size": (patched(LONG, 94, "H", 227), "expected a header of at least 375 bytes in LAS 1.4, got 227"),
-    "start": (patched(PLAIN, 96, "I", 100), "points start at byte 100, inside the header of 227 bytes"),
-    "start behind": (patched(PLAIN, 96, "I", 2**31), f"truncated: points start at byte {2**31}, the file has 427"),
-    "records": (patched(PLAIN, 100, "I", 2**32 - 1), f"{2**32 - 1} variable length records do not fit between"),
-    "record length": (patched(ONE, 227 + 20, "H", 3), "variable length record 1 of 1 would end at byte 284, behind"),
-    "format": (patched(PLAIN, 104, "B", 11), "expected a point format of 0 to 10, got 11"),
-    "point size": (patched(PLAIN, 105, "H", 19), "expected at least 20 bytes a point in format 0, got 19"),
-    "scale": (patched(PLAIN, 131, "d", 0.0), "expected finite scales other than 0 and finite offsets, got (0.0, "),
-    "scale nan": (patched(PLAIN, 139, "d", float("nan")), "expected finite scales other than 0 and finite offsets"),
-    "offset": (patched(PLAIN, 155, "d", float("inf")), "expected finite scales other than 0 and finite offsets"),
-    "two counts": (patched(LONG, 107, "I", 9), "the header says both 9 and 10 points"),
-    "none": (patched(PLAIN, 107, "I", 0), "expected at least one point, got 0"),
-    "absurd": (patched(LONG, 247, "Q", 2**63), f"truncated: 10 of {2**63} points: copy or export the file again"),
-    "truncated": (PLAIN[:-101], "truncated: 4 of 10 points: copy or export the file again"),
-    "header only": (PLAIN[:227], "truncated: 0 of 10 points: copy or export the file again"),
+    "magic": b"ply\n" + PLAIN,
+    "random": b"LASF" + bytes(range(7, 250)) * 2,
+    "short": PLAIN[:100],
+    "version": patched(PLAIN, 25, "B", 5),
+    "header size": patched(LONG, 94, "H", 227),
+    "start": patched(PLAIN, 96, "I", 100),
+    "start behind": patched(PLAIN, 96, "I", 2**31),
+    "records": patched(PLAIN, 100, "I", 2**32 - 1),
+    "record length": patched(ONE, 227 + 20, "H", 3),
+    "format": patched(PLAIN, 104, "B", 11),
+    "point size": patched(PLAIN, 105, "H", 19),
+    "scale": patched(PLAIN, 131, "d", 0.0),
+    "scale nan": patched(PLAIN, 139, "d", float("nan")),
+    "offset": patched(PLAIN, 155, "d", float("inf")),
+    "two counts": patched(LONG, 107, "I", 9),
+    "none": patched(PLAIN, 107, "I", 0),
+    "absurd": patched(LONG, 247, "Q", 2**63),
+    "truncated": PLAIN[:-101],
+    "header only": PLAIN[:227],
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", HEADERS)
 def test_damaged_headers(tmp_path, name):
-    data, expected = HEADERS[name]
-    assert refusal(tmp_path, data)[: len(expected)] == expected
+    refusal(tmp_path, HEADERS[name])
 
 
 def test_more_points_than_said(tmp_path):
@@ -305,7 +303,7 @@ def test_damaged_extended_records_are_a_warning(tmp_path):
     assert read(tmp_path, data).crs in ("EPSG:32617", UTM)
     cloud, notes = noted(tmp_path, data[:-5])
     assert (len(cloud), cloud.crs, len(notes)) == (10, None, 1)
-    assert notes[0].startswith("extended records left out: variable length record 1 of 1 would end at byte")
+    said(notes[0])
 
 
 def test_damaged_laz(tmp_path):
@@ -315,19 +313,18 @@ def test_damaged_laz(tmp_path):
     (table,) = struct.unpack_from("<q", data, start)
     chunk_size = start - struct.calcsize("<IqqH") - 3 * 6
     assert struct.unpack_from("<I", data, chunk_size) == (50_000,)
-    damage = {
-        "truncated LAZ data: the chunk table should stand at byte": data[: table - 100],
-        "truncated LAZ data: the file ends before its points": data[:start],
-        "damaged LAZ data: the header has no LASzip record": patched(data, 227 + 18, "H", 1),
-        "expected LASzip compressor 2 or 3 (in chunks), got 7": patched(data, 227 + 54, "H", 7),
-        "damaged LAZ data: the LASzip record is not complete": patched(data, start - 20, "H", 99),
-        "damaged LAZ data: its LASzip record has 34 bytes a point, the header 35": patched(data, 105, "H", 35),
-        f"damaged LAZ data: {2**31} chunks do not fit into": patched(data, table + 4, "I", 2**31),
-        "damaged LAZ data: 1 chunks of 50000 points cannot hold 50001": patched(data, 107, "I", 50_001),
-        "damaged LAZ data: 0 of 9000 points could be decompressed": patched(data, 107, "I", 9000),
-    }
-    for expected, damaged in damage.items():
-        assert refusal(tmp_path, damaged)[: len(expected)] == expected
+    for damaged in (
+        data[: table - 100],
+        data[:start],  # before its points
+        patched(data, 227 + 18, "H", 1),  # no LASzip record
+        patched(data, 227 + 54, "H", 7),  # another compressor
+        patched(data, start - 20, "H", 99),
+        patched(data, 105, "H", 35),
+        patched(data, table + 4, "I", 2**31),
+        patched(data, 107, "I", 50_001),
+        patched(data, 107, "I", 9000),
+    ):
+        refusal(tmp_path, damaged)
 
 
 def test_an_aborting_decompressor_is_one_line(tmp_path, monkeypatch):
@@ -337,8 +334,7 @@ def test_an_aborting_decompressor_is_one_line(tmp_path, monkeypatch):
         worker.write_text(line)
         monkeypatch.setattr(laz, "_WORKER", str(worker))
         monkeypatch.setattr(laz, "_MAX_WORKER_SECONDS", 0.5)
-        message = refusal(tmp_path, las(0, 10, compress="chunks"))
-        assert message == "damaged LAZ data: 0 of 10 points could be decompressed: copy or export the file again"
+        refusal(tmp_path, las(0, 10, compress="chunks"))
 
 
 def test_memory_of_the_decompressor_is_limited(tmp_path, monkeypatch):
@@ -399,13 +395,12 @@ def test_laz_bytes_that_decode_to_something_else_are_damage(tmp_path):
     start = struct.unpack_from("<I", data, 96)[0]
     (table,) = struct.unpack_from("<q", data, start)
     whole = read(tmp_path, data)
-    said = set()
+    messages = []
     for place in range(table - 1900, table - 300, 200):  # in the last layers of the second chunk
         damaged = bytearray(data)
         damaged[place] ^= 4
-        said.add(refusal(tmp_path, bytes(damaged)))
-    encoded = "damaged LAZ data: 2000 of 3000 points, from point 1001 on, do not encode to the bytes"
-    assert any(text.startswith(encoded) for text in said), said
+        messages.append(refusal(tmp_path, bytes(damaged)))
+    assert any("2000 of 3000 points, from point 1001 on" in message for message in messages), messages
     np.testing.assert_array_equal(read(tmp_path, data).points, whole.points)  # and undamaged ones are as they were
 
 
@@ -425,7 +420,7 @@ def test_a_laz_file_that_nothing_vouches_for_is_a_warning(tmp_path, monkeypatch)
         except InputError:
             outcomes.append(["refused"])
     assert all(outcomes)
-    assert any("nothing vouches for them" in notes[0] for notes in outcomes)
+    said(next(notes[0] for notes in outcomes if notes != ["refused"]))
     assert noted(tmp_path, data)[1] == []
 
 

@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import pytest
 from optional import import_or_skip
+from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 
@@ -98,46 +98,41 @@ def test_hundredths_come_back_as_they_were(tmp_path):
     np.testing.assert_allclose(read_cloud(tmp_path / "a.las").points, points, rtol=0, atol=1e-9)
 
 
-def write_refusal(path, cloud):
-    with pytest.raises(InputError) as caught:
+def check_refusal(path, cloud):
+    with refused():
         write_cloud(path, cloud)
     assert not path.exists()
-    return str(caught.value).removeprefix(f"{path}: ")
 
 
 def test_extent_beyond_32_bits(tmp_path):
     for reach in (1e6, 1e90):
         cloud = Cloud(np.array([[-reach] * 3, [reach] * 3]))
-        message = write_refusal(tmp_path / "a.las", cloud)
-        assert message.startswith("an extent of ") and "does not fit LAS's 32 bits" in message
+        check_refusal(tmp_path / "a.las", cloud)
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "expected"),
+    ("name", "values"),
     [
-        ("intensity", [0.5], "expected attribute 'intensity' as whole numbers 0 to 65535: rename or rescale it"),
-        ("intensity", [70000], "expected attribute 'intensity' as whole numbers 0 to 65535"),
-        ("return_number", [16], "expected attribute 'return_number' as whole numbers 0 to 15"),
-        ("classification", [np.nan], "expected attribute 'classification' as whole numbers 0 to 255"),
-        ("a" * 33, [1], "expected attribute names of 1 to 32 bytes that LAS does not use itself, got 'aaa"),
-        ("", [1], "expected attribute names of 1 to 32 bytes"),
-        ("X", [1], "expected attribute names of 1 to 32 bytes"),
-        ("withheld", [1], "expected attribute names of 1 to 32 bytes"),
-        ("a", ["word"], "expected attribute 'a' as numbers, got <U4"),
-        ("a", [1j], "expected attribute 'a' as numbers, got complex128"),
+        ("intensity", [0.5]),
+        ("intensity", [70000]),
+        ("return_number", [16]),
+        ("classification", [np.nan]),
+        ("a" * 33, [1]),
+        ("", [1]),
+        ("X", [1]),
+        ("withheld", [1]),
+        ("a", ["word"]),
+        ("a", [1j]),
     ],
 )
-def test_attributes_that_las_cannot_hold(tmp_path, name, values, expected):
+def test_attributes_that_las_cannot_hold(tmp_path, name, values):
     cloud = Cloud(np.zeros((1, 3)), attributes={name: np.array(values)})
-    assert write_refusal(tmp_path / "a.las", cloud)[: len(expected)] == expected
+    check_refusal(tmp_path / "a.las", cloud)
 
 
 def test_other_refusals(tmp_path):
     many = Cloud(np.zeros((1, 3)), attributes={f"a{k}": np.zeros(1) for k in range(400)})
-    assert write_refusal(tmp_path / "a.las", many).startswith(
-        "400 attributes or the crs are more than LAS can describe"
-    )
-    assert write_refusal(tmp_path / "a.copc.laz", Cloud(np.zeros((1, 3)))).startswith("COPC is read but not written")
+    check_refusal(tmp_path / "a.las", many)
+    check_refusal(tmp_path / "a.copc.laz", Cloud(np.zeros((1, 3))))
     import_or_skip("pyproj")
-    message = write_refusal(tmp_path / "a.las", Cloud(np.zeros((1, 3)), crs="the village"))
-    assert message.startswith("expected a crs that pyproj knows, got 'the village'")
+    check_refusal(tmp_path / "a.las", Cloud(np.zeros((1, 3)), crs="the village"))

@@ -12,6 +12,7 @@ import pytest
 from optional import import_or_skip
 from processes import ends
 from repository import ROOT
+from wording import refused, said
 
 from pcbench import Cloud, plugins, read_cloud
 from pcbench.errors import InputError, ReconstructionError
@@ -80,7 +81,7 @@ def test_the_documented_plugin_runs_as_it_is_written(scene, tmp_path):
         [sys.executable, "-m", "pcbench.cli", *command[1:]], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert "cloud.ply: 10 points, georeferenced, 3 cameras" in done.stdout
+    assert "10 points, georeferenced, 3 cameras" in done.stdout
     np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.ply").points, POINTS[::3])
 
 
@@ -111,41 +112,42 @@ def test_blas_has_one_thread_unless_the_user_says_otherwise(scene, plugin, tmp_p
 
 
 @pytest.mark.parametrize(
-    "body, status, message",
+    "body, status",
     [
-        ("raise ReconstructionError('too few features in 2 images')", "failed", "too few features in 2 images"),
-        ("raise ReconstructionError('\\x1b[31mred')", "failed", r"\?\[31mred"),
-        ("raise KeyError('a line of\\nmine')", "crashed", "KeyError: 'a line of\\\\nmine'"),
-        ("os.abort()", "crashed", "ended by SIGABRT"),
-        ("os.kill(os.getpid(), signal.SIGRTMIN + 5)", "crashed", "ended by signal 39"),
-        ("print('last words'); os.kill(os.getpid(), signal.SIGKILL)", "crashed", "SIGKILL.*last words"),
-        ("sys.exit(0)", "crashed", "ended with code 0 and without a result"),
-        ("np.zeros((10**7, 10**7))", "crashed", "MemoryError"),
-        ("return None", "garbage", "expected .* to return a Reconstruction, got NoneType"),
-        ("return scene.points", "garbage", "got Cloud"),
-        ("return Reconstruction(np.zeros((5, 3)), 'metric')", "failed", "expected a pcbench.Cloud"),
-        ("return Reconstruction(Cloud(np.full((5, 3), np.nan)), 'metric')", "failed", "finite coordinates"),
-        ("return Reconstruction(scene.points, 'feet')", "failed", "gauge"),
+        ("raise ReconstructionError('too few features in 2 images')", "failed"),
+        ("raise ReconstructionError('\\x1b[31mred')", "failed"),
+        ("raise KeyError('a line of\\nmine')", "crashed"),
+        ("os.abort()", "crashed"),
+        ("os.kill(os.getpid(), signal.SIGRTMIN + 5)", "crashed"),
+        ("print('last words'); os.kill(os.getpid(), signal.SIGKILL)", "crashed"),
+        ("sys.exit(0)", "crashed"),
+        ("np.zeros((10**7, 10**7))", "crashed"),
+        ("return None", "garbage"),
+        ("return scene.points", "garbage"),
+        ("return Reconstruction(np.zeros((5, 3)), 'metric')", "failed"),
+        ("return Reconstruction(Cloud(np.full((5, 3), np.nan)), 'metric')", "failed"),
+        ("return Reconstruction(scene.points, 'feet')", "failed"),
         (
             "return Reconstruction(scene.points, 'metric', {'a\\nb': replace(scene.cameras['0.png'], name='a\\nb')})",
             "garbage",
-            r"mine.py:Mine returned a camera of 'a\\nb', which is not an image of the scene",
         ),
         (  # the name inside counts too: it is what the camera is written under
             "return Reconstruction(scene.points, 'metric', {'0.png': replace(scene.cameras['0.png'], name='9.png')})",
             "garbage",
-            r"a camera of '9\.png', which is not an image",
         ),
     ],
+    ids=[
+        *("error", "control character", "crash", "abort", "unnamed signal", "kill", "exit", "memory", "nothing"),
+        *("a cloud", "an array", "no numbers", "gauge", "camera", "name of a camera"),
+    ],
 )
-def test_failures_are_results(scene, plugin, tmp_path, body, status, message):
+def test_failures_are_results(scene, plugin, tmp_path, body, status):
     result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work")
     assert result.status == status
-    assert re.search(message, result.message)
-    assert "\n" not in result.message
     assert result.reconstruction is None
-    with pytest.raises(ReconstructionError, match=re.escape(f"{status}: ")) as raised:
+    with refused(ReconstructionError) as raised:
         result.required()
+    assert f"{status}: {result.message}" in str(raised.value)
     assert "log.txt" in str(raised.value)
 
 
@@ -153,7 +155,7 @@ def test_a_hanging_plugin_ends_with_its_children(scene, plugin, tmp_path):
     body = "import subprocess; p = subprocess.Popen(['sleep', '600']); print(p.pid); time.sleep(600)"
     result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work", time_limit_s=3)
     assert result.status == "timeout"
-    assert "limit of 3 s" in result.message
+    assert " 3 s" in said(result.message)
     assert result.wall_s < 60
     child = int(result.log.read_text())
     assert ends(child)
@@ -168,22 +170,21 @@ def test_an_old_result_is_not_taken_for_a_new_one(scene, plugin, tmp_path):
 def test_user_mistakes_are_refused(scene, plugin, tmp_path):
     spec = plugin(GOOD, "n: int = 2\nflag: bool = False\nhow: Literal['a', 'b'] = 'a'\nmaybe: float | None = None")
 
-    def refused(match, job):
+    def check_refusal(job):
         result = run(job, tmp_path / "work")
         assert result.status == "refused"
-        with pytest.raises(InputError, match=match):
+        with refused():
             result.required()
 
-    refused("no setting 'm': there are n, flag, how, maybe", ReconstructionJob(spec, scene, {"m": "1"}))
-    refused("expected n as int, got 'two'", ReconstructionJob(spec, scene, {"n": "two"}))
-    refused("expected how as a|b, got 'c'", ReconstructionJob(spec, scene, {"how": "c"}))
-    refused("there is no 'Yours' in it: it has Mine", ReconstructionJob(spec.replace(":Mine", ":Yours"), scene))
-    refused("no reconstructor 'nobody' is installed", ReconstructionJob("nobody", scene))
-    refused("expected a folder with images", ReconstructionJob(spec, tmp_path / "nowhere"))
+    check_refusal(ReconstructionJob(spec, scene, {"m": "1"}))
+    check_refusal(ReconstructionJob(spec, scene, {"n": "two"}))
+    check_refusal(ReconstructionJob(spec, scene, {"how": "c"}))
+    check_refusal(ReconstructionJob(spec.replace(":Mine", ":Yours"), scene))
+    with pytest.raises(InputError, match="'nobody'"):  # and those that are installed
+        run(ReconstructionJob("nobody", scene), tmp_path / "work").required()
+    check_refusal(ReconstructionJob(spec, tmp_path / "nowhere"))
     (tmp_path / "broken.py").write_text("import numpy\n1 / 0\n")
-    refused(
-        r"broken.py: cannot be imported: ZeroDivisionError.*line 2", ReconstructionJob(f"{tmp_path}/broken.py:A", scene)
-    )
+    check_refusal(ReconstructionJob(f"{tmp_path}/broken.py:A", scene))
 
 
 def test_settings_are_converted(plugin):
@@ -199,7 +200,7 @@ def test_settings_are_converted(plugin):
         ("maybe", "float|none", "None"),
     ]
     for name, text in (("flag", "maybe"), ("n", "1.5"), ("maybe", "much")):
-        with pytest.raises(InputError, match=f"expected {name} as .*, got '{text}'"):
+        with refused():
             found.configure({name: text})
 
 
@@ -209,9 +210,8 @@ def test_whole_numbers_of_settings_have_a_range(plugin, text):
     found = find_plugin(plugin(GOOD, "n: int = 2\nmaybe: int | None = None"))
     assert found.configure({"n": "2147483647"}).n == 2**31 - 1
     for name in ("n", "maybe"):
-        with pytest.raises(InputError, match=f"expected {name} ") as caught:
+        with refused() as caught:
             found.configure({name: text})
-        assert "\n" not in str(caught.value)
         assert len(str(caught.value)) < 200
 
 
@@ -223,18 +223,16 @@ def test_help_is_the_docstring(plugin):
 def test_what_must_be_given_is_said(plugin):
     found = find_plugin(plugin(GOOD, "n: int"))
     assert found.settings[0].default is None
-    with pytest.raises(InputError, match="--set n=VALUE"):
+    with refused():
         found.configure({})
 
 
 def test_no_reconstructors(tmp_path):
     (tmp_path / "a.py").write_text("class A:\n    def reconstruct(self, scene, workspace): ...\nB = 3\n")
-    for name, match in (("A", "expected a dataclass"), ("B", "got a int"), ("C", "there is no 'C'.*it has A")):
-        with pytest.raises(InputError, match=match):
-            find_plugin(f"{tmp_path}/a.py:{name}")
-    with pytest.raises(InputError, match="no such file"):
-        find_plugin(f"{tmp_path}/b.py:A")
-    with pytest.raises(InputError, match="nowhere cannot be imported"):
+    for file, name in (("a", "A"), ("a", "B"), ("a", "C"), ("b", "A")):
+        with refused():
+            find_plugin(f"{tmp_path}/{file}.py:{name}")
+    with pytest.raises(InputError, match="nowhere"):  # Python says why
         find_plugin("nowhere:A")
 
 
@@ -242,9 +240,9 @@ def test_entry_points(monkeypatch):
     points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
     monkeypatch.setattr("pcbench.plugins.plugin.entry_points", lambda group: points)
     assert plugins.installed() == ("one", "two")
-    with pytest.raises(InputError, match=r"two reconstructors are named 'two', of a and b\.c"):
+    with refused():
         find_plugin("two")
-    with pytest.raises(InputError, match="there are one, two"):
+    with refused():
         find_plugin("three")
 
 
@@ -279,13 +277,13 @@ def test_residuals_of_surveyed_points_come_back(scene, plugin, tmp_path):
     )
     outcome = tmp_path / "work/outcome.json"
     outcome.write_text(outcome.read_text().replace('"dx"', '"d"'))
-    with pytest.raises(ValueError, match="surveyed points are damaged"):
+    with refused(ValueError):
         read_reconstruction(tmp_path / "work")
 
 
 def test_reconstruction_is_checked():
     cloud = Cloud(POINTS)
-    with pytest.raises(InputError, match="mapping from image names"):
+    with refused():
         Reconstruction(cloud, "metric", ["a"])
     assert Reconstruction(cloud, "metric").cameras == Reconstruction(cloud, "metric", cameras=None).cameras == {}
 
@@ -305,10 +303,11 @@ def test_a_workspace_that_is_none_is_left_alone(scene, plugin, tmp_path, request
     spec = plugin("return Reconstruction(scene.points, 'metric')")
     code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--workspace", work)
     assert code == 2
-    assert "is not empty and no reconstruction's" in err
+    said(err)
     assert (work / "cameras" / "mine.txt").read_text() == "mine"
     before = sorted((scene / "sparse").iterdir())
     code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--write-cameras", scene / "sparse")
-    assert (code, "into the scene" in err, sorted((scene / "sparse").iterdir())) == (2, True, before)
+    assert (code, sorted((scene / "sparse").iterdir())) == (2, before)
+    said(err)
     for _ in range(2):  # its own may be used again
         assert run_cli("reconstruct", spec, scene, "-o", out, "--workspace", tmp_path / "new")[0] == 0

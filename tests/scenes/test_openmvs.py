@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mvs_bytes import COLORS, POINTS, scene_bytes
 from scene_folders import NAMES, orbit
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Intrinsics, look_at
@@ -58,7 +58,7 @@ def test_images_without_a_pose_normals_and_transforms(tmp_path):
     (cameras, points), notes = read(tmp_path / "a.mvs", data)
     assert [camera.name for camera in cameras] == [f"undistorted\\{name}" for name in NAMES[1::2]]
     np.testing.assert_array_equal(points.normals, np.eye(3))
-    assert "its transform" in notes[0]
+    said(notes[0])
 
 
 def test_which_of_several_scenes(photographs):
@@ -75,26 +75,27 @@ GOOD = scene_bytes(CAMERAS)
 
 
 @pytest.mark.parametrize(
-    ("data", "message"),
+    "data",
     [
-        (b"", "empty"),
-        (b"ply\nformat", "begins with MVSI"),
-        (b"MVS\0" + GOOD[4:], "its own project: save it with --archive-type -1"),
-        (GOOD[:4] + b"\x63" + GOOD[5:], "version 1 to 7 of the interface format, got 99"),
-        (GOOD[:12] + b"\xff" * 8 + GOOD[20:], "truncated: "),
-        (GOOD[:200], "truncated: "),
-        (GOOD[:-130], "truncated: "),
-        (scene_bytes(CAMERAS, posed=lambda k: False), "at least one image with a pose"),
-        (scene_bytes(CAMERAS, colors=COLORS[:2]), "as many normals and colours as points .3., got 2"),
-        (scene_bytes(CAMERAS, mount=(2 * np.eye(3), np.zeros(3))), "expected a rotation"),
-        (scene_bytes([replace(c, name="\x1b[31m") for c in CAMERAS]).replace(b"\x1b", b"\xff"), "names in UTF-8"),
+        pytest.param(b"", id="empty"),
+        pytest.param(b"ply\nformat", id="another format"),
+        pytest.param(b"MVS\0" + GOOD[4:], id="a project"),
+        pytest.param(GOOD[:4] + b"\x63" + GOOD[5:], id="another version"),
+        pytest.param(GOOD[:12] + b"\xff" * 8 + GOOD[20:], id="absurd count"),
+        pytest.param(GOOD[:200], id="cut after 200 bytes"),
+        pytest.param(GOOD[:-130], id="cut before the end"),
+        pytest.param(scene_bytes(CAMERAS, posed=lambda k: False), id="no pose"),
+        pytest.param(scene_bytes(CAMERAS, colors=COLORS[:2]), id="too few colours"),
+        pytest.param(scene_bytes(CAMERAS, mount=(2 * np.eye(3), np.zeros(3))), id="no rotation"),
+        pytest.param(
+            scene_bytes([replace(c, name="\x1b[31m") for c in CAMERAS]).replace(b"\x1b", b"\xff"), id="not UTF-8"
+        ),
     ],
 )
-def test_what_is_no_scene(tmp_path, data, message):
-    with pytest.raises(InputError, match=message) as caught:
+def test_what_is_no_scene(tmp_path, data):
+    with refused() as caught:
         read(tmp_path / "a.mvs", data)
     assert str(caught.value).startswith(f"{tmp_path / 'a.mvs'}: ")
-    assert "\n" not in str(caught.value)
 
 
 def test_every_cut_is_said(tmp_path):

@@ -10,7 +10,7 @@ from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
 from scene_folders import NAMES, orbit, picture
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_model import write_colmap_model
@@ -35,7 +35,8 @@ def test_fountain_fox_and_brighton():
     told = []
     fox = read_scene(data_folder("fox"), on_warning=told.append, image_scale=0.5)
     assert len(fox.cameras) == 50
-    assert "17 of 67 cameras are left out" in told[0]
+    assert "17 of 67" in told[0]
+    said(told[0])
     assert fox.cameras["0001.jpg"].intrinsics.fx == 1375.52 / 4
     assert fox.read_image("0001.jpg").shape == (480, 270, 3)
     brighton = read_scene(data_folder("brighton"))
@@ -133,10 +134,9 @@ def test_image_headers(tmp_path):
 
 
 def test_refusals(photographs, tmp_path):
-    def refuses(match, **options):
-        with pytest.raises(InputError, match=match) as raised:
+    def check_refusal(**options):
+        with refused():
             read_scene(photographs, **options)
-        assert "\n" not in str(raised.value)
 
     def transforms(frames, **values):
         (photographs / "transforms.json").write_text(
@@ -144,55 +144,56 @@ def test_refusals(photographs, tmp_path):
         )
 
     eye = np.eye(4).tolist()
-    refuses("image scale", image_scale=0)
-    refuses("does not exist", cameras=tmp_path / "nowhere")
-    refuses("COLMAP model", cameras=photographs / "images")
+    check_refusal(image_scale=0)
+    check_refusal(cameras=tmp_path / "nowhere")
+    check_refusal(cameras=photographs / "images")
     transforms([{"file_path": "images/77.png", "transform_matrix": eye}])
-    refuses("missing images: none of 1 cameras.*77.png")
+    check_refusal()
     transforms([{"file_path": "3.png", "transform_matrix": (2 * np.eye(4)).tolist()}])
-    refuses(r"frame 0 \(3.png\): expected a rotation .*determinant 8")
+    check_refusal()
     transforms([{"file_path": "3.png", "transform_matrix": eye}], w=64, h=40)
-    refuses("64 x 48 pixels, but its camera in .* is for 64 x 40")
+    check_refusal()
     transforms(
         [{"file_path": "3.png", "transform_matrix": eye}, {"file_path": "images/3.png", "transform_matrix": eye}]
     )
-    refuses("two cameras for the image 3.png")
+    check_refusal()
     transforms([{"file_path": "3.png"}])
-    refuses("transform_matrix")
+    check_refusal()
     transforms([{"file_path": "3.png", "transform_matrix": eye}], k3=0.1)
-    refuses("undistort")
+    check_refusal()
     (photographs / "transforms.json").write_text("{")
-    refuses("transforms.json: expected JSON")
+    with pytest.raises(InputError, match=r"transforms\.json: "):  # Python's parser says what is wrong
+        read_scene(photographs)
     (photographs / "transforms.json").unlink()
 
     model = photographs / "sparse/0"
     write_colmap_model(model, orbit(NAMES))
     text = (model / "images.txt").read_text()
     (model / "images.txt").write_text(text.replace("\n\n", "\n"))
-    refuses("x, y, point triples")
+    check_refusal()
     lines = text.splitlines()
     lines[3] = "1 0.5 0.5 0.5 0 " + lines[3].split(maxsplit=5)[5]
     (model / "images.txt").write_text("\n".join(lines))
-    refuses("images.txt: image 0.png: expected a rotation as a unit quaternion")
+    check_refusal()
     (model / "images.txt").write_text(text)
     (model / "cameras.txt").write_text("1 OPENCV_FISHEYE 64 48 50 50 32 24 0 0 0 0\n")
-    refuses("cameras.txt: camera model OPENCV_FISHEYE is not supported")
+    check_refusal()
     shutil.rmtree(photographs / "sparse")
 
     (photographs / "images/a.png").write_bytes(b"")
-    refuses(r"a.png: expected an image, got an empty file \(0 bytes\)")
+    check_refusal()
     (photographs / "images/a.png").write_bytes(b"text, not pixels")
-    refuses("a.png: expected a JPEG or PNG image")
+    check_refusal()
     (photographs / "images/a.png").rename(photographs / "images/a.tif")
-    refuses("a.tif: expected JPEG or PNG images")
+    check_refusal()
     shutil.rmtree(photographs / "images")
-    refuses("expected a folder with images")
+    check_refusal()
 
 
 def test_undecodable_pixels_are_said_when_they_are_read(photographs):
     path = photographs / "images/0.png"
     path.write_bytes(path.read_bytes()[:200])  # the header is whole
-    with refused():
+    with pytest.raises(InputError, match=r"0\.png: "):  # Pillow says what is wrong
         read_scene(photographs).read_image("0.png")
 
 
@@ -200,7 +201,7 @@ def test_positions_of_a_file(photographs):
     (photographs / "gps.txt").write_text("# NAME X Y Z\n3.png 1 2 3.5\n77.png 0 0 0\n")
     told = []
     scene = read_scene(photographs, on_warning=told.append)
-    assert "1 positions are left out, their images are missing: 77.png" in told[0]
+    said(told[0])
     found, frame = scene.measured_positions()
     assert list(found) == ["3.png"]
     np.testing.assert_array_equal(found["3.png"], [1, 2, 3.5])
@@ -300,26 +301,22 @@ def test_ways_to_images_in_files_from_elsewhere(tmp_path, way):
 
 
 @pytest.mark.parametrize(
-    "values, match",
+    "values",
     [
-        (
-            {"fl_x": 35.7, "camera_angle_x": 0.86},
-            r"fl_x 35.7 px and camera_angle_x 0.86 \(which is 69.77 px\) contradict",
-        ),
-        ({"fl_x": 50, "fl_y": 50, "camera_angle_y": 1.2}, "fl_y 50 px and camera_angle_y 1.2 .* contradict"),
-        ({"fl_x": 0.8, "fl_y": 0.8, "cx": 0.5, "cy": 0.5}, "in pixels of 64 x 48.*they look normalised"),
-        ({"fl_x": 50, "cx": 0.5, "cy": 0.5}, "they look normalised"),
-        ({"fl_x": 50, "cx": 70, "cy": 24}, "principal point lies outside the image"),
-        ({"fl_x": 50, "cx": 32, "cy": -3}, "principal point lies outside the image"),
-        ({}, "fl_x or camera_angle_x is missing|'fl_x or camera_angle_x' is missing"),
+        {"fl_x": 35.7, "camera_angle_x": 0.86},
+        {"fl_x": 50, "fl_y": 50, "camera_angle_y": 1.2},
+        {"fl_x": 0.8, "fl_y": 0.8, "cx": 0.5, "cy": 0.5},
+        {"fl_x": 50, "cx": 0.5, "cy": 0.5},
+        {"fl_x": 50, "cx": 70, "cy": 24},
+        {"fl_x": 50, "cx": 32, "cy": -3},
+        {},
     ],
 )
-def test_intrinsics_that_cannot_be_are_refused(photographs, values, match):
+def test_intrinsics_that_cannot_be_are_refused(photographs, values):
     frames = [{"file_path": "3.png", "transform_matrix": np.eye(4).tolist()}]
     (photographs / "transforms.json").write_text(json.dumps({"w": 64, "h": 48, **values, "frames": frames}))
-    with pytest.raises(InputError, match=match) as raised:
+    with refused() as raised:
         read_scene(photographs)
-    assert "\n" not in str(raised.value)
     assert "3.png" in str(raised.value)
 
 
@@ -327,7 +324,7 @@ def test_what_a_file_says_and_is_not_obeyed_is_said(photographs):
     eye = np.eye(4).tolist()
     frames = [{"file_path": f"{n}.png", "transform_matrix": eye} for n in range(10)]
     harmless = {"k5": 0, "k6": 0.0, "rolling_shutter": [0, 0, 0, 0], "applied_transform": eye[:3], "applied_scale": 1.0}
-    for values, said in (
+    for values, names in (
         (harmless, []),
         ({"k5": 0.1, "k6": -0.2}, ["k5, k6"]),
         ({"rolling_shutter": [0, 0, 0.03, 0]}, ["rolling_shutter"]),
@@ -337,9 +334,10 @@ def test_what_a_file_says_and_is_not_obeyed_is_said(photographs):
         (photographs / "transforms.json").write_text(json.dumps(document))
         told = []
         read_scene(photographs, on_warning=told.append)
-        assert len(told) == len(said)
-        for text, words in zip(told, said, strict=True):
-            assert f"not obeyed: {words};" in text
+        assert len(told) == len(names)
+        for text, name in zip(told, names, strict=True):
+            assert f": {name};" in text
+            said(text)
     frames[4]["applied_scale"] = 0.3  # of one frame alone
     (photographs / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": frames}))
     told = []
@@ -351,8 +349,7 @@ def test_a_project_of_earth_studio_is_not_its_export(photographs):
     (photographs / "rome.esp").write_text('{"scenes": []}')
     told = []
     assert not read_scene(photographs, on_warning=told.append).cameras
-    assert "rome.esp: an Earth Studio project (.esp) holds keyframes and no cameras" in told[0]
-    assert "3D camera export as JSON" in told[0]
+    said(told[0])
     with refused():
         read_scene(photographs, cameras=photographs / "rome.esp")
 
@@ -374,8 +371,7 @@ def test_a_calibration_among_the_images_that_is_not_read_is_said(photographs, na
     told = []
     read_scene(photographs, on_warning=told.append)
     assert len(told) == 1
-    assert told[0].startswith(f"{photographs / 'images' / name}: ")
-    assert "there are no cameras" in told[0]
+    said(told[0])
     write_colmap_model(photographs / "sparse", orbit(NAMES))
     told.clear()
     read_scene(photographs, on_warning=told.append)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wording import refused
+from wording import refused, said
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import Affine, Similarity
@@ -123,7 +123,8 @@ def test_the_command_and_its_record(run):
     options = ("--kind", "dome", "--rms", "0.1", "--rotate", "1,2,30", "--shift", "10,20,3", "--scale", "1.1")
     code, out, err = run("in.ply", "out.ply", *options)
     assert (code, err) == (0, "")
-    assert "0.1 RMS beyond affine" in out
+    assert "0.1 RMS" in out
+    said(out)
     record = json.loads(Path("out.ply.json").read_text())
     before, after = read_cloud("in.ply"), read_cloud("out.ply")
     np.testing.assert_array_equal(after.points, again(record).apply(before.points))

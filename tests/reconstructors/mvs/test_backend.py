@@ -10,7 +10,7 @@ import textured_corner as corner
 from exact_maps import corner_map
 from optional import import_or_skip
 from PIL import Image
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
@@ -29,19 +29,22 @@ def ended(code, words=""):
 
 @pytest.mark.skipif(pycolmap.has_cuda, reason="this pycolmap has CUDA")
 def test_without_cuda_the_bundled_one_runs():
-    assert why_no_colmap() == "this pycolmap is built without CUDA"
-    assert choose_backend("auto") == ("bundled", "this pycolmap is built without CUDA")
+    said(why_no_colmap())
+    assert choose_backend("auto") == ("bundled", why_no_colmap())
     with refused():
         choose_backend("colmap")
 
 
 def test_a_child_that_dies_is_no_gpu(monkeypatch):
     monkeypatch.setattr(backend, "run_module", ended(-6))
-    assert why_no_colmap() == "pycolmap ended the process that asked it, with code -6"
+    assert "-6" in why_no_colmap()
+    said(why_no_colmap())
     assert choose_backend("auto")[0] == "bundled"
     assert choose_backend("bundled") == ("bundled", "asked for")
     monkeypatch.setattr(backend, "run_module", ended(0))
-    assert choose_backend("auto") == ("colmap", "there are a GPU and a pycolmap with CUDA")
+    name, why = choose_backend("auto")
+    assert name == "colmap"
+    said(why)
     assert choose_backend("colmap")[0] == "colmap"
 
 
@@ -96,7 +99,7 @@ def test_maps_of_colmap_are_taken(photographs, tmp_path, monkeypatch):
     monkeypatch.setattr(backend, "run_module", fake)
     made = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
     assert np.median(corner.distances(made.cloud.points)) < 1e-5
-    assert "backend colmap: there are a GPU and a pycolmap with CUDA" in made.notes
+    said(next(note for note in made.notes if note.startswith("backend colmap")))
     assert len(fake.made) == 4
     assert all(short not in sources and len(sources) >= 2 for short, sources in fake.sources.items())
     assert fake.points > 100

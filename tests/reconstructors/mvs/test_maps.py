@@ -5,7 +5,6 @@ import pytest
 from optional import import_or_skip
 from wording import refused
 
-from pcbench.errors import InputError
 from reconstructors.mvs.maps import DepthMap, read_depth, read_map, read_raster, write_map, write_raster
 
 
@@ -69,20 +68,21 @@ def test_nothing_is_known_outside_what_is_kept():
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    "content",
     [
-        (b"", "begins with WIDTH"),
-        (b"ply\nformat", "begins with WIDTH"),
-        (b"-3&2&1&", "begins with WIDTH"),
-        (b"3&2&1&" + bytes(20), "expected 24 bytes .* got 20"),
-        (b"3&2&1&" + bytes(28), "got 28"),
-        (b"0&0&1&", "got 0"),
-        (b"999999999&999999999&9&", "got 0"),
+        b"",
+        b"ply\nformat",
+        b"-3&2&1&",
+        b"3&2&1&" + bytes(20),
+        b"3&2&1&" + bytes(28),
+        b"0&0&1&",
+        b"999999999&999999999&9&",
     ],
+    ids=["empty", "another format", "negative", "too few bytes", "too many bytes", "nothing", "absurd"],
 )
-def test_damaged_files_are_refused(tmp_path, content, message):
+def test_damaged_files_are_refused(tmp_path, content):
     (tmp_path / "depth.bin").write_bytes(content)
-    with pytest.raises(InputError, match=message):
+    with refused():
         read_raster(tmp_path / "depth.bin")
 
 

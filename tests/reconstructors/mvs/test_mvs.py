@@ -10,7 +10,7 @@ import textured_corner as corner
 from exact_maps import ExactMatcher, corner_map, rays
 from optional import import_or_skip
 from PIL import Image
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import ReconstructionError
 from pcbench.io import read_cloud
@@ -78,12 +78,9 @@ def test_exact_maps_become_an_exact_cloud(solved, photographs):
 
 
 def test_what_was_chosen_is_said(solved):
-    notes = " ".join(solved[1].notes)
-    assert "backend bundled: asked for" in notes
-    assert "images of 320 pixels along the longer side, their full size: points about 0.01" in notes
-    assert "sources an image, they see points at" in notes
-    assert "3 + 2 iterations over 2 levels" in notes
-    assert "5 depth maps fused; points of" in notes
+    notes = said("\n".join(solved[1].notes))
+    for value in ("bundled", "320 pixels", "about 0.01", "3 + 2 iterations over 2 levels", "5 depth maps"):
+        assert value in notes
 
 
 def test_maps_are_there_for_others(solved):
@@ -110,7 +107,7 @@ def test_a_mesh_is_made_on_request(workspace, solved, photographs, monkeypatch):
     made = DenseMvs(backend="bundled", mesh=True).reconstruct(read_scene(photographs), workspace)
     ((fused, out, origin, unit),) = asked
     assert out == workspace / "mesh.ply"
-    assert f"Poisson's mesh of 1234 faces: {out}" in made.notes
+    said(next(note for note in made.notes if f"1234 faces: {out}" in note))
     assert unit is None
     raw = read_cloud(fused).points + origin
     np.testing.assert_array_equal(raw, solved[1].cloud.points)
@@ -193,7 +190,7 @@ def test_a_disk_that_is_too_small_is_said_first(solved, workspace, photographs, 
         shutil.rmtree(part)
     written = took + 40 * len(solved[1].cloud)
     have(written)
-    with refused(ReconstructionError) as error:
+    with refused(ReconstructionError, masked=True) as error:
         DenseMvs(backend="bundled").reconstruct(scene, workspace)
     asked = 2**20 * int(re.search(r"take (\d+) MiB more", str(error.value))[1])
     assert written < asked < 1.5 * written
@@ -208,21 +205,16 @@ def test_images_without_a_depth_are_named(workspace, photographs, monkeypatch):
 
     ExactMatcher(scene.cameras, blind).install(monkeypatch)
     made = DenseMvs(backend="bundled", seed=4).reconstruct(scene, workspace)
-    assert "1 of 5 images have no depth that others confirm: 004.png" in made.notes
-    assert "4 depth maps fused" in " ".join(made.notes)
+    (note,) = [note for note in made.notes if "004.png" in note]
+    assert "1 of 5 images" in said(note)
+    assert "4 depth maps" in " ".join(made.notes)
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"spacing": 0.0}, "positive spacing"),
-        ({"sources": 0}, "1 to 8 sources"),
-        ({"sources": 9}, "1 to 8 sources"),
-        ({"confidence": 1.5}, "confidence from 0 to 1"),
-        ({"views": 1}, "at least 2 images"),
-        ({"seed": -1}, "seed"),
-    ],
+    "settings",
+    [{"spacing": 0.0}, {"sources": 0}, {"sources": 9}, {"confidence": 1.5}, {"views": 1}, {"seed": -1}],
+    ids=str,
 )
-def test_settings_out_of_range_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
+def test_settings_out_of_range_are_refused(settings):
+    with refused(ValueError):
         DenseMvs(**settings)

@@ -5,7 +5,6 @@ import pytest
 from optional import import_or_skip
 from wording import refused
 
-from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.sfm.alignment import camera_errors
 from reconstructors.sfm.control import (
@@ -53,19 +52,16 @@ def test_control_files(tmp_path):
     assert (a.name, a.is_check, b.is_check) == ("A", False, True)
     np.testing.assert_array_equal(b.position, [4, 5, 6])
     assert a.observations[0] == ("a.jpg", 10.5, 20)
-    for text, match in (
-        ("A 1 2 3 a.jpg 10", "line 1: expected name, x y z, image"),
-        ("A 1 2 3 a.jpg 1 nan", "finite"),
-        ("A 1 2 3 a.jpg 1 2\nA 1 2 4 b.jpg 1 2", "line 2: A has another position"),
-        ("A 1 2 3 a.jpg 1 2", "in one image only"),
-        ("A 1 2 3 a.jpg 1 2\nA 1 2 3 a.jpg 1 2\nA 1 2 3 b.jpg 1 2", "line 2: A is marked in a.jpg above"),
-        (
-            "A 1 2 3 a.jpg 1 2\nA 1 2 3 b.jpg 1 2\nA* 1 2 3 a.jpg 1 2\nA* 1 2 3 b.jpg 1 2",
-            "A is a control point and, with a .*, a check point",
-        ),
+    for text in (
+        "A 1 2 3 a.jpg 10",
+        "A 1 2 3 a.jpg 1 nan",
+        "A 1 2 3 a.jpg 1 2\nA 1 2 4 b.jpg 1 2",
+        "A 1 2 3 a.jpg 1 2",
+        "A 1 2 3 a.jpg 1 2\nA 1 2 3 a.jpg 1 2\nA 1 2 3 b.jpg 1 2",
+        "A 1 2 3 a.jpg 1 2\nA 1 2 3 b.jpg 1 2\nA* 1 2 3 a.jpg 1 2\nA* 1 2 3 b.jpg 1 2",
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=match):
+        with refused():
             read_control(path)
     with refused():
         read_control(tmp_path / "none.txt")

@@ -6,7 +6,6 @@ import zlib
 import pytest
 import textured_corner as corner
 from optional import import_or_skip
-from wording import refused
 
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.run import ReconstructionJob, run
@@ -54,7 +53,8 @@ def test_what_is_wrong_with_an_image_is_said(photos, tmp_path, what):
     for _ in range(2):  # by looking, and from what was kept
         left, (warning,) = readable(scene, tmp_path)
         assert left.images == ("0.png", "1.png", "3.png", "4.png")
-        assert warning.startswith(f"warning: 2.png is left out: {what}")
+        assert warning.startswith("warning: 2.png ")
+        assert what in warning
         assert "\n" not in warning
 
 
@@ -64,7 +64,8 @@ def test_a_photograph_that_is_cut_off(photos, tmp_path):
     whole = (photos / "0.jpg").read_bytes()
     (photos / "0.jpg").write_bytes(whole[: len(whole) // 2])
     _, (warning,) = readable(read_scene(photos), tmp_path)
-    assert warning.startswith("warning: 0.jpg is left out: truncated")
+    assert warning.startswith("warning: 0.jpg ")
+    assert "truncated" in warning
 
 
 def test_whole_images_are_all_used_and_too_few_are_refused(photos, tmp_path):
@@ -74,7 +75,7 @@ def test_whole_images_are_all_used_and_too_few_are_refused(photos, tmp_path):
     assert readable(scene, tmp_path / "a") == (scene, [])
     for number in range(4):
         (photos / f"{number}.png").write_bytes(DAMAGE["truncated"]((photos / f"{number}.png").read_bytes()))
-    with refused(ReconstructionError):
+    with pytest.raises(ReconstructionError, match="4 of 5 images"):  # Pillow says what is wrong
         readable(read_scene(photos), tmp_path / "b")
 
 
@@ -85,4 +86,4 @@ def test_the_others_are_reconstructed(photos, tmp_path):
     assert (result.status, result.message) == ("ok", "")
     made = result.required()
     assert set(made.cameras) <= {"0.png", "1.png", "3.png", "4.png"}
-    assert any("2.png is left out: unreadable" in note for note in made.notes)
+    assert any("2.png" in note and "unreadable" in note for note in made.notes)

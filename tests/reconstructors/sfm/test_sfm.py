@@ -10,7 +10,7 @@ import textured_corner as corner
 from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
@@ -41,11 +41,17 @@ def workspace(tmp_path_factory):
     return tmp_path_factory.mktemp("workspace")
 
 
+def note_of(made, part):
+    """The only note with this part."""
+    (note,) = [note for note in made.notes if part in note]
+    return said(note)
+
+
 def test_given_poses_triangulate_onto_the_truth(photographs, workspace):
     scene = read_scene(photographs)
     made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
     assert made.gauge == "georeferenced"
-    assert "exhaustive matching, 21 pairs" in made.notes
+    assert "21 pairs" in note_of(made, "matching")
     assert len(made.cloud) > 500
     assert int(re.search(r"(\d+)% of the verified", " ".join(made.notes))[1]) > 95
     # SIFT is good to some tenths of a pixel; a pixel at 5 m is 12 mm.
@@ -75,7 +81,7 @@ def test_solved_poses_are_the_true_ones(photographs, workspace, mapping):
     # Tenths of a pixel over the whole image: 1 mm at 5 m, 0.01 degrees; ten times that is a mistake.
     assert positions.max() < 0.02
     assert angles.max() < 0.2
-    assert f"position errors {np.median(positions):.3g} (median)" in " ".join(made.notes)
+    assert f"{np.median(positions):.3g} (median)" in note_of(made, "position errors")
     assert np.median(corner.distances(made.cloud.points)) < 0.008
 
 
@@ -92,7 +98,7 @@ def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
     fit = fit_similarity(*(np.stack([c[name].position for name in names]) for c in (truth, made.cameras)))
     up = fit.rotation[:, 2]
     assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) < 1.0  # solved rolls are good to some tenths
-    assert sum(note.startswith("levelled, +z is up") for note in made.notes) == 1
+    note_of(made, "levelled")
     with refused():
         ColmapSfm(poses="given", **QUICK).reconstruct(scene, workspace)
     with refused():
@@ -132,7 +138,7 @@ def test_gps_gives_metres(photographs, workspace):
     scene = replace(read_scene(photographs, cameras="none"), gps=gps)
     made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
     assert (made.gauge, made.cloud.unit) == ("georeferenced", "m")
-    assert "aligned to the GPS of 7 images" in " ".join(made.notes)
+    assert "7 images" in note_of(made, "aligned to the GPS")
     # The frame is east-north-up about the first image's position.
     expected = enu_from_wgs84([gps[name] for name in truth], gps["000.png"])
     found = np.stack([made.cameras[name].position for name in truth])
@@ -157,8 +163,8 @@ def test_points_of_two_images_are_left_out(photographs, workspace):
     assert some.cloud.attributes["track_length"].min() == 3
     assert more.cloud.attributes["track_length"].min() == 2
     left_out = len(more.cloud) - len(some.cloud)
-    assert f"{left_out} points of fewer than 3 images are left out" in some.notes
-    with refused(ReconstructionError):
+    assert note_of(some, "points of fewer").startswith(f"{left_out} ")
+    with refused(ReconstructionError, masked=True):
         ColmapSfm(min_views=8, **QUICK).reconstruct(scene, workspace)
 
 
@@ -175,7 +181,7 @@ def test_control_points_give_the_world(photographs, workspace, tmp_path):
     scene = read_scene(photographs, cameras="none")
     made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
     assert made.gauge == "georeferenced"
-    assert "aligned to 4 control points" in " ".join(made.notes)
+    assert " 4 " in note_of(made, "aligned to")
     residuals = made.residuals
     assert [point.name for point in residuals.control] == ["A", "B", "C", "D"]
     assert [point.name for point in residuals.check] == ["check"]
@@ -183,7 +189,7 @@ def test_control_points_give_the_world(photographs, workspace, tmp_path):
     assert residuals.rmse(residuals.check).total < 0.1
     assert residuals.rmse(residuals.check).vertical is None
     assert np.median(corner.distances(made.cloud.points)) < 0.1  # the world is ten times as large
-    with pytest.raises(ValueError, match="control=FILE"):
+    with refused(ValueError):
         ColmapSfm(align="control")
 
 
@@ -227,7 +233,7 @@ def test_marks_in_images_that_are_not_there(photographs, workspace, tmp_path):
     lines = [*marks_in(scene.cameras, {"p*": [0, 0, 0.5]}), "p* 0 0 0.5 elsewhere.jpg 1 2"]
     (tmp_path / "control.txt").write_text("\n".join(lines))
     made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
-    assert "control points: 1 images with marks are not in the scene: elsewhere.jpg" in made.notes
+    note_of(made, "elsewhere.jpg")
     assert made.residuals.check[0].error < 1e-9
 
 
@@ -267,21 +273,21 @@ def write_scene(folder, images):
     return read_scene(folder)
 
 
-def fails(scene, workspace, match, error=ReconstructionError, **settings):
+def fails(scene, workspace, error=ReconstructionError, **settings):
     workspace.mkdir(exist_ok=True)
-    with pytest.raises(error, match=match):
+    with refused(error, masked=True):
         ColmapSfm(**{**QUICK, **settings}).reconstruct(scene, workspace)
 
 
 def test_failures_have_names(tmp_path):
     blank = {f"{n}.png": np.full((240, 320, 3), 90 + n, np.uint8) for n in range(3)}
-    fails(write_scene(tmp_path / "blank", blank), tmp_path / "a", r"too few features: 3 of 3 images.*0.png: 0")
+    fails(write_scene(tmp_path / "blank", blank), tmp_path / "a")
     noise = {f"{n}.png": (255 * corner.texture(n, 320)).astype(np.uint8) for n in range(3)}
-    fails(write_scene(tmp_path / "noise", noise), tmp_path / "b", "no pair verified: 3 images have [0-9]+ features")
+    fails(write_scene(tmp_path / "noise", noise), tmp_path / "b")
     copies = dict.fromkeys(("0.png", "1.png", "2.png"), noise["0.png"])
-    fails(write_scene(tmp_path / "copies", copies), tmp_path / "c", "nothing registers")
+    fails(write_scene(tmp_path / "copies", copies), tmp_path / "c")
     one = write_scene(tmp_path / "one", {"0.png": noise["0.png"]})
-    fails(one, tmp_path / "d", "at least two images", InputError)
+    fails(one, tmp_path / "d", InputError)
 
 
 def test_names_may_have_spaces(photographs, tmp_path):
@@ -321,7 +327,7 @@ def test_wrong_poses_are_said(photographs, tmp_path):
     turned = {
         name: replace(scene.cameras[other], name=name) for name, other in zip(names, reversed(names), strict=True)
     }
-    fails(replace(scene, cameras=turned), tmp_path, "the given cameras do not fit the images: [0-9.]+% of")
+    fails(replace(scene, cameras=turned), tmp_path)
 
 
 def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photographs, tmp_path, monkeypatch):
@@ -351,15 +357,15 @@ def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photo
     made = ColmapSfm(**settings).reconstruct(scene, tmp_path)
     assert (made.gauge, made.cloud.unit) == ("arbitrary", None)
     (note,) = [note for note in made.notes if note.startswith("warning: ")]
-    assert re.match("warning: 4 of [0-9]+ pairs of at least 100 matches contradict the solved cameras", note)
-    assert "not aligned to the world: its gauge is arbitrary" in made.notes
+    assert note.startswith("warning: 4 of ")
+    note_of(made, "not aligned")
     assert "000.png" in (tmp_path / "pairs.csv").read_text()
-    with refused(ReconstructionError):
+    with refused(ReconstructionError, masked=True):
         ColmapSfm(align="cameras", **settings).reconstruct(scene, tmp_path)
     # Given cameras stay in their own world: theirs is said to be contradicted.
     given = ColmapSfm(**QUICK).reconstruct(scene, tmp_path)
     assert given.gauge == "georeferenced"
-    assert any("contradict the given cameras" in note for note in given.notes)
+    note_of(given, "contradict the given cameras")
 
 
 def test_a_solution_that_known_cameras_contradict_is_not_put_into_their_world(photographs, workspace):
@@ -369,8 +375,8 @@ def test_a_solution_that_known_cameras_contradict_is_not_put_into_their_world(ph
     scene = replace(scene, cameras=shuffled)
     made = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
     assert made.gauge == "arbitrary"
-    assert any(note.startswith("not aligned to cameras: solved positions are off by") for note in made.notes)
-    with refused(ReconstructionError):
+    note_of(made, "not aligned to cameras")
+    with refused(ReconstructionError, masked=True):
         ColmapSfm(poses="solve", align="cameras", refine="none", **QUICK).reconstruct(scene, workspace)
 
 
@@ -384,8 +390,8 @@ def test_the_largest_component_is_kept(photographs, tmp_path):
     (tmp_path / "work").mkdir()
     made = ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path / "work")
     assert sorted(made.cameras) == ["000.png", "001.png", "002.png", "003.png", "004.png"]
-    assert "2 components (of 5, 3 images): the largest is kept" in made.notes
-    assert "3 of 8 images are not registered: 006.png, 007.png, 008.png" in made.notes
+    assert "(of 5, 3 images)" in note_of(made, "components")
+    assert "3 of 8 images" in note_of(made, "006.png, 007.png, 008.png")
 
 
 def test_other_components_of_the_same_images_are_not_counted(photographs, workspace, tmp_path):
@@ -402,7 +408,7 @@ def test_images_without_cameras_are_left_out_and_said(photographs, tmp_path):
     scene = read_scene(photographs)
     known = {name: camera for name, camera in scene.cameras.items() if name != "003.png"}
     made = ColmapSfm(**QUICK).reconstruct(replace(scene, cameras=known), tmp_path)
-    assert "1 of 7 images without a camera are left out: 003.png" in made.notes
+    assert "1 of 7 images" in note_of(made, "003.png")
     assert "003.png" not in made.cameras
 
 
@@ -474,5 +480,5 @@ def test_images_from_one_place_give_no_point(tmp_path):
         cameras.append(replace(whole, name=f"{k}.png", intrinsics=part))
         Image.fromarray(picture[:, left : left + 400]).save(folder / "images" / f"{k}.png")
     write_colmap_model(folder / "sparse", cameras)
-    with refused(ReconstructionError):
+    with refused(ReconstructionError, masked=True):
         ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)

@@ -36,17 +36,19 @@ def workspace(photographs, tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"])
 def test_a_cut_model_is_refused(workspace, tmp_path, name):
+    model = tmp_path / "model"
+    model.mkdir()
     for file in (workspace / "model").iterdir():
-        (tmp_path / file.name).write_bytes(file.read_bytes())
-    check_written(tmp_path)
-    size = (tmp_path / name).stat().st_size
+        (model / file.name).write_bytes(file.read_bytes())
+    check_written(model)
+    size = (model / name).stat().st_size
     for left in (size // 2, 8, 0):
-        os.truncate(tmp_path / name, left)
+        os.truncate(model / name, left)
         with refused(ReconstructionError):
-            check_written(tmp_path)
-    (tmp_path / name).unlink()
+            check_written(model)
+    (model / name).unlink()
     with refused(ReconstructionError):
-        check_written(tmp_path)
+        check_written(model)
 
 
 @pytest.mark.parametrize("cut", ["features/database.db", "verified/database.db", "triangulation/0/images.bin"])

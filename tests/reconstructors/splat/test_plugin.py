@@ -5,7 +5,7 @@ import pytest
 import textured_corner as corner
 from optional import import_or_skip
 from PIL import Image
-from wording import refused
+from wording import refused, said
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.plugins import Reconstruction
@@ -73,12 +73,12 @@ def test_a_checkpoint_of_other_photographs_is_not_gone_on_from(train, monkeypatc
 
 
 def test_memory_is_asked_for_in_numbers_that_are_so(train):
-    with refused():
+    with refused(masked=True):
         train(memory=1e-6)
 
 
 def test_what_cannot_be_is_refused_before_any_work(train, monkeypatch):
-    with pytest.raises(ValueError, match="set cloud=means"):
+    with refused(ValueError):
         train(cloud="surface", min_opacity=0.5)
     monkeypatch.setattr(Points, "reconstruct", lambda *_: pytest.fail("work was begun"))
     with refused():
@@ -86,13 +86,12 @@ def test_what_cannot_be_is_refused_before_any_work(train, monkeypatch):
 
 
 def test_the_note_says_after_which_step_training_ended(train, monkeypatch):
-    assert "400 Gaussians, harmonics of degree 0, after step 12" in train(density="fixed").notes
+    said(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
     monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, halved=(0, 0)))
-    said = train(density="fixed", steps=100).notes
-    assert "400 Gaussians, harmonics of degree 0, after step 30 of 100: the photographs got no better" in said
+    said(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
 
 
 def test_rules_that_a_training_is_too_short_for_are_told(train):
-    told = "no Gaussian was added: density=classic begins at step 500 and ends after 50% of the steps"
-    assert told in train(density="classic").notes
-    assert not any("was added" in note for note in train(density="fixed").notes)
+    (note,) = [note for note in train(density="classic").notes if "density=classic" in note]
+    assert "at step 500" in said(note)
+    assert not any("density=" in note for note in train(density="fixed").notes)

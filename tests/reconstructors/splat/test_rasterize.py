@@ -13,7 +13,7 @@ from repository import TESTS
 from splat_scenes import make, nothing, scattered
 from wording import refused
 
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import MissingExtra
 from pcbench.geometry.transform import Similarity
 from reconstructors.splat import rasterize
 from reconstructors.splat.interface import GaussianTensors
@@ -214,16 +214,14 @@ def test_without_gradients_and_without_gaussians(device):
     assert [tensor.grad.shape for tensor in tensors] == [tensor.shape for tensor in tensors]
 
 
-def refusal(change, **options):
-    """What is said of a scene of five Gaussians after `change` of its tensors by name."""
+def check_refusal(change, **options):
+    """A scene of five Gaussians is refused after `change` of its tensors by name."""
     scene = scattered(np.random.default_rng(0), 5)
     names = ("means", "quats", "scales", "opacities", "sh")
     tensors = {name: torch.from_numpy(array) for name, array in zip(names, scene.arrays, strict=True)}
     changed = tensors | {name: tensor(tensors[name]) for name, tensor in change.items()}
-    with pytest.raises(InputError) as caught:
+    with refused():
         rasterize(*changed.values(), **{"camera": scene.camera, **options})
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def with_one(value):
@@ -236,53 +234,49 @@ def with_one(value):
 
 
 @pytest.mark.parametrize(
-    "change, message",
+    "change",
     [
-        ({"means": lambda t: t.numpy()}, "expected means as a torch tensor, got ndarray"),
-        ({"means": lambda t: t[:, :2]}, "expected means of shape (N, 3), got (5, 2)"),
-        ({"means": lambda t: t[0, 0]}, "expected means of shape (N, 3), got ()"),
-        ({"quats": lambda t: t[:4]}, "expected quats of shape (5, 4), got (4, 4)"),
-        ({"scales": lambda t: t[:, :2]}, "expected scales of shape (5, 3), got (5, 2)"),
-        ({"opacities": lambda t: t[:, None]}, "expected opacities of shape (5,), got (5, 1)"),
-        ({"sh": lambda t: t[:, :5]}, "expected sh of shape (5, K, 3) with K = 1, 4, 9 or 16, got (5, 5, 3)"),
-        ({"sh": lambda t: t[:, 0]}, "expected sh of shape (5, K, 3) with K = 1, 4, 9 or 16, got (5, 3)"),
-        ({"quats": lambda t: t.int()}, "expected quats of a floating type, got torch.int32"),
-        ({"means": with_one(np.nan)}, "expected finite means, got NaN or Inf in 1 of 5, first 3"),
-        ({"means": lambda t: 1e39 * t.double()}, "expected finite means, got NaN or Inf in 5 of 5, first 0"),
-        ({"quats": with_one(np.inf)}, "expected finite quats, got NaN or Inf in 1 of 5, first 3"),
-        ({"quats": with_one(-1e20)}, "expected quats of numbers up to 1e+18, got 1e+20: normalize them"),
-        ({"scales": lambda t: t.to_sparse()}, "expected scales as a dense tensor, got torch.sparse_coo: take its to_"),
-        ({"sh": with_one(-np.inf)}, "expected finite sh, got NaN or Inf in 1 of 5, first 3"),
-        ({"scales": with_one(-2.5)}, "expected scales of 0 or more, got -2.5: take exp() of logarithms"),
-        ({"opacities": with_one(1.5)}, "to 1.5: take the sigmoid of logits"),
-        ({"opacities": with_one(-0.5)}, "expected opacities from 0 to 1, got -0.5 to"),
-        ({"scales": lambda t: t.to("meta")}, "expected tensors on one device: means are on cpu, scales on meta"),
+        {"means": lambda t: t.numpy()},
+        {"means": lambda t: t[:, :2]},
+        {"means": lambda t: t[0, 0]},
+        {"quats": lambda t: t[:4]},
+        {"scales": lambda t: t[:, :2]},
+        {"opacities": lambda t: t[:, None]},
+        {"sh": lambda t: t[:, :5]},
+        {"sh": lambda t: t[:, 0]},
+        {"quats": lambda t: t.int()},
+        {"means": with_one(np.nan)},
+        {"means": lambda t: 1e39 * t.double()},
+        {"quats": with_one(np.inf)},
+        {"quats": with_one(-1e20)},
+        {"scales": lambda t: t.to_sparse()},
+        {"sh": with_one(-np.inf)},
+        {"scales": with_one(-2.5)},
+        {"opacities": with_one(1.5)},
+        {"opacities": with_one(-0.5)},
+        {"scales": lambda t: t.to("meta")},
     ],
 )
-def test_wrong_tensors_are_named(change, message):
-    assert message in refusal(change)
+def test_wrong_tensors_are_named(change):
+    check_refusal(change)
 
 
 def test_other_wrong_input_is_named():
     camera = make(scattered).camera
     bent = replace(camera, intrinsics=replace(camera.intrinsics, distortion=(0.1, 0.0, 0.0, 0.0)))
-    assert "got a camera with distortion (0.1, 0.0, 0.0, 0.0): undistort its photograph first" in refusal(
-        {}, camera=bent
-    )
-    assert refusal({}, camera=View.of(camera)) == "expected a pcbench Camera, got View"
+    check_refusal({}, camera=bent)
+    check_refusal({}, camera=View.of(camera))
     scaled = replace(camera, cam_from_world=Similarity(np.eye(3), np.zeros(3), 2.0))
-    assert refusal({}, camera=scaled) == "expected a rigid cam_from_world, got one of scale 2"
+    check_refusal({}, camera=scaled)
     wide = replace(camera, intrinsics=replace(camera.intrinsics, width=2**19 + 1))
-    assert refusal({}, camera=wide) == "expected an image of at most 524288 pixels a side, got 524289 x 22"
-    assert refusal({}, background="black") == "expected a background of three numbers, got 'black'"
-    assert refusal({}, background=None) == "expected a background of three numbers, got None"
-    assert "three real numbers, got torch.complex64" in refusal({}, background=torch.tensor([1j, 0, 0]))
-    assert refusal({}, background=[1, 1]) == "expected a background of shape (3,), got (2,)"
-    assert refusal({}, background=[1, np.nan, 1]) == "expected finite background, got NaN or Inf in 1 of 3, first 1"
+    check_refusal({}, camera=wide)
+    check_refusal({}, background="black")
+    check_refusal({}, background=None)
+    check_refusal({}, background=torch.tensor([1j, 0, 0]))
+    check_refusal({}, background=[1, 1])
+    check_refusal({}, background=[1, np.nan, 1])
     meta = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), lambda t: t.to("meta"))
-    assert (
-        refusal(meta) == "expected tensors on the CPU or on a CUDA device, got meta: move them with .cpu() or .cuda()"
-    )
+    check_refusal(meta)
 
 
 def test_torch_is_imported_when_it_is_used(monkeypatch):

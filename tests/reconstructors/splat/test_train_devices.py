@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from splat_scenes import scattered
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import InputError, MissingExtra, ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -192,16 +192,13 @@ def test_where_to_compute(monkeypatch):
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
     missing, broken = MissingExtra("NVRTC", "cuda", "it is not there"), RuntimeError("the driver is old\nat line 5")
-    for error, raised, message in [
-        (missing, MissingExtra, r"NVRTC is needed .*pcbench\[cuda\]"),
-        (broken, InputError, "^no kernel runs on GPU 1: the driver is old: set device=cpu$"),
-    ]:
+    for error, raised in [(missing, MissingExtra), (broken, InputError)]:
         monkeypatch.setattr(devices, "_run_smallest_kernel", fails(error))
-        with pytest.raises(raised, match=message):
+        with refused(raised):
             computing_on("cuda")
         device, note = computing_on("auto")
         assert device.type == "cpu"
-        assert note == f"trained on the CPU, not on GPU 1: {str(error).splitlines()[0]}"
+        assert str(error).splitlines()[0] in said(note)
     monkeypatch.setattr(devices, "_run_smallest_kernel", lambda device: None)
     for wanted in ("auto", "cuda"):
         assert computing_on(wanted) == (torch.device("cuda:1"), "trained on GPU 1; device=cpu would take the CPU")

@@ -17,7 +17,7 @@ import pytest
 from benches import METHODS, OWN, counted, job
 from optional import import_or_skip
 from processes import ends
-from wording import refused
+from wording import refused, said
 
 from pcbench import Cloud, write_cloud
 from pcbench.errors import MissingExtra
@@ -71,9 +71,8 @@ def test_whatever_methods_do_is_a_row(here, run):
     ):
         assert words in row["message"]
         assert (row["fscore"], row["pareto"]) == ("", "")
-        assert words in out
-    for line in ("1/10 Good noise=1 image_scale=0.5 seed 0:", "Crash has no setting 'seed': one run instead of 2"):
-        assert line in out
+        assert row["message"] in out
+    assert "1/10 Good noise=1 image_scale=0.5 seed 0:" in out
     doc = json.loads(Path("out/bench.json").read_text())
     assert doc["schema"] == "pcbench.bench/1"
     assert len(doc["rows"]) == 10
@@ -120,7 +119,7 @@ def test_done_rows_are_kept(here, run, one_process):
     # Fewer rows: the others are not in the tables, which is said.
     _, out, _ = run(*command, "noise=1")
     assert len(counted()) == 3
-    assert "1 runs in out/runs are of other settings" in out
+    said(next(line for line in out.splitlines() if "out/runs" in line))
     assert len(Path("out/bench.csv").read_text().splitlines()) == 3
     # Another threshold measures again, and runs nothing.
     run(*command, "noise=1", "--threshold", "0.5")
@@ -250,10 +249,10 @@ def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
     command += ["--method", "methods.py:Good", "--method", "methods.py:Hang"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
-        said = Path("pid.txt")
-        while process.poll() is None and not (said.exists() and said.read_text()):  # however busy the machine is
+        told = Path("pid.txt")
+        while process.poll() is None and not (told.exists() and told.read_text()):  # however busy the machine is
             time.sleep(0.05)
-        child = int(said.read_text())
+        child = int(told.read_text())
         process.send_signal(how)
         _, err = process.communicate()
     finally:
@@ -269,8 +268,8 @@ def test_a_bench_that_measured_nothing_is_an_error(here, run, one_process):
     for method in ("Cannot", "Elsewhere"):  # one fails, the other's cloud cannot be measured
         code, out, err = run(*command, f"methods.py:{method}")
         assert code == 2
-        assert err == "error: out: none of 1 runs could be measured: see the messages there\n"
-        assert "bench: out" in out
+        said(err)
+        assert out.splitlines()[-1] == "bench: out"
     assert run(*command, "methods.py:Cannot", "--method", "methods.py:Good")[0] == 0
 
 

@@ -2,13 +2,14 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import one_line
 from optional import import_or_skip
-from wording import refused
+from wording import refused, said
 
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
@@ -105,11 +106,11 @@ def test_experiment_json_is_read_as_it_was_written(study, tmp_path):
 
 def test_the_cause_is_the_setting_that_changes_the_bend(study):
     sentences = study.sentences
-    assert sentences[0].startswith("The cause is the lens distortion: left at zero, the cloud is bent by 0.3")
+    said("\n".join(sentences))
+    assert re.search(r"lens distortion.* 0\.3", sentences[0])
     assert "('no distortion' against 'true lens')" in sentences[0]
-    assert any(s.startswith("Changing control points alone changes the bend by at most 0.0") for s in sentences)
-    assert any(s.startswith("It is a dome: ") and "below" in s for s in sentences)
-    assert any("Solutions of the same images differ by" in s and "0.5 and 0.5 px" in s for s in sentences)
+    assert any(re.search(r"control points .* 0\.0", sentence) for sentence in sentences)
+    assert any("0.5 and 0.5 px" in sentence for sentence in sentences)
 
 
 def test_the_cause_follows_the_numbers(study):
@@ -117,46 +118,44 @@ def test_the_cause_follows_the_numbers(study):
     straight, bent, held = study.rows[:3]
     elsewhere = {**straight.factors, "images": "half"}
     rows = [straight, replace(bent, factors=elsewhere), replace(held, factors=straight.factors)]
-    assert next(explain(rows[:2], "m")).startswith("The cause is the choice of images: every second, the cloud")
+    said(next(explain(rows[:2], "m")))
 
     def all_with(**changes):
         return [replace(row, truth=replace(row.truth, **changes)) for row in rows]
 
-    assert list(explain(all_with(verdict="none"), "m")) == ["No solution is bent beyond what noise would do."]
+    said(*explain(all_with(verdict="none"), "m"))
     undecided = all_with(verdict="none")
     undecided[1] = replace(rows[1], truth=replace(rows[1].truth, verdict="undecided"))
-    assert list(explain(undecided, "m")) == ["Whether solutions are bent is undecided: 'no distortion'."]
-    assert list(explain(study.rows[3:], "m")) == ["No solution could be judged."]
+    assert "'no distortion'" in said(*explain(undecided, "m"))
+    said(*explain(study.rows[3:], "m"))
     wide = all_with(verdict="non-affine", ci=(0.0, 1.0))
-    assert next(explain(wide[:2], "m")).startswith("Solutions are bent, but no two that differ in one setting")
+    said(next(explain(wide[:2], "m")))
 
 
 def test_no_solution_that_could_be_judged_is_an_error(study, run, monkeypatch, tmp_path):
     failed = replace(study, rows=study.rows[3:], sentences=tuple(explain(study.rows[3:], "m")))
     monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (failed, None))
-    code, said, err = run("experiment", "bend", "--out", tmp_path)
+    code, out, err = run("experiment", "bend", "--out", tmp_path)
     assert code == 2
-    assert "No solution could be judged." in said
+    said(out)
     assert one_line(err)
-    assert "none of 1 solutions could be judged" in err
+    assert "none of 1 " in said(err)
     monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (study, None))
     assert run("experiment", "bend", "--out", tmp_path)[0] == 0
 
 
-@pytest.mark.parametrize(
-    ("errors", "words"), [([1, 2, 3, 3], "go together"), ([4, 3, 2, 1], "do not go together"), ([1, 1, 1, 1], None)]
-)
-def test_lens_and_bend_go_together_only_if_they_do(errors, words):
+@pytest.mark.parametrize("errors", [[1, 2, 3, 3], [4, 3, 2, 1], [1, 1, 1, 1]], ids=["together", "opposite", "constant"])
+def test_lens_and_bend_go_together_only_if_they_do(errors):
     rows = [
         SolutionResult(str(k), {}, 9, 9, lens_error_px=e, truth=Bend("none", "rigid", k + 1.0, None, None, None, None))
         for k, e in enumerate(errors)
     ]
-    said = list(_intrinsics_words(rows))
-    if words is None:
-        assert said == []
+    words = list(_intrinsics_words(rows))
+    if len(set(errors)) == 1:
+        assert words == []
     else:
         rho = import_or_skip("scipy.stats").spearmanr(errors, [1, 2, 3, 4]).statistic
-        assert said == [f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over 4 solutions."]
+        assert f" {rho:.2f} over 4 " in said(*words)
 
 
 def test_table_and_csv(study):
@@ -220,14 +219,10 @@ def test_what_is_no_scene_with_truth_is_refused(run, tmp_path):
     from PIL import Image
 
     Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "a.png")
-    for arguments, message in (
-        ((tmp_path,), "has no camera: the experiment needs the true ones"),
-        ((tmp_path, "--images", "20"), "of the scene that is made where none is given"),
-        (("--size", "20"), "expected --size as WIDTHxHEIGHT"),
-    ):
+    for arguments in ((tmp_path,), (tmp_path, "--images", "20"), ("--size", "20")):
         code, _, err = run("experiment", "bend", *arguments, "--out", tmp_path / "out")
         assert code == 2
-        assert message in err
+        said(err.partition(" (see ")[0])  # how pytest was called
 
 
 @pytest.mark.slow
@@ -240,7 +235,7 @@ def test_a_small_experiment(run, renderer, tmp_path):
     rows = {row.name: row for row in study.rows}
     assert all(row.failure is None for row in rows.values())
     assert rows["no distortion"].truth.rms > 3 * rows["true lens"].truth.rms
-    assert study.sentences[0].startswith("The cause is the lens distortion")
+    assert "lens distortion" in study.sentences[0]
     assert rows["true lens"].lens_error_px < 1e-6 < 1 < rows["no distortion"].lens_error_px
     assert len(read_scene(tmp_path / "bend/scene")) == 18
     before = (tmp_path / "bend/true-lens.ply").read_bytes()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gao_studies import scene, stored, study, verdict
 from optional import import_or_skip
-from wording import refused
+from wording import refused, said
 
 from pcbench.errors import Notice
 from pcbench.report import Figures
@@ -19,52 +19,56 @@ from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import cost_table, csv_text, failures, markdown, measures_table
 
 
-def said(*scenes, **more):
-    return " ".join(study(*scenes, **more).sentences)
+def told(*scenes, **more):
+    """The sentences; those that are not told of the plain scene are compared with the golden file."""
+    plain, found = study(scene()).sentences, study(*scenes, **more).sentences
+    said("\n".join(sentence for sentence in found if sentence not in plain))
+    return "\n".join(found)
 
 
 def test_gains_and_costs_follow_the_figures():
-    words = said(scene())
-    assert words.startswith("Densification makes 1,000 points of 1,000 (as many). ")
-    assert "It gains completeness: mvs to cloud (r→c), 2 m RMS becomes 0.5 m (4 times less)." in words
-    assert "It costs accuracy: cloud to mvs (c→r), 0.1 m RMS becomes 0.4 m (4 times as much)." in words
-    assert "Against the truth it costs accuracy: cloud to truth (c→r), 0.141 m RMS becomes 0.412 m" in words
-    assert "instead of their centres, against truth: c→r 0.412 m RMS becomes 0.224 m (1.8 times less)" in words
-    assert "30 s sparse, 100 s more for mvs, 300 s more for splats (3 times mvs); memory up to 256, 256" in words
-    assert "at 25.0 dB PSNR, those that were at 30.0 dB: a gap of 5.0 dB" in words
-    assert "trained for at most 2,000 steps (density=classic)" in words
+    words = said("\n".join(study(scene()).sentences))
+    for value in (
+        "1,000 points of 1,000",
+        "2 m RMS becomes 0.5 m (4 times less)",
+        "0.1 m RMS becomes 0.4 m (4 times as much)",
+        "0.141 m RMS becomes 0.412 m",
+        "0.412 m RMS becomes 0.224 m (1.8 times less)",
+        "30 s sparse, 100 s more for mvs, 300 s more for splats (3 times mvs)",
+        "25.0 dB PSNR",
+        "30.0 dB: a gap of 5.0 dB",
+        "2,000 steps (density=classic)",
+    ):
+        assert value in words
     # The other way round: means that are nearer than the sparse points, and miss more.
     sparse, mvs, means, surface = scene().clouds
     turned = replace(
         scene(), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), replace(surface, name=SURFACE))
     )
-    words = said(turned)
-    assert "It loses completeness: mvs to cloud (r→c), 0.5 m RMS becomes 2 m" in words
-    assert "It gains accuracy" in words
+    assert "0.5 m RMS becomes 2 m" in told(turned)
     same = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface))
-    assert "It gains no completeness" in said(same)
-    assert "It costs no accuracy" in said(same)
+    told(same)
 
 
 def test_several_scenes_are_averaged_and_counted():
     sparse, mvs, means, surface = scene().clouds
     odd = replace(scene("b"), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), surface))
-    words = said(scene("a"), scene("c", factor=4.0), odd)
+    words = told(scene("a"), scene("c", factor=4.0), odd)
     # Geometric means: 2, 8 and 0.5 m become 0.5, 2 and 2 m.
-    assert "(r→c), 2 m RMS becomes 1.26 m (1.6 times less, in 2 of 3 scenes)" in words
+    assert "2 m RMS becomes 1.26 m (1.6 times less, in 2 of 3 scenes)" in words
 
 
 def test_what_a_reference_of_the_same_images_hides():
-    words = said(scene())
-    assert "mvs is 0.141 m RMS off the truth (c→r), and the truth that cameras saw is 0.224 m RMS from it" in words
-    assert "By the truth sparse is worse than mvs says: c→r 0.1 m RMS becomes 0.141 m" in words
-    assert "By the truth splat-means is as far off as mvs says" in words
-    ranked = (
-        "mvs ranks splat-surface before splat-means before sparse, and the truth gives the same order; with mvs among"
-    )
-    assert ranked in words
-    assert "them: mvs before splat-surface before splat-means before sparse." in words
-    assert "The truth is not known" in said(scene(truth=False))
+    words = "\n".join(study(scene()).sentences)
+    for value in (
+        "mvs is 0.141 m RMS off the truth (c→r)",
+        "0.224 m RMS from it",
+        "0.1 m RMS becomes 0.141 m",
+        "splat-surface before splat-means before sparse",
+        "mvs before splat-surface before splat-means before sparse",
+    ):
+        assert value in words
+    told(scene(truth=False))
 
 
 BENT = verdict("non-affine", 0.2, slope=0.004)
@@ -72,47 +76,29 @@ LARGE = verdict("non-affine", 0.6)
 
 
 @pytest.mark.parametrize(
-    ("bends", "words"),
+    "bends",
     [
-        (
-            {},
-            "solved cameras are 0.1 m (median) to 0.3 m from those of the scene, with 1.0010 times their focal length;"
-            " by themselves they deform the surface by 0.5 m RMS beyond a rigid motion, and bend it by 0.25 m beyond an"
-            " affine one, in every cloud alike.",
-        ),
-        (
-            {(SPARSE, TRUTH): BENT, (MVS, TRUTH): BENT, (MEANS, TRUTH): LARGE},
-            "the bend of sparse and mvs against the truth is no more than what the cameras do; mvs as the reference"
-            " does not show that of sparse. the bend of splat-means against the truth is more than what the cameras do",
-        ),
-        (
-            {(MEANS, TRUTH): BENT, (MEANS, MVS): BENT},
-            "splat-means and mvs have the same cameras, so cameras are not what bends it against mvs; against the truth"
-            " splat-means is bent and mvs is not.",
-        ),
-        (
-            {(SURFACE, MVS): BENT, (MEANS, MVS): BENT, (MVS, TRUTH): BENT},
-            "splat-means, splat-surface and mvs have the same cameras, so cameras are not what bends them against mvs;"
-            " against the truth mvs is bent and splat-means does not show it; against the truth mvs is bent and",
-        ),
-        (
-            {(SURFACE, MVS): BENT, (MVS, TRUTH): verdict("undecided"), (SURFACE, TRUTH): BENT},
-            "against the truth it cannot be told which of the two it is. the bend of splat-surface against the truth",
+        pytest.param({(SPARSE, TRUTH): BENT, (MVS, TRUTH): BENT, (MEANS, TRUTH): LARGE}, id="some against the truth"),
+        pytest.param({(MEANS, TRUTH): BENT, (MEANS, MVS): BENT}, id="one against both"),
+        pytest.param({(SURFACE, MVS): BENT, (MEANS, MVS): BENT, (MVS, TRUTH): BENT}, id="the reference"),
+        pytest.param(
+            {(SURFACE, MVS): BENT, (MVS, TRUTH): verdict("undecided"), (SURFACE, TRUTH): BENT}, id="undecided"
         ),
     ],
 )
-def test_where_a_bend_comes_from(bends, words):
-    assert words in said(scene(bends=bends))
+def test_where_a_bend_comes_from(bends):
+    words = told(scene(bends=bends))
+    for value in ("0.1 m (median) to 0.3 m", "1.0010 times", "by 0.5 m RMS", "by 0.25 m"):  # of the cameras
+        assert value in words
 
 
 def test_lost_cameras_are_said():
-    words = said(scene(cameras=replace(scene().cameras, astray=2)))
-    assert "their focal length (2 of 40 are lost); by themselves the others deform the surface by 0.5 m" in words
+    words = told(scene(cameras=replace(scene().cameras, astray=2)))
+    assert "(2 of 40 are lost)" in words
 
 
 def test_true_cameras_bend_nothing():
-    words = said(scene(bends={(SPARSE, TRUTH): BENT}, cameras=None), poses="given")
-    assert "the bend of sparse against the truth is more than what the cameras do" in words
+    words = told(scene(bends={(SPARSE, TRUTH): BENT}, cameras=None), poses="given")
     assert "solved cameras" not in words
 
 
@@ -122,12 +108,9 @@ def test_verdicts_in_words():
         (MEANS, MVS): BENT,
         (SURFACE, MVS): verdict("affine"),
     }
-    words = said(scene(bends=bends, truth=False))
-    assert (
-        "against mvs, splat-means is bent by 0.2 [0.18, 0.22] m RMS (rising by 4 ‰ with distance and rising by 4 ‰ with"
-        " height); splat-surface is stretched, not bent; sparse: undecided (too few)." in words
-    )
-    assert "whether cameras bend both cannot be told without a truth" in words
+    words = told(scene(bends=bends, truth=False))
+    assert "0.2 [0.18, 0.22] m RMS" in words
+    assert words.count("4 ‰") == 2
 
 
 def test_what_fails_is_a_row_and_a_sentence():
@@ -143,10 +126,8 @@ def test_what_fails_is_a_row_and_a_sentence():
         views=None,
     )
     found = study(broken, scene("city_2"))
-    assert found.sentences[:2] == (
-        "city_1 splat-means failed: out of memory",
-        "city_1 splat-surface could not be measured against mvs: too few points",
-    )
+    said("\n".join(found.sentences[:2]))
+    assert [MEANS in found.sentences[0], SURFACE in found.sentences[1]] == [True, True]
     assert list(failures(found)) == list(found.sentences[:2])
     rows = list(measures_table(found))
     scenes = [k for k, row in enumerate(rows) if row[0] in ("city_1", "city_2")]

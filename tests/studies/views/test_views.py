@@ -11,8 +11,9 @@ from command_line import one_line
 from optional import import_or_skip
 from scene_folders import orbit, ten_pictures
 from view_folders import photograph, psnr_of, views_of
+from wording import refused, said
 
-from pcbench.errors import InputError
+from pcbench.errors import ReconstructionError
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.measure.images import ssim
 from pcbench.measure.perceptual import Perceptual
@@ -110,7 +111,7 @@ def test_files_are_read_as_they_were_written(tmp_path):
     assert document["scenes"][0]["test"]["psnr"] == pytest.approx(study.scenes[0].mean(test=True).psnr)
     assert document["scenes"][2]["test"]["psnr"] == "inf"
     views_of(tmp_path / "a", count=20)
-    with pytest.raises(InputError, match="has other views by now"):
+    with refused():
         read_scores(tmp_path)
 
 
@@ -126,7 +127,7 @@ def test_the_table_has_a_row_a_scene_and_their_mean(tmp_path):
     assert mean[0] == "mean of 2"
     assert mean[5] == f"{np.mean(of):.2f}"
     assert markdown(study).count("\n| ") == 4
-    assert any("standard error" in sentence for sentence in sentences(study))
+    said("\n".join(sentences(study)))
     several = score_views([tmp_path / "a", views_of(tmp_path / "c", "near", 9, method="mine")], perceptual=PLAIN)
     assert [row[1] for row in table(several)[:3]] == ["method", "splat", "mine"]
 
@@ -193,7 +194,7 @@ def test_views_are_made_where_there_are_none(tmp_path):
     first = study.scenes[0].of(test=True)[0]
     assert (first.view.read().rendering == 64).all()
     assert (out / "views.md").read_text().count("\n| ") == 5
-    with pytest.raises(InputError, match="the folder is not empty"):
+    with refused():
         run_views(job, tmp_path / "one")
 
 
@@ -201,8 +202,8 @@ def test_the_command(tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
     views_of(tmp_path / "a", "near", 9)
     views_of(tmp_path / "b", "far", 18)
-    code, said, _ = run("views", "a", "b", "--out", "out", "--no-figures")
-    lines = said.splitlines()
+    code, out, _ = run("views", "a", "b", "--out", "out", "--no-figures")
+    lines = out.splitlines()
     assert code == 0
     assert lines[0].split()[:2] == ["scene", "held"]
     assert [line.split()[0] for line in lines[1:4]] == ["near", "far", "mean"]
@@ -215,8 +216,8 @@ def test_the_command(tmp_path, run, monkeypatch):
         "runs",
     }
     import_or_skip("matplotlib")
-    code, said, _ = run("plot", "out", "near_splat", "--range", "20")
-    assert (code, said) == (0, "out/figures/near_splat.png\n")
+    code, out, _ = run("plot", "out", "near_splat", "--range", "20")
+    assert (code, out) == (0, "out/figures/near_splat.png\n")
     assert Image.open("out/figures/near_splat.png").width > 1000
     for words in (("nowhere", "--out", "other"), ("a", "--out", "b")):
         code, _, err = run("views", *words)
@@ -228,7 +229,7 @@ def test_the_command(tmp_path, run, monkeypatch):
 def test_a_method_without_views_is_said(tmp_path, name):
     (tmp_path / "painter.py").write_text(PAINTER)
     scene = ten_pictures(tmp_path / "one")
-    with pytest.raises(Exception, match=r"no scene has rendered views: .*(made a cloud but no|there is no 'Nobody')"):
+    with refused(ReconstructionError):
         run_views(ViewsJob((scene,), f"{tmp_path}/painter.py:{name}"), tmp_path / "out")
 
 
@@ -237,7 +238,8 @@ def test_views_without_held_out_images_are_refused_at_once(tmp_path, run):
         "views", str(ten_pictures(tmp_path / "one")), "--out", str(tmp_path / "o"), "--set", "hold_out=none"
     )
     assert code == 2
-    assert one_line(err) and "expected hold_out=every or hold_out=blocks" in err
+    assert one_line(err)
+    said(err)
     assert not (tmp_path / "o").exists()
 
 
@@ -247,6 +249,5 @@ def test_a_workspace_without_renderings_is_said_before_the_work(tmp_path, run):
     code, _, err = run("views", tmp_path / "cloud.work", "--out", tmp_path / "o")
     assert code == 2
     assert one_line(err)
-    assert "no rendered views" in err
-    assert "--set hold_out=every" in err
+    assert "--set hold_out=every" in said(err)
     assert not (tmp_path / "o").exists()
