@@ -52,8 +52,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     Moments<float> m = {};
     float left = 0.0f, behind = 0.0f;
     bool reaches = false;
-    for (int pixel = lane; pixel < kTilePixels; pixel += kLanes)
-        reaches = reaches || seen_counts[pixel] > begin;
+    for (int pixel = lane; pixel < kTilePixels; pixel += kLanes) reaches = reaches || seen_counts[pixel] > begin;
     const int steps = __any_sync(kWarp, reaches) ? kTilePixels + kLanes - 1 : 0;
     for (int step = 0; step < steps; ++step) {
         if (step % kLanes == 0 && step < kTilePixels) {
