@@ -6,6 +6,7 @@ The exception is `children/start.py`, which runs before anything of pcbench can 
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import signal
@@ -48,11 +49,21 @@ def _lock_byte(descriptor: int, wait: bool) -> None:
     position = os.lseek(descriptor, 0, os.SEEK_CUR)
     try:
         os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
-    except PermissionError as error:
-        raise BlockingIOError(error.errno, error.strerror) from error
+        while not _is_locked(msvcrt, descriptor):  # LK_LOCK gives up after ten seconds
+            if not wait:
+                raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+            time.sleep(_STEP_S)
     finally:
         os.lseek(descriptor, position, os.SEEK_SET)
+
+
+def _is_locked(msvcrt: Any, descriptor: int) -> bool:
+    """Lock the byte at the position of a file, unless another process has it; whether that was done."""
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    except PermissionError:
+        return False
+    return True
 
 
 def open_folder(path: Path) -> int | None:

@@ -57,7 +57,7 @@ def start_log(path: Path) -> None:
         OSError: it cannot be written.
     """
     try:
-        with path.open("x", encoding="utf-8") as file:
+        with path.open("x", encoding="utf-8", newline="\n") as file:
             file.write(_FIRST_LINE)
     except FileExistsError:
         _check_is_log(path)

@@ -6,7 +6,7 @@ To add a format, write a module with its reader beside the others and give it a 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TypeGuard
 
@@ -105,18 +105,18 @@ def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence
 
 def _writer(path: Path) -> Callable[[Path, Cloud], None]:
     try:
-        write = _format(path).write
+        writable = {extension: form for extension, form in CLOUDS.items() if form.write}
+        write = _format(path, writable if path.suffix.lower() not in CLOUDS else CLOUDS).write
         if write is None:
-            writable = ", ".join(extension for extension, form in CLOUDS.items() if form.write)
-            raise InputError(f"{path.suffix} is read but not written: choose one of {writable}")
+            raise InputError(f"{path.suffix} is read but not written: choose one of {', '.join(writable)}")
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return write
 
 
-def _format(path: Path) -> CloudFormat:
-    form = CLOUDS.get(path.name) or CLOUDS.get(path.suffix.lower())
+def _format(path: Path, formats: Mapping[str, CloudFormat] = CLOUDS) -> CloudFormat:
+    form = formats.get(path.name) or formats.get(path.suffix.lower())
     if form is None:
-        known = ", ".join(extension for extension in CLOUDS if extension.startswith("."))
+        known = ", ".join(extension for extension in formats if extension.startswith("."))
         raise InputError(f"expected a file that ends in {known}; got {path.suffix.lower() or 'no extension'!r}")
     return form

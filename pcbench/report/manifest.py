@@ -104,7 +104,12 @@ def complete_replacement(folder: Path) -> None:
     if new is not None:
         own = _own(folder)
         left = {name for name in new if (pending / name).is_file()}
-        _check_free(folder, left, own)
+        try:
+            _check_free(folder, left, own)
+        except InputError:
+            if left == {name for name in new if (pending / name).is_file()}:
+                raise
+            return complete_replacement(folder)  # another process moves them: what it put there is the report's
         for name in sorted(own - new):
             if not (folder / name).is_dir():
                 (folder / name).unlink(missing_ok=True)
