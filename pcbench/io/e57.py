@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,8 @@ def read_e57(path: Path, warn: Warn) -> Fields:
         )
         if done.code == 3:
             raise MissingExtra("pye57", "e57", "it is installed but does not load")
+        if done.code == 4:
+            raise OSError(errno.ENOSPC, "no room for temporary files", str(folder))
         if done.timed_out:
             raise InputError(f"damaged E57 data: not read after {limits.seconds:.0f} s: export the file again")
         if done.code:

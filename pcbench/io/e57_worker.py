@@ -3,7 +3,8 @@
 libE57Format, which pye57 wraps, may crash or hang on damaged files: the limits that the process is started with end it,
 and the parent says which file it was. Nothing of pcbench is imported. The folder gets `scans.json` (one entry per scan:
 points, points dropped, fields) and the columns of scan k as raw float64: `k.points` and `k.FIELD`. Points are where the
-scan's pose puts them. The exit status is 0, 3 where pye57 does not load, or 1 with a reason on standard error.
+scan's pose puts them. The exit status is 0, 3 where pye57 does not load, 4 where the folder's disk is full, or 1 with a
+reason on standard error.
 """
 
 import json
@@ -133,6 +134,8 @@ def _scaled_colors(scan: Any, prototype: Any, libe57: Any) -> dict[str, tuple[fl
 if __name__ == "__main__":
     try:
         main(*sys.argv[1:])
+    except OSError:  # of the files that are written: libE57Format has errors of its own
+        sys.exit(4)
     except MemoryError:
         sys.exit("it asks for more memory than a file of its size can need")
     except Exception as error:

@@ -1,6 +1,8 @@
 """E57: scans by their poses, every kind of coordinates, and files that are damaged."""
 
 import sys
+from contextlib import contextmanager
+from pathlib import Path
 
 import e57_bytes
 import numpy as np
@@ -11,7 +13,7 @@ from optional import break_library, import_or_skip
 from wording import refused
 
 from pcbench import read_cloud
-from pcbench.errors import InputError, MissingExtra
+from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.geometry.cameras import rotation_from
 
 RNG = np.random.default_rng(7)
@@ -138,6 +140,21 @@ def test_files_that_are_none(pye57, tmp_path):
 def test_checksums_of_the_tests_are_those_of_the_library(pye57, tmp_path):
     good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
     assert e57_bytes.sealed(good) == good
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is full")
+def test_a_full_disk_is_not_a_damaged_file(pye57, tmp_path, monkeypatch):
+    @contextmanager
+    def full_folder():
+        (tmp_path / "full").mkdir()
+        (tmp_path / "full" / "0.points").symlink_to("/dev/full")
+        yield tmp_path / "full"
+
+    path = tmp_path / "a.e57"
+    write(path, [cartesian(POINTS)])
+    monkeypatch.setattr("pcbench.io.e57.scratch_folder", full_folder)
+    with pytest.raises(PcbenchError, match="no room for temporary files"):
+        read(path)
 
 
 def test_without_pye57(monkeypatch, tmp_path):
