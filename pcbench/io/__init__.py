@@ -106,7 +106,8 @@ def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence
 def _writer(path: Path) -> Callable[[Path, Cloud], None]:
     try:
         writable = {extension: form for extension, form in CLOUDS.items() if form.write}
-        write = _format(path, writable if path.suffix.lower() not in CLOUDS else CLOUDS).write
+        is_known = path.name in CLOUDS or path.suffix.lower() in CLOUDS
+        write = _format(path, CLOUDS if is_known else writable).write
         if write is None:
             raise InputError(f"{path.suffix} is read but not written: choose one of {', '.join(writable)}")
     except InputError as error:
