@@ -95,9 +95,9 @@ def run_module(
 
 
 def _import_path() -> list[str]:
-    """Where a child imports from first: this very package, and the user's own PYTHONPATH, in the order of this process.
+    """Return the folders that a child imports from first: the folder of this very package, and those of PYTHONPATH.
 
-    What lies in the current folder is not imported.
+    They have the order of this process. The current folder is not among them.
     """
     named = os.environ.get("PYTHONPATH", "")
     before = sys.path[: sys.path.index(_PACKAGES)] if _PACKAGES in sys.path else []

@@ -1,6 +1,7 @@
-"""Where each child process starts: `start.py PARENT CPU_SECONDS BYTES ONE_CPU PROGRAM [ARGUMENT...]` starts the program
-in a process of its own that limits itself, waits for it, and ends whatever it left running. PARENT is the process that
-started this one. A limit of 0 is none; the program is a .py file or the name of a module.
+"""Start a child process: `start.py PARENT CPU_SECONDS BYTES ONE_CPU PROGRAM [ARGUMENT...]`.
+
+The program runs in a process of its own that limits itself. This one waits for it, and ends whatever it left running.
+PARENT is the process that started this one. A limit of 0 is none; the program is a .py file or the name of a module.
 
 A daemon leaves its session and its parent, so that neither says whose it is. But where a process declares itself the
 subreaper (prctl(2)), every orphan among its descendants becomes its child: on Linux nothing of a program outlives it.

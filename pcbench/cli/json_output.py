@@ -21,7 +21,7 @@ def json_option(what: str) -> Callable[[_Command], _Command]:
 
 @dataclass(frozen=True)
 class JsonOutput:
-    """Where a JSON document goes.
+    """The destination of a JSON document.
 
     Attributes:
         target: the value of `--json`: a file's name, `-` for standard output, or None for nowhere.
@@ -31,7 +31,7 @@ class JsonOutput:
 
     @property
     def on_stdout(self) -> bool:
-        """Whether standard output has the document and nothing else."""
+        """True if standard output gets the document and nothing else."""
         return self.target == "-"
 
     @property

@@ -11,7 +11,7 @@ from typing import TextIO
 
 
 class _Unread(io.BytesIO):
-    """What was printed to a standard output that is closed."""
+    """A buffer that takes the place of a closed standard output and keeps what is printed."""
 
 
 def prepare_streams() -> None:
@@ -45,7 +45,7 @@ def finish_output() -> None:
 
 
 def is_of_a_stream(error: OSError) -> bool:
-    """Whether an OSError is that of a standard stream: it names no file.
+    """Return whether an OSError is that of a standard stream: it names no file.
 
     Writers of files add the name of theirs (`scratch.naming`).
     """

@@ -54,7 +54,7 @@ def is_known(text: str | None) -> bool:
 
 
 def has_heights(text: str | None) -> bool:
-    """Whether z is known to be height in a system: it is a map grid, alone or with a system of heights."""
+    """Return whether a system is a map grid, alone or with a system of heights, so that z is known to be height."""
     crs = None if text is None else _parsed(text)
     if crs is None:
         return False

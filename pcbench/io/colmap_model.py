@@ -162,7 +162,7 @@ def _binary_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Ca
 
 
 def has_points(folder: Path) -> bool:
-    """Whether a model has points: one of known poses alone has a points3D file all the same, an empty one.
+    """Return whether a model has points: a model of known poses alone has an empty points3D file.
 
     Raises:
         InputError: points3D is no regular file; the message starts with the path.
