@@ -87,3 +87,13 @@ class TimeEstimate:
         left = self.left(now)
         spent = now - self._start
         return None if left is None else spent / max(spent + left, 1e-9)
+
+
+def duration(seconds: float) -> str:
+    """A duration in words, such as 40 s, 3 min or 2 h 10 min; at least one second."""
+    if seconds < 90:
+        return f"{max(1.0, seconds):.0f} s"
+    hours, minutes = divmod(round(seconds / 60), 60)
+    if 60 * hours + minutes < 90:
+        return f"{60 * hours + minutes} min"
+    return f"{hours} h {minutes} min" if minutes else f"{hours} h"

@@ -7,8 +7,8 @@ import time
 import pytest
 
 from pcbench.cli import messages
-from pcbench.cli.messages import duration, steps
-from pcbench.progress import Plan, Step, TimeEstimate
+from pcbench.cli.messages import steps
+from pcbench.progress import Plan, Step, TimeEstimate, duration
 
 MAX_SILENCE_S = messages._MAX_SILENCE_S
 
@@ -53,7 +53,18 @@ def test_words_alone_say_nothing_about_time():
     assert estimate.share(5.0) is None
 
 
-@pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (59, "59 s"), (89, "89 s"), (91, "2 min"), (7200, "2 h")])
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.2, "1 s"),
+        (89, "89 s"),
+        (91, "2 min"),
+        (600, "10 min"),
+        (5400, "1 h 30 min"),
+        (7200, "2 h"),
+        (7800, "2 h 10 min"),
+    ],
+)
 def test_durations_are_short(seconds, text):
     assert duration(seconds) == text
 

@@ -12,7 +12,7 @@ from typing import NoReturn
 import click
 
 from pcbench.cli.log import LOGGER
-from pcbench.progress import TimeEstimate
+from pcbench.progress import TimeEstimate, duration
 
 _MAX_SILENCE_S = 9.0  # in a pipe or a file, where nothing moves
 
@@ -124,11 +124,3 @@ def _clock(seconds: float) -> str:
     """Minutes and seconds, such as 12:05."""
     minutes, rest = divmod(int(seconds), 60)
     return f"{minutes}:{rest:02}"
-
-
-def duration(seconds: float) -> str:
-    """As short as it may be: 8 s, 3 min, 2 h."""
-    for size, name in ((3600, "h"), (60, "min")):
-        if seconds >= 1.5 * size:
-            return f"{seconds / size:.0f} {name}"
-    return f"{max(1.0, seconds):.0f} s"

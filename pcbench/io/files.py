@@ -58,6 +58,15 @@ def read_json(path: Path) -> Any:
         raise InputError(f"expected JSON: {error}") from None
 
 
+def json_object(path: Path) -> dict[str, Any]:
+    """The object that a JSON file holds; empty where it holds something else, or cannot be read."""
+    try:
+        values = read_json(path)
+    except (OSError, InputError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
 def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | None) -> T:
     """What a reader makes of a file; its errors and warnings start with the path.
 

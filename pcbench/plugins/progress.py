@@ -10,6 +10,8 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import TypeVar
 
+from pcbench.progress import duration
+
 MARK = "progress: "  # what the lines begin with
 _PERIOD_S = 0.5  # between looks into the log
 
@@ -21,7 +23,7 @@ def progress(text: str) -> None:
     print(f"{MARK}{text}", file=sys.stderr, flush=True)
 
 
-def counted(items: Sequence[T], what: str) -> Iterator[T]:
+def with_time_left(items: Sequence[T], what: str) -> Iterator[T]:
     """The items, with a line after each on how many are done and how much time is left.
 
     What was kept from an earlier run takes no time: the rate is that of the items that took a tenth of a second.
@@ -35,14 +37,6 @@ def counted(items: Sequence[T], what: str) -> Iterator[T]:
             worked, slow = worked + took, slow + 1
         left = f", {duration(worked / slow * (len(items) - k))} left" if slow and k < len(items) else ""
         progress(f"{what}: {k} of {len(items)} images{left}")
-
-
-def duration(seconds: float) -> str:
-    """For people: 40 s, 3 min, 2 h 10 min."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
 
 
 @contextmanager

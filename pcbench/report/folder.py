@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -27,6 +25,7 @@ from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
+from pcbench.report.markup import csv_text
 from pcbench.report.names import check_name
 from pcbench.report.recorded import record, restore
 from pcbench.report.table import Row, markdown, rows
@@ -81,7 +80,9 @@ def write_report(folder: Path, comparison: SourcedComparison, figures: Figures |
         check_name(candidate.name)
     (folder / _COMPARISON).write_text(to_json(document(comparison)), encoding="utf-8")
     # File names need not be Unicode.
-    (folder / "metrics.csv").write_text(_csv(comparison), encoding="utf-8", errors="backslashreplace")
+    (folder / "metrics.csv").write_text(
+        csv_text(Row._fields, rows(comparison)), encoding="utf-8", errors="backslashreplace"
+    )
     (folder / "table.md").write_text(markdown(comparison), encoding="utf-8", errors="backslashreplace")
     if comparison.inputs is not None:
         settings = to_json(_settings(comparison.settings, comparison.inputs, figures or Figures()))
@@ -137,14 +138,6 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
         "settings": record(settings),
         "figures": figures.plain(),
     }
-
-
-def _csv(comparison: SourcedComparison) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(Row._fields)
-    writer.writerows(["" if value is None else value for value in row] for row in rows(comparison))
-    return text.getvalue()
 
 
 def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -> None:

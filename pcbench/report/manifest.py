@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pcbench.errors import InputError
-from pcbench.io.files import atomic_write, read_json
+from pcbench.io.files import atomic_write, json_object
 from pcbench.report.figures import FORMATS
 
 MANIFEST = "manifest.json"
@@ -182,15 +182,6 @@ def _is_inside(name: Any) -> bool:
         and (len(parts) == 1 or (len(parts) == 2 and parts[0] == FIGURES))
         and parts[0] != "/"
     )
-
-
-def json_object(path: Path) -> dict[str, Any]:
-    """The object that a JSON file holds; empty where it holds something else, or cannot be read."""
-    try:
-        values = read_json(path)
-    except (OSError, InputError):
-        return {}
-    return values if isinstance(values, dict) else {}
 
 
 def _write(manifest: Path, names: Iterable[str]) -> None:

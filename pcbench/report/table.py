@@ -11,6 +11,7 @@ from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.markup import markdown_row
 from pcbench.report.notes import details, survey_sentences, warnings
 from pcbench.report.words import UNKNOWN, number, title
 
@@ -101,8 +102,7 @@ def across(candidates: Sequence[Candidate], is_shown: Callable[[Quantity], bool]
 
 def markdown(comparison: SourcedComparison) -> str:
     """`table.md`: the answer and the warnings, the table with 95 % intervals, the definitions, and every difference."""
-    names = [candidate.name.replace("|", "\\|") for candidate in comparison]
-    header = ["", *(f"{name} {arrow}" for name in names for arrow in ARROWS.values())]
+    header = ["", *(f"{candidate.name} {arrow}" for candidate in comparison for arrow in ARROWS.values())]
     text = [
         f"# {title(comparison)}",
         "",
@@ -111,13 +111,13 @@ def markdown(comparison: SourcedComparison) -> str:
         *(f"- {sentence}" for sentence in survey_sentences(comparison)),
         *(f"- warning: {' '.join(warning.splitlines())}" for warning in warnings(comparison)),
         "",
-        _md_row(header),
-        _md_row(["---"] + ["---:"] * (len(header) - 1)),
+        markdown_row(header),
+        markdown_row(["---"] + ["---:"] * (len(header) - 1)),
     ]
     for line in lines(comparison, intervals=True):
         if line is not None:
             label = f"&nbsp;&nbsp;{line.label.strip()}" if line.label.startswith("  ") else line.label
-            text.append(_md_row([label, *(text for cell in line.cells for text in cell)]))
+            text.append(markdown_row([label, *(text for cell in line.cells for text in cell)]))
     text += ["", _legend(comparison), "", *(f"- {sentence}" for sentence in details(comparison))]
     return "\n".join(text).rstrip() + "\n"
 
@@ -154,7 +154,3 @@ def _list(sentences: Iterable[str]) -> str:
 
 def _legend(comparison: SourcedComparison) -> str:
     return _LEGEND.format(unit=comparison.reference.unit or "the files' unit")
-
-
-def _md_row(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"

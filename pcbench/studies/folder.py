@@ -12,19 +12,16 @@ A study of many runs takes hours, so that all of them work in the same way:
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pcbench.errors import InputError
-from pcbench.io.files import atomic_write, read_json
+from pcbench.io.files import atomic_write, json_object, read_json
 from pcbench.report import to_json
-from pcbench.report.manifest import json_object
 from pcbench.scratch import claim
 
 if TYPE_CHECKING:
@@ -115,31 +112,6 @@ def write_pages(out: Path, texts: Mapping[str, str]) -> None:
     for name, text in texts.items():
         with atomic_write(out / name) as file:
             file.write(text.encode(errors="backslashreplace"))
-
-
-def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A table as CSV; None is an empty cell."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(["" if value is None else value for value in row] for row in rows)
-    return text.getvalue()
-
-
-def markdown_table(rows: Iterable[Sequence[str]], labels: int) -> str:
-    """A table as Markdown, its header first.
-
-    Args:
-        labels: columns of words, which come first and are aligned to the left; numbers are to the right.
-    """
-    header, *rest = rows
-    rule = ["---"] * labels + ["---:"] * (len(header) - labels)
-    return "\n".join(markdown_row(row) for row in (header, rule, *rest))
-
-
-def markdown_row(cells: Iterable[str]) -> str:
-    """A line of a Markdown table."""
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def named_folders(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[str, Path]:

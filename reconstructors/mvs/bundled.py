@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
-from pcbench.plugins.progress import counted
+from pcbench.plugins.progress import with_time_left
 from pcbench.plugins.stages import stage, stage_key
 from reconstructors.mvs import patchmatch
 from reconstructors.mvs.maps import write_map
@@ -87,11 +87,11 @@ def bundled_maps(matching: Matching, references: Sequence[MatchedImage], workspa
     """The stages of the maps by image name; says how far it is."""
     photometric = {
         reference.name: matching.photometric(reference, workspace)
-        for reference in counted(references, "depths from photographs")
+        for reference in with_time_left(references, "depths from photographs")
     }
     return {
         reference.name: matching.geometric(reference, photometric, workspace)
-        for reference in counted(references, "depths that agree")
+        for reference in with_time_left(references, "depths that agree")
     }
 
 

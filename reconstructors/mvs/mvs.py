@@ -21,7 +21,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Reconstruction
-from pcbench.plugins.progress import counted, progress
+from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image
@@ -132,7 +132,7 @@ class DenseMvs:
         _check_disk(workspace, cameras)
         views = {
             name: view_stage(scene, sparse.cameras[name], camera, workspace)
-            for name, camera in counted(list(cameras.items()), "undistorting")
+            for name, camera in with_time_left(list(cameras.items()), "undistorting")
         }
         photographs = Photographs(cameras, views, _CONFIRMING + _KEEP)
         matching = Matching(photographs, views, plan, self.seed)
@@ -191,7 +191,7 @@ class DenseMvs:
         """
         criteria = Criteria(confidence=self.confidence, views=self.views)
         folders, empty = {}, []
-        for reference in counted([r for r in references if r.name in made], "filtering"):
+        for reference in with_time_left([r for r in references if r.name in made], "filtering"):
             sources = [name for name in reference.sources if name in made]
 
             def make(folder: Path, name: str = reference.name, sources: Sequence[str] = sources) -> None:

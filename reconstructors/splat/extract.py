@@ -19,7 +19,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import estimate_normals
 from pcbench.geometry.splats import check_limits, spread
-from pcbench.plugins.progress import counted
+from pcbench.plugins.progress import with_time_left
 from reconstructors.mvs.filter import Criteria, confirmed, world_points
 from reconstructors.mvs.sources import MatchedImage
 from reconstructors.splat.depths import Depths, overlap
@@ -110,7 +110,7 @@ def surface(
     found = overlap(gaussians, depths, _CONFIRMING)
     voxels = Voxels(found.footprint if voxel is None else voxel / frame.unit)
     kept = 0
-    for reference in counted(found.references, "surface"):
+    for reference in with_time_left(found.references, "surface"):
         points, uncertainty = _confirmed_points(depths, reference, criteria)
         kept += len(points.views)
         if len(points.views):

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pcbench.io.files import atomic_write
-from pcbench.plugins.progress import duration, progress
+from pcbench.plugins.progress import progress
+from pcbench.progress import duration
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.train import Training
 

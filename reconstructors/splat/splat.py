@@ -20,7 +20,7 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
-from pcbench.plugins.progress import counted, progress
+from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, for_choosing, hold_out
@@ -145,7 +145,7 @@ class GaussianSplatting:
         self._check_memory(pinholes)
         folders = {
             name: view_stage(scene, cameras[name], camera, workspace)
-            for name, camera in counted(list(pinholes.items()), "undistorting")
+            for name, camera in with_time_left(list(pinholes.items()), "undistorting")
         }
         photographs = read_photographs(folders, pinholes, frame, _LEVELS, device)
         notes = [] if note is None else [note]

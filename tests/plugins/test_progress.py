@@ -1,9 +1,7 @@
 """How far a reconstruction is, from its log to whoever waits."""
 
-import pytest
-
 from pcbench.plugins import progress as module
-from pcbench.plugins.progress import counted, duration, followed, progress
+from pcbench.plugins.progress import followed, progress, with_time_left
 from pcbench.plugins.run import ReconstructionJob, run
 
 PLUGIN = """
@@ -12,31 +10,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from pcbench import Cloud
 from pcbench.plugins import Reconstruction
-from pcbench.plugins.progress import counted
+from pcbench.plugins.progress import with_time_left
 
 @dataclass(frozen=True)
 class Slow:
     def reconstruct(self, scene, workspace):
         print("something else")
-        for _ in counted("abc", "working"):
+        for _ in with_time_left("abc", "working"):
             pass
         return Reconstruction(Cloud(np.eye(3)), "arbitrary")
 """
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.4, "0 s"), (89, "89 s"), (90, "2 min"), (600, "10 min"), (5400, "1 h 30 min"), (7800, "2 h 10 min")],
-)
-def test_durations_are_for_people(seconds, words):
-    assert duration(seconds) == words
 
 
 def test_time_left_is_that_of_what_takes_time(capsys, monkeypatch):
     """The first two were kept from an earlier run: of the four that were worked on each took 10 s."""
     clock = iter([0, 0.01, 0.02, 0.03, 1, 11, 11, 21, 21, 31, 31, 41])
     monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
-    assert list(counted("abcdef", "matching")) == list("abcdef")
+    assert list(with_time_left("abcdef", "matching")) == list("abcdef")
     assert capsys.readouterr().err.splitlines() == [
         "progress: matching: 1 of 6 images",
         "progress: matching: 2 of 6 images",

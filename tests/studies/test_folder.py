@@ -8,18 +8,10 @@ import pytest
 from view_folders import views_of
 from wording import refused
 
+from pcbench.report.markup import csv_text, markdown_table
 from pcbench.studies.bench.runs import KIND as BENCH
 from pcbench.studies.bend.bend import KIND as BEND
-from pcbench.studies.folder import (
-    MARK,
-    check_folder,
-    csv_text,
-    keep_record,
-    kept_record,
-    markdown_table,
-    named_folders,
-    study_folder,
-)
+from pcbench.studies.folder import MARK, check_folder, keep_record, kept_record, named_folders, study_folder
 from pcbench.studies.gao.gao import KIND as GAO
 from pcbench.studies.views.runs import KIND as VIEWS
 from pcbench.studies.views.runs import ViewsJob, run_views

@@ -24,6 +24,7 @@ from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.regular_files import is_regular_file
 from pcbench.report.document import provenance, to_json
+from pcbench.report.markup import csv_text
 from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bench.pareto import choice_words, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
@@ -33,7 +34,6 @@ from pcbench.studies.bench.truth import mesh_of, read_truth
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
-    csv_text,
     keep_record,
     kept_record,
     study_folder,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pcbench.report.markup import markdown_row
 from pcbench.report.terminal import print_table
 from pcbench.studies.bench.pareto import Configuration, choice_words, configurations
-from pcbench.studies.folder import markdown_row
 
 _BEST, _SECOND = "¹", "²"
 

@@ -15,8 +15,8 @@ from pcbench.errors import InputError, Notice, RegistrationError, recorded
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
+from pcbench.report.markup import csv_text as csv_of
 from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, judged
-from pcbench.studies.folder import csv_text as csv_of
 
 FACTORS = {
     "images": (

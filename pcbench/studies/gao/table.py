@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pcbench.deformation import Deformation
 from pcbench.measure.presets import Gao2025
-from pcbench.studies.folder import csv_text as csv_of
-from pcbench.studies.folder import markdown_table
+from pcbench.report.markup import csv_text as csv_of
+from pcbench.report.markup import markdown_table
 from pcbench.studies.gao.results import Against, CloudResult, SceneResult, Study, references
 from pcbench.studies.views.scores import ViewStudy
 from pcbench.studies.views.table import markdown as views_markdown

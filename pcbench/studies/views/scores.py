@@ -16,8 +16,9 @@ from pcbench.measure.images import ViewScores
 from pcbench.measure.perceptual import Perceptual
 from pcbench.progress import Step
 from pcbench.report import to_json
+from pcbench.report.markup import csv_text
 from pcbench.scenes.views import RenderedView, RenderedViews, read_views
-from pcbench.studies.folder import csv_text, write_pages
+from pcbench.studies.folder import write_pages
 
 SCHEMA = "pcbench.view-scores/1"
 DOCUMENT = "scores.json"

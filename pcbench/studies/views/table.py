@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from pcbench.measure.images import ViewScores
-from pcbench.studies.folder import markdown_table
+from pcbench.report.markup import markdown_table
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, mean_scores
 
 _NONE = "–"
