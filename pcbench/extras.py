@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from contextlib import suppress
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -68,6 +70,17 @@ def unavailable(*libraries: str, extra: str | None = None) -> str | None:
         except MissingExtra as error:
             return str(error)
     return None
+
+
+def installed_versions(names: Iterable[str]) -> dict[str, str]:
+    """The versions of the distributions of these names, without those that are not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {}
+    for name in names:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def debian_package(library: str) -> str:

@@ -19,13 +19,13 @@ import click
 
 from pcbench import __version__
 from pcbench.errors import InputError
+from pcbench.extras import LIBRARIES, installed_versions
 from pcbench.regular_files import open_regular
 
 LOGGER = logging.getLogger("pcbench")
 LOGGER.addHandler(logging.NullHandler())  # else Python prints warnings that nobody handles
 
 _FIRST_LINE = "# pcbench log\n"  # by which a log is known again
-_LIBRARIES = ("numpy", "scipy", "pycolmap", "torch", "open3d", "pyvista", "lazrs", "trimesh", "kiss-matcher", "pillow")
 _VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "CUDA_VISIBLE_DEVICES", "COLUMNS")
 
 
@@ -76,7 +76,8 @@ def start_log(path: Path) -> None:
     LOGGER.info("command: %s", shlex.join(["pcbench", *sys.argv[1:]]))
     LOGGER.info("folder: %s", Path.cwd())
     LOGGER.info("pcbench %s, Python %s, %s", __version__, platform.python_version(), platform.platform())
-    LOGGER.info("libraries: %s", ", ".join(_versions()))
+    names = ("numpy", "scipy", *(library.name for library in LIBRARIES.values()))
+    LOGGER.info("libraries: %s", ", ".join(f"{name} {of}" for name, of in installed_versions(names).items()))
     LOGGER.info(
         "environment: %s", ", ".join(f"{k}={os.environ[k]}" for k in _VARIABLES if k in os.environ) or "default"
     )
@@ -137,15 +138,3 @@ def _check_is_log(path: Path) -> None:
         raise InputError(
             f"{path}: expected a new file or an earlier log of pcbench, got another file: choose a new name"
         )
-
-
-def _versions() -> list[str]:
-    from importlib.metadata import PackageNotFoundError, version
-
-    found = []
-    for library in _LIBRARIES:
-        try:
-            found.append(f"{library} {version(library)}")
-        except PackageNotFoundError:
-            continue
-    return found

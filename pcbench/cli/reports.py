@@ -135,14 +135,14 @@ def compare_and_print(
     from pcbench.report.notes import warnings
 
     output = JsonOutput(json_file)
-    outputs = Outputs(out, output.file, figures)
+    output.check(job.inputs, folder=out)
     with steps(quiet) as step:
-        outcome = compare_files(job, outputs, step)
+        outcome = compare_files(job, Outputs(out, figures), step)
     for text in warnings(outcome.comparison):
         LOGGER.warning("%s", text)
-    if output.on_stdout:
+    if json_file is not None:
         output.write(document(outcome.comparison))
-    elif not quiet:
+    if not output.on_stdout and not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
     if outcome.without_figures:
         warn(outcome.without_figures)

@@ -7,10 +7,10 @@ import json
 import shutil
 from collections.abc import Callable, Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from pcbench.extras import installed_versions
 from pcbench.plugins.code import code_digest
 from pcbench.scratch import naming
 
@@ -64,13 +64,7 @@ def library_versions() -> dict[str, str]:
 
 @cache
 def _installed() -> dict[str, str]:
-    found = {}
-    for library in _LIBRARIES:
-        try:
-            found[library] = version(library)
-        except PackageNotFoundError:
-            continue
-    return found
+    return installed_versions(_LIBRARIES)
 
 
 def stage_key(folder: Path) -> str | None:

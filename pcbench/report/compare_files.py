@@ -9,12 +9,11 @@ from typing import TypeVar
 
 from pcbench.errors import InputError
 from pcbench.io import FILTERED
-from pcbench.io.files import atomic_write, check_output, named_file, reading_seconds
+from pcbench.io.files import named_file, reading_seconds
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.progress import Plan
 from pcbench.report.comparison import Comparison, compare_inputs
-from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs
@@ -37,6 +36,11 @@ class ComparisonJob:
     expected: dict[str, str]
     figures: Figures = field(default_factory=Figures)
 
+    @property
+    def inputs(self) -> list[Path]:
+        """The files that are read: the clouds, and those that settings name."""
+        return [self.reference, *self.candidates.values(), *paths_in(self.settings)]
+
     @classmethod
     def of(
         cls, reference: Path, candidates: Sequence[Path], settings: Settings, figures: Figures | None = None
@@ -55,10 +59,9 @@ class ComparisonJob:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where results go; `json_file` may not be standard output here."""
+    """The folder of the report, None for none, and whether it gets pictures."""
 
     folder: Path | None = None
-    json_file: Path | None = None
     figures: bool = True
 
 
@@ -79,27 +82,19 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
     settings = replace(job.settings, register=_absolute(job.settings.register), crop=_absolute(job.settings.crop))
     if isinstance(settings.m3c2, M3C2Settings):
         settings = replace(settings, m3c2=settings.m3c2.absolute())
-    inputs = [job.reference, *job.candidates.values(), *paths_in(settings)]
-    if (settings.classes or settings.returns) and not any(p.suffix.lower() in FILTERED for p in inputs):
+    if (settings.classes or settings.returns) and not any(p.suffix.lower() in FILTERED for p in job.inputs):
         raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
-    if outputs.json_file is not None:
-        check_output(outputs.json_file, inputs)
-        if outputs.folder is not None and outputs.json_file.resolve().is_relative_to(outputs.folder.resolve()):
-            raise InputError(f"{outputs.json_file}: the report would be there too: write it beside {outputs.folder}")
     plan = Plan(step, _expected_seconds(job, outputs))
     if outputs.folder is None:
         outcome = ComparisonOutcome(_run(job, settings, plan))
     else:
-        with report_folder(outputs.folder, keep=inputs) as folder:
+        with report_folder(outputs.folder, keep=job.inputs) as folder:
             outcome = ComparisonOutcome(_run(job, settings, plan))
             plan("writing the report")
             write_report(folder, outcome.comparison, job.figures)
             if outputs.figures:
                 plan("drawing the pictures")
                 outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures))
-    if outputs.json_file is not None:
-        with atomic_write(outputs.json_file) as file:
-            file.write(to_json(document(outcome.comparison)).encode())
     return outcome
 
 
