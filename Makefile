@@ -83,6 +83,8 @@ lint: $(VENV)/.all
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cu')
 	$(BIN)/lint-imports --no-logo
+	$(BIN)/python tests/prose.py
+	$(BIN)/typos
 
 types: $(VENV)/.all
 	$(BIN)/mypy
