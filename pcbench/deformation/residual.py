@@ -65,7 +65,7 @@ def residual_deformation(
             views.append(without_moved(complete[1], resolution))
             finding = decide(views, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN_SHARE) * unassumed.distance:
-                text = "an assumed deformation brings the clouds closer together, but closest points alone do not show it"
+                text = "an assumed deformation brings the clouds closer, but closest points alone do not show it"
                 finding = finding.undecided(Notice("pairs-disagree", text))
     if finding.verdict == "undecided" and pairs.rough > _MAX_ROUGH_SHARE:
         text = f"{pairs.rough:.0%} of the pairs are on rough surface, where displacements cannot be observed"
