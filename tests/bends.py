@@ -13,7 +13,7 @@ from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, 
 from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, tile_sums
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.residual import residual_deformation
-from pcbench.deformation.sums import dyadic_moments, groups
+from pcbench.deformation.sums import dyadic_moments, group_rows
 from pcbench.deformation.verdict import Finding, PairEvidence, decide
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
@@ -92,7 +92,7 @@ class Scene:
         )
         self.geometry = Geometry(self.sums)
         cells = np.floor((places - self.lower) / self.side).astype(np.int64)
-        self.order, self.starts = groups(cells)
+        self.order, self.starts = group_rows(cells)
         basis = monomials(places / (SIZE / 2))
         self.columns = np.einsum("an,nk->nak", basis, normals)  # (N, 20, 3)
         self.cubic = np.einsum("ab,nbk->nak", self.geometry.to_orthonormal, self.columns).reshape(points, -1)
@@ -122,7 +122,7 @@ class Scene:
         field = waves @ rng.normal(size=(waves.shape[1], 3)).astype(np.float32)
         return cell.correlated * SIGMA * (field * self.normals).sum(axis=1) + rng.normal(0, SIGMA, len(self.places))
 
-    def judge(self, residuals: np.ndarray) -> Judged:
+    def assess_deformation(self, residuals: np.ndarray) -> Judged:
         g = self.geometry
         sums = np.add.reduceat(self.columns[self.order] * residuals[self.order][:, None, None], self.starts)
         energy = np.add.reduceat(np.square(residuals)[self.order], self.starts)
@@ -175,7 +175,7 @@ class Halves:
         classes = cloud.attributes["classification"]
         return Cloud(points[which], unit=cloud.unit, attributes={"classification": classes[which]})
 
-    def judge(self, kind: str | None, times: float) -> tuple[Deformation, float]:
+    def assess_deformation(self, kind: str | None, times: float) -> tuple[Deformation, float]:
         """The answer where the candidate is bent, and the error of the field that comes back as a share of its RMS:
         along normals, beyond an affine field, which is `times` the noise. Of a bend that normals hardly show all of it
         has that size: nobody could find it.

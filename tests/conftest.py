@@ -113,7 +113,7 @@ def renderer():
 @pytest.fixture(autouse=True)
 def _no_progress(monkeypatch):
     """Commands called in this process do not tell how far they are: what they print depends on no clock."""
-    monkeypatch.setattr(messages, "_MAX_SILENCE_S", 3600.0)
+    monkeypatch.setattr(messages, "_MESSAGE_INTERVAL_S", 3600.0)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from pcbench.cli import messages
 from pcbench.cli.messages import steps
 from pcbench.progress import Plan, Step, TimeEstimate, duration
 
-MAX_SILENCE_S = messages._MAX_SILENCE_S
+MAX_SILENCE_S = messages._MESSAGE_INTERVAL_S
 
 
 def test_a_plan_tells_what_each_step_and_the_rest_take():
@@ -86,7 +86,7 @@ def _said(capsys, enough):
 
 def test_long_steps_are_told_in_lines_where_no_terminal_is(capsys, monkeypatch):
     assert MAX_SILENCE_S < 10
-    monkeypatch.setattr(messages, "_MAX_SILENCE_S", 0.01)
+    monkeypatch.setattr(messages, "_MESSAGE_INTERVAL_S", 0.01)
     with steps(False) as step:
         step(Step("reading a.ply", 30.0, 60.0))
         lines = _said(capsys, lambda text: text.count("reading a.ply (") > 2).splitlines()
@@ -100,7 +100,7 @@ def test_long_steps_are_told_in_lines_where_no_terminal_is(capsys, monkeypatch):
 
 
 def test_quiet_runs_say_nothing_however_long_they_take(capsys, monkeypatch):
-    monkeypatch.setattr(messages, "_MAX_SILENCE_S", 0.001)
+    monkeypatch.setattr(messages, "_MESSAGE_INTERVAL_S", 0.001)
     with steps(True) as step:
         step("reading")
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""The command line: arguments become calls, errors become one line. Heavy imports stand inside the commands."""
+"""The command line: parses arguments and turns errors into one line. Commands import heavy modules themselves."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ for _command in (
     log_settings(_command)
     app.add_command(_command)
 
-_BROKEN_PIPE = 1  # the exit code by which click, and nothing of pcbench, ends where nobody reads the output
+_BROKEN_PIPE = 1  # exit code of click after a broken pipe; pcbench never uses it
 
 
 def main() -> None:
-    """Entry point: a user's mistake is one line on stderr and exit code 2; anything else keeps its traceback."""
+    """Run the command line; a user error is one line on stderr and exit code 2, any other error keeps its traceback."""
     prepare_streams()
-    for name in ("SIGTERM", "SIGHUP"):  # batch systems stop jobs by these: clean up as after Ctrl-C
+    for name in ("SIGTERM", "SIGHUP"):  # batch systems send these: clean up as after Ctrl-C
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _stop)
     try:
         _run()
     except SystemExit as stop:
         if stop.code == _BROKEN_PIPE:
-            _end_unheard()
+            _end_without_reader()
         raise
     except BrokenPipeError:
-        _end_unheard()
+        _end_without_reader()
     except Exception:
-        LOGGER.critical("an error of pcbench itself", exc_info=True)
+        LOGGER.critical("internal error", exc_info=True)
         raise
     finally:
         end_log()
@@ -72,8 +72,8 @@ def _run() -> None:
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())
     except click.UsageError as error:
-        help_of = error.ctx.command_path if error.ctx else "pcbench"
-        fail(f"{error.format_message()} (see {help_of} --help)")
+        command = error.ctx.command_path if error.ctx else "pcbench"
+        fail(f"{error.format_message()} (see {command} --help)")
     except (click.Abort, KeyboardInterrupt):
         LOGGER.error("interrupted", exc_info=True)
         click.echo("interrupted", err=True)
@@ -85,7 +85,7 @@ def _run() -> None:
             discard(sys.stdout)
             fail(f"standard output: {error.strerror}")
         if isinstance(error, FileNotFoundError) and error.filename is None:
-            fail("the current folder does not exist any more: change to another one")
+            fail("the current folder no longer exists: change to another one")
         fail(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
     except MemoryError:
         fail("not enough memory for these clouds: crop or downsample them first")
@@ -93,8 +93,8 @@ def _run() -> None:
         fail(str(error))
 
 
-def _end_unheard() -> NoReturn:
-    """End quietly: the reader of our output has gone."""
+def _end_without_reader() -> NoReturn:
+    """End without a message, because the reader of the output has gone."""
     discard(sys.stdout, sys.stderr)
     sys.exit(2)
 

@@ -1,4 +1,4 @@
-"""Commands that take a cloud and give one: info, crop, register, convert."""
+"""Commands that read and write clouds: info, crop, register, convert."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pcbench.registration import Registration
 
 
-@click.command(short_help="Cut a cloud to a region.")
+@click.command(short_help="Crop a cloud to a region.")
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @required_crop_option
@@ -40,9 +40,9 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     from pcbench.progress import Plan
 
     check_output(out, [cloud, *filter(None, [named_file(crop)])])
-    with steps(quiet) as tell:
+    with steps(quiet) as show:
         reading = reading_seconds(cloud)
-        step = Plan(tell, [reading, 0.5 * reading, reading])
+        step = Plan(show, [reading, 0.5 * reading, reading])
         step(f"reading {cloud}")
         data = read_cloud(cloud, on_warning=warn_unless(quiet))
         step("cropping")
@@ -56,13 +56,13 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")
 
 
-@click.command(short_help="Align a cloud to a reference.")
+@click.command(short_help="Align a cloud with a reference.")
 @click.argument("reference", type=FILE)
 @click.argument("candidate", type=FILE)
-@click.option("--out", type=FILE, help="Write the aligned candidate.")
-@click.option("--matrix", type=FILE, help="Write the 4x4 matrix candidate -> reference.")
+@click.option("--out", type=FILE, help="File for the aligned candidate.")
+@click.option("--matrix", type=FILE, help="File for the 4x4 matrix candidate -> reference.")
 @register_option()
-@json_option("the pose and how well it is determined")
+@json_option("the pose and its precision")
 @quiet_option
 def register(
     reference: Path,
@@ -73,10 +73,10 @@ def register(
     json_file: str | None,
     quiet: bool,
 ) -> None:
-    """Align CANDIDATE to REFERENCE and say by how much it moved and how well that is determined.
+    """Align CANDIDATE with REFERENCE, and print the motion and its precision.
 
-    Prints the shift of the candidate's centroid, the angle, the axis, the scale and the residuals of control and check
-    points as comments, and then the 4x4 matrix: what is printed can be read as a matrix again.
+    Comment lines have the shift of the candidate's centroid, the angle, the axis, the scale and the residuals of
+    control and check points. Then follows the 4x4 matrix, so that the output can be used as a matrix file.
     """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
@@ -92,16 +92,16 @@ def register(
         if path is not None:
             check_output(path, inputs, [*filter(None, [other])])
     output.check(inputs, [*filter(None, [out, matrix])])
-    said: list[list[str]] = []  # warnings of each file's reader
-    with steps(quiet) as tell:
+    read_warnings: list[list[str]] = []  # per file
+    with steps(quiet) as show:
         reading = [reading_seconds(path) for path in (reference, candidate)]
-        step = Plan(tell, [*reading, 0.5 + 15 * sum(reading)])
+        step = Plan(show, [*reading, 0.5 + 15 * sum(reading)])
         clouds = []
         for path in (reference, candidate):
             step(f"reading {path}")
-            said.append([])
-            clouds.append(read_cloud(path, on_warning=said[-1].append))
-            for text in said[-1]:
+            read_warnings.append([])
+            clouds.append(read_cloud(path, on_warning=read_warnings[-1].append))
+            for text in read_warnings[-1]:
                 warn_unless(quiet)(text)
         reference_cloud, cloud = clouds
         step("registering")
@@ -111,7 +111,7 @@ def register(
         aligned = cloud.transformed(result.T_reference_candidate)
         if lost := set(cloud.attributes) - set(aligned.attributes):
             warn_unless(quiet)(
-                f"{out}: left out {len(lost)} attributes that a change of frame makes wrong, such as {min(lost)!r}"
+                f"{out}: removed {len(lost)} attributes that are invalid in the new frame, such as {min(lost)!r}"
             )
         write_cloud(out, aligned)
     if matrix is not None:
@@ -121,8 +121,8 @@ def register(
         warn_unless(quiet)(str(warning))
     centroid, unit = cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit
     if json_file is not None:
-        read = zip((reference, candidate), said, strict=True)
-        first, second = (InputFile(str(path), digest(path), tuple(texts)) for path, texts in read)
+        files = zip((reference, candidate), read_warnings, strict=True)
+        first, second = (InputFile(str(path), digest(path), tuple(texts)) for path, texts in files)
         output.write(registration_document(result, first, second, centroid, unit))
     if not quiet and not output.on_stdout:
         for line in _motion_lines(result, centroid, unit):
@@ -131,21 +131,22 @@ def register(
 
 
 def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) -> Iterator[str]:
-    """What the registration did, and how far it can be trusted, for people."""
+    """Yield lines on the motion of a registration and its precision."""
     motion = result.T_reference_candidate.motion_at(centroid)
-    of_unit = f" {unit}" if unit else ""
-    shift = motion.shift * (abs(motion.shift) > 1e-14 * abs(centroid).max())  # what is less is rounding
-    across = ", ".join(f"{x:+.4g}" for x in shift)
-    yield f"shift at the centroid: {float(sum(shift**2)) ** 0.5:.4g}{of_unit} ({across})"
+    unit_text = f" {unit}" if unit else ""
+    shift = motion.shift * (abs(motion.shift) > 1e-14 * abs(centroid).max())  # smaller shifts are rounding
+    components = ", ".join(f"{x:+.4g}" for x in shift)
+    yield f"shift at the centroid: {float(sum(shift**2)) ** 0.5:.4g}{unit_text} ({components})"
     axis = "" if motion.axis is None else f" about ({', '.join(f'{x:+.4f}' for x in motion.axis)})"
-    yield f"turn: {motion.angle_deg:.4g} degrees{axis}"
-    solved = " (not solved for)" if motion.scale == 1 and not result.solved_scale else ""
-    yield f"scale: {motion.scale:.8g}{solved}"
-    sigma = "not fixed" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}"
-    state = {True: "converged", False: "NOT converged", None: "not iterated"}[result.converged]
+    yield f"rotation: {motion.angle_deg:.4g} degrees{axis}"
+    fixed = " (not estimated)" if motion.scale == 1 and not result.solved_scale else ""
+    yield f"scale: {motion.scale:.8g}{fixed}"
+    sigma = "unconstrained" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}{unit_text}"
+    state = {True: "converged", False: "NOT converged", None: "no iteration"}[result.converged]
     yield (
-        f"{result.method}: {'the pose is DOUBTFUL, ' if result.doubtful else ''}rmse {result.rmse:.4g}, overlap"
-        f" {result.overlap:.1%}, {result.iterations} iterations, {state}, weakest direction's sigma {sigma}"
+        f"{result.method}: {'the pose is DOUBTFUL, ' if result.doubtful else ''}rmse {result.rmse:.4g}{unit_text},"
+        f" overlap {result.overlap:.1%}, {result.iterations} iterations, {state}, standard error in the"
+        f" weakest direction {sigma}"
     )
     yield from result.residuals.point_lines()
     yield from result.residuals.rmse_lines(unit)
@@ -157,7 +158,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.argument("out", type=FILE)
 @las_options("a LAS file")
 @splat_options
-@click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Draw N points of a mesh, by area.")
+@click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
 @quiet_option
 def convert(
     cloud: Path,
@@ -169,9 +170,9 @@ def convert(
     sample: int | None,
     quiet: bool,
 ) -> None:
-    """Write CLOUD to OUT in the format that OUT's ending names, with normals, colours and attributes.
+    """Write CLOUD to OUT in the format of OUT's extension, with normals, colours and attributes.
 
-    Of a mesh its vertices are written, or points drawn on it (--sample).
+    For a mesh, its vertices are written, or points sampled on it (--sample).
     """
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
@@ -189,15 +190,15 @@ def convert(
         "max_axis": max_axis,
     }
     if sample is not None and not holds_mesh(cloud):
-        raise InputError(f"{cloud}: --sample draws points on a mesh, and this is none")
-    of_mesh = sample is not None or is_mesh_alone(cloud)
-    if of_mesh and any(value is not None for value in filters.values()):
+        raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
+    is_mesh = sample is not None or is_mesh_alone(cloud)
+    if is_mesh and any(value is not None for value in filters.values()):
         raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
-    with steps(quiet) as tell:
+    with steps(quiet) as show:
         reading = reading_seconds(cloud)
-        step = Plan(tell, [reading, reading])
+        step = Plan(show, [reading, reading])
         step(f"reading {cloud}")
-        if of_mesh:
+        if is_mesh:
             mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
             data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
         else:
@@ -208,10 +209,10 @@ def convert(
         click.echo(f"{out}: {len(data):,} points")
 
 
-@click.command(short_help="Say what is in a cloud.")
+@click.command(short_help="Describe a cloud.")
 @click.argument("clouds", type=FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
-    """Say what is in each of CLOUDS: points, extent, spacing, normals, colours, attributes; faces, Gaussian splats."""
+    """Describe CLOUDS: points, extent, spacing, normals, colours, attributes; faces, Gaussian splats."""
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
     from pcbench.geometry.crs import crs_line
@@ -224,8 +225,8 @@ def info(clouds: tuple[Path, ...]) -> None:
 
     for path in clouds:
         mesh = spacing = None
-        with steps(quiet=False) as tell:
-            step = Plan(tell, [reading_seconds(path), 10 * reading_seconds(path)])
+        with steps(quiet=False) as show:
+            step = Plan(show, [reading_seconds(path), 10 * reading_seconds(path)])
             step(f"reading {path}")
             if is_mesh_alone(path):
                 mesh = read_mesh(path, on_warning=warn)
@@ -235,13 +236,13 @@ def info(clouds: tuple[Path, ...]) -> None:
                 if holds_mesh(path):
                     try:
                         mesh = read_mesh(path, on_warning=warn)
-                    except InputError as error:  # its points are there all the same
+                    except InputError as error:  # its points can still be described
                         warn(error)
             lower, upper = cloud.bounds
             if len(cloud) > 1:
                 step("measuring the spacing")
-                index = Index(cloud.points - lower)  # small numbers search more exactly
-                spacing = median_spacing(index, index.nearest_other())  # of all points, as a comparison says it
+                index = Index(cloud.points - lower)  # small coordinates lose less precision
+                spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
         click.echo(f"{path}: {len(cloud):,} {'vertices' if mesh is not None else 'points'}")
         if mesh is not None:
             click.echo(
@@ -251,7 +252,8 @@ def info(clouds: tuple[Path, ...]) -> None:
         click.echo(f"  to     {_triple(upper)}")
         click.echo(f"  size   {_triple(upper - lower)} {cloud.unit or ''}".rstrip())
         if spacing is not None:
-            click.echo(f"  median distance to the nearest other point {spacing:.4g}")
+            unit = f" {cloud.unit}" if cloud.unit else ""
+            click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
         click.echo(f", crs {crs_line(cloud.crs) if cloud.crs else 'unknown'}")

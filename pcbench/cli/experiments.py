@@ -1,4 +1,4 @@
-"""Experiments: `pcbench experiment bend`, `pcbench experiment gao`."""
+"""Commands for experiments: `pcbench experiment bend` and `gao`."""
 
 from __future__ import annotations
 
@@ -23,20 +23,24 @@ from pcbench.cli.options import (
 from pcbench.errors import ReconstructionError
 
 
-@click.group(short_help="Questions answered on scenes whose truth is known.")
+@click.group(short_help="Experiments on scenes with exact truth.")
 def experiment() -> None:
-    """Answer a question on a scene whose truth is known."""
+    """Run an experiment on scenes with exact truth."""
 
 
-@experiment.command(short_help="Solve the same images in several ways: what bends the cloud?")
+@experiment.command(short_help="Find which reconstruction setting deforms a cloud.")
 @click.argument("scene", type=FILE, required=False)
-@click.option("--out", type=FILE, required=True, help="Folder for results; a later run goes on from what is there.")
+@click.option("--out", type=FILE, required=True, help="Folder for results; a later run resumes from it.")
 @click.option(
-    "--images", default=42, show_default=True, type=click.IntRange(12, 9999), help="Of the scene that is made."
+    "--images",
+    default=42,
+    show_default=True,
+    type=click.IntRange(12, 9999),
+    help="Number of images of the synthetic scene.",
 )
 @size_option("800x600")
 @no_figures_option("picture")
-@seed_option("Of everything.")
+@seed_option()
 @quiet_option
 @click.pass_context
 def bend(
@@ -49,10 +53,11 @@ def bend(
     seed: int,
     quiet: bool,
 ) -> None:
-    """Solve the same images with the reconstructor sfm and different settings (which images; focal length and
-    distortion known, solved for or ignored; control points), and measure how the clouds are bent against the truth
-    and against each other. SCENE is a folder as pcbench synth city makes it; without one, a drone's survey of a city
-    is made.
+    """Solve the same images with different settings of sfm, and measure the deformation of each cloud.
+
+    The settings vary the choice of images, the focal length and distortion (known, solved or ignored) and control
+    points. Clouds are compared with the truth and with each other. SCENE is a folder from pcbench synth city; without
+    one, a drone survey of a city is rendered.
 
     \b
     Example: pcbench experiment bend --out bend/
@@ -62,7 +67,7 @@ def bend(
     from pcbench.studies.bend.findings import table
 
     if scene is not None and any(given(context, name) for name in ("images", "size")):
-        raise click.UsageError("--images and --size are those of the scene that is made where none is given")
+        raise click.UsageError("--images and --size apply only to a synthetic scene, without SCENE")
     settings = Experiment(images, *image_size(size), seed)
     with steps(quiet) as step:
         study, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
@@ -74,14 +79,16 @@ def bend(
     if without_figures:
         warn(without_figures)
     if not study.is_judged:
-        raise ReconstructionError(f"{out}: none of {len(study.rows)} solutions could be judged: see the table there")
+        raise ReconstructionError(f"{out}: none of {len(study.rows)} solutions could be evaluated: see the table there")
 
 
-@experiment.command(short_help="The paper, reproduced: sparse, dense and splatted clouds against mvs and the truth.")
+@experiment.command(short_help="Reproduce Gao et al. 2025: sparse, dense and splat clouds against mvs and the truth.")
 @click.argument("scenes", nargs=-1, type=FILE, metavar="[SCENE]...")
-@click.option("--out", type=FILE, required=True, help="Folder for results; a later run goes on from what is there.")
-@click.option("--cities", default=3, show_default=True, type=click.IntRange(1, 99), help="Where no SCENE is given.")
-@click.option("--images", default=48, show_default=True, type=click.IntRange(9, 9999), help="Of each city.")
+@click.option("--out", type=FILE, required=True, help="Folder for results; a later run resumes from it.")
+@click.option("--cities", default=3, show_default=True, type=click.IntRange(1, 99), help="Number of cities.")
+@click.option(
+    "--images", default=48, show_default=True, type=click.IntRange(9, 9999), help="Number of images of each city."
+)
 @size_option("320x180")
 @click.option("--extent", default=120.0, show_default=True, type=POSITIVE, help="Side of each city in metres.")
 @click.option(
@@ -89,18 +96,18 @@ def bend(
     default="solve",
     show_default=True,
     type=click.Choice(["solve", "given"]),
-    help="Cameras: solved once for all clouds, as in the paper, or those of the scene.",
+    help="Cameras of all clouds: solved once, as in the paper, or given by the scene.",
 )
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="A setting of splat.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a setting of splat.")
 @click.option(
     "--crop",
     metavar="REGION",
-    help="What is measured, as for `compare`.  [default: a sphere about the place that cameras look at]",
+    help="Region to measure, as in `compare`.  [default: a sphere around the point at which the cameras look]",
 )
 @image_scale_option
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop the work on a cloud after this.")
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each cloud.")
 @no_figures_option()
-@seed_option("Of everything.")
+@seed_option()
 @quiet_option
 @click.pass_context
 def gao(
@@ -120,11 +127,12 @@ def gao(
     seed: int,
     quiet: bool,
 ) -> None:
-    """Everything that Gao et al. 2025 show: from images on concentric circles a sparse cloud, a dense one and the
-    centres of Gaussian splats, cropped, registered and measured by their definitions against the dense one; and beside
-    it what they could not: the truth, both directions, and the surface that the same splats show. SCENE is a folder of
-    photographs, with cameras for --poses given, and perhaps truth/ as pcbench synth city makes it; without one, cities
-    are made.
+    """Reproduce the experiment of Gao et al. 2025.
+
+    From images on concentric circles it makes a sparse cloud, a dense one and the centres of Gaussian splats. It crops,
+    registers and measures them against the dense one by the paper's definitions. In addition it measures both
+    directions, the truth, and the surface of the same splats. SCENE is a folder of photographs, with cameras for
+    --poses given, and optionally truth/ as written by pcbench synth city. Without SCENE, cities are rendered.
 
     \b
     Example: pcbench experiment gao --out gao/
@@ -136,13 +144,11 @@ def gao(
     from pcbench.studies.gao.table import console_tables
 
     if not scenes and image_scale != 1:
-        raise click.UsageError("--image-scale is that of given scenes: cities are photographed at --size")
+        raise click.UsageError("--image-scale applies only to given scenes: cities are rendered at --size")
     if scenes and any(given(context, name) for name in ("cities", "images", "size", "extent")):
-        raise click.UsageError(
-            "--cities, --images, --size and --extent are those of cities, made where no SCENE is given"
-        )
-    made = Cities(cities, images, *image_size(size), extent)
-    job = GaoJob(scenes, made, poses, dict(map(key_value, settings)), crop, image_scale, time_limit, seed)
+        raise click.UsageError("--cities, --images, --size and --extent apply only to synthetic cities, without SCENE")
+    synthetic = Cities(cities, images, *image_size(size), extent)
+    job = GaoJob(scenes, synthetic, poses, dict(map(key_value, settings)), crop, image_scale, time_limit, seed)
     with steps(quiet) as step:
         outcome = run_gao(job, out, figures=not no_figures, step=step)
     if not quiet:

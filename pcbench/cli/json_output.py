@@ -1,4 +1,4 @@
-"""The option --json: the answer as one JSON document, in a file or on standard output."""
+"""The option --json: the result as one JSON document, in a file or on standard output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 def json_option(what: str) -> Callable[[_Command], _Command]:
-    """`--json FILE`; `what` names the document in the help text."""
+    """Return the option `--json FILE`; `what` names the document in the help text."""
     return click.option("--json", "json_file", metavar="FILE", help=f"Write {what} to FILE; - for standard output.")
 
 
@@ -31,21 +31,21 @@ class JsonOutput:
 
     @property
     def on_stdout(self) -> bool:
-        """True if standard output gets the document and nothing else."""
+        """Whether standard output receives the document, and nothing else."""
         return self.target == "-"
 
     @property
     def file(self) -> Path | None:
-        """The file; None where there is none."""
+        """The file, if the destination is one."""
         return None if self.target is None or self.on_stdout else Path(self.target)
 
     def check(self, inputs: Sequence[Path], others: Sequence[Path] = (), folder: Path | None = None) -> None:
-        """Refuse a file that cannot be written, before anything is computed.
+        """Check that the file can be written, before anything is computed.
 
         Args:
-            inputs: files, and folders of whose files none may be replaced.
-            others: further results.
-            folder: that other results are written to.
+            inputs: input files and folders, which must not be replaced.
+            others: files of other results.
+            folder: folder of other results.
 
         Raises:
             InputError: its folder does not exist, or an input or another result would be replaced.
@@ -56,10 +56,10 @@ class JsonOutput:
             return
         check_output(self.file, inputs, others)
         if folder is not None and self.file.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{self.file}: other results would be there too: write it beside {folder}")
+            raise InputError(f"{self.file}: the folder {folder} is for other results: choose a file outside")
 
     def write(self, values: Any) -> None:
-        """Write what `pcbench.report.to_json` takes, if it is wanted.
+        """Write values that `pcbench.report.to_json` accepts to the destination, if there is one.
 
         Raises:
             OSError: the file cannot be written.

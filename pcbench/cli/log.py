@@ -1,4 +1,4 @@
-"""The log of a run: every step, setting, version, warning and error with its time, in a file that a user names."""
+"""The log of a run: steps, settings, versions, warnings and errors with their times, in a file."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from pcbench.extras import LIBRARIES, installed_versions
 from pcbench.regular_files import open_regular
 
 LOGGER = logging.getLogger("pcbench")
-LOGGER.addHandler(logging.NullHandler())  # else Python prints warnings that nobody handles
+LOGGER.addHandler(logging.NullHandler())  # otherwise Python prints unhandled warnings
 
-_FIRST_LINE = "# pcbench log\n"  # by which a log is known again
-_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "CUDA_VISIBLE_DEVICES", "COLUMNS")
+_FIRST_LINE = "# pcbench log\n"  # identifies a log
+_ENVIRONMENT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "CUDA_VISIBLE_DEVICES", "COLUMNS")
 
 
 class _LogFile(logging.FileHandler):
-    """A file that log records are added to, and what Python shows of a warning until the log ends."""
+    """A log file, with the function that showed Python's warnings before the log started."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, encoding="utf-8", errors="backslashreplace")
@@ -40,20 +40,21 @@ class _LogFile(logging.FileHandler):
         self.setFormatter(formatter)
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Say once that the log cannot be continued, such as on a full disk; the run goes on without it."""
+        """Report once that the log cannot be continued, for example on a full disk; the run continues without it."""
         end_log()
         click.echo(f"warning: {self.path}: the log ends here: {sys.exc_info()[1]}", err=True)
 
     def close(self) -> None:
-        with suppress(OSError):  # what a full disk did not take is not written later
+        """Close the file; on a full disk, the remaining text is lost."""
+        with suppress(OSError):
             super().close()
 
 
 def start_log(path: Path) -> None:
-    """Log to a file until `end_log`: a new one, or an earlier log, which is continued.
+    """Log to a new file, or continue an earlier log, until `end_log`.
 
     Raises:
-        InputError: the file is something else than a log, which is not overwritten.
+        InputError: the file exists and is not a log.
         OSError: it cannot be written.
     """
     try:
@@ -61,7 +62,7 @@ def start_log(path: Path) -> None:
             file.write(_FIRST_LINE)
     except FileExistsError:
         _check_is_log(path)
-    except OSError as error:  # of a full disk it names no file
+    except OSError as error:  # on a full disk it has no file name
         raise OSError(error.errno, error.strerror, str(path)) from error
     handler = _LogFile(path)
     LOGGER.addHandler(handler)
@@ -77,9 +78,10 @@ def start_log(path: Path) -> None:
     LOGGER.info("folder: %s", Path.cwd())
     LOGGER.info("pcbench %s, Python %s, %s", __version__, platform.python_version(), platform.platform())
     names = ("numpy", "scipy", *(library.name for library in LIBRARIES.values()))
-    LOGGER.info("libraries: %s", ", ".join(f"{name} {of}" for name, of in installed_versions(names).items()))
+    LOGGER.info("libraries: %s", ", ".join(f"{name} {version}" for name, version in installed_versions(names).items()))
     LOGGER.info(
-        "environment: %s", ", ".join(f"{k}={os.environ[k]}" for k in _VARIABLES if k in os.environ) or "default"
+        "environment: %s",
+        ", ".join(f"{k}={os.environ[k]}" for k in _ENVIRONMENT_VARIABLES if k in os.environ) or "default",
     )
 
 
@@ -95,7 +97,7 @@ def end_log() -> None:
 
 
 def log_settings(command: click.Command) -> None:
-    """Let a command, or those of a group, log the values of its arguments and options before it runs."""
+    """Make a command, or the commands of a group, log their arguments and options before they run."""
     for inner in command.commands.values() if isinstance(command, click.Group) else ():
         log_settings(inner)
     if command.callback is not None and not isinstance(command, click.Group):
@@ -111,7 +113,7 @@ def _logged(callback: Callable[..., Any]) -> Callable[..., Any]:
             LOGGER.info("setting: %s = %r (%s)", name, value, "" if source is None else source.name.lower())
         for handler in LOGGER.handlers:
             if isinstance(handler, _LogFile):
-                _check_apart(handler.path, context.params.values())
+                _check_not_log(handler.path, context.params.values())
         start = time.monotonic()
         result = callback(*arguments, **options)
         LOGGER.info("finished in %.1f s", time.monotonic() - start)
@@ -120,12 +122,12 @@ def _logged(callback: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-def _check_apart(log: Path, values: Any) -> None:
-    """Refuse a log that a command would read or write under the same name."""
+def _check_not_log(log: Path, values: Any) -> None:
+    """Refuse arguments that name the log file."""
     for value in values:
         for part in value if isinstance(value, tuple) else (value,):
             if isinstance(part, str | Path) and os.path.realpath(part) == str(log):
-                raise InputError(f"{part}: the log is written there: choose another name for one of them")
+                raise InputError(f"{part}: this is the log file: choose another name for one of them")
 
 
 def _check_is_log(path: Path) -> None:

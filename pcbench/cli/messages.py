@@ -1,4 +1,4 @@
-"""What the command line says beside results: warnings, progress, and errors in one line."""
+"""Warnings, progress and one-line errors of the command line."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ import click
 from pcbench.cli.log import LOGGER
 from pcbench.progress import TimeEstimate, duration
 
-_MAX_SILENCE_S = 9.0  # in a pipe or a file, where nothing moves
+_MESSAGE_INTERVAL_S = 9.0  # between progress lines in a pipe or a file
 
 
 def warn(text: object) -> None:
-    """One line on stderr."""
+    """Print a warning as one line on stderr."""
     line = " ".join(str(text).splitlines())
     LOGGER.warning("%s", line)
     click.echo(f"warning: {line}", err=True)
 
 
 def warn_unless(quiet: bool) -> Callable[[str], None]:
-    """What readers call with their warnings."""
+    """Return the function that file readers call with their warnings."""
     return (lambda text: LOGGER.warning("%s", text)) if quiet else warn
 
 
@@ -33,18 +33,19 @@ def fail(message: str) -> NoReturn:
     """End the process with one line on stderr and exit code 2."""
     line = " ".join(message.split())
     LOGGER.error("%s", line, exc_info=sys.exc_info()[0] is not None)
-    with suppress(OSError):  # nobody reads it
+    with suppress(OSError):  # stderr has no reader
         click.echo(f"error: {line}", err=True)
     sys.exit(2)
 
 
 @contextmanager
 def steps(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show what is being done, for how long, how far it is and how long it takes yet, as far as the steps tell
-    (`pcbench.progress`): a line that changes on a terminal, and elsewhere a line every few seconds on stderr.
+    """Show the current step, the elapsed and the remaining time, if `pcbench.progress` can estimate it.
+
+    On a terminal one line is updated; elsewhere a line is printed on stderr every few seconds.
     """
-    shown = _silent() if quiet else _on_terminal() if sys.stderr.isatty() else _in_lines()
-    with shown as show:
+    display = _silent() if quiet else _on_terminal() if sys.stderr.isatty() else _in_lines()
+    with display as show:
 
         def step(text: str) -> None:
             LOGGER.info("step: %s", text)
@@ -60,7 +61,7 @@ def _silent() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _in_lines() -> Iterator[Callable[[str], None]]:
-    """A line on stderr whenever nothing was said for a while; what is done at once says nothing."""
+    """Print a line on stderr at intervals; a short command prints none."""
     estimate, lock, ended = TimeEstimate(monotonic()), Lock(), Event()
     start, current = monotonic(), "starting"
 
@@ -70,17 +71,17 @@ def _in_lines() -> Iterator[Callable[[str], None]]:
             estimate.begin(text, monotonic())
             current = text
 
-    def speak() -> None:
-        while not ended.wait(_MAX_SILENCE_S):
+    def print_lines() -> None:
+        while not ended.wait(_MESSAGE_INTERVAL_S):
             with lock:
                 now = monotonic()
                 left = estimate.left(now)
                 words = "" if left is None else f" (about {duration(left)} left)"
                 line = f"[{_clock(now - start)}] {current}{words}"
-            with suppress(OSError, ValueError):  # nobody reads it
+            with suppress(OSError, ValueError):  # stderr has no reader
                 click.echo(line, err=True)
 
-    thread = Thread(target=speak, daemon=True)
+    thread = Thread(target=print_lines, daemon=True)
     thread.start()
     try:
         yield step
@@ -121,6 +122,6 @@ def _on_terminal() -> Iterator[Callable[[str], None]]:
 
 
 def _clock(seconds: float) -> str:
-    """Minutes and seconds, such as 12:05."""
+    """Format a duration as minutes and seconds, such as 12:05."""
     minutes, rest = divmod(int(seconds), 60)
     return f"{minutes}:{rest:02}"

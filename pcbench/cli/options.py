@@ -1,4 +1,4 @@
-"""Every option that several commands have, once; the types of their values, and how their texts are read."""
+"""Options that several commands share, the types of their values, and parsers of their texts."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ FILE = click.Path(path_type=Path)
 
 
 class FiniteRange(click.FloatRange):
-    """A finite number in a range; click takes nan for a number of any range."""
+    """A finite number in a range; click alone would accept nan."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number, or fail if it is not finite or outside the range."""
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
@@ -30,13 +31,17 @@ class FiniteRange(click.FloatRange):
 POSITIVE = FiniteRange(min=0, min_open=True)
 
 _REGISTER_HELP = (
-    "icp, icp-point, similarity (ICP with scale), global or global-similarity (the same from any pose), points:FILE,"
-    " matrix:FILE or none."
+    "Registration method: icp, icp-point, similarity (ICP with scale), global or global-similarity (icp or similarity"
+    " from any pose), points:FILE (control points), matrix:FILE (a known pose) or none."
 )
-_CROP_HELP = "none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference or quantile:0.99."
+_CROP_HELP = (
+    "Region to use: none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference (its bounding box) or"
+    " quantile:0.99."
+)
 
 
 def register_option(default: str = "icp", help: str = _REGISTER_HELP) -> Callable[[_Command], _Command]:
+    """Return the option for the registration method."""
     return click.option("--register", default=default, show_default=True, metavar="HOW", help=help)
 
 
@@ -44,18 +49,18 @@ crop_option = click.option("--crop", default="none", show_default=True, metavar=
 required_crop_option = click.option("--crop", required=True, metavar="REGION", help=_CROP_HELP)
 
 
-def seed_option(of: str) -> Callable[[_Command], _Command]:
-    """The seed of what is random, named in the help text."""
-    return click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help=of)
+def seed_option(help: str = "Random seed.") -> Callable[[_Command], _Command]:
+    """Return the option for the random seed."""
+    return click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help=help)
 
 
 def las_options(files: str) -> Callable[[_Command], _Command]:
-    """Filters of LAS files; `files` is how the help text names them."""
+    """Return the options that filter LAS files, which the help text calls `files`."""
 
     def add(command: _Command) -> _Command:
-        returns = f"Only these returns of {files}: first, last or numbers."
+        returns = f"Use only these returns of {files}: first, last or numbers."
         command = click.option("--returns", metavar="WHICH", help=returns)(command)
-        return click.option("--classes", metavar="N,N,...", help=f"Only these classes of {files}, such as 2,6.")(
+        return click.option("--classes", metavar="N,N,...", help=f"Use only these classes of {files}, such as 2,6.")(
             command
         )
 
@@ -63,48 +68,62 @@ def las_options(files: str) -> Callable[[_Command], _Command]:
 
 
 def splat_options(command: _Command) -> _Command:
-    """Filters of models of Gaussian splats."""
-    axis = "Only Gaussian splats whose largest axis (sigma) is at most this."
+    """Add the options that filter Gaussian splats."""
+    axis = "Use only Gaussian splats whose largest axis (standard deviation) is at most this length."
     command = click.option("--max-axis", type=POSITIVE, metavar="LENGTH", help=axis)(command)
     opacity = FiniteRange(min=0, max=1)
-    return click.option("--min-opacity", type=opacity, metavar="0..1", help="Only Gaussian splats so opaque.")(command)
+    return click.option(
+        "--min-opacity", type=opacity, metavar="0..1", help="Use only Gaussian splats with at least this opacity."
+    )(command)
 
 
-def cameras_option(help: str = "auto, none, or a file or folder with cameras.") -> Callable[[_Command], _Command]:
+def cameras_option(
+    help: str = "Cameras to use: auto, none, or a file or folder.",
+) -> Callable[[_Command], _Command]:
+    """Return the option for the cameras of a scene."""
     return click.option("--cameras", default="auto", show_default=True, metavar="WHICH", help=help)
 
 
-masks_option = click.option("--masks", type=FILE, help="Folder of masks; black is left out.  [default: masks/]")
+masks_option = click.option("--masks", type=FILE, help="Folder of masks; black pixels are excluded.  [default: masks/]")
 image_scale_option = click.option(
-    "--image-scale", default=1.0, show_default=True, type=float, help="Work with images of this scale, up to 1."
+    "--image-scale", default=1.0, show_default=True, type=float, help="Scale of the images to work with, at most 1."
 )
 write_cameras_option = click.option(
-    "--write-cameras", type=FILE, metavar="OUT", help="OUT.json (transforms.json), or a COLMAP model's folder."
+    "--write-cameras",
+    type=FILE,
+    metavar="OUT",
+    help="Write the cameras to OUT.json (transforms.json) or a COLMAP model's folder.",
 )
 
 
 def wgs84_option(what: str) -> Callable[[_Command], _Command]:
-    """Whether metres of Earth Studio's sphere become those of WGS84."""
-    help = f"Of Earth Studio: {what} in metres of WGS84 instead of its sphere."
+    """Return the option that converts metres of Earth Studio's sphere to metres of WGS84."""
+    help = f"For Earth Studio: write {what} in metres of WGS84 instead of its sphere."
     return click.option("--wgs84", is_flag=True, help=help)
 
 
 def size_option(default: str) -> Callable[[_Command], _Command]:
-    return click.option("--size", default=default, show_default=True, metavar="WxH", help="Of an image, in pixels.")
+    """Return the option for the size of rendered images."""
+    return click.option("--size", default=default, show_default=True, metavar="WxH", help="Image size in pixels.")
 
 
 def no_figures_option(what: str = "pictures") -> Callable[[_Command], _Command]:
-    return click.option("--no-figures", is_flag=True, help=f"Leave the {what} out.")
+    """Return the option that omits the pictures."""
+    return click.option("--no-figures", is_flag=True, help=f"Draw no {what}.")
 
 
-format_option = click.option("--format", "figure_format", metavar="KIND", help="Of pictures: png, svg or pdf.")
-background_option = click.option("--background", metavar="COLOUR", help="Of pictures: dark, white, black or #rrggbb.")
+format_option = click.option(
+    "--format", "figure_format", metavar="KIND", help="Format of the pictures: png, svg or pdf."
+)
+background_option = click.option(
+    "--background", metavar="COLOUR", help="Background of the pictures: dark, white, black or #rrggbb."
+)
 
 
 def figure_options(command: _Command) -> _Command:
-    """How pictures look: the fields of `pcbench.report.Figures`."""
+    """Add the options for the appearance of pictures, the fields of `pcbench.report.Figures`."""
     command = click.option(
-        "--range", "color_range", type=POSITIVE, metavar="LENGTH", help="Of distances: where colours end."
+        "--range", "color_range", type=POSITIVE, metavar="LENGTH", help="Distance at which the colour range ends."
     )(format_option(command))
     return background_option(command)
 
@@ -113,29 +132,29 @@ quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing b
 
 
 def given(context: click.Context, name: str) -> bool:
-    """Whether the user gave an option, be it with its default."""
+    """Whether the user set an option, even to its default."""
     return context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
 
 
 def numbers(option: str, text: str | None, kind: type[_Number]) -> tuple[_Number, ...] | None:
-    """Numbers with commas between them; None where the option is not given.
+    """Parse comma-separated numbers; None if the option is not set.
 
     Raises:
-        InputError: a part is no number.
+        InputError: a part is not a number.
     """
     if text is None:
         return None
     try:
         return tuple(kind(word) for word in text.split(","))
     except ValueError:
-        raise InputError(f"expected {option} as numbers with commas, got {text!r}") from None
+        raise InputError(f"expected {option} as comma-separated numbers, got {text!r}") from None
 
 
 def triple(option: str, text: str) -> tuple[float, float, float]:
-    """Three numbers x,y,z.
+    """Parse three numbers x,y,z.
 
     Raises:
-        InputError: they are not three, or no finite numbers.
+        InputError: the text is not three finite numbers.
     """
     values = numbers(option, text, float)
     if values is None or len(values) != 3 or not all(map(math.isfinite, values)):
@@ -144,20 +163,20 @@ def triple(option: str, text: str) -> tuple[float, float, float]:
 
 
 def words(values: tuple[str, ...]) -> tuple[str, ...]:
-    """The names in an option that may be repeated, or hold several names with commas."""
+    """Return the names in an option that may be repeated or comma-separated."""
     return tuple(word for value in values for word in value.split(","))
 
 
 def las_returns(text: str | None) -> str | tuple[int, ...] | None:
-    """Which returns of LAS files: a word, or numbers."""
+    """Parse the returns of LAS files: first, last, or numbers."""
     return text if text in (None, "first", "last") else numbers("--returns", text, int)
 
 
 def image_size(text: str) -> tuple[int, int]:
-    """WIDTHxHEIGHT, in pixels.
+    """Parse WIDTHxHEIGHT in pixels.
 
     Raises:
-        InputError: it is something else, or less than one pixel.
+        InputError: the text has another form, or a side is less than one pixel.
     """
     pixels = numbers("--size", text.lower().replace("x", ","), int)
     if pixels is None or len(pixels) != 2:
@@ -168,10 +187,10 @@ def image_size(text: str) -> tuple[int, int]:
 
 
 def key_value(text: str) -> tuple[str, str]:
-    """KEY=VALUE.
+    """Parse KEY=VALUE.
 
     Raises:
-        InputError: it is something else.
+        InputError: the text has another form.
     """
     key, equals, value = text.partition("=")
     if not equals or not key:

@@ -25,43 +25,56 @@ from pcbench.errors import InputError
 @click.command(short_help="List the reconstructors, or describe some.")
 @click.argument("specs", nargs=-1, metavar="[NAME | MODULE:CLASS | FILE.py:CLASS]...")
 @click.option(
-    "--time-limit", type=POSITIVE, default=60.0, show_default=True, metavar="SECONDS", help="Of the look at each."
+    "--time-limit",
+    type=POSITIVE,
+    default=60.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Time limit for each description.",
 )
 def plugins(specs: tuple[str, ...], time_limit: float) -> None:
-    """List the installed reconstructors, or describe those given: where they come from, what they are for, whether
-    they can run here, and their settings with types and defaults.
+    """List the installed reconstructors, or describe the given ones.
+
+    A description has the origin, the purpose, whether the reconstructor can run here, and its settings with types and
+    defaults.
     """
     from pcbench.plugins import installed
     from pcbench.plugins.run import describe
 
     for spec in specs or installed():
         with steps(quiet=False) as step:
-            step(f"looking at {spec}")
-            found = describe(spec, time_limit)
-        if found.problem is not None:
-            problem = found.problem if found.problem.startswith(spec.rpartition(":")[0]) else f"{spec}: {found.problem}"
+            step(f"describing {spec}")
+            plugin = describe(spec, time_limit)
+        if plugin.problem is not None:
+            problem = (
+                plugin.problem if plugin.problem.startswith(spec.rpartition(":")[0]) else f"{spec}: {plugin.problem}"
+            )
             if specs:
                 raise InputError(problem)
-            click.echo(problem)  # one that is broken hides no other
+            click.echo(problem)  # the list continues after a broken reconstructor
             continue
-        click.echo(f"{spec} ({found.origin}): {found.help or 'no description'}")
-        if specs and found.more:
-            click.echo(textwrap.indent(f"\n{found.more}\n", "  "))
-        click.echo(f"  {'can run here' if found.missing is None else f'cannot run here: {found.missing}'}")
-        for setting, kind, default in zip(found.settings, found.types, found.defaults, strict=True):
+        click.echo(f"{spec} ({plugin.origin}): {plugin.help or 'no description'}")
+        if specs and plugin.more:
+            click.echo(textwrap.indent(f"\n{plugin.more}\n", "  "))
+        click.echo(f"  {'can run here' if plugin.missing is None else f'cannot run here: {plugin.missing}'}")
+        for setting, kind, default in zip(plugin.settings, plugin.types, plugin.defaults, strict=True):
             click.echo(f"  --set {setting}={kind}  ({'must be given' if default is None else f'default {default}'})")
 
 
-@click.command(short_help="Make a cloud of a scene with a reconstructor.")
+@click.command(short_help="Make a cloud from photographs with a reconstructor.")
 @click.argument("name", metavar="NAME")
 @click.argument("scene", type=FILE)
-@click.option("-o", "--out", type=FILE, required=True, help="The cloud.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="A setting of the reconstructor.")
+@click.option("-o", "--out", type=FILE, required=True, help="File for the cloud.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a setting of the reconstructor.")
 @cameras_option()
 @masks_option
 @image_scale_option
-@click.option("--workspace", type=FILE, help="Folder for its files, which the next run uses.  [default: OUT.work]")
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop it after this.")
+@click.option(
+    "--workspace",
+    type=FILE,
+    help="Folder for intermediate files, from which the next run resumes.  [default: OUT.work]",
+)
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit.")
 @wgs84_option("cloud and cameras")
 @write_cameras_option
 @quiet_option
@@ -79,8 +92,9 @@ def reconstruct(
     write_cameras: Path | None,
     quiet: bool,
 ) -> None:
-    """Make a cloud of the photographs in SCENE with the reconstructor NAME: an installed one (`pcbench plugins`),
-    MODULE:CLASS or FILE.py:CLASS. It runs in a process of its own.
+    """Make a cloud from the photographs in SCENE with the reconstructor NAME.
+
+    NAME is an installed reconstructor (`pcbench plugins`), MODULE:CLASS or FILE.py:CLASS. It runs in a child process.
 
     \b
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
@@ -116,25 +130,29 @@ def reconstruct(
     for warning in result.warnings:
         if not (wgs84 and "--wgs84" in warning):
             warn_unless(quiet)(warning)
-    made = result.required()
-    if sphere is not None and made.gauge == "georeferenced":
-        made = in_wgs84(made, sphere)
+    reconstruction = result.required()
+    if sphere is not None and reconstruction.gauge == "georeferenced":
+        reconstruction = in_wgs84(reconstruction, sphere)
     elif sphere is not None:
-        warn(f"not brought to WGS84: the cloud is in an {made.gauge} gauge, not in the world of the cameras")
-    write_cloud(out, made.cloud)
+        warn(f"not converted to WGS84: the cloud has the gauge {reconstruction.gauge}, not the frame of the cameras")
+    write_cloud(out, reconstruction.cloud)
     note_made(work, out)
-    if write_cameras is not None and not made.cameras:
-        warn(f"{write_cameras}: not written, {name} gave no cameras")
+    if write_cameras is not None and not reconstruction.cameras:
+        warn(f"{write_cameras}: not written, because {name} returned no cameras")
     elif write_cameras is not None:
-        write(write_cameras, made.cameras, find_images(scene)[0], made.cloud)
-    for note in made.notes:
+        write(write_cameras, reconstruction.cameras, find_images(scene)[0], reconstruction.cloud)
+    for note in reconstruction.notes:
         if note.startswith("warning: "):
             warn_unless(quiet)(note.removeprefix("warning: "))
         elif not quiet:
             click.echo(f"note: {note}")
     if not quiet:
-        for line in (*made.residuals.point_lines(), *made.residuals.rmse_lines(made.cloud.unit)):
+        for line in (
+            *reconstruction.residuals.point_lines(),
+            *reconstruction.residuals.rmse_lines(reconstruction.cloud.unit),
+        ):
             click.echo(line)
         memory = "" if result.peak_rss_bytes is None else f", {result.peak_rss_bytes / 2**20:.0f} MiB"
-        click.echo(f"{out}: {len(made.cloud):,} points, {made.gauge}, {len(made.cameras)} cameras")
+        points, cameras_count = len(reconstruction.cloud), len(reconstruction.cameras)
+        click.echo(f"{out}: {points:,} points, {reconstruction.gauge}, {cameras_count} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")

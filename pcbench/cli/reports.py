@@ -1,4 +1,4 @@
-"""Commands that measure clouds against a reference, and draw what was found: compare, deform, plot."""
+"""Commands that measure clouds against a reference and draw the results: compare, deform, plot."""
 
 from __future__ import annotations
 
@@ -42,21 +42,29 @@ if TYPE_CHECKING:
 @click.option("--out", type=FILE, help="Folder for the report.")
 @register_option()
 @crop_option
-@click.option("--thresholds", metavar="T,T,...", help="Of the F-score.  [default: 1, 2, 5 x the reference's spacing]")
 @click.option(
-    "--preset", "presets", multiple=True, metavar="NAME", help="open3d, pdal or tnt; gao2025 and mpeg always."
+    "--thresholds", metavar="T,T,...", help="F-score distance thresholds.  [default: 1, 2, 5 x the reference's spacing]"
 )
-@click.option("--map", "maps", multiple=True, metavar="NAME", help="Deviation maps to add: poisson or m3c2.")
 @click.option(
-    "--m3c2", metavar="NAME=VALUE,...", help="M3C2 with radius, depth, normal_radius, cores=FILE of your own."
+    "--preset",
+    "presets",
+    multiple=True,
+    metavar="NAME",
+    help="Also compute metrics as defined by open3d, pdal or tnt; gao2025 and mpeg are always computed.",
+)
+@click.option("--map", "maps", multiple=True, metavar="NAME", help="Also compute this deviation map: poisson or m3c2.")
+@click.option(
+    "--m3c2",
+    metavar="NAME=VALUE,...",
+    help="M3C2 settings: radius, depth, normal_radius, registration_error, cores=FILE.",
 )
 @las_options("LAS files")
 @splat_options
-@seed_option("Random seed: points sampled from a mesh and for floors, folds of the cross-validation.")
-@click.option("--settings", "settings_file", type=FILE, help="Repeat the comparison of a report's settings.json.")
+@seed_option("Random seed for points on a mesh, queries of floors, and folds of cross-validation.")
+@click.option("--settings", "settings_file", type=FILE, help="Repeat a comparison from a report's settings.json.")
 @json_option("comparison.json")
 @no_figures_option()
-@click.option("--full", is_flag=True, help="Print every metric, and every sentence.")
+@click.option("--full", is_flag=True, help="Print all metrics and all sentences.")
 @figure_options
 @quiet_option
 @click.pass_context
@@ -85,13 +93,15 @@ def compare(
     figure_format: str | None,
     quiet: bool,
 ) -> None:
-    """Measure how far CANDIDATES are from REFERENCE, both ways. Prints the answer in words, what has to be known before
-    it is trusted, and the main numbers; the folder of --out holds all of them.
+    """Measure the distances between CANDIDATES and REFERENCE in both directions.
+
+    Prints the answer in sentences, warnings, and the main metrics. The folder of --out has all metrics, maps and
+    pictures.
 
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
     """
-    _multiply_on_one_thread()
+    _limit_openblas()
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
     from pcbench.report.figures import Figures
@@ -102,7 +112,7 @@ def compare(
             *("max_axis", "seed"),
         ]
         if reference is not None or any(given(context, name) for name in options):
-            raise click.UsageError("--settings already names the files and the settings: give nothing else but outputs")
+            raise click.UsageError("--settings already has the files and the settings: give only options for outputs")
         job = ComparisonJob.recorded(settings_file)
         job = replace(job, figures=job.figures.changed(background, color_range, figure_format))
     else:
@@ -129,7 +139,7 @@ def compare(
 def compare_and_print(
     job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool, full: bool = False
 ) -> Comparison:
-    """Compare files, write what is asked for, and print the answer or the JSON document."""
+    """Compare files, write the outputs, and print the answer or the JSON document."""
     from pcbench.report import document, print_comparison
     from pcbench.report.compare_files import Outputs, compare_files
     from pcbench.report.notes import warnings
@@ -149,14 +159,14 @@ def compare_and_print(
     return outcome.comparison
 
 
-@click.command(short_help="Say whether a cloud is deformed against a reference.")
+@click.command(short_help="Test whether a cloud is deformed relative to a reference.")
 @click.argument("reference", type=FILE)
 @click.argument("candidate", type=FILE)
 @click.option("--out", type=FILE, help="Folder for deformation.json, the displacement field and pictures.")
 @register_option()
 @crop_option
 @no_figures_option()
-@seed_option("Random seed: folds of the cross-validation.")
+@seed_option("Random seed for the folds of cross-validation.")
 @json_option("deformation.json")
 @background_option
 @format_option
@@ -174,42 +184,44 @@ def deform(
     figure_format: str | None,
     quiet: bool,
 ) -> None:
-    """Register CANDIDATE to REFERENCE and say whether it is bent beyond that, by how much, and where.
+    """Register CANDIDATE to REFERENCE, and test whether it is deformed, by how much, and where.
 
     \b
     Example: pcbench deform ref.ply a.ply --out bend/
     """
-    _multiply_on_one_thread()
+    _limit_openblas()
     from pcbench.io.files import named_file
     from pcbench.report.deform_files import deform_files
     from pcbench.report.figures import Figures
 
-    look = Figures().changed(background, None, figure_format)
+    style = Figures().changed(background, None, figure_format)
     output = JsonOutput(json_file)
     output.check([reference, candidate, *filter(None, map(named_file, (register, crop)))], folder=out)
     with steps(quiet) as step:
         outcome = deform_files(
-            reference, candidate, register, crop, seed, out, figures=None if no_figures else look, step=step
+            reference, candidate, register, crop, seed, out, figures=None if no_figures else style, step=step
         )
-    found = outcome.deformation
-    output.write(found)
+    result = outcome.deformation
+    output.write(result)
     say = warn_unless(quiet)
     for warning in outcome.warnings:
         say(warning)
-    for notice in found.further_warnings:
+    for notice in result.further_warnings:
         say(str(notice))
     if not quiet and not output.on_stdout:
-        click.echo(found.sentence(candidate.name, outcome.unit or ""))
-        for rung in found.rungs:
-            mark = "*" if rung.model == found.model else " "
-            score, error = rung.cv_score**0.5, rung.cv_se / (2 * rung.cv_score**0.5 or 1.0)
-            click.echo(f" {mark} {rung.model:10} cross-validated residual {score:.4g} ± {error:.2g}")
-        if noise := found.noise:
+        click.echo(result.sentence(candidate.name, outcome.unit or ""))
+        unit = f" {outcome.unit}" if outcome.unit else ""
+        for row in result.rungs:
+            mark = "*" if row.model == result.model else " "
+            score, error = row.cv_score**0.5, row.cv_se / (2 * row.cv_score**0.5 or 1.0)
+            click.echo(f" {mark} {row.model:10} cross-validated residual {score:.4g} ± {error:.2g}{unit}")
+        if noise := result.noise:
             click.echo(
-                f"noise: white {noise.sigma_white:.3g}, correlated {noise.sigma_correlated:.3g} over"
-                f" {noise.correlation_length:.3g}; {found.pairs:,} pairs are worth {noise.n_eff:,.0f}"
+                f"noise: white {noise.sigma_white:.3g}{unit}, correlated {noise.sigma_correlated:.3g}{unit}"
+                f" (correlation length {noise.correlation_length:.3g}{unit}); {result.pairs:,} pairs,"
+                f" effectively {noise.n_eff:,.0f} independent ones"
             )
-        if local := found.local:
+        if local := result.local:
             click.echo(f"local changes: {local.tiles_changed} of {local.tiles_tested} tiles")
         if out is not None:
             click.echo(f"report: {out}")
@@ -217,7 +229,7 @@ def deform(
         warn(outcome.without_figures)
 
 
-@click.command(short_help="Draw a report's pictures again.")
+@click.command(short_help="Draw the pictures of a report again.")
 @click.argument("report", type=FILE)
 @click.argument("names", nargs=-1)
 @figure_options
@@ -230,10 +242,11 @@ def plot(
     figure_format: str | None,
     quiet: bool,
 ) -> None:
-    """Draw the pictures of the folder REPORT into REPORT/figures, or those of NAMES (such as reference, distribution,
-    a_distance, a_completeness; of a bench speed, accuracy_completeness; of views SCENE_METHOD; of `experiment gao`
-    rings, directions, growth), as PNG or as their endings say: distribution.svg. They look as the report was made with,
-    but for what is given here. Needs no display.
+    """Draw the pictures of the folder REPORT into REPORT/figures, all or those of NAMES.
+
+    NAMES are, for example, reference, distribution, a_distance, a_completeness; for a bench speed,
+    accuracy_completeness; for views SCENE_METHOD; for `experiment gao` rings, directions, growth. An extension selects
+    the format, as in distribution.svg. Options replace the recorded appearance. No display is needed.
     """
     from pcbench.progress import Step
     from pcbench.report.figures import recorded_figures
@@ -248,20 +261,20 @@ def plot(
     drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES, GAO) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
-            f"{report}: expected a report folder (with comparison.json), a bench's (with bench.json), that of views"
-            " (with scores.json) or of `experiment gao` (with gao.md)"
+            f"{report}: expected the folder of a report (with comparison.json), a bench (bench.json), views"
+            " (scores.json) or `experiment gao` (gao.md)"
         )
     click.get_current_context().with_resource(claim(report))
-    look = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
+    style = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
     with steps(quiet) as step:
         candidates = len(list(report.glob("*_deviation.ply"))) or 1
         step(Step("drawing", 1.0 + 0.5 * len(names) if names else drawing_seconds(candidates)))
-        written = draw(report, names, drawer, look)
+        written = draw(report, names, drawer, style)
     if not quiet:
         for path in written:
             click.echo(path)
 
 
-def _multiply_on_one_thread() -> None:
-    """Before numpy is imported: matrices here are small, and waking threads for them costs more than it saves."""
+def _limit_openblas() -> None:
+    """Limit OpenBLAS to one thread, before numpy is imported: threads slow down operations on small matrices."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

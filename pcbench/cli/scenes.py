@@ -1,4 +1,4 @@
-"""Commands for photographs and for scenes and deformations whose truth is known: scene, synth city, synth warp."""
+"""Commands for photographs, and for scenes and deformations with exact truth: scene, synth city, synth warp."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from pcbench.cli.options import (
 from pcbench.errors import InputError
 
 
-@click.command(short_help="Say what is in a scene: images, cameras, GPS, masks.")
+@click.command(short_help="Describe a scene: images, cameras, GPS, masks.")
 @click.argument("scene", type=FILE)
 @cameras_option()
 @masks_option
 @image_scale_option
-@click.option("--figure", type=FILE, help="Draw the cameras, or GPS positions, into this PNG.")
+@click.option("--figure", type=FILE, help="File for a PNG picture of the cameras, or of GPS positions.")
 @wgs84_option("the cameras")
 @write_cameras_option
 @quiet_option
@@ -44,8 +44,10 @@ def scene(
     write_cameras: Path | None,
     quiet: bool,
 ) -> None:
-    """Say what is in SCENE, a folder of photographs with, perhaps, cameras: a COLMAP model, transforms.json, Strecha's
-    .camera files or an Earth Studio export.
+    """Describe SCENE, a folder of photographs, with or without cameras.
+
+    Cameras are read from a COLMAP model, transforms.json, an Earth Studio export, Strecha's .camera files, OpenMVS or
+    K.txt.
     """
     from pcbench.io.files import check_output
     from pcbench.scenes import read_scene
@@ -54,11 +56,11 @@ def scene(
         from pcbench.scenes.write import check_cameras_kept
 
         check_cameras_kept(write_cameras, scene, None if cameras in ("auto", "none") else Path(cameras))
-    say = warn_unless(quiet)
-    told = (lambda text: None if "--wgs84" in text else say(text)) if wgs84 else say
+    warn = warn_unless(quiet)
+    on_warning = (lambda text: None if "--wgs84" in text else warn(text)) if wgs84 else warn
     with steps(quiet) as step:
         step(f"reading {scene}")
-        data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=told)
+        data = read_scene(scene, cameras=cameras, masks=masks, image_scale=image_scale, on_warning=on_warning)
         if wgs84:
             data = data.in_wgs84()
         if figure is not None:
@@ -77,32 +79,44 @@ def scene(
             click.echo(line)
 
 
-@click.group(short_help="Scenes and deformations whose truth is known.")
+@click.group(short_help="Scenes and deformations with exact truth.")
 def synth() -> None:
-    """Make images of a city whose geometry is known exactly, or bend a cloud by a known amount."""
+    """Render images of a city with exact truth, or deform a cloud by a known amount."""
 
 
-@synth.command(short_help="Make a city, photographs of it, and their truth.")
-@click.option("--out", type=FILE, required=True, help="Folder for the scene: a new or an empty one.")
-@click.option("--images", default=40, show_default=True, type=click.IntRange(1, 9999), help="How many.")
+@synth.command(short_help="Build a city, render photographs of it, and write the exact truth.")
+@click.option("--out", type=FILE, required=True, help="Folder for the scene, new or empty.")
+@click.option("--images", default=40, show_default=True, type=click.IntRange(1, 9999), help="Number of images.")
 @size_option("960x540")
-@click.option("--fov", default=40.0, show_default=True, type=click.FloatRange(1, 120), help="Vertical, in degrees.")
-@click.option("--rig", default="circles", show_default=True, help="circles, grid, oblique, drone or orbit.")
-@click.option("--distortion", default="0,0,0,0", show_default=True, metavar="K1,K2,P1,P2", help="Of the lens.")
-@click.option("--gps", type=FiniteRange(min=0), help="Write gps.txt with errors of so many metres.")
+@click.option(
+    "--fov", default=40.0, show_default=True, type=click.FloatRange(1, 120), help="Vertical field of view in degrees."
+)
+@click.option(
+    "--rig", default="circles", show_default=True, help="Camera positions: circles, grid, oblique, drone or orbit."
+)
+@click.option("--distortion", default="0,0,0,0", show_default=True, metavar="K1,K2,P1,P2", help="Lens distortion.")
+@click.option("--gps", type=FiniteRange(min=0), help="Write gps.txt with errors of this standard deviation in metres.")
 @click.option("--extent", default=400.0, show_default=True, help="Side of the city in metres.")
-@click.option("--density", default=0.85, show_default=True, help="Share of the lots that are built on.")
-@click.option("--height", default=9.0, show_default=True, help="Median height of its houses in metres.")
-@click.option("--relief", default=2.0, show_default=True, help="RMS of the terrain's waves in metres.")
-@click.option("--texture", default=1.0, show_default=True, help="1 is rich, 0 leaves blank walls and plain ground.")
-@click.option("--water", is_flag=True, help="Make some blocks lakes.")
+@click.option("--density", default=0.85, show_default=True, help="Share of the lots with a building.")
+@click.option("--height", default=9.0, show_default=True, help="Median height of the houses in metres.")
+@click.option("--relief", default=2.0, show_default=True, help="RMS height of the terrain in metres.")
+@click.option(
+    "--texture", default=1.0, show_default=True, help="Texture from 1 (rich) to 0 (blank walls and plain ground)."
+)
+@click.option("--water", is_flag=True, help="Turn some blocks into lakes.")
 @click.option("--repeated", is_flag=True, help="Give all buildings one facade.")
-@click.option("--symmetric", is_flag=True, help="Make the city look the same after half a turn.")
+@click.option("--symmetric", is_flag=True, help="Make the city symmetric under a half turn.")
 @click.option("--hard", is_flag=True, help="Short for --texture 0.1 --water --repeated.")
-@click.option("--reflections", is_flag=True, help="Let glass and water mirror what is around them.")
-@click.option("--vignetting", is_flag=True, help="Darken images towards their corners, by the cosine's fourth power.")
-@click.option("--points", default=1_000_000, show_default=True, type=click.IntRange(1000), help="Of the true cloud.")
-@seed_option("Of everything.")
+@click.option("--reflections", is_flag=True, help="Render reflections in glass and water.")
+@click.option("--vignetting", is_flag=True, help="Darken images with the fourth power of the cosine.")
+@click.option(
+    "--points",
+    default=1_000_000,
+    show_default=True,
+    type=click.IntRange(1000),
+    help="Number of points of the true cloud.",
+)
+@seed_option()
 @quiet_option
 def city(
     out: Path,
@@ -127,8 +141,10 @@ def city(
     seed: int,
     quiet: bool,
 ) -> None:
-    """Make a city and photograph it: images, cameras (COLMAP, transforms.json), and in truth/ its mesh, a cloud of its
-    surface and a depth map for each image. The same settings give the same bytes.
+    """Build a city and render photographs of it.
+
+    Writes images, cameras (COLMAP, transforms.json), and in truth/ the mesh, a cloud of its surface and a depth map for
+    each image. The same settings give the same bytes.
     """
     from dataclasses import replace
 
@@ -148,33 +164,45 @@ def city(
     with steps(quiet) as step:
         write_scene(out, settings, step)
     if not quiet:
-        click.echo(f"{out}: {images} images of {pixels[0]} x {pixels[1]}, their cameras and their truth")
+        click.echo(f"{out}: {images} images of {pixels[0]} x {pixels[1]}, with cameras and exact truth")
 
 
-@synth.command(short_help="Bend a cloud by a known amount.")
+@synth.command(short_help="Deform a cloud by a known amount.")
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
-@click.option("--kind", required=True, help="dome, bowl, shear, twist, subsidence or drift.")
-@click.option("--rms", required=True, type=float, help="What no affine map explains, in the cloud's unit.")
-@click.option("--rotate", default="0,0,0", show_default=True, metavar="X,Y,Z", help="Degrees about each axis, after.")
-@click.option("--shift", default="0,0,0", show_default=True, metavar="X,Y,Z", help="In the cloud's unit, after.")
-@click.option("--scale", default=1.0, show_default=True, help="After.")
+@click.option("--kind", required=True, help="Kind of deformation: dome, bowl, shear, twist, subsidence or drift.")
+@click.option("--rms", required=True, type=float, help="RMS displacement beyond an affine map, in the cloud's unit.")
+@click.option(
+    "--rotate",
+    default="0,0,0",
+    show_default=True,
+    metavar="X,Y,Z",
+    help="Rotation about each axis in degrees, after the deformation.",
+)
+@click.option(
+    "--shift",
+    default="0,0,0",
+    show_default=True,
+    metavar="X,Y,Z",
+    help="Translation in the cloud's unit, after the rotation.",
+)
+@click.option("--scale", default=1.0, show_default=True, help="Scale, after the deformation.")
 @click.option(
     "--about",
     default="centre",
     show_default=True,
     metavar="PLACE",
-    help="What is turned and scaled about: centre (of the cloud's bounding box), origin, or X,Y,Z.",
+    help="Centre of rotation and scale: centre (of the cloud's bounding box), origin, or X,Y,Z.",
 )
 @quiet_option
 def warp(
     cloud: Path, out: Path, kind: str, rms: float, rotate: str, shift: str, scale: float, about: str, quiet: bool
 ) -> None:
-    """Write CLOUD to OUT deformed in a known way, and what was done to it beside, as JSON (OUT with .json added).
+    """Write a deformed CLOUD to OUT, and the deformation as JSON (OUT with .json added).
 
-    dome and bowl bend it over its horizontal extent; shear leans over with the square of the height; twist turns with
-    height; subsidence is a local basin; drift bends the longest axis. A rotation and a scale about the cloud's centre,
-    and a shift, follow.
+    dome and bowl bend the horizontal extent; shear displaces horizontally with the square of the height; twist rotates
+    with height; subsidence is a local basin; drift bends the longest axis. A rotation and a scale, and then a shift,
+    follow.
     """
     from pcbench.io import read_cloud
     from pcbench.io.files import check_output
@@ -185,14 +213,14 @@ def warp(
     angles, offset = triple("--rotate", rotate), triple("--shift", shift)
     if about not in ("centre", "origin") and about.count(",") != 2:
         raise InputError(f"expected --about as centre, origin or three numbers x,y,z, got {about!r}")
-    given = None if about in ("centre", "origin") else triple("--about", about)
+    center = None if about in ("centre", "origin") else triple("--about", about)
     with steps(quiet) as step:
         step(f"reading {cloud}")
         data = read_cloud(cloud, on_warning=warn_unless(quiet))
         lower, upper = data.bounds
-        place = given or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
-        after = turn(angles, offset, scale, place)
-        step(f"bending it, and writing {out}")
-        record = write_warped(out, data, warp_of(kind, data.points, rms, after))
+        pivot = center or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
+        motion = turn(angles, offset, scale, pivot)
+        step(f"deforming, writing {out}")
+        record = write_warped(out, data, warp_of(kind, data.points, rms, motion))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")

@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full, or read by nobody any more: one line and an exit code, never a traceback."""
+"""Handling of closed, full and unread standard streams: one line and an exit code, never a traceback."""
 
 from __future__ import annotations
 
@@ -10,52 +10,52 @@ from contextlib import suppress
 from typing import TextIO
 
 
-class _Unread(io.BytesIO):
-    """A buffer that takes the place of a closed standard output and keeps what is printed."""
+class _ClosedOutput(io.BytesIO):
+    """A buffer that replaces a closed standard output."""
 
 
 def prepare_streams() -> None:
     """Make all three standard streams usable before anything is opened or printed.
 
-    Where one is closed, its descriptor is given to the null device: the next file that is opened would get it, and
-    whatever a library prints would end in that file. What is printed to a closed standard output is kept, so that
-    `finish_output` can tell that it was lost.
+    The descriptor of a closed stream is opened on the null device; otherwise the next opened file would get it, and a
+    library's output would end up in that file. Output to a closed standard output is buffered, so that `finish_output`
+    can report the loss.
     """
     for descriptor in (0, 1, 2):
         _fill(descriptor)
     if sys.stdout is None:
-        sys.stdout = io.TextIOWrapper(_Unread(), encoding="utf-8")
+        sys.stdout = io.TextIOWrapper(_ClosedOutput(), encoding="utf-8")
     if sys.stderr is None:
         sys.stderr = io.TextIOWrapper(io.FileIO(os.devnull, "w"), encoding="utf-8", write_through=True)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal without arrows still gets its table
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without arrows prints replacement characters
             stream.reconfigure(errors="replace")
 
 
 def finish_output() -> None:
-    """Hand on what standard output still holds.
+    """Flush standard output.
 
     Raises:
-        OSError: it does not take it, or it was closed from the start and something was printed.
+        OSError: it cannot be written, or it was closed and something was printed.
     """
     sys.stdout.flush()
     buffer = getattr(sys.stdout, "buffer", None)
-    if isinstance(buffer, _Unread) and buffer.tell():
+    if isinstance(buffer, _ClosedOutput) and buffer.tell():
         raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
 
 def is_of_a_stream(error: OSError) -> bool:
-    """Return whether an OSError is that of a standard stream: it names no file.
+    """Whether an OSError belongs to a standard stream.
 
-    Writers of files add the name of theirs (`scratch.naming`).
+    It then has no file name; writers of files add theirs (`scratch.naming`).
     """
     return error.filename is None and error.errno in (errno.ENOSPC, errno.EFBIG, errno.EBADF)
 
 
 def discard(*streams: TextIO | None) -> None:
-    """Let the interpreter end quietly: what it still has for these streams goes to the null device."""
+    """Redirect streams to the null device, so that the interpreter can flush them without an error."""
     for stream in streams:
-        with suppress(OSError, ValueError, AttributeError):  # one that has no descriptor
+        with suppress(OSError, ValueError, AttributeError):  # a stream without a descriptor
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, stream.fileno())  # type: ignore[union-attr]
             os.close(null)

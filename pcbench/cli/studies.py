@@ -1,4 +1,4 @@
-"""Commands that run many things to answer one question: demo, bench, views."""
+"""Commands that run many reconstructions or comparisons: demo, bench, views."""
 
 from __future__ import annotations
 
@@ -29,24 +29,26 @@ if TYPE_CHECKING:
     from pcbench.studies.bench.runs import BenchJob
 
 
-@click.command(short_help="Make cities with exact truth, compare clouds of one, bench SfM, MVS, splatting on another.")
+@click.command(short_help="Compare clouds of a synthetic city, and reconstructors on another.")
 @click.option("--out", type=FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
 @click.option(
     "--points",
     default=1_270_820,
     show_default=True,
     type=click.IntRange(20_000, 100_000_000),
-    help="Of the reference; candidates in proportion.",
+    help="Number of points of the reference; candidates scale with it.",
 )
-@seed_option("Of the cities and their noise.")
+@seed_option("Random seed of the cities and their noise.")
 @no_figures_option()
-@click.option("--no-bench", is_flag=True, help="Compare only.")
+@click.option("--no-bench", is_flag=True, help="Do not run the reconstructors.")
 @quiet_option
 def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
-    """Make a small city whose geometry is known exactly, a dense reference of it, a sparse and a densified candidate
-    with noise, outliers and a rigid offset (the second also gently bent), and compare them. Then photograph another
-    city and bench sparse SfM and dense MVS on it, each at two image scales, SfM with finer and coarser features, and
-    the centres and the surface of Gaussian splats (needs the extras plot, sfm, mvs, splat).
+    """Compare clouds of a synthetic city, then compare reconstructors on another.
+
+    The first city has a dense reference, and a sparse and a densified candidate with noise, outliers and a rigid
+    offset; the second candidate is also slightly deformed. Photographs of the other city are reconstructed by sparse
+    SfM and dense MVS at two image scales each, and by Gaussian splatting, as centres and as surface (extras plot, sfm,
+    mvs, splat).
     """
     from pcbench.measure.settings import Settings
     from pcbench.report.compare_files import ComparisonJob
@@ -58,19 +60,19 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     out.absolute().parent.mkdir(parents=True, exist_ok=True)
     click.get_current_context().with_resource(claim(out))
     with steps(quiet) as step:
-        step("making the city")
-        made = make_demo(points, seed)
-        files = write_demo(out, made)
+        step("building the city")
+        scene = make_demo(points, seed)
+        files = write_demo(out, scene)
     job = ComparisonJob(files.reference, files.candidates, Settings(seed=seed), {})
     comparison = compare_and_print(job, out / "report", None, figures=not no_figures, quiet=quiet)
     if not quiet:
         for candidate in comparison.candidates:
-            error = made.registration_error(candidate.name, candidate.registration.T_reference_candidate)
-            bend = made.bend_rms[candidate.name]
-            note = f" (it is bent by {1000 * bend:.0f} mm RMS, which no rigid motion undoes)" if bend else ""
-            click.echo(f"truth: {candidate.name} was registered to {1000 * error:.1f} mm RMS{note}")
+            error = scene.registration_error(candidate.name, candidate.registration.T_reference_candidate)
+            bend = scene.bend_rms[candidate.name]
+            note = f", including its deformation of {1000 * bend:.0f} mm RMS" if bend else ""
+            click.echo(f"truth: the pose of {candidate.name} is right to {1000 * error:.1f} mm RMS{note}")
         clouds = " ".join(map(str, (files.reference, *files.candidates.values())))
-        click.echo(f"again: pcbench compare {clouds} --out REPORT")
+        click.echo(f"repeat with: pcbench compare {clouds} --out REPORT")
     if not no_bench:
         _demo_bench(out, seed, figures=not no_figures, quiet=quiet)
 
@@ -85,42 +87,51 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
     with steps(quiet) as step:
         bench_job = demo_job(out / "city", seed, step)
     if not quiet:
-        click.echo(f"\nbench: sparse SfM, dense MVS and Gaussian splatting on {out / 'city'}, whose truth is known")
+        click.echo(f"\nbench: sparse SfM, dense MVS and Gaussian splatting on {out / 'city'}, with exact truth")
     _bench_and_print(bench_job, out / "bench", JsonOutput(None), figures=figures, quiet=quiet)
 
 
-@click.command(short_help="Run reconstructors side by side: time and memory against accuracy.")
+@click.command(short_help="Compare reconstructors: time and memory against accuracy.")
 @click.argument("scene", type=FILE)
-@click.option("--reference", type=FILE, required=True, help="Cloud or mesh in the frame of the scene's cameras.")
-@click.option("--method", "methods", multiple=True, metavar="NAME", help="A reconstructor, as for `reconstruct`.")
+@click.option(
+    "--reference", type=FILE, required=True, help="Reference cloud or mesh, in the frame of the scene's cameras."
+)
+@click.option("--method", "methods", multiple=True, metavar="NAME", help="A reconstructor, as in `reconstruct`.")
 @click.option(
     "--sweep",
     "sweeps",
     multiple=True,
     metavar="[METHOD.]KEY=V,V,...",
-    help="Run with each value; of several, all combinations.",
+    help="Run with each value; several sweeps give all combinations.",
 )
-@click.option("--set", "settings", multiple=True, metavar="[METHOD.]KEY=VALUE", help="Set for all that have it.")
 @click.option(
-    "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Runs of each with seeds 0 to N-1."
+    "--set", "settings", multiple=True, metavar="[METHOD.]KEY=VALUE", help="Set a setting of all methods that have it."
 )
-@click.option("--out", type=FILE, required=True, help="Folder for the bench; runs that are in it are kept.")
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop a run after this.")
+@click.option(
+    "--seeds",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 1000),
+    help="Run each configuration with seeds 0 to N-1.",
+)
+@click.option("--out", type=FILE, required=True, help="Folder for the bench; a later run resumes from it.")
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each run.")
 @cameras_option(
-    "What methods get: auto, none, or a file or folder. With none, those of the scene still register clouds."
+    "Cameras for the methods: auto, none, or a file or folder. With none, the scene's cameras still register clouds."
 )
 @masks_option
 @click.option(
     "--truth-mesh",
     type=FILE,
-    help="Of the reference's surface: accuracy is measured to it.  [default: the scene's truth/mesh.ply]",
+    help="Mesh of the true surface, to which accuracy is measured.  [default: the scene's truth/mesh.ply]",
 )
-@register_option("gauge", "By each cloud's gauge, or as for `compare`.")
+@register_option("gauge", "Registration method: by the gauge of each cloud, or as in `compare`.")
 @crop_option
 @click.option(
     "--threshold",
     metavar="LENGTH,...",
-    help="Of precision, recall and F-score; `2px` is two pixels on the ground. Charts show the last.  [1px,2px,5px]",
+    help="Distance thresholds of precision, recall and F-score; `2px` is two pixels on the ground. Charts show the"
+    " last.  [default: 1px,2px,5px]",
 )
 @no_figures_option("charts")
 @json_option("bench.json")
@@ -144,9 +155,10 @@ def bench(
     json_file: str | None,
     quiet: bool,
 ) -> None:
-    """Make clouds of SCENE with every method at every budget, each in a process of its own, and compare them with the
-    reference. KEY is image_scale or a setting of the methods. What a method does wrong is a row; what is done is kept,
-    so the same command goes on where it was stopped.
+    """Run each method at each budget in a child process, and compare its cloud with the reference.
+
+    KEY is image_scale or a setting of the methods. A failed run is recorded as a row with its reason. Finished runs are
+    kept, so that the same command resumes after an interruption.
 
     \b
     Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
@@ -181,33 +193,35 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
         doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))
         if figures:
             step("drawing the charts")
-            without = draw_if_possible(out, CHARTS)
+            problem = draw_if_possible(out, CHARTS)
     output.write(doc)
     if not quiet and not output.on_stdout:
         click.echo()
         print_bench(doc)
         click.echo(f"bench: {out}")
-    if figures and without:
-        warn(without)
+    if figures and problem:
+        warn(problem)
     if not any(row["status"] == "ok" for row in doc["rows"]):
         raise ReconstructionError(f"{out}: none of {len(doc['rows'])} runs could be measured: see the messages there")
 
 
 @click.command(short_help="Measure rendered views of scenes against their photographs.")
 @click.argument("scenes", nargs=-1, required=True, type=FILE, metavar="SCENE...")
-@click.option("--out", type=FILE, required=True, help="Folder for scores and pictures; what is in it is used again.")
-@click.option("--method", default="splat", show_default=True, metavar="NAME", help="What makes views of a scene.")
+@click.option("--out", type=FILE, required=True, help="Folder for scores and pictures; a later run resumes from it.")
+@click.option(
+    "--method", default="splat", show_default=True, metavar="NAME", help="Reconstructor that renders the views."
+)
 @click.option(
     "--hold-out",
     default="every",
     show_default=True,
     type=click.Choice(["every", "blocks"]),
-    help="Images that are not trained on: every 8th, or 8 runs of images.",
+    help="Held-out images: every 8th, or 8 blocks of images.",
 )
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="A setting of the method.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a setting of the method.")
 @cameras_option()
 @image_scale_option
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Stop the work on a scene after this.")
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each scene.")
 @no_figures_option()
 @quiet_option
 def views(
@@ -222,10 +236,11 @@ def views(
     no_figures: bool,
     quiet: bool,
 ) -> None:
-    """Print how like their photographs rendered views are: PSNR, SSIM, and LPIPS and FLIP where their packages are
-    installed, of images that were trained on and of those that were held out, a row a SCENE. A SCENE is a folder of
-    photographs, of which the method makes views first, or a folder of rendered views, or a workspace that has one
-    (OUT.work of `pcbench reconstruct`). The worst, the median and the best view of each are drawn.
+    """Compare rendered views with their photographs: PSNR, SSIM, and LPIPS and FLIP if installed.
+
+    Prints one row per SCENE, for training views and for held-out views. SCENE is a folder of photographs, whose views
+    the method renders first, a folder of rendered views, or a workspace with one (OUT.work of `pcbench reconstruct`).
+    The worst, the median and the best view are drawn.
 
     \b
     Example: pcbench views city_a/ city_b/ cloud.work/ --out views/
@@ -240,14 +255,14 @@ def views(
     job = ViewsJob(scenes, method, values, cameras, image_scale, time_limit)
     with steps(quiet) as step:
         study = run_views(job, out, step)
-        without = None
+        problem = None
         if not no_figures:
             step("drawing the pictures")
-            without = draw_if_possible(out, PICTURES)
+            problem = draw_if_possible(out, PICTURES)
     if not quiet:
         print_columns(table(study))
         for sentence in sentences(study):
             click.echo(sentence)
         click.echo(f"views: {out}")
-    if without:
-        warn(without)
+    if problem:
+        warn(problem)

@@ -1,4 +1,4 @@
-"""From what pairs show to the answer."""
+"""The verdict with its sizes, from the sums over pairs."""
 
 from __future__ import annotations
 
@@ -11,26 +11,34 @@ from pcbench.deformation.polynomials import PARAMETERS
 from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, rounded
 from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable
 from pcbench.deformation.sums import TileSums
-from pcbench.deformation.verdict import Finding, PairEvidence, climb, decide
+from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide
 
 
-def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
-    """The verdict on a pair of clouds.
+def assess_deformation(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
+    """Return the verdict on a pair of clouds.
 
     Args:
-        sums: over their pairs.
-        metric: whether both clouds' scale is known; otherwise a scale is no deformation.
-        resolution: a bend that is surely smaller is none: tangent planes through points that lie apart do not show it.
-        seed: of the folds of the cross-validation.
+        sums: sums over the pairs of points.
+        metric: whether the scale of both clouds is known; otherwise a difference of scale is no deformation.
+        resolution: deformations that are certainly smaller count as none, because tangent planes through a finite
+            spacing do not show them.
+        seed: random seed for the folds of cross-validation.
     """
     view = PairEvidence.of(sums)
     return describe(view, decide([view], metric=metric, resolution=resolution), resolution=resolution, seed=seed)
 
 
 def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
-    """A finding with all that a view's pairs say about its size, its places and what could have been found."""
+    """Return a finding with its size, its location and its detection limit.
+
+    Args:
+        view: the evidence of one kind of pairs.
+        finding: the verdict.
+        resolution: as in `assess_deformation`.
+        seed: as in `assess_deformation`.
+    """
     sums, geometry, scores, noise = view
-    rungs = climb(geometry, scores, noise, seed)
+    rungs = cross_validate(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
     changed, length, local = local_changes(geometry, noise, sums, resolution)

@@ -1,5 +1,6 @@
-"""Two parts of a scene that stand against each other, as strips or blocks do that were aligned apart: no bend explains
-them, and no smooth model should be asked to.
+"""Detection of two parts of a scene that are offset against each other, such as strips that were aligned separately.
+
+No smooth deformation explains such an offset.
 """
 
 from __future__ import annotations
@@ -13,17 +14,17 @@ from pcbench.deformation.verdict import PairEvidence
 from pcbench.geometry.arrays import FloatArray
 
 _AZIMUTHS = 18
-_MIN_SHARE = 0.25  # of what an affine field leaves: the best of all cuts explains less of noise over a tenth of a scene
-_MIN_PART = 0.1  # of the weight, on either side
+_MIN_EXPLAINED_SHARE = 0.25  # of the residual of an affine field; the best cut explains less of correlated noise
+_MIN_PART_SHARE = 0.1  # of the weight, on either side
 
 
 class Break(NamedTuple):
-    """A vertical plane at whose sides the candidate is displaced differently.
+    """A vertical plane with different displacements of the candidate on its two sides.
 
     Attributes:
-        place: (3,) on the plane.
-        azimuth: of the plane's horizontal direction, in degrees from x towards y.
-        offset: (3,) of the part to the left of that direction against the other, as far as surfaces show it.
+        place: (3,) a point of the plane.
+        azimuth: direction of the plane, in degrees from x towards y.
+        offset: (3,) displacement of the left side relative to the right side, in observable directions.
     """
 
     place: FloatArray
@@ -31,44 +32,46 @@ class Break(NamedTuple):
     offset: FloatArray
 
     def text(self, origin: FloatArray) -> str:
+        """Return a warning that names the line and the offset."""
         x, y = (self.place + origin)[:2]
         return (
-            f"two parts stand against each other by {float(np.linalg.norm(self.offset)):.2g}, on the sides of a line"
-            f" through ({x:.1f}, {y:.1f}) at {self.azimuth:.0f} degrees from x: strips or blocks that were aligned"
-            " apart look so, a bend does not"
+            f"two parts are offset against each other by {float(np.linalg.norm(self.offset)):.2g}, on both sides of a"
+            f" line through ({x:.1f}, {y:.1f}) at {self.azimuth:.0f} degrees from x: strips or blocks were probably"
+            " aligned separately"
         )
 
 
-def find_break(view: PairEvidence) -> Break | None:
-    """The vertical plane that explains most, where that is much and more than the largest smooth model explains."""
+def find_offset_parts(view: PairEvidence) -> Break | None:
+    """Return the vertical plane that explains the residuals best, if it explains more than the largest smooth model."""
     geometry, scores = view.geometry, view.scores
-    affine = geometry.half("affine")
+    affine = geometry.fields("affine")
     coefficients = affine @ (affine.T @ scores.total)
-    left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
+    residual = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
     energy = float(scores.energy.sum()) - geometry.explained(scores, "affine")
     smooth = geometry.explained(scores, "cubic") - geometry.explained(scores, "affine")
     if energy <= 0:
         return None
-    seen = np.einsum("cik,ia->cak", geometry.translations, affine)  # (C, 12, 3)
+    response = np.einsum("cik,ia->cak", geometry.translations, affine)  # (C, 12, 3)
     best = None
     for azimuth in np.arange(_AZIMUTHS) * 180.0 / _AZIMUTHS:
         along = np.array([math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth))])
         across = geometry.means[:, :2] @ np.array([-along[1], along[0]])
         order = np.argsort(across, kind="stable")
         part = np.cumsum(geometry.weights[order]) / geometry.weights.sum()
-        inner = np.flatnonzero((part >= _MIN_PART) & (part <= 1 - _MIN_PART))
-        # Of the cells below each cut; what those above add has the opposite sign.
-        h, g = np.cumsum(left[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
-        z = np.cumsum(seen[order], axis=0)[inner]
+        inner = np.flatnonzero((part >= _MIN_PART_SHARE) & (part <= 1 - _MIN_PART_SHARE))
+        # Sums over the cells below each cut; the cells above contribute with the opposite sign.
+        h, g = np.cumsum(residual[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
+        z = np.cumsum(response[order], axis=0)[inner]
         matrix = g - np.einsum("cak,cal->ckl", z, z)
         values, vectors = np.linalg.eigh(matrix)
         modes = np.einsum("ckm,ck->cm", vectors, h)
-        shown = values > 0.01 * geometry.total
-        power = np.where(shown, np.square(modes) / np.where(shown, values, 1.0), 0.0).sum(axis=1)
+        is_observable = values > 0.01 * geometry.total
+        power = np.where(is_observable, np.square(modes) / np.where(is_observable, values, 1.0), 0.0).sum(axis=1)
         cut = int(np.argmax(power)) if len(power) else 0
         if len(power) and (best is None or power[cut] > best[0]):
-            offset = vectors[cut] @ np.where(shown[cut], modes[cut] / np.where(shown[cut], values[cut], 1.0), 0.0)
+            observable = is_observable[cut]
+            offset = vectors[cut] @ np.where(observable, modes[cut] / np.where(observable, values[cut], 1.0), 0.0)
             best = float(power[cut]), geometry.means[order[inner[cut]]], float(azimuth), -offset
-    if best is None or best[0] < max(_MIN_SHARE * energy, smooth):
+    if best is None or best[0] < max(_MIN_EXPLAINED_SHARE * energy, smooth):
         return None
     return Break(*best[1:])

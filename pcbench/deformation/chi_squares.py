@@ -1,11 +1,12 @@
-"""Tails of weighted sums of chi squares, Q = sum_i w_i z_i^2 with standard normal z_i, by which the tests are judged.
+"""Tail probabilities of weighted sums of chi-squared variables, Q = sum_i w_i z_i^2 with standard normal z_i.
 
 P(Q > x) is the integral of exp(K(t) - t x) / t over 2 pi i, where K(t) = -1/2 sum log(1 - 2 w_i t) is the cumulant
-generating function, along any path from below to above that crosses the real axis between 0 and 1 / (2 max w). On a
-path through the integrand's saddle point (Rice 1980, SIAM J. Sci. Stat. Comput. 1, 438), bent like the steepest descent
-there, nothing oscillates: thirty nodes of the trapezoidal rule do, and the error is a share of the tail, however small
-that is. Imhof's integral (1961) is along the imaginary axis, where a tail of 1e-8 is what is left of terms near one; a
-scaled chi square of the same two moments (Satterthwaite 1946) is wrong by orders of magnitude at 1e-5.
+generating function, along any upward path that crosses the real axis between 0 and 1 / (2 max w). The path here goes
+through the saddle point of the integrand (Rice 1980, SIAM J. Sci. Stat. Comput. 1, 438) and follows the curvature of
+the steepest descent. There the integrand does not oscillate, so that thirty nodes of the trapezoidal rule suffice, and
+the relative error is small for tiny tails too. Imhof's integral (1961) along the imaginary axis loses a tail of 1e-8 by
+cancellation. A scaled chi-squared variable with the same two moments (Satterthwaite 1946) is wrong by orders of
+magnitude at 1e-5.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_STEP, _REACH = 0.2, 6.0  # of the nodes u; the path is at sinh(u) times its width, which covers weights of all sizes
-_MAX_NEWTON_STEPS = 100  # a bracket is halved at worst
-_NEAR_SADDLE = 1e-3  # the path need not pass exactly through it
-_NEAR_POINT = 1e-9  # a share of the tail
-_MIN_VALUE = 1e-33  # of the largest weight: what lies below has a probability of less than 1e-16
-_MAX_EXPONENT = 750.0  # exp of less than its negative is zero
+_NODE_STEP, _MAX_NODE = 0.2, 6.0  # of the nodes u; the path is at sinh(u) times its width, for weights of any size
+_MAX_NEWTON_STEPS = 100  # each step at least halves the bracket
+_SADDLE_TOLERANCE = 1e-3  # relative; the path need not pass exactly through the saddle point
+_TAIL_TOLERANCE = 1e-9  # relative
+_MIN_VALUE = 1e-33  # share of the largest weight; smaller values have a probability below 1e-16
+_MAX_EXPONENT = 750.0  # exp(-750) underflows to zero
 
 
 def chi_squares_tail(value: float, weights: FloatArray) -> float:
-    """P(sum of weights (N,) times chi^2_1 > value), with a relative error below 1e-4.
+    """Return P(sum of weights (N,) times chi^2_1 > value), with a relative error below 1e-4.
 
-    Weights of zero and less, which rounding leaves of an eigenvalue of zero, count as none.
+    Weights of at most zero, which come from rounded eigenvalues of zero, are ignored.
     """
     weights = weights[weights > 0]
     if value <= 0:
@@ -42,12 +43,12 @@ def chi_squares_tail(value: float, weights: FloatArray) -> float:
         return 0.0
     if x >= float(relative.sum()):
         return min(1.0, _integral(x, relative, 0.0, 0.5))
-    # Below the mean the pole at 0 is too near: on its other side the same integral is less by one.
+    # Below the mean the path would be too close to the pole at 0. On its other side the integral is smaller by one.
     return min(1.0, max(0.0, 1.0 - _integral(x, relative, -(0.5 * len(relative) + 1) / x, 0.0)))
 
 
 def chi_squares_point(tail: float, weights: FloatArray) -> float:
-    """The value that `chi_squares_tail` gives the probability `tail` (0 to 1, neither included)."""
+    """Return the value at which `chi_squares_tail` is `tail`, a probability strictly between 0 and 1."""
 
     def excess(value: float) -> float:
         return math.log(max(chi_squares_tail(value, weights), 1e-300) / tail)
@@ -60,8 +61,8 @@ def chi_squares_point(tail: float, weights: FloatArray) -> float:
     other = value * factor
     while (beyond := excess(other)) * known > 0:
         value, known, other = other, beyond, other * factor
-    # False position, in Illinois fashion: the logarithm of a tail is nearly straight.
-    while abs(known) > _NEAR_POINT and value != other:
+    # Regula falsi (Illinois variant): the logarithm of the tail is nearly linear.
+    while abs(known) > _TAIL_TOLERANCE and value != other:
         middle = (value * beyond - other * known) / (beyond - known)
         between = excess(middle)
         if between * known < 0:
@@ -73,7 +74,7 @@ def chi_squares_point(tail: float, weights: FloatArray) -> float:
 
 
 def chi_square_tails(values: FloatArray, freedom: IntArray) -> FloatArray:
-    """P(chi^2 with 1, 2 or 3 degrees of freedom > value), for each of (N,)."""
+    """Return P(chi^2 > value) for values (N,) with 1, 2 or 3 degrees of freedom (N,)."""
     root = np.sqrt(0.5 * values)
     odd = np.array([math.erfc(r) for r in root])
     third = odd + 2 / math.sqrt(math.pi) * root * np.exp(-0.5 * values)
@@ -81,10 +82,15 @@ def chi_square_tails(values: FloatArray, freedom: IntArray) -> FloatArray:
 
 
 def _integral(x: float, w: FloatArray, low: float, high: float) -> float:
-    """|1 / 2 pi i times the integral of exp(K(t) - t x) / t| along a path that crosses the real axis between two of the
-    integrand's singular places; the largest of the weights is one.
+    """Return |1 / 2 pi i times the integral of exp(K(t) - t x) / t| along a path between two singularities.
+
+    Args:
+        x: the value, relative to the largest weight.
+        w: (N,) weights, the largest of which is 1.
+        low: the singularity to the left of the path on the real axis.
+        high: the singularity to the right.
     """
-    # The saddle point is the least value of log |exp(K(t) - t x) / t|, which is convex between its singular places.
+    # The saddle point minimises log |exp(K(t) - t x) / t| on the real axis, which is convex between singularities.
     t = 0.5 * (low + high)
     for _ in range(_MAX_NEWTON_STEPS):
         share = w / (1 - 2 * w * t)
@@ -94,18 +100,20 @@ def _integral(x: float, w: FloatArray, low: float, high: float) -> float:
         last, t = t, t - slope / curvature
         if not low < t < high:
             t = 0.5 * (low + high)
-        if abs(t - last) <= _NEAR_SADDLE * min(abs(t), 0.5 - t):
+        if abs(t - last) <= _SADDLE_TOLERANCE * min(abs(t), 0.5 - t):
             break
     share = w / (1 - 2 * w * t)
     curvature = 2 * float(share @ share) + 1 / t**2
     third = 8 * float((share**3).sum()) - 2 / t**3
-    bow = max(0.0, third / (6 * curvature))  # of the steepest descent; to the right, where exp(-t x) falls
-    u = np.arange(0.0, _REACH, _STEP)
+    bow = max(
+        0.0, third / (6 * curvature)
+    )  # curvature of the steepest descent, to the right, where exp(-t x) decreases
+    u = np.arange(0.0, _MAX_NODE, _NODE_STEP)
     up, speed = np.sinh(u) / math.sqrt(curvature), np.cosh(u) / math.sqrt(curvature)
     path = t + 1j * up + bow * up**2
     direction = (1j + 2 * bow * up) * speed
-    # Against the saddle point's value, so that nothing underflows before the end.
+    # Relative to the value at the saddle point, which prevents underflow.
     growth = -0.5 * np.log1p(-2 * np.outer(path - t, share)).sum(axis=1) - (path - t) * x
     nodes = (np.exp(growth) / path * direction).imag
     height = -0.5 * float(np.log1p(-2 * t * w).sum()) - t * x
-    return abs(float(nodes.sum() - 0.5 * nodes[0])) * _STEP / math.pi * math.exp(height)
+    return abs(float(nodes.sum() - 0.5 * nodes[0])) * _NODE_STEP / math.pi * math.exp(height)

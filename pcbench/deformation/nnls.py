@@ -12,7 +12,7 @@ from pcbench.geometry.arrays import FloatArray
 
 
 def nonnegative_least_squares(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """argmin |matrix x - values| over x >= 0, for a matrix (M, N) and values (M,): x (N,).
+    """Return the x (N,) >= 0 that minimises |matrix x - values|, for a matrix (M, N) and values (M,).
 
     The active-set method of Lawson & Hanson 1974, chapter 23.
     """

@@ -1,8 +1,8 @@
-"""From two aligned clouds to the pairs that a deformation is measured on.
+"""Pairs of points and tangent planes of two aligned clouds, on which a deformation is measured.
 
-Weights are found under the largest model and only then frozen: a robust fit that grows from the rigid model takes a
-bend of many standard deviations for outliers and never sees it. Closest points are found twice, under that model and
-under none: where points fill a volume, whatever is assumed finds closest points that bear it out.
+Weights are determined under the largest model and then frozen: a robust fit that starts from the rigid model would
+reject a deformation of many standard deviations as outliers. Closest points are found twice, under the largest model
+and under none, because in a volume closest points seem to confirm any assumed deformation.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.blocks import noise_sizes, smoothed
+from pcbench.deformation.blocks import estimate_noise_sizes, smooth
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
@@ -23,19 +23,20 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cells, voxel_downsample_to
 
 _MAX_PAIRS = 20_000
-_MAX_COARSE_PAIRS = 5_000  # of all but the last rounds
+_MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
 MIN_PAIRS = 300
-_LAST_FITS, _HALF_FOLLOWED_LAST = 12, 1e-4  # far fewer fits but where a part that moved is let go
-_SETTLED = 0.01  # of the noise
-_TUKEY = 4.685  # standard deviations: 95 % efficient for normal residuals
-_MIN_SLOPE = 0.2  # of the mean influence of a residual: below it, nearly all are outliers
-CELLS_ALONG = 16  # of the scene's extent, at first
-_MIN_TILES = 60  # wanted of the middle size
-_MAX_CELLS = 480  # more only cost time
-_NEIGHBORS = 8  # that a place is the mean of
-_ROUGH = 4.0  # times the lower quartile of the surface variation: a pair that is so rough counts a quarter
-_MAX_ROUGH = 0.005  # surface variation; whatever the scene, a pair that is so rough counts a quarter: it is no plane
+_MAX_LAST_FITS = 12  # needed only if a part moved separately
+_LAST_HALF_INFORMATION = 1e-4  # relative
+_CONVERGENCE_SHARE = 0.01  # of the noise
+_TUKEY_WIDTH = 4.685  # standard deviations; 95 % efficient for normal residuals
+_MIN_SLOPE = 0.2  # mean slope of the influence function; below it, nearly all residuals are outliers
+CELLS_ALONG = 16  # initial number along the scene's extent
+_MIN_TILES = 60  # cells become smaller until there are as many tiles
+_MAX_CELLS = 480  # more cost time without a gain
+_POSITION_NEIGHBORS = 8  # a pair's position is their mean
+_VARIATION_RATIO = 4.0  # to the lower quartile of the surface variation; a pair with this ratio has weight 1/4
+_MAX_VARIATION = 0.005  # surface variation at which a pair has at most weight 1/4, in any scene
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
 
 
@@ -45,8 +46,8 @@ class Side:
 
     Attributes:
         surface: its points and normals.
-        inside: (N,) which points may be asked for; all are searched.
-        cloud: as it was read: classes, coordinate system, unit.
+        inside: (N,) whether a point can be a query; all points are searched.
+        cloud: the original cloud with classes, coordinate system and unit.
     """
 
     surface: Surface
@@ -55,10 +56,11 @@ class Side:
 
     @property
     def is_metric(self) -> bool:
+        """Whether the unit of the cloud is known."""
         return self.cloud.unit is not None or self.cloud.crs is not None
 
     def class_weights(self, rows: IntArray) -> FloatArray:
-        """(M,) of points by their LAS class; one where there is none."""
+        """Return the weights (M,) of points by LAS class; 1 without classes."""
         classes = self.cloud.attributes.get("classification")
         if classes is None:
             return np.ones(len(rows))
@@ -70,25 +72,25 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Frozen pairs, N of them.
+    """N pairs with frozen residuals and weights.
 
-    Outliers are limited by pseudo-values (Huber 1981, section 7.10): with these residuals and weights, least squares
-    gives the robust fit, and its residuals scatter as that fit does. Weights that depend on residuals do not: they
-    shrink the residuals' moments but not the fit's variance (by 1.46 for normal residuals).
+    Pseudo-values (Huber 1981, section 7.10) limit outliers: least squares with these residuals and weights gives the
+    robust fit, and the residuals have the variance of that fit. Weights that depend on residuals would not: they reduce
+    the moments of the residuals but not the variance of the fit (by 1.46 for normal residuals).
 
     Attributes:
-        places: (N, 3).
+        places: (N, 3) positions.
         normals: (N, 3) unit normals of the planes.
-        residuals: (N,) n . (p - q), outliers limited.
+        residuals: (N,) n . (p - q), with limited outliers.
         weights: (N,) from 0 to 1.
-        scales: (N,) sizes of the noise, about 1.
-        left: (N,) residuals of the largest model, outliers limited.
-        apart: (N,) the same as measured.
+        scales: (N,) relative sizes of the noise, about 1.
+        left: (N,) residuals of the largest model, with limited outliers.
+        apart: (N,) residuals of the largest model, as measured.
         quality: (N,) the part of the weights that does not depend on the residuals.
-        areas: (N,) of surface that a pair stands for, in any unit.
-        inliers: share of the pairs that lie within the robust fit's reach.
-        rough: share of the pairs in places that are no smooth surface.
-        spacing: of the points that the planes come from.
+        areas: (N,) relative area of surface that each pair represents.
+        inliers: share of the pairs within the range of the robust fit.
+        rough: share of the pairs on rough surface.
+        spacing: spacing of the points from which the planes are estimated.
         distance: median distance of the closest points.
     """
 
@@ -108,19 +110,27 @@ class Pairs:
 
 
 def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs | None:
-    """Pairs of evenly spread points of the sparser cloud with tangent planes at their closest points of the denser one.
+    """Pair evenly sampled points of the sparser cloud with tangent planes at their closest points of the denser cloud.
 
-    The maximum correspondence distance shrinks while the largest model is fitted, then Tukey's biweight decides.
-    Closest points are those of the points that the model brings back (`follow`), or of the points as they are. None
-    where there are too few pairs.
+    The maximum correspondence distance decreases while the largest model is fitted; then Tukey's biweight selects
+    inliers.
+
+    Args:
+        reference: the reference.
+        candidate: the candidate.
+        follow: whether closest points are searched after the fitted model is undone; otherwise the points are used as
+            they are.
+
+    Returns:
+        The pairs, or None if there are too few.
     """
     swapped = len(candidate.surface) > len(reference.surface)
     queries, surface = (reference, candidate) if swapped else (candidate, reference)
     sign = -1.0 if swapped else 1.0  # query minus closest point, times the sign: candidate minus reference
-    spread = _spread_queries(queries, surface)
-    if spread is None:
+    selection = _select_queries(queries, surface)
+    if selection is None:
         return None
-    rows, max_distance = spread
+    rows, max_distance = selection
     fitted = _graduated_fit(queries, surface, rows, max_distance, sign=sign, follow=follow)
     if fitted is None:
         return None
@@ -129,7 +139,7 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
 
 
 class _PlanePairs(NamedTuple):
-    """Closest points within the maximum correspondence distance, N pairs, and how much each of them counts."""
+    """N closest points within the maximum correspondence distance, with their weights."""
 
     queries: FloatArray  # (N, 3) points of the sparser cloud
     closest: IntArray  # (N,) rows of the denser cloud
@@ -143,18 +153,17 @@ class _PlanePairs(NamedTuple):
     noise: float  # robust standard deviation of the residuals from the model
 
 
-def _spread_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | None:
-    """Rows of evenly spread points that may have a counterpart, and the first maximum correspondence distance."""
+def _select_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | None:
+    """Return indices of evenly sampled points that may have a counterpart, and the initial maximum distance."""
     rows = np.flatnonzero(queries.inside)
     if len(rows) < MIN_PAIRS or len(surface.surface) < MIN_PAIRS:
         return None
     points = queries.surface.points[rows]
     if extent(points) == 0 or surface.surface.spacing == 0:
-        return None  # one place, however often
+        return None  # all points coincide
     rows = rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
-    # The nearest tenth lies on the surface however little the clouds overlap, and bends are a few times as far. Voxel
-    # downsampling leaves strays, which fill space, more than their share: what is far off is dropped before it is
-    # counted.
+    # The nearest tenth lies on the surface even for a small overlap, and deformations are a few times as large. Voxel
+    # downsampling over-represents outliers, which fill space: distant points are dropped before the limit applies.
     distances = surface.surface.index.query(queries.surface.points[rows]).distances
     lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
     max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing)
@@ -165,21 +174,21 @@ def _spread_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | No
 def _graduated_fit(
     queries: Side, surface: Side, rows: IntArray, max_distance: float, *, sign: float, follow: bool
 ) -> tuple[_PlanePairs, Displacement] | None:
-    """Fit the largest model in rounds of closest points; the pairs of the last round and the model fitted to them."""
+    """Fit the largest model in rounds of closest points; return the pairs of the last round and the fitted model."""
     points = queries.surface.points[rows]
     step = max(1, len(rows) // _MAX_COARSE_PAIRS)
     lower, upper = np.percentile(points, [1, 99], axis=0)
-    field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
+    field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     min_distance = 4 * surface.surface.spacing
-    for number in range(_ROUNDS):
-        final = number >= _ROUNDS - 3
-        some = rows if final else rows[::step]
-        found = _closest_planes(queries, surface, some, field, max_distance, sign=sign, follow=follow, final=final)
-        if found is None or not found.weights.any():
+    for round_index in range(_ROUNDS):
+        final = round_index >= _ROUNDS - 3
+        sample = rows if final else rows[::step]
+        matches = _closest_planes(queries, surface, sample, field, max_distance, sign=sign, follow=follow, final=final)
+        if matches is None or not matches.weights.any():
             return None
-        pairs = found
-        field = field.fitted(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
-        narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
+        pairs = matches
+        field = field.fit(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
+        narrower = 0.6 * max_distance if round_index < _ROUNDS - 4 else 0.0
         max_distance = max(narrower, min_distance, min(4 * pairs.noise, max_distance))
     return pairs, field
 
@@ -195,32 +204,33 @@ def _closest_planes(
     follow: bool,
     final: bool,
 ) -> _PlanePairs | None:
-    """Pairs of query points with tangent planes within a distance, weighted; None where there are too few.
+    """Pair query points with tangent planes within a distance and weight them; None if there are too few pairs.
 
     Args:
-        queries, surface: the sparser and the denser cloud.
-        rows: of the query points.
-        field: the model so far.
+        queries: the sparser cloud.
+        surface: the denser cloud.
+        rows: indices of the query points.
+        field: the current model.
         max_distance: the maximum correspondence distance.
-        sign: times query minus closest point is candidate minus reference.
-        follow: whether closest points are those of the points that the model brings back.
-        final: whether the weights follow the local noise; before, nearly all pairs within the distance count.
+        sign: 1 if the queries are the candidate, -1 if they are the reference.
+        follow: whether closest points are searched after the model is undone.
+        final: whether the weights follow the local noise; in earlier rounds nearly all pairs within the distance count.
     """
     points, index = queries.surface.points[rows], surface.surface.index
-    bend = field(points)
-    distances, closest = index.query(points - sign * bend if follow else points)
+    displacement = field(points)
+    distances, closest = index.query(points - sign * displacement if follow else points)
     near = np.flatnonzero(distances <= max_distance)
     if len(near) < MIN_PAIRS:
         return None
     points, closest = points[near], closest[near]
     normals = surface.surface.normals(closest)
     residuals = sign * np.einsum("ni,ni->n", points - index.points[closest], normals)
-    left = residuals - np.einsum("ni,ni->n", bend[near], normals)
-    noise = 1.4826 * float(np.median(np.abs(left)))
+    deviations = residuals - np.einsum("ni,ni->n", displacement[near], normals)
+    noise = 1.4826 * float(np.median(np.abs(deviations)))
     variation = surface.surface.variation(closest)
     quality = _smoothness(variation) * (queries.class_weights(rows[near]) * surface.class_weights(closest))
-    sizes = noise_sizes(points, left, quality) if final else np.full(len(left), noise)
-    width = np.maximum(_TUKEY * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
+    sizes = estimate_noise_sizes(points, deviations, quality) if final else np.full(len(deviations), noise)
+    width = np.maximum(_TUKEY_WIDTH * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
     return _PlanePairs(
         points,
         closest,
@@ -230,27 +240,27 @@ def _closest_planes(
         quality,
         variation,
         width,
-        weights=quality * np.square(1 - _squared_ratios(left, width)),
+        weights=quality * np.square(1 - _squared_ratios(deviations, width)),
         noise=noise,
     )
 
 
 def _squared_ratios(left: FloatArray, width: FloatArray) -> FloatArray:
-    """Squares of residuals (N,) over the width of Tukey's biweight, at most 1: there the weight is zero."""
+    """Return squared residuals (N,) relative to the width of Tukey's biweight, at most 1, where the weight is zero."""
     squared: FloatArray = np.square(np.clip(left / width, -1, 1))
     return squared
 
 
 def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
-    """The robust fit to pairs that no longer change, as pseudo-values for least squares."""
+    """Return the robust fit to fixed pairs as pseudo-values for least squares."""
     places = _local_means(surface.index, pairs.closest)
     quality = pairs.quality
     fitted, left = _last_fit(pairs, field, places)
     squared = _squared_ratios(left, pairs.width)
     slopes = (1 - squared) * (1 - 5 * squared)  # of Tukey's influence function left * (1 - squared)^2
-    mean_slope = np.maximum(smoothed(pairs.queries, slopes, quality), _MIN_SLOPE)
+    mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope
-    power = smoothed(pairs.queries, np.square(limited), quality)
+    power = smooth(pairs.queries, np.square(limited), quality)
     return Pairs(
         places,
         pairs.normals,
@@ -262,41 +272,42 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
         quality=quality,
         areas=_areas(pairs.queries),
         inliers=float(np.average(squared < 1, weights=quality)),
-        rough=float(np.mean(pairs.variation > _MAX_ROUGH)),
+        rough=float(np.mean(pairs.variation > _MAX_VARIATION)),
         spacing=surface.spacing,
         distance=float(np.median(pairs.distances)),
     )
 
 
 def _local_means(index: Index, rows: IntArray) -> FloatArray:
-    """Means (N, 3) of the nearest other points of rows (N,) of an index.
+    """Return the mean (N, 3) of the nearest neighbours of each of the points (N,) of an index.
 
-    A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
+    A point's noise is part of its residual. Its position comes from its neighbours, so that noise does not look like a
+    slope.
     """
-    around = index.query(index.points[rows], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
+    around = index.query(index.points[rows], min(_POSITION_NEIGHBORS + 1, len(index))).indices[:, 1:]
     means: FloatArray = index.points[around].mean(axis=1)
     return means
 
 
 def _last_fit(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The model along the normals (N,) and the residuals from it (N,), by iteratively reweighted least squares.
+    """Return the fitted displacement along the normals (N,) and the residuals (N,), by reweighted least squares.
 
-    The model follows all that these pairs show, as no further closest points are looked for.
+    Damping is weak here, because no further closest points are searched.
     """
     weights = pairs.weights
     left = np.full(len(pairs.residuals), np.inf)
-    for _ in range(_LAST_FITS):
-        field = field.fitted(places, pairs.normals, pairs.residuals, weights, pairs.noise, _HALF_FOLLOWED_LAST)
+    for _ in range(_MAX_LAST_FITS):
+        field = field.fit(places, pairs.normals, pairs.residuals, weights, pairs.noise, _LAST_HALF_INFORMATION)
         fitted: FloatArray = np.einsum("ni,ni->n", field(places), pairs.normals)
-        before, left = left, pairs.residuals - fitted
-        if np.abs(left - before).max() <= _SETTLED * pairs.noise:
+        previous, left = left, pairs.residuals - fitted
+        if np.abs(left - previous).max() <= _CONVERGENCE_SHARE * pairs.noise:
             break
         weights = pairs.quality * np.square(1 - _squared_ratios(left, pairs.width))
     return fitted, left
 
 
 def tile_sums(pairs: Pairs) -> TileSums:
-    """Sums over cells that are as large as the scene allows: about 60 tiles of two cells' edge."""
+    """Return the sums over cells, with cells small enough for about 60 tiles."""
     counted = pairs.places[pairs.weights > 0]
     lower, upper = np.percentile(counted, [1, 99], axis=0)
     span = float((upper - lower).max())
@@ -327,16 +338,17 @@ def tile_sums(pairs: Pairs) -> TileSums:
 
 
 def _smoothness(variation: FloatArray) -> FloatArray:
-    """Weights (M,) of points of a surface: edges and foliage are no planes, and what is rougher than the smooth quarter
-    of the scene counts less.
+    """Return weights (M,) from surface variation.
+
+    Edges, foliage, and points much rougher than the smoothest quarter of the scene have low weights.
     """
-    limit = min(_MAX_ROUGH, _ROUGH * max(float(np.percentile(variation, 25)), 1e-6))
+    limit = min(_MAX_VARIATION, _VARIATION_RATIO * max(float(np.percentile(variation, 25)), 1e-6))
     weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
     return weights
 
 
 def _areas(points: FloatArray) -> FloatArray:
-    """(N,) of surface that each point stands for, relative: voxels of two spacings hold about as much of it each."""
+    """Return the relative area (N,) that each point represents; voxels of two spacings have about equal area."""
     side = 2 * median_spacing(Index(points))
     if side == 0:
         return np.ones(len(points))
@@ -345,6 +357,6 @@ def _areas(points: FloatArray) -> FloatArray:
 
 
 def extent(points: FloatArray) -> float:
-    """Longest side of the box that holds the inner 98 % along each axis."""
+    """Return the longest side of the box that contains the inner 98 % of the points along each axis."""
     lower, upper = np.percentile(points, [1, 99], axis=0)
     return float((upper - lower).max())

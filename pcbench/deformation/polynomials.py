@@ -1,8 +1,8 @@
-"""Displacement fields that are polynomials of the place: monomials, products of them, and the rungs of a ladder.
+"""Polynomial displacement fields: monomials, their products, and the nested models.
 
 A field is u(x) = sum_a c_a phi_a(x), with one coefficient vector (3,) for each of the 20 monomials phi of degree up to
-three. Coefficients are kept as (60,), the three components of a monomial side by side, monomials by degree: the
-first 12 are the affine fields, the first 30 the quadratic ones.
+three. Coefficients are stored as (60,), the three components of each monomial together, sorted by degree: the first 12
+are the affine fields, the first 30 the quadratic ones.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ DEGREE = 3
 
 
 def _exponents(degree: int) -> IntArray:
-    """Exponents (M, 3) of all monomials up to a degree, by degree: 1, z, y, x, zz, yz, ..."""
+    """Return the exponents (M, 3) of all monomials up to a degree, sorted by degree: 1, z, y, x, zz, yz, ..."""
     powers = [p for p in product(range(degree + 1), repeat=3) if sum(p) <= degree]
     return np.array(sorted(powers, key=lambda p: (sum(p), p)), dtype=np.int64)
 
 
 EXPONENTS = _exponents(DEGREE)  # (20, 3)
-_PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): all that products of two of them can be
-_PLACE = {tuple(powers): place for place, powers in enumerate(_PRODUCTS.tolist())}
-# Each monomial is an earlier one times a coordinate: (which, axis).
+_PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): exponents of products of two monomials
+_INDEX = {tuple(powers): index for index, powers in enumerate(_PRODUCTS.tolist())}
+# Each monomial is an earlier one times a coordinate: (index, axis).
 _STEPS = [
-    (_PLACE[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
+    (_INDEX[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
     for powers in _PRODUCTS[1:].tolist()
     for axis in [next(k for k in range(3) if powers[k])]
 ]
-_PRODUCT = np.array([[_PLACE[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])  # (20, 20) -> 84
+_PRODUCT = np.array([[_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])  # (20, 20) -> 84
 _ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
-_ALL = np.zeros(1, dtype=np.int64)  # one group
+_ONE_GROUP = np.zeros(1, dtype=np.int64)
 
 
 def monomials(places: FloatArray) -> FloatArray:
-    """(20, N) values of the monomials at places (N, 3)."""
+    """Return the values (20, N) of the monomials at positions (N, 3)."""
     values = np.empty((len(EXPONENTS), len(places)))
     values[0] = 1.0
     coordinates = np.ascontiguousarray(places.T)
@@ -50,12 +50,19 @@ def monomials(places: FloatArray) -> FloatArray:
 
 
 def normal_equations(
-    places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray, starts: IntArray = _ALL
+    places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray, starts: IntArray = _ONE_GROUP
 ) -> tuple[FloatArray, FloatArray]:
-    """All that the normal equations of a cubic field hold, for each group of pairs; `starts` (G,) are their first rows.
+    """Return the moments and scores of the normal equations of a cubic field for groups of pairs.
 
-    The residual's derivative by the coefficients is phi (x) n, so each entry of the (60, 60) normal matrix is the sum
-    of a monomial of degree up to six times an entry of n n': 504 numbers instead of 1830.
+    The gradient of the residual with respect to the coefficients is phi (x) n. Each entry of the (60, 60) normal matrix
+    is therefore a sum of a monomial of degree up to six times an entry of n n': 504 values instead of 1830.
+
+    Args:
+        places: (N, 3) positions.
+        normals: (N, 3) unit normals.
+        weights: (N,) weights.
+        residuals: (N,) residuals.
+        starts: (G,) index of the first pair of each group.
 
     Returns:
         Moments (G, 84, 6), sums of w phi_a phi_b n n', and scores (G, 20, 3), sums of w phi n r, their right side.
@@ -68,7 +75,7 @@ def normal_equations(
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:
-    """(..., 60, 60) from moments (..., 84, 6)."""
+    """Return the normal matrix (..., 60, 60) from moments (..., 84, 6)."""
     blocks = moments[..., _PRODUCT[:, :, None, None], _ENTRY[None, None]]  # (..., 20, 20, 3, 3)
     size = 3 * len(EXPONENTS)
     matrix: FloatArray = np.swapaxes(blocks, -3, -2).reshape(*moments.shape[:-2], size, size)
@@ -76,34 +83,34 @@ def normal_matrix(moments: FloatArray) -> FloatArray:
 
 
 def translation_columns(moments: FloatArray) -> FloatArray:
-    """(..., 60, 3): the columns of `normal_matrix` that belong to a common translation."""
+    """Return the columns (..., 60, 3) of `normal_matrix` that belong to a translation."""
     blocks = moments[..., _PRODUCT[:, 0, None, None], _ENTRY[None]]  # (..., 20, 3, 3)
     columns: FloatArray = blocks.reshape(*moments.shape[:-2], 3 * len(EXPONENTS), 3)
     return columns
 
 
 def gram(moments: FloatArray) -> FloatArray:
-    """(20, 20) sums of w phi_a phi_b: the traces of n n' are one."""
+    """Return the sums (20, 20) of w phi_a phi_b, by the trace of n n', which is 1."""
     sums: FloatArray = moments[:, :3].sum(axis=1)[_PRODUCT]
     return sums
 
 
 def derivative_squares(squares: FloatArray) -> FloatArray:
-    """(20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
-    row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
-    found = np.zeros(len(EXPONENTS))
-    for number, powers in enumerate(EXPONENTS.tolist()):
+    """Return the mean squared gradients (20,) of the monomials from their mean products (20, 20)."""
+    row = {tuple(powers): index for index, powers in enumerate(EXPONENTS.tolist())}
+    gradients = np.zeros(len(EXPONENTS))
+    for index, powers in enumerate(EXPONENTS.tolist()):
         for axis in range(3):
             if powers[axis]:
                 lower = row[tuple(p - (k == axis) for k, p in enumerate(powers))]
-                found[number] += powers[axis] ** 2 * squares[lower, lower]
-    return found
+                gradients[index] += powers[axis] ** 2 * squares[lower, lower]
+    return gradients
 
 
 def model_columns(model: str) -> FloatArray:
-    """(60, P) coefficients of the fields that a model consists of.
+    """Return the coefficients (60, P) of the fields of a model.
 
-    Rotations are the linearised ones, e x x: a pair that is nearly registered needs no more.
+    Rotations are linearised as e x x, which suffices for registered pairs.
     """
     size = 3 * len(EXPONENTS)
     if model not in ("rigid", "similarity"):
@@ -123,10 +130,10 @@ def model_columns(model: str) -> FloatArray:
 
 
 def mean_and_spread(moments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean place (..., 3) and mean squared distance from it (...,) of the pairs behind moments (..., 84, 6)."""
+    """Return the mean position (..., 3) and the mean squared distance from it (...,) from moments (..., 84, 6)."""
     sums = moments[..., :3].sum(axis=-1)
     weight = np.maximum(sums[..., 0], 1e-300)
     axes = np.eye(3, dtype=int)
-    mean = np.stack([sums[..., _PLACE[tuple(axis.tolist())]] / weight for axis in axes], axis=-1)
-    squares = sum(sums[..., _PLACE[tuple((2 * axis).tolist())]] for axis in axes) / weight
+    mean = np.stack([sums[..., _INDEX[tuple(axis.tolist())]] / weight for axis in axes], axis=-1)
+    squares = sum(sums[..., _INDEX[tuple((2 * axis).tolist())]] for axis in axes) / weight
     return mean, np.maximum(squares - np.square(mean).sum(axis=-1), 0.0)

@@ -1,6 +1,6 @@
-"""The answer as types: the names and the order of their fields are those of the JSON that a report holds.
+"""The result types of the test for deformation. Names and order of their fields are those of the JSON.
 
-A number that does not exist is None. Lengths are in the clouds' unit, shares from 0 to 1.
+Missing numbers are None. Lengths are in the clouds' unit, shares from 0 to 1.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from numpy.typing import NDArray
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-POSE_NOT_FIXED = "pose-not-fixed"  # the geometry does not fix some motion: the verdict speaks of what it does fix
-_MOVED = 5.0  # standard deviations of a pair's noise, from which on a changed tile is worth a word
+POSE_NOT_FIXED = "pose-not-fixed"  # code of the warning that the geometry does not determine the pose
+_MIN_MOVED_SIGMAS = 5.0  # change of a tile that is reported, in standard deviations of a pair's noise
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
 
 @dataclass(frozen=True)
-class Rung:
-    """How well one of the five nested models does.
+class ModelScore:
+    """Cross-validation score of one of the five nested models.
 
     Attributes:
         model: rigid, similarity, affine, quadratic or cubic.
-        parameters: their number.
-        cv_score: mean square residual of tiles that were left out of the fit, in squared units.
+        parameters: number of its parameters.
+        cv_score: mean square residual of held-out tiles, in squared units.
         cv_se: standard error of `cv_score`, in squared units.
         bic_eff: Bayesian information criterion with the effective number of pairs.
-        rms_explained: along the normals, beyond the rigid model, in the clouds' unit.
+        rms_explained: RMS displacement along the normals beyond the rigid model, in the clouds' unit.
     """
 
     model: str
@@ -46,14 +46,15 @@ class Rung:
 
 @dataclass(frozen=True)
 class Amplitude:
-    """Size of the displacement along the normals beyond an affine one, in the clouds' unit, freed of noise.
+    """Size of the displacement along the normals beyond an affine one, in the clouds' unit, corrected for noise.
 
     Attributes:
-        rms: over the pairs as they count in the fit: smooth places count more than rough ones.
-        p95, max: of the RMS in a cell.
-        ci: 95 % interval of `rms`.
-        rms_surface: over the surface by its area, walls and rough places included.
-        ci_surface: 95 % interval of `rms_surface`.
+        rms: RMS over the pairs with the weights of the fit, so that smooth areas count more than rough ones.
+        p95: 95th percentile of the RMS in a cell.
+        max: maximum of the RMS in a cell.
+        ci: 95 % confidence interval of `rms`.
+        rms_surface: RMS over the surface by area, with walls and rough areas.
+        ci_surface: 95 % confidence interval of `rms_surface`.
     """
 
     rms: float
@@ -66,13 +67,13 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """The residuals' noise, in the clouds' unit.
+    """Noise of the residuals, in the clouds' unit.
 
     Attributes:
-        sigma_white: standard deviation of what differs from pair to pair.
-        sigma_correlated: standard deviation of what neighbouring pairs share.
-        correlation_length: l of the kernel exp(-d^2 / 2 l^2) that covers the same area.
-        n_eff: independent pairs that would determine a bend as well.
+        sigma_white: standard deviation of the uncorrelated noise.
+        sigma_correlated: standard deviation of the spatially correlated noise.
+        correlation_length: length l of the kernel exp(-d^2 / 2 l^2) with the same integral.
+        n_eff: effective number of independent pairs that would determine a deformation as precisely.
     """
 
     sigma_white: float
@@ -83,11 +84,11 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The tiles that the scene is cut into.
+    """Tiles of the scene.
 
     Attributes:
-        count: tiles that hold pairs.
-        side: their edge, in the clouds' unit.
+        count: number of tiles with pairs.
+        side: edge length, in the clouds' unit.
     """
 
     count: int
@@ -96,8 +97,13 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Bin:
-    """One place of a profile, in the clouds' unit: where it is `at`, the `mean` vertical displacement there with its
-    95 % interval `ci`, and `null`, half the width of the band that noise alone would fill in 95 % of all cases.
+    """A bin of a profile, in the clouds' unit.
+
+    Attributes:
+        at: mean coordinate of the bin.
+        mean: mean vertical displacement.
+        ci: its 95 % confidence interval.
+        null: half the width of the band that contains noise alone in 95 % of all cases.
     """
 
     at: float
@@ -108,11 +114,11 @@ class Bin:
 
 @dataclass(frozen=True)
 class Trend:
-    """How the vertical displacement goes with a coordinate.
+    """Dependence of the vertical displacement on a coordinate.
 
     Attributes:
         slope: displacement per length.
-        ci: its 95 % interval.
+        ci: its 95 % confidence interval.
         profile: means in up to eight bins of equal weight, in ascending order.
     """
 
@@ -123,8 +129,11 @@ class Trend:
 
 @dataclass(frozen=True)
 class Growth:
-    """Trends of the vertical displacement with the horizontal distance from the centre and with the height; None where
-    too little of the surface shows it.
+    """Trends of the vertical displacement; None if too little of the surface constrains it.
+
+    Attributes:
+        with_distance: trend with the horizontal distance from the centre.
+        with_height: trend with the height.
     """
 
     with_distance: Trend | None
@@ -133,7 +142,7 @@ class Growth:
 
 @dataclass(frozen=True)
 class Observable:
-    """Share of the tiles whose surfaces show a displacement along each axis."""
+    """Share of the tiles whose surfaces constrain a displacement along each axis."""
 
     x: float
     y: float
@@ -142,14 +151,14 @@ class Observable:
 
 @dataclass(frozen=True)
 class LocalChanges:
-    """Parts of the scene that changed by themselves.
+    """Parts of the scene that changed separately.
 
     Attributes:
-        tiles_tested: cells that hold enough to tell.
-        tiles_changed: those of them that changed.
-        fdr: the false discovery rate of these.
-        largest: the length of the largest change, in the clouds' unit; None where there is none.
-        at: its place.
+        tiles_tested: number of cells with enough smooth surface for a test.
+        tiles_changed: number of changed cells.
+        fdr: their false discovery rate.
+        largest: length of the largest change, in the clouds' unit; None without changes.
+        at: its position.
     """
 
     tiles_tested: int
@@ -161,19 +170,17 @@ class LocalChanges:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The deformation on the cells, one row each (M,): what the table `NAME_deformation.csv` holds.
+    """The deformation on M cells, one row each, as in the table `NAME_deformation.csv`.
 
     Attributes:
-        places: (M, 3) mean places of the pairs.
-        displacements: (M, 3) of the candidate against the reference by the chosen model, beyond the rigid motion; only
-            along directions that the surface in the cell shows.
-        vertical: measured mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN where no
-            surface there shows it.
-        sigma: standard deviation of `vertical` under the noise.
-        local: length of what the largest model leaves of the cell's displacement; NaN where a cell holds too little for
-            its changes to be told.
-        changed: whether that is more than noise, at a false discovery rate of 5 %.
-        counts: pairs.
+        places: (M, 3) mean positions of the pairs.
+        displacements: (M, 3) displacements of the candidate relative to the reference by the chosen model, beyond the
+            rigid motion, in the observable directions of each cell.
+        vertical: (M,) measured mean vertical displacement beyond the rigid motion; NaN if not observable.
+        sigma: (M,) standard deviation of `vertical` under the noise.
+        local: (M,) length of the displacement beyond the largest model; NaN if a cell is not tested.
+        changed: (M,) whether that exceeds noise, at a false discovery rate of 5 %.
+        counts: (M,) number of pairs.
     """
 
     places: FloatArray
@@ -187,31 +194,33 @@ class Field:
 
 @dataclass(frozen=True)
 class Deformation:
-    """Is the candidate deformed against the reference, how much, and where?
+    """Result of the test for deformation of a candidate relative to a reference.
 
     Attributes:
         verdict: none, similarity, affine, non-affine or undecided.
-        model: the smallest that is needed: rigid, similarity, affine, quadratic or cubic.
-        parameters: of that model.
-        p_value: how often noise alone would look as bent: under the estimated noise, the largest over the pairs that
-            were found in different ways.
-        rungs: all five models, from the smallest.
-        amplitude: of the non-affine part.
+        model: the smallest sufficient model: rigid, similarity, affine, quadratic or cubic.
+        parameters: number of its parameters.
+        p_value: probability that noise alone, with its estimated covariance, looks at least as deformed. Of the pairs
+            found with and without an assumed deformation the larger value counts.
+        rungs: scores of the five nested models, from the smallest to the largest.
+        amplitude: size of the non-affine part.
         remaining_rms: RMS residual of the chosen model, in the clouds' unit.
-        noise, tiles: see there.
-        pairs: of points, of which everything is computed.
-        growth, observable, local: see there.
-        minimum_detectable_rms: of a dome that would be found in 90 % of all cases.
-        warnings: codes and texts; of an undecided verdict the reasons.
-        field: the displacement on the cells, which a report holds as a table of its own; None where nothing could be
-            asked, and in what `from_json` reads.
+        noise: the noise.
+        tiles: the tiles.
+        pairs: number of pairs of points.
+        growth: trends with distance and height.
+        observable: observability along each axis.
+        local: local changes.
+        minimum_detectable_rms: RMS of a dome that is detected in 90 % of all cases.
+        warnings: warnings with codes; for an undecided verdict the reasons.
+        field: displacements of the cells, stored as a separate table; None without pairs, and after `from_json`.
     """
 
     verdict: str
     model: str
     parameters: int | None = None
     p_value: float | None = None
-    rungs: tuple[Rung, ...] = ()
+    rungs: tuple[ModelScore, ...] = ()
     amplitude: Amplitude | None = None
     remaining_rms: float | None = None
     noise: NoiseSize | None = None
@@ -230,27 +239,29 @@ class Deformation:
         return f"<Deformation: {self.verdict} ({self.model} model{size}{p})>"
 
     @classmethod
-    def unanswered(cls, reason: Notice) -> Deformation:
-        """Undecided, for want of anything to decide on."""
+    def without_evidence(cls, reason: Notice) -> Deformation:
+        """Return an undecided result without evidence."""
         return cls("undecided", "rigid", warnings=(reason,))
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Deformation:
-        """What `deformation.json`, or a candidate's `deformation` in `comparison.json`, holds; without the field.
+        """Return the result in `deformation.json` or a candidate's `deformation` in `comparison.json`, without field.
 
         Raises:
-            KeyError, TypeError, ValueError: it holds something else.
+            KeyError, TypeError, ValueError: the values have another form.
         """
         texts = values["warnings"]
-        codes = values.get("warning_codes") or [""] * len(texts)  # older reports hold none
+        codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
         notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
-        found: Deformation = _structured(cls, {**values, "warnings": notices})
-        return found
+        result: Deformation = _from_json(cls, {**values, "warnings": notices})
+        return result
 
     def sentence(self, name: str = "the candidate", unit: str = "") -> str:
-        """The verdict on a candidate of that name in words; `unit` is the clouds'.
+        """Return the verdict as a sentence without a period, with its limitations first.
 
-        It begins with what limits it: the reasons of an undecided one, and a pose that the geometry does not fix.
+        Args:
+            name: name of the candidate.
+            unit: unit of lengths.
         """
         notice = next((notice for notice in self.warnings if notice.code == POSE_NOT_FIXED), None)
         lead = "" if notice is None or self.verdict == "undecided" else f"{notice}, "
@@ -258,7 +269,7 @@ class Deformation:
 
     @property
     def further_warnings(self) -> tuple[Notice, ...]:
-        """Those that the sentence does not hold."""
+        """Warnings that the sentence does not contain."""
         if self.verdict == "undecided":
             return ()
         return tuple(notice for notice in self.warnings if notice.code != POSE_NOT_FIXED)
@@ -266,67 +277,65 @@ class Deformation:
     def _verdict_in_words(self, name: str, unit: str) -> str:
         parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
-            return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}{parts}"
+            return f"{name} may or may not be deformed (undecided): {'; '.join(map(str, self.warnings))}{parts}"
         if self.remaining_rms == 0 and self.verdict == "none":
-            return f"{name} lies on the reference but for the rounding of coordinates: it is not deformed{parts}"
+            return f"{name} is not deformed: it coincides with the reference up to rounding{parts}"
         limit = self.minimum_detectable_rms
-        unseen = "" if limit is None else f" (a dome of {limit:.3g}{unit} RMS would show)"
+        detectable = "" if limit is None else f"; a dome above {limit:.3g}{unit} RMS would have been detected"
         if self.verdict == "non-affine" and self.amplitude is not None:
             a = self.amplitude
             low, high = a.ci
-            over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
+            surface = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
             return (
-                f"{name} is bent against the reference: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals"
-                f" of smooth places{over} beyond any affine motion ({self.model} model, {_p(self.p_value)}){parts}"
+                f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth"
+                f" areas{surface} beyond any affine motion ({self.model} model, {_p(self.p_value)}){parts}"
             )
         if self.verdict == "affine":
-            return f"{name} is sheared or stretched against the reference, but not bent{unseen}{parts}"
+            return f"{name} is sheared or stretched, but not deformed beyond that{detectable}{parts}"
         if self.verdict == "similarity":
-            return f"{name} has another scale than the reference, but is not bent{unseen}{parts}"
+            return f"{name} has another scale than the reference, but is not deformed beyond that{detectable}{parts}"
         whole = " as a whole" if parts else ""
-        return f"{name} is not deformed against the reference{whole}{unseen}{parts}"
+        return f"{name} is not deformed{whole}{detectable}{parts}"
 
     @property
     def part_moved(self) -> bool:
-        """Whether a part of the scene surely moved by itself."""
+        """Whether a part of the scene moved separately."""
         return bool(self._parts_that_moved(""))
 
     def _parts_that_moved(self, unit: str) -> str:
         local, noise = self.local, self.noise
         if local is None or local.largest is None or local.at is None or noise is None:
             return ""
-        if local.largest < _MOVED * math.hypot(noise.sigma_white, noise.sigma_correlated):
+        if local.largest < _MIN_MOVED_SIGMAS * math.hypot(noise.sigma_white, noise.sigma_correlated):
             return ""
-        place = ", ".join(f"{x:.1f}" for x in local.at)
+        position = ", ".join(f"{x:.1f}" for x in local.at)
         return (
-            f"; but a part moved by itself: {local.largest:.3g}{unit} at ({place}), {local.tiles_changed} of"
+            f"; but a part moved separately: {local.largest:.3g}{unit} at ({position}), {local.tiles_changed} of"
             f" {local.tiles_tested} tiles changed"
         )
 
     def shifted(self, origin: FloatArray) -> Deformation:
-        """The same in coordinates that still carry `origin` (3,)."""
+        """Return the result with `origin` (3,) added to all positions."""
         local, field = self.local, self.field
         if local is not None and local.at is not None:
-            x, y, z = (float(here + there) for here, there in zip(local.at, origin, strict=True))
+            x, y, z = (float(a + b) for a, b in zip(local.at, origin, strict=True))
             local = replace(local, at=(x, y, z))
         return replace(self, local=local, field=field and replace(field, places=field.places + origin))
 
     def with_changes(self, whole: Deformation) -> Deformation:
-        """This answer, which left out cells that moved, with the changes and the cells that an answer on all of them
-        holds.
-        """
+        """Return this result, computed without moved cells, with the changes and cells of a result on all cells."""
         if self.field is None or whole.field is None:
             return self
-        kept = {tuple(place) for place in self.field.places.tolist()}
-        left_out = np.array([tuple(place) not in kept for place in whole.field.places.tolist()])
+        present = {tuple(place) for place in self.field.places.tolist()}
+        is_missing = np.array([tuple(place) not in present for place in whole.field.places.tolist()])
         parts = {
-            name: np.concatenate([getattr(self.field, name), getattr(whole.field, name)[left_out]])
+            name: np.concatenate([getattr(self.field, name), getattr(whole.field, name)[is_missing]])
             for name in Field.__annotations__
         }
         return replace(self, local=whole.local, field=Field(**parts))
 
-    def withheld(self) -> Deformation:
-        """Without the sizes, the places and the evidence, which mean nothing where the pose may be wrong."""
+    def without_sizes(self) -> Deformation:
+        """Return the result without sizes, positions and evidence, which are meaningless if the pose may be wrong."""
         return replace(
             self,
             p_value=None,
@@ -337,24 +346,25 @@ class Deformation:
         )
 
     def without_rounding(self, rounding: float) -> Deformation:
-        """Where all that remains is the rounding of coordinates, sizes that come of it are zero."""
+        """Return the result with zero sizes if the residual is within the rounding of coordinates."""
         if self.remaining_rms is None or self.remaining_rms > rounding:
             return self
         return replace(
             self,
             remaining_rms=0.0,
-            rungs=tuple(replace(rung, cv_score=0.0, cv_se=0.0, rms_explained=0.0) for rung in self.rungs),
+            rungs=tuple(replace(row, cv_score=0.0, cv_se=0.0, rms_explained=0.0) for row in self.rungs),
             amplitude=self.amplitude and _scaled(self.amplitude, 0.0),
             noise=self.noise and replace(self.noise, sigma_white=0.0, sigma_correlated=0.0),
             minimum_detectable_rms=None if self.minimum_detectable_rms is None else 0.0,
         )
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
+        """Return the result with additional warnings."""
         return replace(self, warnings=(*self.warnings, *notes))
 
 
 def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
-    """The same times a factor."""
+    """Return an amplitude times a factor."""
 
     def times(value: Any) -> Any:
         return tuple(map(times, value)) if isinstance(value, tuple) else None if value is None else factor * value
@@ -363,14 +373,14 @@ def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
 
 
 def _p(value: float | None) -> str:
-    """A p-value in words: beyond a billionth it says nothing more."""
+    """Return a p-value as text, at least 1e-9."""
     if value is None:
         return "p unknown"
     return f"p = {value:.2g}" if value >= 1e-9 else "p < 1e-9"
 
 
 def rounded(value: Any) -> Any:
-    """Six digits: what a statistic is worth, and the same at any number of threads of the linear algebra."""
+    """Return values rounded to six digits, which do not depend on the number of threads of the linear algebra."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, tuple):
@@ -380,16 +390,16 @@ def rounded(value: Any) -> Any:
     return value
 
 
-def _structured(kind: Any, value: Any) -> Any:
-    """A value of JSON as the type (a dataclass, a tuple, a plain type, or one of them or None) that was written so."""
+def _from_json(kind: Any, value: Any) -> Any:
+    """Convert a JSON value to a type: a dataclass, a tuple, a plain type, or one of these or None."""
     if value is None:
         return None
     kind = next((part for part in get_args(kind) if NoneType in get_args(kind) and part is not NoneType), kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind)
         names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
-        # Older reports hold fewer: what is missing takes its default, or is refused where it has none.
-        return kind(**{name: _structured(hints[name], value[name]) for name in names if name in value})
+        # Older reports have fewer fields: missing ones get their defaults.
+        return kind(**{name: _from_json(hints[name], value[name]) for name in names if name in value})
     if get_args(kind):  # tuple[X, ...] or tuple[X, X]
-        return tuple(_structured(get_args(kind)[0], part) for part in value)
+        return tuple(_from_json(get_args(kind)[0], part) for part in value)
     return value

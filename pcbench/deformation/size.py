@@ -1,4 +1,4 @@
-"""How large a bend is, how small a one would be found, and what could be seen at all."""
+"""Size of a deformation, detection limit, and observability."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from pcbench.deformation.chi_squares import chi_squares_point
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, ModelStep, Noise, Scores
 from pcbench.deformation.result import Amplitude, Interval, Observable
-from pcbench.deformation.sums import TileSums, added
+from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-# The covariance is estimated: where it is a third too small, 1e-5 is 1e-3 in truth.
-MAX_P_SURE = 1e-5  # of a verdict
-DETECTION_POWER = 0.9  # of the smallest deformation that is called detectable
+# The covariance is only estimated: if it is a third too small, a nominal 1e-5 is 1e-3.
+MAX_P_SURE = 1e-5  # largest p-value of a verdict
+DETECTION_POWER = 0.9  # probability to detect the smallest detectable deformation
 _POWER_Z = 1.282  # normal deviate of DETECTION_POWER
 
 
 def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep) -> Amplitude:
-    """Size of the displacement along the normals that a step explains; what noise adds to its square is taken off."""
+    """Return the size of the displacement along the normals that a step explains, corrected for noise."""
     modes = step.modes.T @ scores.total
     covariance = geometry.covariance(step, noise)
     power, bias = float(modes @ modes), float(np.trace(covariance))
@@ -30,10 +30,10 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep)
     per_cell = (geometry.cell_matrices @ coefficients) @ coefficients
     weight = geometry.weights
     shrink = math.sqrt(size / power) if power > 0 else 0.0
-    enough = weight >= 0.1 * np.median(weight)
-    cells = shrink * np.sqrt(np.maximum(per_cell[enough], 0) / weight[enough])
+    is_sampled = weight >= 0.1 * np.median(weight)
+    cells = shrink * np.sqrt(np.maximum(per_cell[is_sampled], 0) / weight[is_sampled])
     order = np.argsort(cells)
-    below = np.cumsum(weight[enough][order]) / weight[enough].sum()
+    below = np.cumsum(weight[is_sampled][order]) / weight[is_sampled].sum()
     return Amplitude(
         rms=rms,
         p95=float(cells[order][np.searchsorted(below, 0.95)]),
@@ -45,10 +45,15 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep)
 
 
 def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArray) -> tuple[float, Interval]:
-    """Root of m' Q m with its 95 % interval, for modes m + e (K,) of which e is noise of covariance V, and Q (K, K).
+    """Return the root of m' Q m with its 95 % confidence interval, for modes m + e with noise e of covariance V.
 
-    (m + e)' Q (m + e) has the mean m' Q m + tr Q V and the variance 4 m' Q V Q m + 2 tr (Q V)^2, where m' Q V Q m is
-    estimated from the modes likewise.
+    (m + e)' Q (m + e) has the mean m' Q m + tr Q V and the variance 4 m' Q V Q m + 2 tr (Q V)^2. m' Q V Q m is
+    estimated from the modes in the same way.
+
+    Args:
+        modes: (K,) m + e.
+        covariance: (K, K) V.
+        form: (K, K) Q.
     """
     noise = form @ covariance
     scatter = float((noise * noise.T).sum())
@@ -60,7 +65,7 @@ def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArra
 
 
 def effective_count(geometry: Geometry, noise: Noise) -> float:
-    """Independent pairs that would tell the non-affine fields as well as these do: fewer where noise is correlated."""
+    """Return the number of independent pairs that would determine the non-affine fields as precisely."""
     covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
     if not len(covariance):
         return 0.0
@@ -69,7 +74,7 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
 
 
 def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
-    """RMS of a dome that a verdict finds in a share of `DETECTION_POWER` of all cases."""
+    """Return the RMS of a dome that is detected with the probability `DETECTION_POWER`; None if it is unobservable."""
     step = geometry.step("affine", "cubic")
     modes = step.modes.T @ (geometry.matrix @ geometry.dome)
     power = float(modes @ modes)
@@ -86,14 +91,14 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
             return None
     for _ in range(100):
         middle = (low + high) / 2
-        found = base + middle * power - _POWER_Z * math.sqrt(scatter + 4 * middle * along) >= limit
-        low, high = (low, middle) if found else (middle, high)
+        is_detected = base + middle * power - _POWER_Z * math.sqrt(scatter + 4 * middle * along) >= limit
+        low, high = (low, middle) if is_detected else (middle, high)
     return math.sqrt(high * power / geometry.total)
 
 
 def observable(sums: TileSums, tile: IntArray) -> Observable:
-    """Share of the tiles that constrain a displacement along each axis, whatever it is along the others."""
-    spread = added(sums.spread, tile)
+    """Return the share of the tiles that constrain a displacement along each axis, with the other axes free."""
+    spread = sum_over_tiles(sums.spread, tile)
     mean = spread / np.maximum(np.trace(spread, axis1=1, axis2=2), 1e-300)[:, None, None]
     constrained = 1 / np.diagonal(np.linalg.inv(mean + 1e-9 * np.eye(3)), axis1=1, axis2=2) >= MIN_INFORMATION
     return Observable(*(float(share) for share in constrained.mean(axis=0)))

@@ -1,4 +1,4 @@
-"""Sums over the pairs in cells of a grid, from which everything else is computed."""
+"""Sums over the pairs in the cells of a grid, from which all results are computed."""
 
 from __future__ import annotations
 
@@ -10,36 +10,32 @@ from numpy.typing import NDArray
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_DYADIC = 5  # finer levels of moments: halves of cells, quarters, ...
+_SUBCELL_LEVELS = 5  # halves of cells, quarters, ...
 LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
-_PARTNERS, _FEW_PARTNERS = 4, 1  # other pairs in its cell that a pair is compared with, and in a sub-cell
+_CELL_PARTNERS, _SUBCELL_PARTNERS = 4, 1  # sampled partners of each pair
 
 
 @dataclass(frozen=True, eq=False)
 class TileSums:
-    """Sums over the pairs in each cell (cubes of edge `side`); they add up over pairs.
+    """Additive sums over the pairs in each cell, a cube of edge `side`.
 
-    A pair has a weight w by which it counts in fits, and a size s of its noise. Noise is s times a stationary part,
-    which is white or correlated as exp(-d^2 / 2 l^2) with each l of `LENGTHS` times the cells' edge.
+    A pair has a weight w in fits and a noise size s. Its noise is s times a stationary part, which is white or has the
+    correlation exp(-d^2 / 2 l^2), with l in `LENGTHS` times the edge of a cell.
 
-    Attributes:
-        center, radius: places are (x - center) / radius in all sums: about -1 to 1.
-        side: of the cells, in the clouds' unit.
-        cells: (C, 3) integer coordinates of the cells.
-        moments: (C, 84, 6), see `polynomials.normal_equations`.
-        white: the same of weights (w s)^2: what white noise adds to scores.
-        loads: the same of weights w s: what noise adds that is the same in the whole cell.
-        near: (C, J) sums over all two pairs in a cell of w s w' s' (n . n')^2 times each kernel of their distance.
-        scores: (C, 20, 3) sums of w phi n r.
-        energy: (C,) sums of w r^2.
-        counts: (C,) pairs.
-        dyadic: (levels, 1 + J), the same as `near` over sub-cells of each edge, for white noise and each kernel. The
-            first row is that of single pairs.
-        powers: (levels,) sums over sub-cells of |sum w n r'|^2 with r' the residual of the largest model.
-        local: (C, 3) sums of v n r', r' clipped at three standard deviations: for whether something changed.
-        apart: (C, 3) the same clipped about each cell's own median: for how far it is.
+    Attributes: center: (3,) centre of the scene; positions in the sums are (x - center) / radius, about -1 to 1.
+        radius: half the extent of the scene. side: edge of the cells, in the clouds' unit. cells: (C, 3) integer
+        coordinates of the cells. moments: (C, 84, 6), see `polynomials.normal_equations`. white: the same with weights
+        (w s)^2, the covariance of the scores for white noise. loads: the same with weights w s, the response of the
+        scores to noise that is constant in a cell. near: (C, J) sums over all combinations of two pairs in a cell of w
+        s w' s' (n . n')^2 times each kernel of their distance. scores: (C, 20, 3) sums of w phi n r. energy: (C,) sums
+        of w r^2. counts: (C,) number of pairs. dyadic: (levels, 1 + J), like `near` over sub-cells of each size, for
+        white noise and each kernel. The first row
+            is for single pairs.
+        powers: (levels,) sums over sub-cells of |sum w n r'|^2, with the residual r' of the largest model.
+        local: (C, 3) sums of v n r', with r' clipped at three standard deviations, to detect changes.
+        apart: (C, 3) the same, clipped around the median of each cell, to measure changes.
         spread: (C, 3, 3) sums of v n n'.
-        surface: (84, 6) moments of all pairs by area: of the surface, however rough.
+        surface: (84, 6) moments of all pairs, weighted by area instead of smoothness.
     """
 
     center: FloatArray
@@ -61,7 +57,7 @@ class TileSums:
     surface: FloatArray
 
     def without(self, cells: NDArray[np.bool_]) -> TileSums:
-        """The sums but those of some cells (C,). What is not kept by cells is that of all pairs together."""
+        """Return the sums without some cells (C,). Quantities that are not stored by cell still include all pairs."""
         per_cell = (
             "cells",
             "moments",
@@ -95,24 +91,25 @@ class TileSums:
         center: FloatArray,
         radius: float,
     ) -> TileSums:
-        """The sums of pairs.
+        """Compute the sums over pairs.
 
         Args:
-            places: (N, 3) where displacement is asked for.
+            places: (N, 3) positions.
             normals: (N, 3) unit normals.
-            residuals: (N,) n . (p - q), or what a robust fit makes of them.
+            residuals: (N,) n . (p - q), or the pseudo-values of a robust fit.
             weights: (N,) from 0 to 1.
-            scales: (N,) sizes of the noise, about 1.
-            left: (N,) residuals of the largest model, of the same pairs.
-            apart: (N,) n . (p - q) less the largest model, as measured.
+            scales: (N,) relative sizes of the noise, about 1.
+            left: (N,) residuals of the largest model.
+            apart: (N,) residuals of the largest model, as measured.
             quality: (N,) weights v, from 0 to 1, that do not depend on the residuals.
-            areas: (N,) of surface that the pairs stand for, in any unit.
-            lower: (3,) the corner that cells are counted from.
-            side: of the cells.
-            center, radius: of the scene; (3,) and about half its extent.
+            areas: (N,) relative areas of surface that the pairs represent.
+            lower: (3,) corner of the grid.
+            side: edge of the cells.
+            center: (3,) centre of the scene.
+            radius: half the extent of the scene.
         """
         cells = np.floor((places - lower) / side).astype(np.int64)
-        order, starts = groups(cells)
+        order, starts = group_rows(cells)
         x, n, r, w, s = (v[order] for v in ((places - center) / radius, normals, residuals, weights, scales))
         moments, scores = normal_equations(x, n, w, r, starts)
         white, _ = normal_equations(x, n, np.square(w * s), r, starts)
@@ -151,31 +148,34 @@ def kernel_sums(
     loads: FloatArray,
     starts: IntArray,
     lengths: FloatArray,
-    partners: int = _PARTNERS,
+    partners: int = _CELL_PARTNERS,
 ) -> FloatArray:
-    """(N, J) for each pair, the sum over all pairs in its group of load load' (n . n')^2 times each kernel of their
-    distance: exact for itself, and for the others from a few that stand for all.
+    """Return for each pair the sum (N, J) over its group of load load' (n . n')^2 times each kernel of the distance.
+
+    The contribution of the pair itself is exact; the others are estimated from a few sampled partners.
 
     Args:
-        places, normals: (N, 3), in groups that begin at `starts` (G,).
-        loads: (N,) what the pairs count.
-        lengths: (J,) of the kernels.
-        partners: how many stand for all.
+        places: (N, 3) positions, sorted by group.
+        normals: (N, 3) unit normals.
+        loads: (N,) loads w s.
+        starts: (G,) index of the first pair of each group.
+        lengths: (J,) lengths of the kernels.
+        partners: number of sampled partners.
     """
     counts = np.diff([*starts, len(places)])
     size, first = np.repeat(counts, counts), np.repeat(starts, counts)
-    mine = np.arange(len(places)) - first
+    position = np.arange(len(places)) - first
     sums: FloatArray = np.repeat(np.square(loads)[:, None], len(lengths), axis=1)
     others = np.maximum(size - 1, 1)
     partners = min(partners, int(counts.max()) - 1)
-    for number in range(partners):
-        # Spread evenly over the group, whatever order it is in: multiples of the golden ratio.
-        step = 1 + ((number + 0.5) * 0.6180339887 % 1 * others).astype(np.int64)
-        partner = first + (mine + step) % size
-        counted = loads * loads[partner] * np.square(np.einsum("ni,ni->n", normals, normals[partner]))
-        counted *= (size - 1) / partners
+    for index in range(partners):
+        # Multiples of the golden ratio sample the group evenly, in any order.
+        step = 1 + ((index + 0.5) * 0.6180339887 % 1 * others).astype(np.int64)
+        partner = first + (position + step) % size
+        products = loads * loads[partner] * np.square(np.einsum("ni,ni->n", normals, normals[partner]))
+        products *= (size - 1) / partners
         squared = np.square(places - places[partner]).sum(axis=1)
-        sums += counted[:, None] * np.exp(-0.5 * squared[:, None] / np.square(lengths))
+        sums += products[:, None] * np.exp(-0.5 * squared[:, None] / np.square(lengths))
     return sums
 
 
@@ -188,29 +188,30 @@ def dyadic_moments(
     lower: FloatArray,
     side: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Over sub-cells of each edge, what noise of unit size adds to the sum of |sum w n r|^2, (levels, 1 + J), and that
-    sum, (levels,); see `TileSums`.
+    """Return the expected powers (levels, 1 + J) of unit noise in sub-cells, and the measured powers (levels,).
+
+    A power is the sum over sub-cells of |sum w n r|^2; see `TileSums`.
     """
     lengths = side * np.array(LENGTHS)
     loads = weights * scales
     single = float(np.square(loads).sum())
     expected, powers = [np.full(1 + len(lengths), single)], [float(np.square(weights * left).sum())]
-    for level in range(_DYADIC, 0, -1):
-        order, starts = groups(np.floor((places - lower) / (side / 2**level)).astype(np.int64))
+    for level in range(_SUBCELL_LEVELS, 0, -1):
+        order, starts = group_rows(np.floor((places - lower) / (side / 2**level)).astype(np.int64))
         vectors = np.add.reduceat((weights * left)[order, None] * normals[order], starts)
         powers.append(float(np.square(vectors).sum()))
-        sums = kernel_sums(places[order], normals[order], loads[order], starts, lengths, _FEW_PARTNERS).sum(axis=0)
+        sums = kernel_sums(places[order], normals[order], loads[order], starts, lengths, _SUBCELL_PARTNERS).sum(axis=0)
         expected.append(np.concatenate([[single], sums]))
     return np.array(expected), np.array(powers)
 
 
 def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> FloatArray:
-    """(N,) values clipped about the median of their group, at three of its standard deviations, by its median too."""
+    """Clip values (N,) around the median of their group, at three robust standard deviations."""
     counts = np.diff([*starts, len(values)])
     group = np.repeat(np.arange(len(starts)), counts)
 
-    def medians(of: FloatArray) -> FloatArray:
-        ordered = of[np.lexsort((of, group))]
+    def medians(items: FloatArray) -> FloatArray:
+        ordered = items[np.lexsort((items, group))]
         middle: FloatArray = 0.5 * (ordered[starts + (counts - 1) // 2] + ordered[starts + counts // 2])
         return middle[group]
 
@@ -219,21 +220,21 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
     return np.clip(values, middle - reach, middle + reach)
 
 
-def groups(cells: IntArray) -> tuple[IntArray, IntArray]:
-    """An order (N,) that brings equal rows together, and where each of the groups starts."""
+def group_rows(cells: IntArray) -> tuple[IntArray, IntArray]:
+    """Return an order (N,) that groups equal rows, and the start of each group."""
     order = np.lexsort(cells.T[::-1])
     changed = (np.diff(cells[order], axis=0) != 0).any(axis=1)
     return order, np.flatnonzero(np.concatenate([[True], changed]))
 
 
-def merged(cells: IntArray, factor: int) -> IntArray:
-    """(C,) the tile of `factor` cells along each axis that every cell lies in."""
+def tiles_of_cells(cells: IntArray, factor: int) -> IntArray:
+    """Return the index (C,) of the tile of `factor` cells along each axis that contains each cell."""
     _, tile = np.unique(cells // factor, axis=0, return_inverse=True)
     return np.asarray(tile, dtype=np.int64).ravel()
 
 
-def added(values: FloatArray, tile: IntArray) -> FloatArray:
-    """Sums of rows (C, ...) over tiles: (T, ...)."""
+def sum_over_tiles(values: FloatArray, tile: IntArray) -> FloatArray:
+    """Return the sums (T, ...) of rows (C, ...) over tiles."""
     order = np.argsort(tile, kind="stable")
     starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
     sums: FloatArray = np.add.reduceat(values[order], starts, axis=0)

@@ -1,4 +1,4 @@
-"""The answer in words: how far, where, why, and which numbers can be trusted."""
+"""The answer in sentences: how far, where, why, and which numbers can be trusted."""
 
 from __future__ import annotations
 
@@ -11,34 +11,44 @@ from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.words import joined, length, rounding, shortened
 
-_MOST_SENTENCES = 4
-_NEAR_FLOOR = 1.25  # times the floor, as lengths: up to there a score is mostly sampling
-_MANY_STRAYS = 2.0  # times the NMAD: an RMS from which on strays are worth a word
-_LONGEST_NAME = 28
-_OTHER_WAYS = {  # to register, by the method that they are
-    "global": "global (from any pose), global-similarity (of any scale too)",
+_MAX_SENTENCES = 4
+_MAX_FLOOR_RATIO = 1.25  # a distance up to this multiple of its floor mostly reflects point spacing
+_MIN_OUTLIER_RATIO = 2.0  # an RMS above this multiple of the NMAD indicates outliers
+_MAX_NAME_COLUMNS = 28
+_ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
+    "global": "global (from any pose), global-similarity (also at any scale)",
     "points": "points:FILE (control points)",
-    "matrix": "matrix:FILE (a pose that is known)",
+    "matrix": "matrix:FILE (a known pose)",
 }
 
 
 class _Distance(NamedTuple):
-    """A distance that candidates are ranked by, in the clouds' unit, and under which name differences know it."""
+    """A distance by which candidates are ranked, in the clouds' unit.
+
+    Attributes:
+        value: the distance.
+        floor: its sampling floor, if known.
+        interval: its 95 % confidence interval, if known.
+        metric: its name in the list of differences.
+        label: the kind of mean, as sentences name it.
+        target: the part of the reference to which it is measured.
+    """
 
     value: float
     floor: float | None
     interval: Interval | None
     metric: str
-    words: str
-    what: str = "points"
+    label: str
+    target: str = "points"
 
     @property
     def is_sampling(self) -> bool:
-        return self.floor is None or self.value <= _NEAR_FLOOR * self.floor
+        """Whether point spacing explains the distance."""
+        return self.floor is None or self.value <= _MAX_FLOOR_RATIO * self.floor
 
 
 def answer(comparison: SourcedComparison) -> list[str]:
-    """Two to four sentences. Where no registration can be trusted no verdict is given."""
+    """Return two to four sentences on a comparison. There is no verdict if all registrations are doubtful."""
     trusted = [c for c in comparison if not c.registration.doubtful]
     doubtful = [c for c in comparison if c.registration.doubtful]
     writer = _Writer(comparison)
@@ -46,45 +56,46 @@ def answer(comparison: SourcedComparison) -> list[str]:
         return writer.no_verdict(doubtful)
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
-    return sentences[:_MOST_SENTENCES]
+    return sentences[:_MAX_SENTENCES]
 
 
 class _Writer:
-    """Writes sentences on a comparison's candidates: knows the unit, and short names where names are long."""
+    """Writes sentences about the candidates of a comparison, with units and shortened names."""
 
     def __init__(self, comparison: SourcedComparison) -> None:
         self.comparison = comparison
         names = [c.name for c in comparison]
-        short = [shortened(name, _LONGEST_NAME) for name in names]
+        short = [shortened(name, _MAX_NAME_COLUMNS) for name in names]
         self.names = dict(zip(names, short if len(set(short)) == len(set(names)) else names, strict=True))
 
     def length(self, value: float | None) -> str:
+        """Return a length with the unit of the comparison."""
         return length(value, self.comparison.reference.unit)
 
     def all(self, candidates: Sequence[Candidate]) -> str:
+        """Return the names of candidates as a list in words."""
         return joined([self.names[c.name] for c in candidates])
 
     def no_verdict(self, doubtful: Sequence[Candidate]) -> list[str]:
+        """Return the sentences for a comparison whose registrations are all doubtful."""
         tried = {c.registration.method.partition(":")[0].partition("-")[0] for c in doubtful}
-        ways = [text for name, text in _OTHER_WAYS.items() if name not in tried]
+        methods = [text for name, text in _ALTERNATIVE_METHODS.items() if name not in tried]
         return [
-            f"{self._doubt(doubtful)}, and no verdict is given.",
-            f"What may help: --register {', '.join(ways[:-1])} or {ways[-1]}.",
+            f"{self._doubt(doubtful)}, so there is no verdict.",
+            f"Try --register {', '.join(methods[:-1])} or {methods[-1]}.",
         ]
 
-    def cautions(self, doubtful: Sequence[Candidate], left_open: Sequence[Candidate]) -> list[str]:
-        """What has to be known before anything else, in one sentence if there is any."""
+    def cautions(self, doubtful: Sequence[Candidate], unconstrained: Sequence[Candidate]) -> list[str]:
+        """Return one sentence on doubtful and unconstrained registrations, or none."""
         parts = []
         if doubtful:
+            parts.append(f"{self._doubt(doubtful)}, so the ranking excludes {'them' if len(doubtful) > 1 else 'it'}")
+        if unconstrained:
             parts.append(
-                f"{self._doubt(doubtful)}, and what follows leaves {'them' if len(doubtful) > 1 else 'it'} out"
+                f"The geometry does not determine the pose of {self.all(unconstrained)} (see the warnings): distances"
+                " along unconstrained directions are meaningless"
             )
-        if left_open:
-            parts.append(
-                f"The geometry does not fix the pose of {self.all(left_open)} (see the warnings): along what is not"
-                " fixed no number means anything"
-            )
-        return [f"{'; '.join([*parts[:1], *(part[0].lower() + part[1:] for part in parts[1:])])}."] if parts else []
+        return [f"{'. '.join(parts)}."] if parts else []
 
     def _doubt(self, doubtful: Sequence[Candidate]) -> str:
         several = len(doubtful) > 1
@@ -93,9 +104,9 @@ class _Writer:
         return f"The {whose} doubtful (see the warnings): {numbers} describe a pose that may be wrong"
 
     def of_one(self, candidate: Candidate) -> list[str]:
-        """How far, what is missing, why, and how well the pose is known."""
+        """Return the sentences for one candidate: distance, missing parts, deformation and pose."""
         if candidate.metrics.hausdorff.symmetric_max <= rounding(self.comparison):
-            same = f"{self.names[candidate.name]} coincides with the reference: all distances are rounding."
+            same = f"{self.names[candidate.name]} coincides with the reference up to rounding."
             return [same, self._pose(candidate)]
         bend = bend_sentence(self.comparison, candidate, self.names[candidate.name])
         return [self._how_far(candidate), self._how_complete(candidate), f"{bend}.", self._pose(candidate)]
@@ -103,149 +114,156 @@ class _Writer:
     def _how_far(self, candidate: Candidate) -> str:
         name, off = self.names[candidate.name], _off_surface(candidate)
         if off.value <= rounding(self.comparison):
-            return f"Every point of {name} lies on the reference's {off.what}, but for rounding."
-        known = "" if off.interval is None else f" [{off.interval.low:.3g}, {off.interval.high:.3g}]"
-        text = f"{name} lies {self.length(off.value)}{known} {off.words} off the reference's {off.what}"
+            return f"Each point of {name} lies on the reference's {off.target}, up to rounding."
+        interval = "" if off.interval is None else f" [{off.interval.low:.3g}, {off.interval.high:.3g}]"
+        text = f"{name} lies {self.length(off.value)}{interval} {off.label} off the reference's {off.target}"
         if partly := self._partly(candidate):
-            text = f"{partly[0].upper()}{partly[1:]}, and all of it {text.removeprefix(f'{name} ')}"
+            text = f"{partly[0].upper()}{partly[1:]}; all of it {text.removeprefix(f'{name} ')}"
         if off.floor is not None and off.is_sampling:
-            return f"{text}, no farther than error-free points of it would ({self.length(off.floor)})."
-        if (robust := _nmad(candidate)) is not None and off.value > _MANY_STRAYS * robust:
-            text += f", but {self.length(robust)} by the NMAD, which strays do not move"
-        return f"{text}." if off.floor is None else f"{text}; error-free points would lie {self.length(off.floor)} off."
+            return f"{text}, no more than error-free points with this density ({self.length(off.floor)})."
+        if off.floor is not None:
+            text += f" (error-free points: {self.length(off.floor)})"
+        if (robust := _nmad(candidate)) is not None and off.value > _MIN_OUTLIER_RATIO * robust:
+            text += f"; NMAD, robust against outliers: {self.length(robust)}"
+        return f"{text}."
 
     def _how_complete(self, candidate: Candidate) -> str:
         away = _away(candidate)
-        text = f"From the reference to it the mean distance is {self.length(away.value)}"
+        text = f"Mean reference-to-candidate distance: {self.length(away.value)}"
         if away.floor is None:
             return f"{text}."
         if away.is_sampling:
-            return f"{text}, as its density explains ({self.length(away.floor)})."
+            return f"{text}, no more than the point spacing explains ({self.length(away.floor)})."
         worst = candidate.metrics.hausdorff.completeness
-        place = ", ".join(f"{x:.1f}" for x in worst.worst_point)
+        position = ", ".join(f"{x:.1f}" for x in worst.worst_point)
         return (
-            f"{text}, where its density explains {self.length(away.floor)}: it leaves parts out; 5% of the reference"
-            f" lies farther than {self.length(worst.p95)} from it, the farthest point {self.length(worst.largest)}, at"
-            f" ({place})."
+            f"{text}, of which the point spacing explains {self.length(away.floor)}: parts are missing. 5% of the"
+            f" reference is farther than {self.length(worst.p95)} from the candidate; the farthest point,"
+            f" {self.length(worst.largest)} away, is at ({position})."
         )
 
     def _pose(self, candidate: Candidate) -> str:
         found, least = candidate.registration, rounding(self.comparison)
         how = found.method.partition(":")[0]
-        given = {"none": "Taken in the pose as it is", "matrix": "Taken in the given pose"}
+        given = {"none": "Not registered", "matrix": "In the given pose"}
         pose = given.get(how, f"Registered by {'control points' if how == 'points' else how}")
-        parts = [] if self._partly(candidate) else [f"{found.overlap:.1%} of it lies on the reference"]  # said before
+        parts = []
+        if not self._partly(candidate):  # _how_far states a small overlap
+            parts.append(f"{found.overlap:.1%} of the candidate lies on the reference")
         if found.weakest_sigma is not None and found.weakest_sigma > least and how not in given:
-            parts.append(f"the pose is known to {self.length(found.weakest_sigma)} (one sigma, weakest direction)")
-        text = f"{pose}: {', and '.join(parts)}" if parts else pose
+            sigma = self.length(found.weakest_sigma)
+            parts.append(f"the standard error of the pose is {sigma} in its weakest direction")
+        text = f"{pose}: {', and '.join(parts)}." if parts else f"{pose}."
         value, floor, *_ = candidate.metrics.mean_distance.accuracy
-        if value is not None and floor is not None and least < value <= _NEAR_FLOOR * floor:
-            text += "; distances to points say how dense the clouds are, those to the surface how wrong"
-        return f"{text}."
+        if value is not None and floor is not None and least < value <= _MAX_FLOOR_RATIO * floor:
+            text += " Point distances mainly reflect density; use surface distances to judge error."
+        return text
 
     def of_several(self, candidates: Sequence[Candidate]) -> list[str]:
-        """Which is more accurate, which more complete, and which are deformed."""
+        """Return the sentences for several candidates: accuracy, completeness and deformation."""
         off, away = ({c.name: measure(c) for c in candidates} for measure in (_off_surface, _away))
-        to = f"to the reference's {off[candidates[0].name].what}"
-        accuracy = self._ranking(off, f"closer {to}", f"closest {to}")
+        to = f"to the reference's {off[candidates[0].name].target}"
+        accuracy = self._ranking(off, f"closer {to}", f"closest {to}", f"distance {to}")
+        complete = self._ranking(away, "more complete", "most complete", "completeness")
         missing = [c for c in candidates if not away[c.name].is_sampling]
-        if not missing:
-            why = "; their densities explain that"
-        elif len(missing) == len(candidates):
-            why = "; all leave parts of it out, beyond what their densities explain"
-        elif [c.name for c in missing] == [max(away, key=lambda name: away[name].value)]:
-            why = " and leaves parts of it out, beyond what its density explains"
+        if missing:
+            why = f"parts are missing in {self.all(missing)}"
         else:
-            leaves = "leaves" if len(missing) == 1 else "leave"
-            why = f"; {self.all(missing)} {leaves} parts of it out, beyond what density explains"
-        complete = self._ranking(away, "more complete", "most complete")
+            why = "point spacing explains these distances"
         ends = [self.comparison[pick(off, key=lambda name: off[name].value)] for pick in (min, max)]
+        notes = [*map(self._partly, ends), self._robust_order(candidates, off)]
         return [
-            f"{'; '.join(filter(None, [accuracy, *map(self._partly, ends)]))}{self._but_for_strays(candidates, off)}.",
-            f"{complete}{why}.",
-            f"{self._bends(candidates)}.",
+            f"{'; '.join(filter(None, [accuracy, *notes]))}.",
+            f"{complete}; {why}.",
+            f"{self._deformations(candidates)}.",
         ]
 
-    def _ranking(self, found: Mapping[str, _Distance], more: str, most: str) -> str:
-        """Who is best, and whom it can be told from: the paired differences decide, not whether intervals overlap."""
+    def _ranking(self, found: Mapping[str, _Distance], more: str, most: str, quantity: str) -> str:
+        """Return the order of candidates as far as their paired differences are significant.
+
+        Two intervals may overlap although the paired difference is significant.
+        """
         order = sorted(found, key=lambda name: found[name].value)
         first = found[order[0]]
         like = self._tied_with(order[0], order, first.metric)
         values = [self.length(found[name].value) for name in order]
         best, worst = self.names[order[0]], self.names[order[-1]]
-        words = f" {first.words}" + ("" if first.floor is None else f" (floor {self.length(first.floor)})")
+        words = f" {first.label}" + ("" if first.floor is None else f" (floor {self.length(first.floor)})")
         if len(like) == len(order) == 2:
-            return f"Which is {more} cannot be told: {best} has {values[0]}, {worst} {values[1]}{words}"
+            return f"No significant difference in {quantity}: {best} {values[0]}, {worst} {values[1]}{words}"
         if len(order) == 2:
             return f"{best} is {more} than {worst}: {values[0]} against {values[1]}{words}"
         if len(like) == len(order):
-            return f"Which is {most} cannot be told: {values[0]} ({best}) to {values[-1]} ({worst}){words}"
+            return f"No significant difference in {quantity}: {values[0]} ({best}) to {values[-1]} ({worst}){words}"
         tied = self._tied_with(order[-1], order, first.metric)
         last = "" if order[-1] in like else self._last([name for name in tied if name not in like], found)
         if len(like) == 1:
             then = "" if order[1] in tied else f", then {self.names[order[1]]} ({values[1]})"
             return f"{best} is {most}: {values[0]}{words}{then}{last}"
         these, farthest = joined([self.names[name] for name in like]), self.length(found[like[-1]].value)
-        return f"{these} are {most} and cannot be told apart: {values[0]} to {farthest}{words}{last}"
+        return f"{these} are {most}, without a significant difference: {values[0]} to {farthest}{words}{last}"
 
     def _tied_with(self, one: str, order: Sequence[str], metric: str) -> list[str]:
-        """Those that cannot be told from one of them, and itself, in the same order."""
+        """Return the candidates that do not differ significantly from one of them, and that one, in the same order."""
         return [name for name in order if name == one or not self._differ(one, name, metric)]
 
     def _last(self, tied: Sequence[str], found: Mapping[str, _Distance]) -> str:
         names, ends = joined([self.names[k] for k in tied]), [self.length(found[k].value) for k in (tied[0], tied[-1])]
         if len(tied) == 1:
             return f"; {names} is last ({ends[0]})"
-        return f"; {names} are last and cannot be told apart ({' to '.join(ends)})"
+        return f"; {names} are last, without a significant difference ({' to '.join(ends)})"
 
     def _partly(self, candidate: Candidate) -> str:
-        """Of what only a part lies on the reference, the distances are mostly those of the rest."""
+        """Return a warning if little of a candidate lies on the reference: the rest dominates its distances."""
         if not overlaps_little(self.comparison, candidate):
             return ""
         return f"only {candidate.registration.overlap:.0%} of {self.names[candidate.name]} lies on the reference"
 
-    def _but_for_strays(self, candidates: Sequence[Candidate], off: Mapping[str, _Distance]) -> str:
-        """Where strays alone make the order by the RMS: another candidate is far better by the NMAD."""
+    def _robust_order(self, candidates: Sequence[Candidate], off: Mapping[str, _Distance]) -> str:
+        """Return a note if outliers determine the order by RMS: another candidate has a much smaller NMAD."""
         robust = {c.name: value for c in candidates if (value := _nmad(c)) is not None}
         if len(robust) < len(candidates):
             return ""
         best, better = min(off, key=lambda name: off[name].value), min(robust, key=lambda name: robust[name])
-        if _MANY_STRAYS * robust[better] >= robust[best]:
+        if _MIN_OUTLIER_RATIO * robust[better] >= robust[best]:
             return ""
         values = f"{self.length(robust[better])} against {self.length(robust[best])}"
-        return f"; but by the NMAD, which strays do not move, it is {self.names[better]} ({values})"
+        return f"by the NMAD, which is robust against outliers, {self.names[better]} is closer ({values})"
 
-    def _bends(self, candidates: Sequence[Candidate]) -> str:
-        """Every candidate under its verdict, those that are bent first."""
-        kinds = {
-            "non-affine": "bent",
-            "affine": "sheared or stretched",
-            "similarity": "of another scale",
-            "none": "not deformed",
-            "undecided": "undecided whether deformed",
+    def _deformations(self, candidates: Sequence[Candidate]) -> str:
+        """Return the verdicts on deformation, deformed candidates first."""
+        verdicts = {
+            "non-affine": ("is deformed", "are deformed"),
+            "affine": ("is sheared or stretched", "are sheared or stretched"),
+            "similarity": ("has another scale", "have another scale"),
+            "none": ("is not deformed", "are not deformed"),
+            "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
         }
-        parts = []
-        for verdict, words in kinds.items():
-            of_it = [c for c in candidates if _verdict(c) == verdict]
-            if of_it:
-                parts.append(f"{words}: {joined([self._bend(c) for c in of_it])}")
-            limits = [c.deformation.minimum_detectable_rms for c in of_it]
-            seen = max((limit for limit in limits if limit is not None), default=None)
-            if verdict == "none" and seen is not None:
-                parts[-1] += f" (a dome of {self.length(seen)} RMS would show)"
-        text = "; ".join(parts)
-        return text[:1].upper() + text[1:]
+        sentences = []
+        for verdict, (singular, plural) in verdicts.items():
+            chosen = [c for c in candidates if _verdict(c) == verdict]
+            if not chosen:
+                continue
+            text = f"{joined([self._with_size(c) for c in chosen])} {singular if len(chosen) == 1 else plural}"
+            if verdict == "non-affine":
+                text += " beyond any affine motion"
+            limits = [c.deformation.minimum_detectable_rms for c in chosen]
+            limit = max((limit for limit in limits if limit is not None), default=None)
+            if verdict == "none" and limit is not None:
+                text += f"; a dome above {self.length(limit)} RMS would have been detected"
+            sentences.append(text)
+        return ". ".join(sentences)
 
-    def _bend(self, candidate: Candidate) -> str:
-        bend, notes = candidate.deformation, []
-        if bend.amplitude is not None and _verdict(candidate) == "non-affine":
-            notes.append(f"{self.length(bend.amplitude.rms)} RMS")
-        if bend.part_moved:
-            notes.append("a part moved by itself")
+    def _with_size(self, candidate: Candidate) -> str:
+        result, notes = candidate.deformation, []
+        if result.amplitude is not None and _verdict(candidate) == "non-affine":
+            notes.append(f"{self.length(result.amplitude.rms)} RMS")
+        if result.part_moved:
+            notes.append("a part moved separately")
         return f"{self.names[candidate.name]} ({', '.join(notes)})" if notes else self.names[candidate.name]
 
     def _differ(self, a: str, b: str, metric: str) -> bool:
-        """Whether the paired difference of two candidates is more than chance; True where it is not known."""
+        """Whether the paired difference of two candidates is significant; True if it is unknown."""
         for found in self.comparison.differences:
             if found.metric == metric and {found.a, found.b} == {a, b}:
                 return not found.interval.low <= 0 <= found.interval.high
@@ -253,13 +271,13 @@ class _Writer:
 
 
 def _verdict(candidate: Candidate) -> str:
-    """On deformation: none is claimed under a pose that the geometry leaves open."""
+    """Return the verdict on deformation: undecided if the geometry does not determine the pose."""
     verdict = candidate.deformation.verdict
     return "undecided" if is_open(candidate) and verdict in CLAIMS else verdict
 
 
 def _off_surface(candidate: Candidate) -> _Distance:
-    """How far the candidate lies off the reference's surface; off its points where there are too few for normals."""
+    """Return the RMS distance to the reference's surface, or the mean distance to its points without normals."""
     d2 = candidate.metrics.d2_mse.accuracy
     if d2.value is not None:
         floor = None if d2.floor is None else d2.floor**0.5
@@ -270,13 +288,13 @@ def _off_surface(candidate: Candidate) -> _Distance:
 
 
 def _away(candidate: Candidate) -> _Distance:
-    """How far the reference's points lie from the candidate, on average."""
+    """Return the mean distance from the reference's points to the candidate."""
     mean = candidate.metrics.mean_distance.completeness
-    words = "on average from the reference to it"
-    return _Distance(mean.value or 0.0, mean.floor, mean.interval, f"mean_distance/{BACK}", words)
+    label = "mean distance from the reference"
+    return _Distance(mean.value or 0.0, mean.floor, mean.interval, f"mean_distance/{BACK}", label)
 
 
 def _nmad(candidate: Candidate) -> float | None:
-    """Of the signed distances to the surface."""
+    """Return the NMAD of the signed distances to the surface, if there are any."""
     spread = candidate.metrics.spreads.get("plane_distance")
     return None if spread is None else spread.accuracy.nmad

@@ -1,4 +1,4 @@
-"""Colours of distances, in files and pictures alike, without a plotting library: the maps, and the ranges they span."""
+"""Colour maps and colour ranges of distances, shared by files and pictures, without a plotting library."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 
-COMPARABLE = 5.0
-"""Candidates share a range where none of their 95th percentiles is more than so many times the smallest."""
+MAX_SHARED_RATIO = 5.0
+"""Largest ratio of the 95th percentiles of candidates that share a colour range."""
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
-"""Colours of curves and markers: those of Okabe and Ito, which colour-blind readers tell apart, and grey."""
+"""Colours of curves and markers: the colour-blind safe palette of Okabe and Ito, and grey."""
 
-# viridis (van der Walt and Smith 2015) at even places of its upper 87 %, which stand out from a dark ground: its
-# lightness grows evenly, so it is read alike with every kind of colour blindness, and in grey.
+# viridis (van der Walt and Smith 2015), sampled evenly over its upper 87 %, which contrasts with a dark background. Its
+# lightness grows evenly, so it is readable in grey and with any colour blindness.
 SEQUENTIAL = np.array(
     [
         [71, 46, 124],
@@ -54,11 +54,13 @@ DIVERGING = np.array(
 
 @dataclass(frozen=True)
 class Range:
-    """What colours span.
+    """A colour range.
 
     Attributes:
-        note: how it was found, in words: whose it is beside the candidate's.
-        signed: whether the middle, zero, is what other values are told from.
+        low: value of the first colour.
+        high: value of the last colour.
+        note: how the range was chosen, and which candidates share it.
+        signed: whether the range is symmetric about zero, with a diverging colour map.
     """
 
     low: float
@@ -68,58 +70,58 @@ class Range:
 
     @property
     def table(self) -> FloatArray:
-        """Colours (K, 3) from 0 to 255 at even places from `low` to `high`."""
+        """Colours (K, 3), 0 to 255, at even steps from `low` to `high`."""
         return DIVERGING if self.signed else SEQUENTIAL
 
     def colors(self, values: FloatArray) -> NDArray[np.uint8]:
-        """RGB (N, 3) of values (N,), clipped outside the range."""
-        place = np.clip((values - self.low) / (self.high - self.low), 0, 1) * (len(self.table) - 1)
+        """Return the RGB colours (N, 3) of values (N,), clipped to the range."""
+        position = np.clip((values - self.low) / (self.high - self.low), 0, 1) * (len(self.table) - 1)
         anchors = np.arange(len(self.table))
-        channels = [np.interp(place, anchors, channel) for channel in self.table.T]
+        channels = [np.interp(position, anchors, channel) for channel in self.table.T]
         colors: NDArray[np.uint8] = np.rint(np.stack(channels, axis=1)).astype(np.uint8)
         return colors
 
 
 def largest_but_strays(values: FloatArray) -> float:
-    """The 95th percentile of |value|: what lies far off does not decide. 0 where there are no values."""
+    """Return the 95th percentile of |values|, which is robust against outliers; 0 without values."""
     return float(np.percentile(np.abs(values), 95)) if len(values) else 0.0
 
 
 def ranges(
     highest: Mapping[str, float], *, spacing: float = 0.0, signed: bool = False, given: float | None = None
 ) -> dict[str, Range]:
-    """The range of each candidate, shared among those that are comparable: one that is far off has its own, and the
-    others' are what they would be without it.
+    """Return the colour range of each candidate; candidates with similar maxima share one.
+
+    A candidate with much larger distances gets a separate range and does not affect those of the others.
 
     Args:
-        highest: of each candidate's values, as `largest_but_strays` finds them.
-        spacing: of the reference. Values of less than its millionth are rounding: such a range ends at the spacing.
-        signed: whether there are values below zero.
-        given: the end of all ranges, where a user wants that one.
+        highest: robust maximum of each candidate's values.
+        spacing: spacing of the reference. Maxima below a millionth of it are rounding; that range ends at the spacing.
+        signed: whether values can be negative.
+        given: the end of all ranges, if the user sets it.
     """
     if given is not None:
-        return {name: _range(given, signed, "range as given") for name in highest}
-    least = 1e-6 * spacing
-    found: dict[str, Range] = {}
-    left = sorted(highest, key=lambda name: highest[name])
-    while left:
-        reach = COMPARABLE * max(highest[left[0]], least)
-        group = [name for name in left if highest[name] <= reach]
-        left = left[len(group) :]
+        return {name: _range(given, signed, "range set by the user") for name in highest}
+    rounding = 1e-6 * spacing
+    result: dict[str, Range] = {}
+    remaining = sorted(highest, key=lambda name: highest[name])
+    while remaining:
+        limit = MAX_SHARED_RATIO * max(highest[remaining[0]], rounding)
+        group = [name for name in remaining if highest[name] <= limit]
+        remaining = remaining[len(group) :]
         high = highest[group[-1]]
-        if high > least:
+        if high > rounding:
             note = f"up to the {'largest ' if len(group) > 1 else ''}95th percentile"
             if len(group) > 1:
-                all_of_them = "both" if len(group) == 2 else f"all {len(group)}"
-                note += (
-                    f", shared by {all_of_them if len(group) == len(highest) else f'{len(group)} of {len(highest)}'}"
-                )
+                everyone = "both candidates" if len(group) == 2 else f"all {len(group)} candidates"
+                some = f"{len(group)} of {len(highest)} candidates"
+                note += f", shared by {everyone if len(group) == len(highest) else some}"
             elif len(highest) > 1:
-                note += f", of this one of {len(highest)} alone"
+                note += ", of this candidate only"
         else:
-            high, note = spacing or 1.0, "no distance that is more than rounding"
-        found |= dict.fromkeys(group, _range(high, signed, note))
-    return {name: found[name] for name in highest}
+            high, note = spacing or 1.0, "all distances are within rounding"
+        result |= dict.fromkeys(group, _range(high, signed, note))
+    return {name: result[name] for name in highest}
 
 
 def _range(high: float, signed: bool, note: str) -> Range:

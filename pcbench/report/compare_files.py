@@ -1,4 +1,4 @@
-"""A comparison from files to files: read everything, compare, write; nothing is left unless everything went well."""
+"""A comparison from files to a report folder. A failed run writes nothing."""
 
 from __future__ import annotations
 
@@ -26,8 +26,14 @@ _Setting = TypeVar("_Setting")
 
 @dataclass(frozen=True)
 class ComparisonJob:
-    """What to compare, and how its pictures look. `expected` holds the sha256 of files (by absolute path) that were
-    recorded before.
+    """The files and settings of a comparison.
+
+    Attributes:
+        reference: path of the reference.
+        candidates: path of each candidate, by name.
+        settings: the settings.
+        expected: recorded SHA-256 of files, by absolute path.
+        figures: appearance of the pictures.
     """
 
     reference: Path
@@ -38,19 +44,20 @@ class ComparisonJob:
 
     @property
     def inputs(self) -> list[Path]:
-        """The files that are read: the clouds, and those that settings name."""
+        """The input files: the clouds, and the files named in settings."""
         return [self.reference, *self.candidates.values(), *paths_in(self.settings)]
 
     @classmethod
     def of(
         cls, reference: Path, candidates: Sequence[Path], settings: Settings, figures: Figures | None = None
     ) -> ComparisonJob:
+        """Return the job for files whose names give the names of the candidates."""
         named = dict(zip(names_of(candidates), candidates, strict=True))
         return cls(reference, named, settings, {}, figures or Figures())
 
     @classmethod
     def recorded(cls, settings_file: Path) -> ComparisonJob:
-        """The comparison that a report's settings.json describes."""
+        """Return the job that a report's settings.json describes."""
         settings, inputs = read_settings(settings_file)
         candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
         expected = {file.path: file.sha256 for file in inputs.all()}
@@ -59,7 +66,7 @@ class ComparisonJob:
 
 @dataclass(frozen=True)
 class Outputs:
-    """The folder of the report, None for none, and whether it gets pictures."""
+    """The outputs of a comparison: a report folder, if any, and whether to draw pictures."""
 
     folder: Path | None = None
     figures: bool = True
@@ -67,7 +74,7 @@ class Outputs:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonOutcome:
-    """A comparison, and why there are no pictures where there should be."""
+    """A comparison, and the reason why its pictures could not be drawn, if any."""
 
     comparison: Comparison
     without_figures: str | None = None
@@ -77,13 +84,13 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
     """Compare files and write the report.
 
     Raises:
-        PcbenchError, OSError: an input, a setting or an output is not usable; nothing was written then.
+        PcbenchError, OSError: an input, a setting or an output is invalid; nothing was written.
     """
     settings = replace(job.settings, register=_absolute(job.settings.register), crop=_absolute(job.settings.crop))
     if isinstance(settings.m3c2, M3C2Settings):
         settings = replace(settings, m3c2=settings.m3c2.absolute())
     if (settings.classes or settings.returns) and not any(p.suffix.lower() in FILTERED for p in job.inputs):
-        raise InputError("--classes and --returns filter LAS files: none of the clouds is one")
+        raise InputError("--classes and --returns filter LAS files, but none of the clouds is a LAS file")
     plan = Plan(step, _expected_seconds(job, outputs))
     if outputs.folder is None:
         outcome = ComparisonOutcome(_run(job, settings, plan))
@@ -100,17 +107,17 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
 
 def _run(job: ComparisonJob, settings: Settings, step: Plan) -> Comparison:
     measured = compare_inputs(job.reference, job.candidates, settings, step)
-    assert measured.inputs is not None  # all come from files
+    assert measured.inputs is not None  # all clouds come from files
     inputs = measured.inputs
     reference, *files = (_with_change(job, file) for file in (inputs.reference, *inputs.files))
-    said = [text for file in files for text in file.warnings]
-    reference = replace(reference, warnings=(*reference.warnings, *said))
+    warnings = [text for file in files for text in file.warnings]
+    reference = replace(reference, warnings=(*reference.warnings, *warnings))
     candidates = {name: _with_change(job, file) for name, file in inputs.candidates.items()}
     return replace(measured, inputs=Inputs(reference, candidates, tuple(files)))
 
 
 def _with_change(job: ComparisonJob, file: InputFile) -> InputFile:
-    """The file with a warning where it is not the one that was recorded."""
+    """Return the file, with a warning if its content differs from the recorded one."""
     if job.expected.get(file.path, file.sha256) == file.sha256:
         return file
     return replace(
@@ -119,15 +126,15 @@ def _with_change(job: ComparisonJob, file: InputFile) -> InputFile:
 
 
 def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
-    """Of each step that is announced, roughly, for progress bars."""
+    """Return a rough duration of each announced step, in seconds, for the progress bar."""
     reading = [reading_seconds(path) for path in (job.reference, *job.candidates.values())]
     pairs = [reading[0] + seconds for seconds in reading[1:]]
-    written = sum(pairs) if outputs.folder is not None else 0.0
-    return [*reading, sum(2.0 + 20 * pair for pair in pairs), written, drawing_seconds(len(pairs))]
+    writing = sum(pairs) if outputs.folder is not None else 0.0
+    return [*reading, sum(2.0 + 20 * pair for pair in pairs), writing, drawing_seconds(len(pairs))]
 
 
 def _absolute(setting: _Setting) -> _Setting | str:
-    """A text that names a file, so that it means the same from any folder."""
+    """Make the path in a text such as `matrix:FILE` absolute."""
     file = named_file(setting)
     if file is None or not isinstance(setting, str):
         return setting

@@ -1,4 +1,4 @@
-"""The comparison that users get: the measured one, with the files its clouds came from, that can be saved and shown."""
+"""`pcbench.compare` and `Comparison`: a measured comparison that can be saved as a report and shown in notebooks."""
 
 from __future__ import annotations
 
@@ -30,39 +30,39 @@ from pcbench.report.table import html
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(SourcedComparison):
-    """A reference, its candidates, and the differences between them. `comparison["a"]` is the candidate named a.
+    """A reference, its candidates, and the differences between them; `comparison["a"]` is the candidate named a.
 
     Attributes:
-        inputs: the files that the clouds came from; None where one came from memory.
+        inputs: the input files; None if a cloud came from memory.
     """
 
     @classmethod
     def of(cls, measured: results.CandidateComparisons, inputs: Inputs | None = None) -> Comparison:
+        """Return a measured comparison with its input files."""
         return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs)
 
     def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:
         """Write a report: comparison.json, metrics.csv, table.md, deviation clouds, matrices and pictures.
 
         Args:
-            folder: is made; an older report in it is replaced, anything else in it is refused.
-            figures: whether pictures are drawn, or how they look.
-
-        Pictures that cannot be drawn are warned about: the numbers are delivered all the same.
+            folder: the folder, created if necessary. A report in it is replaced.
+            figures: whether to draw pictures, or their appearance. If they cannot be drawn, a warning says why, and
+                everything else is written.
 
         Raises:
-            InputError: the folder holds something else, or an input of the comparison; or a candidate's name cannot be
-                part of file names.
+            InputError: the folder has other files, or an input of the comparison; or a candidate's name cannot be part
+                of file names.
             OSError: the folder cannot be written.
         """
         with report_folder(Path(folder), keep=[] if self.inputs is None else self.inputs.paths()) as scratch:
-            look = figures if isinstance(figures, Figures) else Figures()
-            write_report(scratch, self, look)
-            problem = plot.draw_if_possible(scratch, figures=look) if figures else None
+            style = figures if isinstance(figures, Figures) else Figures()
+            write_report(scratch, self, style)
+            problem = plot.draw_if_possible(scratch, figures=style) if figures else None
         if problem is not None:
             warnings.warn(problem, stacklevel=2)
 
     def _repr_html_(self) -> str:
-        """The table, for notebooks."""
+        """Return the table for a notebook."""
         return html(self)
 
 
@@ -74,20 +74,21 @@ def compare(
     on_step: Callable[[str], None] | None = None,
     **changed: Any,
 ) -> Comparison:
-    """Compare candidate clouds with a reference: register, measure both ways, map, and say whether they are bent.
+    """Compare candidate clouds with a reference: register, measure in both directions, map, and test for deformation.
 
     Args:
-        reference: a cloud, an (N, 3) array, a mesh, which is sampled by area with its faces' normals, or the path of a
-            file with a cloud or a mesh.
-        candidates: one cloud, (N, 3) array or path, several, or several by name. Files have the name of their stem.
-        settings: see `pcbench.Settings`.
-        on_step: called with a few words before every step that takes time.
-        changed: settings by name, in place of those of `settings`: `compare(a, b, register="similarity", seed=1)`.
+        reference: a cloud, an (N, 3) array, a mesh, or the path of a file with a cloud or a mesh. A mesh is sampled
+            uniformly by area, with the normals of its faces.
+        candidates: one cloud, (N, 3) array or path; several; or several by name. A file's name is its stem.
+        settings: the settings; default: `pcbench.Settings()`.
+        on_step: called with a short text before each step that takes time.
+        changed: settings by name that replace those of `settings`: `compare(a, b, register="similarity", seed=1)`.
 
-    Readers' warnings are given by `warnings.warn`, and kept in the `inputs` of the result.
+    Returns:
+        The comparison. Warnings of file readers are in its `inputs`, and are also given by `warnings.warn`.
 
     Raises:
-        InputError: a file, a cloud, a setting or a region is not usable.
+        InputError: a file, a cloud, a setting or a region is invalid.
         RegistrationError: a candidate does not overlap the reference.
     """
     compared = compare_inputs(reference, candidates, with_changes(settings, changed), on_step or (lambda _: None))
@@ -103,43 +104,56 @@ def compare_inputs(
     settings: Settings,
     step: Callable[[str], None],
 ) -> Comparison:
-    """`compare` that leaves the readers' warnings in the result."""
+    """Compare like `compare`, but leave the warnings of file readers in the result only.
+
+    Args:
+        reference: as in `compare`.
+        candidates: as in `compare`.
+        settings: the settings.
+        step: called with a short text before each step that takes time.
+    """
     files: dict[str, InputFile] = {}
-    of_reference, of_settings = None, named_files(settings)
+    reference_file, setting_files = None, named_files(settings)
     if isinstance(reference, str | os.PathLike):
         step(f"reading {reference}")
-        reference, of_reference = read_reference(Path(reference), settings)
+        reference, reference_file = read_reference(Path(reference), settings)
     named = _named(candidates)
     for name, given in named.items():
         if is_path(given):
             step(f"reading {given}")
             named[name], files[name] = read_candidate(Path(given), settings)
-    kept, named = _without_faint_splats(reference, named, settings)
+    filtered, named = _without_transparent_splats(reference, named, settings)
     within = step.within() if isinstance(step, Plan) else step
-    measured = comparison.compare(kept, named, settings, on_step=within)
-    whole = of_reference is not None and files.keys() == named.keys()
-    return Comparison.of(measured, Inputs(of_reference, files, of_settings) if of_reference and whole else None)
+    measured = comparison.compare(filtered, named, settings, on_step=within)
+    inputs = None
+    if reference_file is not None and files.keys() == named.keys():  # all clouds came from files
+        inputs = Inputs(reference_file, files, setting_files)
+    return Comparison.of(measured, inputs)
 
 
-def _without_faint_splats(reference: Any, candidates: dict[str, Any], settings: Settings) -> tuple[Any, dict[str, Any]]:
-    """The clouds, those that are models of Gaussian splats as the settings filter them.
+def _without_transparent_splats(
+    reference: Any, candidates: dict[str, Any], settings: Settings
+) -> tuple[Any, dict[str, Any]]:
+    """Return the clouds; models of Gaussian splats are filtered by opacity and axis.
 
     Raises:
-        InputError: none is one, or nothing is left of one.
+        InputError: the settings filter splats, but no cloud is a splat model; or a filtered model has no splat.
     """
     limits = settings.min_opacity, settings.max_axis
     if limits == (None, None):
         return reference, candidates
     if not any(_is_splat_model(cloud) for cloud in (reference, *candidates.values())):
-        raise InputError("a least opacity and a largest axis filter Gaussian splats: none of the clouds is a model")
+        raise InputError(
+            "a minimum opacity and a maximum axis filter Gaussian splats, but none of the clouds is a splat model"
+        )
 
-    def kept(name: str, cloud: Any) -> Any:
+    def filtered(name: str, cloud: Any) -> Any:
         try:
             return filter_splats(cloud, *limits) if _is_splat_model(cloud) else cloud
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
 
-    return kept("the reference", reference), {name: kept(name, cloud) for name, cloud in candidates.items()}
+    return filtered("the reference", reference), {name: filtered(name, cloud) for name, cloud in candidates.items()}
 
 
 def _is_splat_model(cloud: Any) -> bool:
@@ -147,7 +161,7 @@ def _is_splat_model(cloud: Any) -> bool:
 
 
 def _named(candidates: Any) -> dict[str, Any]:
-    """Candidates by name: as given, else the file's, else by their number."""
+    """Return candidates by name: the given name, the stem of the file, or a number."""
     if isinstance(candidates, Mapping):
         return dict(candidates)
     if isinstance(candidates, Cloud | np.ndarray) or is_path(candidates):
@@ -157,5 +171,5 @@ def _named(candidates: Any) -> dict[str, Any]:
     stems = iter(names_of([Path(given) for given in candidates if is_path(given)]))
     names = [next(stems) if is_path(given) else f"candidate_{k}" for k, given in enumerate(candidates, 1)]
     if twice := [name for k, name in enumerate(names) if name in names[:k]]:
-        raise InputError(f"two candidates are called {twice[0]!r}: give them by name, as {{'name': cloud, ...}}")
+        raise InputError(f"two candidates are called {twice[0]!r}: pass them by name, as {{'name': cloud, ...}}")
     return dict(zip(names, candidates, strict=True))

@@ -1,4 +1,4 @@
-"""`pcbench deform`: from two files to a folder with the verdict on their deformation."""
+"""The test for deformation from two files to a folder, for `pcbench deform`."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ from pcbench.report.figures import Figures, record_figures
 from pcbench.report.folder import report_folder, write_deformation
 from pcbench.report.plot import draw_if_possible, drawing_seconds
 
-_MAX_SHOWN_POINTS = 300_000  # points of the aligned candidate that pictures are drawn over
+_MAX_ALIGNED_POINTS = 300_000  # in aligned.ply, the background of the pictures
 
 
 @dataclass(frozen=True, eq=False)
 class DeformationOutcome:
+    """A registration and a verdict on deformation, with warnings, the unit, and why there are no pictures, if so."""
+
     registration: Registration
     deformation: Deformation
     warnings: tuple[str, ...]
@@ -40,18 +42,27 @@ def deform_files(
     figures: Figures | None,
     step: Callable[[str], None],
 ) -> DeformationOutcome:
-    """`deform` from files to a folder: deformation.json, the field, the aligned candidate (downsampled) and pictures.
+    """Test a candidate file for deformation and write deformation.json, the field, the aligned candidate and pictures.
 
     Args:
-        figures: how pictures look, which settings.json holds; None: there are none.
+        reference: path of the reference.
+        candidate: path of the candidate.
+        method: the registration method, as in `--register`.
+        crop: the region, as in `--crop`.
+        seed: random seed.
+        out: the output folder; None: write nothing.
+        figures: appearance of the pictures, recorded in settings.json; None: draw none.
+        step: called with a short text before each step that takes time.
 
     Raises:
-        PcbenchError, OSError: an input or the output is not usable; nothing was written then.
+        PcbenchError, OSError: an input or the output is invalid; nothing was written.
     """
     warnings: list[str] = []
     clouds = []
-    read = [reading_seconds(path) for path in (reference, candidate)]
-    plan = Plan(step, [*read, 1.0 + 20 * sum(read), *([sum(read), drawing_seconds(1)] if out is not None else [])])
+    reading = [reading_seconds(path) for path in (reference, candidate)]
+    plan = Plan(
+        step, [*reading, 1.0 + 20 * sum(reading), *([sum(reading), drawing_seconds(1)] if out is not None else [])]
+    )
     for path in (reference, candidate):
         plan(f"reading {path}")
         clouds.append(read_cloud(path, on_warning=warnings.append))
@@ -59,17 +70,17 @@ def deform_files(
     without_figures = None
 
     def run() -> tuple[Registration, Deformation]:
-        plan("registering, and looking for a bend")
+        plan("registering, testing for deformation")
         return deform(reference_cloud, cloud, method, crop, seed)
 
     if out is None:
-        found, deformation = run()
+        registration, deformation = run()
     else:
         with report_folder(out, keep=[reference, candidate, *filter(None, map(named_file, (method, crop)))]) as folder:
-            found, deformation = run()
+            registration, deformation = run()
             plan("writing the report")
-            rows = voxel_downsample_to(cloud.points, _MAX_SHOWN_POINTS, start=1e-4 * robust_extent(cloud.points))
-            transform = found.T_reference_candidate
+            rows = voxel_downsample_to(cloud.points, _MAX_ALIGNED_POINTS, start=1e-4 * robust_extent(cloud.points))
+            transform = registration.T_reference_candidate
             aligned = Cloud(transform.apply(cloud.points[rows]), crs=reference_cloud.crs, unit=reference_cloud.unit)
             write_deformation(folder, deformation, aligned, transform, reference_cloud.crs, reference_cloud.unit)
             if figures is not None:
@@ -77,9 +88,9 @@ def deform_files(
                 plan("drawing the pictures")
                 without_figures = draw_if_possible(folder, figures=figures)
     return DeformationOutcome(
-        found,
+        registration,
         deformation,
-        (*warnings, *(notice.text for notice in found.warnings)),
+        (*warnings, *(notice.text for notice in registration.warnings)),
         reference_cloud.unit,
         without_figures,
     )

@@ -1,4 +1,4 @@
-"""`comparison.json`: schema `pcbench.comparison/1`, documented in docs/comparison-json.md."""
+"""`comparison.json` and the JSON of registrations; their schemas are documented in docs/comparison-json.md."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from pcbench.systems import cpus
 SCHEMA = "pcbench.comparison/1"
 REGISTRATION_SCHEMA = "pcbench.registration/1"
 
-_CODE = ("pcbench", "reconstructors", "CMakeLists.txt", "pyproject.toml")  # what a build is made of
+_CODE_PATHS = ("pcbench", "reconstructors", "CMakeLists.txt", "pyproject.toml")
 
 
 def document(comparison: SourcedComparison) -> dict[str, Any]:
-    """The comparison as JSON-ready values."""
+    """Return a comparison as JSON values."""
     inputs = comparison.inputs
     values = {
         "schema": SCHEMA,
@@ -59,11 +59,14 @@ def document(comparison: SourcedComparison) -> dict[str, Any]:
 def registration_document(
     registration: Registration, reference: InputFile, candidate: InputFile, centroid: FloatArray, unit: str | None
 ) -> dict[str, Any]:
-    """A registration of two files as JSON-ready values: schema `pcbench.registration/1`.
+    """Return a registration of two files as JSON values, with the schema `pcbench.registration/1`.
 
     Args:
-        centroid: (3,) of the candidate's points, at which the motion is described.
-        unit: of lengths; None where it is not known.
+        registration: the registration.
+        reference: the file of the reference.
+        candidate: the file of the candidate.
+        centroid: (3,) centroid of the candidate's points, at which the motion is given.
+        unit: the unit of lengths, if known.
     """
     motion = registration.T_reference_candidate.motion_at(centroid)
     values = {
@@ -80,7 +83,7 @@ def registration_document(
 
 
 def to_json(values: Any) -> str:
-    """JSON text of a dictionary or a dataclass: what does not exist is null, never NaN or Infinity."""
+    """Return a dictionary or a dataclass as JSON text; missing and non-finite values are null."""
     return json.dumps(_plain(values), indent=2, allow_nan=False) + "\n"
 
 
@@ -89,11 +92,11 @@ def _file(file: InputFile | None) -> dict[str, Any]:
 
 
 def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
-    described = _file(file)
+    file_values = _file(file)
     return {
         "name": candidate.name,
-        **described,
-        "warnings": [*described["warnings"], *candidate.warnings],
+        **file_values,
+        "warnings": [*file_values["warnings"], *candidate.warnings],
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
         "registration": _registration(candidate.registration),
@@ -105,7 +108,7 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
 
 
 def _measured(candidate: Candidate) -> dict[str, Any]:
-    """`metrics` and `deviation`: every quantity at its path, and beside them what is no single number."""
+    """Return `metrics` and `deviation`: each quantity at its path, and values that are not single numbers."""
     m, deviation = candidate.metrics, candidate.deviation
     lists = {name: _empty_lists(preset) for name, preset in m.presets.items()}
     tree: dict[str, Any] = {
@@ -114,41 +117,41 @@ def _measured(candidate: Candidate) -> dict[str, Any]:
     }
     for quantity in quantities(candidate):
         if quantity.path:
-            _place(tree, quantity)
+            _insert(tree, quantity)
     metrics, maps = tree["metrics"], tree["deviation"]
-    metrics["hausdorff"]["worst_point"] = {way: m.hausdorff[way].worst_point for way in (FORTH, BACK)}
+    metrics["hausdorff"]["worst_point"] = {direction: m.hausdorff[direction].worst_point for direction in (FORTH, BACK)}
     metrics["percentiles"] = {FORTH: m.percentiles_accuracy, BACK: m.percentiles_completeness}
     for kind, both in m.spreads.items():
-        for way in (FORTH, BACK):
-            metrics["spreads"][kind][way]["percentiles"] = both[way].percentiles
+        for direction in (FORTH, BACK):
+            metrics["spreads"][kind][direction]["percentiles"] = both[direction].percentiles
     for name, values in maps["maps"].items():
         values["percentiles"] = deviation.spreads[name].percentiles
     if deviation.m3c2 is not None:
         maps["m3c2"].update(_m3c2(deviation.m3c2))
     distances, plane = deviation.spreads["distance"], deviation.spreads.get("plane_distance")
-    # Distances to points have no sign; the bias is that of the distances to the tangent planes, positive above.
+    # Distances to points have no sign, so the bias is that of the signed distances to the tangent planes.
     bias = None if plane is None else plane.bias
     nearest = {"kind": "nearest", "percentiles": distances.percentiles, "rms": distances.rms, "bias": bias}
     return {"metrics": metrics, "deviation": {**nearest, **maps}}
 
 
-def _place(tree: dict[str, Any], quantity: Quantity) -> None:
-    """Put a quantity at its path, and its interval under the key `ci` beside it."""
-    place: Any = tree
-    for key, then in pairwise(quantity.path):
-        if isinstance(key, int):  # a list holds an object for each threshold
-            if key == len(place):
-                place.append({"threshold": quantity.threshold})
-        elif place.get(key) is None:
-            place[key] = [] if isinstance(then, int) else {}
-        place = place[key]
-    place[quantity.path[-1]] = quantity.value
+def _insert(tree: dict[str, Any], quantity: Quantity) -> None:
+    """Insert a quantity at its path, and its interval under the key `ci` beside it."""
+    node: Any = tree
+    for key, next_key in pairwise(quantity.path):
+        if isinstance(key, int):  # a list with one object per threshold
+            if key == len(node):
+                node.append({"threshold": quantity.threshold})
+        elif node.get(key) is None:
+            node[key] = [] if isinstance(next_key, int) else {}
+        node = node[key]
+    node[quantity.path[-1]] = quantity.value
     if quantity.has_interval:
-        place.setdefault("ci", {})[quantity.path[-1]] = quantity.interval
+        node.setdefault("ci", {})[quantity.path[-1]] = quantity.interval
 
 
 def _empty_lists(preset: Preset) -> dict[str, Any]:
-    """The lists of a preset, which are there without thresholds too."""
+    """Return empty lists for the list fields of a preset, which exist even without thresholds."""
     return {key: [] for key, value in vars(preset).items() if isinstance(value, tuple)}
 
 
@@ -184,7 +187,7 @@ def _m3c2(found: M3C2) -> dict[str, Any]:
 
 
 def provenance(seed: int | None) -> dict[str, Any]:
-    """Version, commit, seed, machine, command and time of a result."""
+    """Return version, commit, seed, machine, command and time of a result."""
     return {
         "version": pcbench.__version__,
         "commit": _commit(),
@@ -197,12 +200,12 @@ def provenance(seed: int | None) -> dict[str, Any]:
 
 
 def _commit(root: Path = Path(pcbench.__file__).parents[1]) -> str | None:
-    """The commit of the source tree at `root`, and whether its code differs from it; None where there is none."""
+    """Return the commit of the source tree at `root`, and whether its code has changed; None without a repository."""
     if not (root / ".git").exists():
         return None
     try:
         commit = _git(root, "rev-parse", "HEAD")
-        changed = _git(root, "status", "--porcelain", "--", *_CODE)
+        changed = _git(root, "status", "--porcelain", "--", *_CODE_PATHS)
     except (OSError, subprocess.SubprocessError):
         return None
     return f"{commit} with uncommitted changes" if changed else commit
@@ -214,8 +217,9 @@ def _git(root: Path, *words: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """numpy values and tuples as JSON's own, non-finite numbers as null; a dataclass as its fields, but for those that
-    are written elsewhere (metadata `json` is False), with the codes of its warnings beside their texts.
+    """Convert numpy values, tuples and dataclasses to JSON values; non-finite numbers become null.
+
+    Fields with the metadata `json=False` are omitted. The codes of warnings are written beside their texts.
     """
     if isinstance(value, Notice):
         return value.text

@@ -1,4 +1,4 @@
-"""What a user may choose of pictures; stored with a report, so that they are drawn the same again."""
+"""Appearance of pictures, as the user sets it; stored with a report so that its pictures can be repeated."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pcbench.errors import InputError
 from pcbench.regular_files import read_text
 
 FORMATS = ("png", "svg", "pdf")
-_NAMED = {"dark": "#1a1c20", "white": "#ffffff", "black": "#000000"}
+_BACKGROUNDS = {"dark": "#1a1c20", "white": "#ffffff", "black": "#000000"}
 
 
 @dataclass(frozen=True)
 class Figures:
-    """How pictures are drawn.
+    """Appearance of pictures.
 
     Attributes:
-        background: `dark`, `white`, `black` or `#rrggbb`; None: views of clouds are dark, charts white.
-        range: the distance, in the reference's unit, at which colours end (from minus to plus it where distances are
-            signed); None: found from the distances.
-        format: `png`, `svg` or `pdf`. Clouds stay images inside the latter two; lines and words can be edited.
+        background: `dark`, `white`, `black` or `#rrggbb`; None: dark for views of clouds, white for charts.
+        range: the distance at which the colour range ends, in the reference's unit; signed distances range from minus
+            to plus this value. None: chosen from the distances.
+        format: `png`, `svg` or `pdf`. In the latter two, text and lines can be edited, and clouds are images.
 
     Raises:
-        InputError: a value is something else.
+        InputError: a value is invalid.
     """
 
     background: str | None = None
@@ -35,24 +35,24 @@ class Figures:
     format: str = "png"
 
     def __post_init__(self) -> None:
-        given = self.background
-        known = given is None or (
-            isinstance(given, str) and (given in _NAMED or re.fullmatch("#[0-9a-fA-F]{6}", given))
+        color = self.background
+        is_color = color is None or (
+            isinstance(color, str) and (color in _BACKGROUNDS or re.fullmatch("#[0-9a-fA-F]{6}", color))
         )
-        if not known:
-            raise InputError(f"expected the background as {', '.join(_NAMED)} or #rrggbb, got {given!r}")
+        if not is_color:
+            raise InputError(f"expected the background as {', '.join(_BACKGROUNDS)} or #rrggbb, got {color!r}")
         if self.range is not None and not (_is_number(self.range) and math.isfinite(self.range) and self.range > 0):
-            raise InputError(f"expected the range of colours as a positive length, got {self.range!r}")
+            raise InputError(f"expected the colour range as a positive length, got {self.range!r}")
         if self.format not in FORMATS:
-            raise InputError(f"expected pictures as {', '.join(FORMATS)}, got {self.format!r}")
+            raise InputError(f"expected the format of pictures as {', '.join(FORMATS)}, got {self.format!r}")
 
     def ground(self, otherwise: str) -> str:
-        """The background as #rrggbb; `otherwise` names the one of a picture for which the user chose none."""
+        """Return the background as #rrggbb; `otherwise` is the default of a picture."""
         name = self.background or otherwise
-        return _NAMED.get(name, name)
+        return _BACKGROUNDS.get(name, name)
 
     def changed(self, background: str | None, range: float | None, format: str | None) -> Figures:
-        """With what a user chose instead; None: as it is."""
+        """Return a copy with some values replaced; None keeps a value."""
         return Figures(
             self.background if background is None else background,
             self.range if range is None else range,
@@ -60,12 +60,12 @@ class Figures:
         )
 
     def plain(self) -> dict[str, Any]:
-        """As JSON holds it: `Figures(**plain)` is the same again."""
+        """Return the values for JSON; `Figures(**plain)` restores them."""
         return asdict(self)
 
 
 def recorded_figures(settings_file: Path) -> Figures:
-    """Those that a report's settings.json has; the usual ones where there are none."""
+    """Return the appearance recorded in a report's settings.json, or the default."""
     try:
         return Figures(**json.loads(read_text(settings_file)).get("figures", {}))
     except (OSError, AttributeError, TypeError, ValueError, RecursionError):
@@ -73,14 +73,14 @@ def recorded_figures(settings_file: Path) -> Figures:
 
 
 def record_figures(settings_file: Path, figures: Figures) -> None:
-    """A settings.json that holds nothing else."""
+    """Write a settings.json that only has the appearance of pictures."""
     settings_file.write_text(json.dumps({"figures": figures.plain()}, indent=2) + "\n", encoding="utf-8")
 
 
 def ink(ground: str) -> str:
-    """The colour of words and lines that are read on a background #rrggbb."""
+    """Return a readable colour for text and lines on a background #rrggbb."""
     red, green, blue = (int(ground[k : k + 2], 16) / 255 for k in (1, 3, 5))
-    # Rec. 709 luma: what decides is how light it looks.
+    # Rec. 709 luma approximates the perceived lightness.
     return "#1b1c1e" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.5 else "#e8e8e6"
 
 

@@ -1,4 +1,4 @@
-"""The report folder: written aside and moved into place, so that a failed run changes nothing."""
+"""The report folder, written under a temporary name and renamed, so that a failed run changes nothing."""
 
 from __future__ import annotations
 
@@ -37,22 +37,26 @@ _COMPARISON = "comparison.json"
 
 @contextmanager
 def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
-    """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when it does not.
+    """Yield a temporary folder that replaces the report in `out` on success and is removed on failure.
 
-    In an existing report the files that its manifest lists are replaced; other files stay as they are.
+    In an existing report the files in its manifest are replaced, and other files are kept.
+
+    Args:
+        out: the report folder.
+        keep: input files that must not be replaced.
 
     Raises:
-        InputError: `out` is a file, a folder with something else in it, or holds a file of `keep` (the inputs); its
-            `figures` is a link; a file that no report wrote has the name of a new one; or another run is writing there.
+        InputError: `out` is a file, has files but no report, or has a file of `keep`; its `figures` is a link; a file
+            that no report wrote has the name of a new one; or another run writes to it.
     """
     for path in keep:
         if path.resolve().is_relative_to(out.resolve()):
-            raise InputError(f"{out}: the report would replace its own input {path}: choose another folder")
+            raise InputError(f"{out}: the report would replace its input {path}: choose another folder")
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the report to, got a file")
     complete_replacement(out)
     if out.is_dir() and any(out.iterdir()) and not is_report(out):
-        raise InputError(f"{out}: the folder is not empty and holds no report: choose another one, or empty it")
+        raise InputError(f"{out}: the folder is not empty and has no report: choose another folder, or empty it")
     check_figures_folder(out)
     created = _make_parents(out.absolute().parent)
     try:
@@ -67,11 +71,14 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
 
 
 def write_report(folder: Path, comparison: SourcedComparison, figures: Figures | None = None) -> None:
-    """Write everything but the pictures of a comparison into an empty folder.
+    """Write a comparison into an empty folder, without its pictures.
 
-    `figures` says how pictures shall look: its range also colours the clouds, and settings.json holds it.
+    settings.json, which repeats the comparison, is written only if all clouds came from files.
 
-    settings.json, by which the comparison can be made again, is left out where its clouds came from no files.
+    Args:
+        folder: the folder.
+        comparison: the comparison.
+        figures: appearance of the pictures, recorded in settings.json; its range also applies to coloured clouds.
 
     Raises:
         InputError: a candidate's name cannot be part of file names.
@@ -94,10 +101,10 @@ def write_report(folder: Path, comparison: SourcedComparison, figures: Figures |
 
 
 def read_settings(path: Path) -> tuple[Settings, Inputs]:
-    """Settings and input files of a report's settings.json.
+    """Return the settings and input files in a report's settings.json.
 
     Raises:
-        InputError: the file is not one, or was damaged.
+        InputError: the file is not a settings.json, or is damaged.
     """
     complete_replacement(path.parent)
     try:
@@ -105,12 +112,12 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read settings: {getattr(error, 'strerror', None) or error}") from error
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
-        raise InputError(f"{path}: expected a settings.json that a report holds (schema {SETTINGS_SCHEMA})")
+        raise InputError(f"{path}: expected the settings.json of a report (schema {SETTINGS_SCHEMA})")
     try:
         settings = restore(values["settings"])
         candidates = {row["name"]: _recorded(row) for row in values["candidates"]}
         if not candidates or len(candidates) < len(values["candidates"]):
-            raise ValueError("candidates need names of their own")
+            raise ValueError("candidates need different names")
         for name in candidates:
             check_name(name)
         files = tuple(_recorded(row) for row in values.get("files", []))
@@ -122,7 +129,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
 
 def _recorded(row: dict[str, Any]) -> InputFile:
     if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
-        raise ValueError("path and sha256 have to be text")
+        raise ValueError("path and sha256 must be text")
     return InputFile(row["path"], row["sha256"])
 
 
@@ -141,13 +148,16 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
 
 
 def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -> None:
-    """NAME_deviation.ply (and .laz where a LAS file came in), NAME_completeness.ply, NAME_m3c2.ply: named scalars, and
-    RGB for all viewers.
+    """Write NAME_deviation.ply (and .laz for a LAS input), NAME_completeness.ply and NAME_m3c2.ply.
+
+    They have named scalars, and RGB for viewers that show no scalars.
     """
     reference = comparison.reference
     maps = [{c.name: c.deviation for c in comparison}, {c.name: c.completeness for c in comparison}]
-    highest = [{name: largest_but_strays(of.scalars["distance"]) for name, of in by.items()} for by in maps]
-    forth, back = (ranges(of, spacing=reference.spacing_median, given=figures.range) for of in highest)
+    highest = [
+        {name: largest_but_strays(map_.scalars["distance"]) for name, map_ in by_name.items()} for by_name in maps
+    ]
+    forth, back = (ranges(maxima, spacing=reference.spacing_median, given=figures.range) for maxima in highest)
     for candidate in comparison.candidates:
         deviation = candidate.deviation
         cloud = _coloured(deviation, forth[candidate.name], comparison)
@@ -157,7 +167,7 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
         write_cloud(f"{stem}_completeness.ply", missing)
         inputs = comparison.inputs
         if inputs is not None and Path(inputs.candidates[candidate.name].path).suffix.lower() in (".las", ".laz"):
-            # A system that only this reference's file knows by name cannot be written to LAS.
+            # LAS needs a known coordinate system, not just a name.
             write_cloud(f"{stem}_deviation.laz", cloud if is_known(cloud.crs) else replace(cloud, crs=None))
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
@@ -177,7 +187,16 @@ def _coloured(deviation: DeviationMap, scale: Range, comparison: SourcedComparis
 def write_deformation(
     folder: Path, deformation: Deformation, aligned: Cloud, transform: Similarity, crs: str | None, unit: str | None
 ) -> None:
-    """Write what `pcbench deform` leaves, but for the pictures, into an empty folder."""
+    """Write the results of `pcbench deform` into an empty folder, without pictures.
+
+    Args:
+        folder: the folder.
+        deformation: the verdict.
+        aligned: the candidate after registration.
+        transform: maps candidate to reference coordinates.
+        crs: coordinate system of the reference, if known.
+        unit: unit of lengths, if known.
+    """
     (folder / "deformation.json").write_text(to_json(deformation), encoding="utf-8")
     write_field(f"{folder}/deformation", deformation, crs, unit)
     write_cloud(folder / "aligned.ply", aligned)
@@ -185,7 +204,7 @@ def write_deformation(
 
 
 def write_field(stem: str, deformation: Deformation, crs: str | None, unit: str | None) -> None:
-    """STEM.ply and STEM.csv: the displacement of the candidate against the reference, a row for each cell."""
+    """Write STEM.ply and STEM.csv: the displacement of the candidate relative to the reference, one row per cell."""
     field = deformation.field
     if field is None:
         return
@@ -214,7 +233,7 @@ def _m3c2_cloud(found: M3C2, comparison: SourcedComparison) -> Cloud:
 
 
 def _make_parents(folder: Path) -> list[Path]:
-    """Create a folder and its parents; those that did not exist, outermost first."""
+    """Create a folder and its parents, and return the created ones, outermost first."""
     missing = [p for p in (folder, *folder.parents) if not p.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     return missing[::-1]

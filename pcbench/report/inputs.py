@@ -1,4 +1,4 @@
-"""The files that a comparison read, so that a report can name them and be made again."""
+"""The input files of a comparison, recorded so that a report can name them and repeat it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pcbench.measure import results
 
 @dataclass(frozen=True)
 class InputFile:
-    """A file that was read: its path as given, the digest of its bytes, and what its reader had to say."""
+    """An input file: its path as given, the SHA-256 of its bytes, and the warnings of its reader."""
 
     path: str
     sha256: str
@@ -20,25 +20,27 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Of a comparison: the reference, each candidate by name, and what settings name, such as a matrix."""
+    """The input files of a comparison: reference, candidates by name, and files named in settings, such as a matrix."""
 
     reference: InputFile
     candidates: Mapping[str, InputFile] = field(default_factory=dict)
     files: tuple[InputFile, ...] = ()
 
     def all(self) -> tuple[InputFile, ...]:
+        """Return all input files."""
         return (self.reference, *self.candidates.values(), *self.files)
 
     def paths(self) -> list[Path]:
+        """Return the paths of all input files."""
         return [Path(file.path) for file in self.all()]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SourcedComparison(results.CandidateComparisons):
-    """A measured comparison and the files that its clouds came from: what every output is written from.
+    """A measured comparison with its input files, from which all outputs are written.
 
     Attributes:
-        inputs: the files; None where a cloud came from memory.
+        inputs: the files; None if a cloud came from memory.
     """
 
     inputs: Inputs | None = None

@@ -1,8 +1,8 @@
-"""The files of a report folder: which of them the report wrote, and how a new report takes their place.
+"""The manifest of a report folder, and the replacement of a report by a new one.
 
-`manifest.json` lists the files that were written. Only these are replaced or removed by the next report; everything
-else in the folder is the user's. A new report is built in a scratch folder, which one rename puts into the old report.
-From then on the new report is the valid one: the next reader or run moves the files that were not moved yet.
+`manifest.json` lists the files that pcbench wrote. The next report replaces or removes only these; other files belong
+to the user. A new report is built in a temporary folder, which one rename moves into the old report. From then on
+the new report is the valid one: the next reader or run moves the remaining files.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from pcbench.report.figures import FORMATS
 MANIFEST = "manifest.json"
 SCHEMA = "pcbench.manifest/1"
 FIGURES = "figures"
-_PENDING = ".pcbench-replacement"  # a complete new report whose files still have to be moved
-_OWN = ".old-manifest.json"
+_PENDING = ".pcbench-replacement"  # a complete new report whose files are still to be moved
+_OLD_MANIFEST = ".old-manifest.json"
 
-# The files of reports without a manifest, those of earlier versions.
+# Files of reports of earlier versions, which have no manifest.
 _COMPARISON_FILES = ("comparison.json", "metrics.csv", "table.md", "settings.json")
 _DEFORMATION_FILES = ("deformation.json", "deformation.ply", "deformation.csv", "aligned.ply", "T.txt", "settings.json")
 _CANDIDATE_SUFFIXES = (
@@ -50,7 +50,7 @@ _CANDIDATE_PICTURES = (
 
 
 def is_report(folder: Path) -> bool:
-    """Whether a report is in the folder, of this version or of an earlier one without a manifest."""
+    """Whether the folder has a report, of this version or of an earlier one without a manifest."""
     return (
         _listed(folder / MANIFEST) is not None
         or str(json_object(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
@@ -59,42 +59,46 @@ def is_report(folder: Path) -> bool:
 
 
 def check_figures_folder(folder: Path) -> None:
-    """Raises:
-    InputError: `figures` is a link or a file: pictures are written into a folder of the report's own.
+    """Check that pictures can be written into the folder `figures` of a report.
+
+    Raises:
+        InputError: `figures` is a link or a file.
     """
     figures = folder / FIGURES
     if figures.is_symlink():
-        raise InputError(f"{figures}: expected a folder of the report's own, got a link: remove it, or choose another")
+        raise InputError(f"{figures}: expected a folder, got a link: remove it, or choose another report folder")
     if figures.exists() and not figures.is_dir():
         raise InputError(f"{figures}: expected a folder for pictures, got a file: rename it, or choose another folder")
 
 
 def replace_report(scratch: Path, out: Path) -> None:
-    """Make the complete report in `scratch`, a folder beside `out`, the one in `out`.
+    """Replace the report in `out` by the complete report in `scratch`, a folder beside it.
 
     Raises:
-        InputError: a file that no report wrote has the name of a new one; nothing was changed then.
-        OSError: a file cannot be moved. If that is after the new report is in `out`, `complete_replacement` goes on.
+        InputError: a file that no report wrote has the name of a new one; nothing was changed.
+        OSError: a file cannot be moved. If the new report is in `out` already, `complete_replacement` continues.
     """
     new = {path.relative_to(scratch).as_posix() for path in scratch.rglob("*") if path.is_file()}
     _write(scratch / MANIFEST, new)
     if not out.exists():
         scratch.rename(out)
         return
-    own = _own(out)
+    own = _old_files(out)
     _check_free(out, new | {MANIFEST}, own)
-    if own and not (out / MANIFEST).exists():  # so that what is left of a report without one stays known
-        _write(scratch / _OWN, own)
-        (scratch / _OWN).replace(out / MANIFEST)
+    if (
+        own and not (out / MANIFEST).exists()
+    ):  # a list of the old report's files, in case the replacement is interrupted
+        _write(scratch / _OLD_MANIFEST, own)
+        (scratch / _OLD_MANIFEST).replace(out / MANIFEST)
     scratch.rename(out / _PENDING)
     complete_replacement(out)
 
 
 def complete_replacement(folder: Path) -> None:
-    """Move the files of a new report that was put into the folder by a run that did not live to move them.
+    """Move the files of a new report whose run was interrupted before it could move them.
 
     Raises:
-        InputError: a file that no report wrote has by now the name of one of them.
+        InputError: a file that no report wrote has the name of one of them.
         OSError: a file cannot be moved.
     """
     pending = folder / _PENDING
@@ -102,18 +106,18 @@ def complete_replacement(folder: Path) -> None:
         return
     new = _listed(pending / MANIFEST)
     if new is not None:
-        own = _own(folder)
-        left = {name for name in new if (pending / name).is_file()}
+        own = _old_files(folder)
+        remaining = {name for name in new if (pending / name).is_file()}
         try:
-            _check_free(folder, left, own)
+            _check_free(folder, remaining, own)
         except InputError:
-            if left == {name for name in new if (pending / name).is_file()}:
+            if remaining == {name for name in new if (pending / name).is_file()}:
                 raise
-            return complete_replacement(folder)  # another process moves them: what it put there is the report's
+            return complete_replacement(folder)  # another process is moving them
         for name in sorted(own - new):
             if not (folder / name).is_dir():
                 (folder / name).unlink(missing_ok=True)
-        for name in [*sorted(left), MANIFEST]:  # until the manifest is there, the files of the old report are known
+        for name in [*sorted(remaining), MANIFEST]:  # the manifest last: until then the old one lists the old files
             (folder / name).parent.mkdir(exist_ok=True)
             with suppress(FileNotFoundError):  # another process has completed it
                 (pending / name).replace(folder / name)
@@ -123,7 +127,7 @@ def complete_replacement(folder: Path) -> None:
 
 
 def record_files(folder: Path, names: Iterable[str]) -> None:
-    """Add files to a report's manifest, where the folder has one."""
+    """Add files to the manifest of a report, if it has one."""
     listed = _listed(folder / MANIFEST)
     if listed is not None and not (added := set(names)) <= listed:
         _write(folder / MANIFEST, listed | added)
@@ -135,14 +139,16 @@ def _check_free(folder: Path, names: Iterable[str], own: set[str]) -> None:
         path = folder / name
         if os.path.lexists(path) and (path.is_dir() or name not in own | {MANIFEST}):
             raise InputError(
-                f"{path}: no report wrote it, and the new one has such a file: rename it, or choose another"
+                f"{path}: the new report has a file with this name: rename yours, or choose another folder"
             )
     if os.path.lexists(folder / MANIFEST) and _listed(folder / MANIFEST) is None:
-        raise InputError(f"{folder / MANIFEST}: expected that of a report: rename it, or choose another folder")
+        raise InputError(
+            f"{folder / MANIFEST}: expected the manifest of a report: rename this file, or choose another folder"
+        )
 
 
-def _own(folder: Path) -> set[str]:
-    """Names of the files that an earlier report wrote into a folder, whether they are still there or not."""
+def _old_files(folder: Path) -> set[str]:
+    """Return the names of the files of an earlier report in a folder, whether they still exist or not."""
     listed = _listed(folder / MANIFEST)
     if listed is not None:
         return listed
@@ -163,7 +169,7 @@ def _own(folder: Path) -> set[str]:
 
 
 def _listed(manifest: Path) -> set[str] | None:
-    """The files that a manifest lists; None where there is none."""
+    """Return the files in a manifest; None if it is missing or invalid."""
     values = json_object(manifest)
     files = values.get("files")
     if values.get("schema") != SCHEMA or not isinstance(files, list):
@@ -172,7 +178,7 @@ def _listed(manifest: Path) -> set[str] | None:
 
 
 def _is_inside(name: Any) -> bool:
-    """Whether a name is that of a file in a report's folder or in its `figures`: a manifest may be forged."""
+    """Whether a name is that of a file in a report folder or its `figures`; a manifest may be forged."""
     if not isinstance(name, str) or "\0" in name:
         return False
     parts = PurePosixPath(name).parts

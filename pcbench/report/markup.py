@@ -9,7 +9,7 @@ from typing import Any
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A table as CSV; None is an empty cell."""
+    """Return a table as CSV; None is an empty cell."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
@@ -18,10 +18,11 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def markdown_table(rows: Iterable[Sequence[str]], labels: int) -> str:
-    """A table as Markdown, its header first.
+    """Return a table as Markdown.
 
     Args:
-        labels: columns of words, which come first and are aligned to the left; numbers are to the right.
+        rows: the header and the other rows.
+        labels: number of leading columns that are aligned to the left; the others are aligned to the right.
     """
     header, *rest = rows
     rule = ["---"] * labels + ["---:"] * (len(header) - labels)
@@ -29,5 +30,5 @@ def markdown_table(rows: Iterable[Sequence[str]], labels: int) -> str:
 
 
 def markdown_row(cells: Iterable[str]) -> str:
-    """A line of a Markdown table."""
+    """Return a line of a Markdown table."""
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

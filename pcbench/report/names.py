@@ -1,4 +1,4 @@
-"""Names of candidates: which a report can have, and those that files get."""
+"""Names of candidates, which become parts of file names."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from typing import Any
 
 from pcbench.errors import InputError
 
-_LONGEST_NAME = 220  # bytes: names of files have 255, and what stands after it is `_poisson_distance.png` at most
-_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what breaks the lines of tables
+_MAX_NAME_BYTES = 220  # file names have at most 255 bytes, and the longest suffix is `_poisson_distance.png`
+_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # characters that would break table lines
 
 
 def check_name(name: Any) -> str:
-    """A candidate's name becomes part of file names.
+    """Return the name of a candidate if it can be part of file names.
 
     Raises:
-        InputError: it is empty, reserved, too long, or would lead out of the report's folder.
+        InputError: it is empty, reserved, too long, or has a path separator or unprintable characters.
     """
     reserved = ("", ".", "..", "reference")
     if not isinstance(name, str) or name in reserved or _UNPRINTABLE.search(name) or any(c in name for c in "/\\"):
-        raise InputError(f"expected a candidate's name that a file can have, other than 'reference', got {name!r}")
-    if (size := len(os.fsencode(name))) > _LONGEST_NAME:
+        raise InputError(f"expected a candidate's name that is valid in a file name and not 'reference', got {name!r}")
+    if (size := len(os.fsencode(name))) > _MAX_NAME_BYTES:
         raise InputError(
-            f"{name[:20]}...: expected a candidate's name of at most {_LONGEST_NAME} bytes, as the report's files are"
-            f" called by it, got {size}: call the file by a shorter one"
+            f"{name[:20]}...: expected a candidate's name of at most {_MAX_NAME_BYTES} bytes, because the"
+            f" report's files have it in their names, got {size}: rename the file"
         )
     return name
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
-    """A name for each candidate: its file's stem, with a number where stems are equal.
+    """Return a name for each candidate: its file's stem, with a number if stems are equal.
 
     Raises:
-        InputError: a stem cannot be part of file names.
+        InputError: a stem is not a valid name.
     """
     result: list[str] = []
     stems = [_UNPRINTABLE.sub("_", path.stem) for path in paths]

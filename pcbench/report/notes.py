@@ -1,4 +1,4 @@
-"""What stands beside the answer: warnings before the numbers, and after all of them a sentence for each finding."""
+"""Warnings above the numbers of a comparison, and detailed sentences below them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.words import joined, length
 
-CLAIMS = ("similarity", "affine", "non-affine")  # of a deformation
-_SMALL_OVERLAP = 0.8  # from which down distances tell more of what is not there than of what is
-_TOLD = (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared")  # whose differences are told
+CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
+_MIN_OVERLAP = 0.8  # with a smaller overlap, points beyond the reference dominate the distances
+_REPORTED_DIFFERENCES = (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared")
 
 
 def warnings(comparison: SourcedComparison) -> list[str]:
-    """What a reader has to know before any number, each text once, with the names that it concerns."""
+    """Return the warnings of a comparison, each text once with the names of its candidates."""
     found: dict[str, list[str]] = {}
     inputs = comparison.inputs
     if inputs is not None:
@@ -31,7 +31,7 @@ def warnings(comparison: SourcedComparison) -> list[str]:
 
 
 def survey_sentences(comparison: SourcedComparison) -> Iterator[str]:
-    """The root mean square errors of control and check points, of each candidate that was registered by such points."""
+    """Yield the RMSE of control and check points of each candidate that was registered by such points."""
     unit = comparison.reference.unit
     for candidate in comparison:
         if lines := list(candidate.registration.residuals.rmse_lines(unit)):
@@ -39,45 +39,49 @@ def survey_sentences(comparison: SourcedComparison) -> Iterator[str]:
 
 
 def details(comparison: SourcedComparison) -> Iterator[str]:
-    """Is a candidate deformed, and is a better than b? Of every candidate, and of every pair whose poses are right."""
+    """Yield the verdict on each candidate, and the differences of each pair whose registrations are not doubtful."""
     for candidate in comparison:
         yield bend_sentence(comparison, candidate, candidate.name)
     doubtful = {c.name for c in comparison if c.registration.doubtful}
     labels = {q.difference: _label(q) for q in quantities(comparison.candidates[0])}
     for difference in comparison.differences:
-        if difference.metric in _TOLD and not {difference.a, difference.b} & doubtful:
+        if difference.metric in _REPORTED_DIFFERENCES and not {difference.a, difference.b} & doubtful:
             yield _difference_words(difference, labels[difference.metric])
 
 
 def bend_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
-    """The verdict on deformation; none is claimed under a pose that the geometry leaves open."""
+    """Return the verdict on deformation as a sentence without a period.
+
+    There is no verdict if a candidate looks deformed but the geometry does not determine its pose.
+    """
     if is_open(candidate) and candidate.deformation.verdict in CLAIMS:
-        return f"whether {name} is deformed is not said: the geometry does not fix its pose"
+        return f"{name}: no verdict on deformation, because the geometry does not determine its pose"
     return candidate.deformation.sentence(name, comparison.reference.unit or "")
 
 
 def is_open(candidate: Candidate) -> bool:
-    """Whether the geometry leaves some motion of a candidate open."""
+    """Whether the geometry leaves a motion of a candidate unconstrained."""
     return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
 
 
 def overlaps_little(comparison: SourcedComparison, candidate: Candidate) -> bool:
-    """Whether much of a candidate lies off the reference, and is measured all the same."""
-    return comparison.settings.crop == "none" and candidate.registration.overlap < _SMALL_OVERLAP
+    """Whether a large part of a candidate lies beyond the reference and is measured nevertheless."""
+    return comparison.settings.crop == "none" and candidate.registration.overlap < _MIN_OVERLAP
 
 
 def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterator[str]:
     yield from map(str, candidate.warnings)
     registration, everywhere = candidate.registration, comparison.settings.crop == "none"
     for notice in registration.warnings:
-        if not (everywhere and notice.code == LOW_OVERLAP):  # said below
+        if not (everywhere and notice.code == LOW_OVERLAP):  # the sentence below replaces it
             yield str(notice)
     if overlaps_little(comparison, candidate):
         unit = comparison.reference.unit
         yield (
-            "the distances are those of all of it, and much lies farther than 5 spacings of the reference"
-            f" ({length(5 * comparison.reference.spacing_median, unit)}) from it: --crop reference measures what is"
-            " inside the reference's bounding box, --crop polygon:FILE any part"
+            "a large part of the cloud is farther than 5 spacings"
+            f" ({length(5 * comparison.reference.spacing_median, unit)}) from the reference and counts in all"
+            " distances; --crop reference measures only points inside the reference's bounding box,"
+            " --crop polygon:FILE any region"
         )
     yield from map(str, candidate.deformation.further_warnings)
 
@@ -90,7 +94,7 @@ def _label(quantity: Quantity) -> str:
 def _difference_words(found: Difference, label: str) -> str:
     low, high = found.interval
     if low <= 0 <= high:
-        return f"{label}: {found.a} and {found.b} cannot be told apart (difference in [{low:.3g}, {high:.3g}])"
+        return f"{label}: no significant difference between {found.a} and {found.b} ([{low:.3g}, {high:.3g}])"
     better, worse = (found.a, found.b) if high < 0 else (found.b, found.a)
     bounds = sorted((abs(low), abs(high)))
     by = f"{abs(found.difference):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]"

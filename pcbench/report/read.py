@@ -1,4 +1,4 @@
-"""Reading a report folder back, as far as its pictures need it."""
+"""Reader of report folders, for their pictures."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ _MESH_SAMPLES = 500_000
 
 @dataclass(frozen=True, eq=False)
 class ReportedCandidate:
-    """One candidate of a report.
+    """A candidate of a report.
 
     Attributes:
+        name: its name.
         deviation: its aligned points with their distances.
-        m3c2: core points with theirs; field: cells with their displacements. None where there is none.
-        deformation: the verdict; None in reports of versions that had none.
-        percentiles_completeness: of the distances from the reference to it, as {"p50": ...}.
-        completeness_path: of the reference's measured points with these distances.
+        m3c2: core points with their M3C2 distances, if computed.
+        field: cells with their displacements, if computed.
+        deformation: the verdict; None in reports of early versions.
+        percentiles_completeness: percentiles of the distances from the reference to it, as {"p50": ...}.
+        completeness_path: file with the reference's measured points and these distances.
     """
 
     name: str
@@ -42,22 +44,23 @@ class ReportedCandidate:
 
     @property
     def has_completeness(self) -> bool:
-        """Reports of early versions do not have it."""
+        """Whether the report has a completeness map; those of early versions have none."""
         return self.completeness_path.is_file()
 
     def completeness(self) -> Cloud | None:
-        """The reference's measured points with their `distance`; not read before it is wanted: it may be large."""
+        """Read the reference's measured points with their `distance`; the file may be large."""
         return read_cloud(self.completeness_path) if self.has_completeness else None
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """A folder that a comparison was saved to.
+    """A saved comparison.
 
     Attributes:
-        unit: of lengths, in words where it is not known.
-        spacing_median: of the reference.
-        reference_path: of the reference's file; None where it came from none.
+        unit: the unit of lengths, or words for an unknown one.
+        spacing_median: median spacing of the reference.
+        reference_path: file of the reference, if it came from one.
+        candidates: the candidates.
     """
 
     unit: str
@@ -66,7 +69,7 @@ class Report:
     candidates: tuple[ReportedCandidate, ...]
 
     def reference(self) -> Cloud | None:
-        """The reference cloud, if it came from a file that is still there."""
+        """Read the reference cloud, if it came from a file that still exists."""
         if self.reference_path is None:
             return None
         try:
@@ -78,10 +81,10 @@ class Report:
 
 
 def read_report(folder: Path) -> Report:
-    """The report in a folder.
+    """Read the report in a folder.
 
     Raises:
-        InputError: a file of it is damaged.
+        InputError: one of its files is damaged.
         OSError: comparison.json is missing.
     """
     complete_replacement(folder)
@@ -97,7 +100,7 @@ def read_report(folder: Path) -> Report:
 
 
 def read_deformation(folder: Path) -> Deformation:
-    """The verdict in a folder that `pcbench deform` wrote.
+    """Read the verdict in a folder that `pcbench deform` wrote.
 
     Raises:
         InputError: deformation.json is damaged.
@@ -110,7 +113,7 @@ def read_deformation(folder: Path) -> Deformation:
 
 @contextmanager
 def damage_in_one_line(folder: Path) -> Iterator[None]:
-    """What damaged files of a folder make readers and drawers raise, as InputError."""
+    """Turn errors of readers and drawing functions into an InputError that names the damaged report."""
     try:
         yield
     except InputError as error:
@@ -122,7 +125,7 @@ def damage_in_one_line(folder: Path) -> Iterator[None]:
 
 
 def _reference_path(folder: Path) -> Path | None:
-    """Absolute, as settings.json has it: comparison.json has what was typed. Pictures of the rest do not need it."""
+    """Return the absolute path in settings.json; comparison.json has the path as typed. None if it is missing."""
     try:
         return Path(read_json(folder / "settings.json")["reference"]["path"])
     except (OSError, KeyError, TypeError, ValueError, RecursionError):

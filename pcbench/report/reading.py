@@ -1,4 +1,4 @@
-"""The clouds of a comparison from their files, with what the report says of each file."""
+"""Reads the clouds of a comparison, and records each input file for the report."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pcbench.report.inputs import InputFile
 
 
 def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputFile]:
-    """The reference of a comparison, which a mesh may be, and the file that it came from.
+    """Read the reference of a comparison, a cloud or a mesh, and record its file.
 
     Raises:
         InputError: the file cannot be read; the message starts with the path.
-        MissingExtra: an optional library is needed for it.
+        MissingExtra: the format needs an optional library.
     """
     if not holds_mesh(path):
         return read_candidate(path, settings)
@@ -30,21 +30,21 @@ def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputF
 
 
 def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
-    """A cloud, and the file that it came from; errors as of `read_reference`."""
+    """Read a cloud and record its file; it raises the errors of `read_reference`."""
     warnings: list[str] = []
     filters: dict[str, Any] = {}
-    if path.suffix.lower() in FILTERED:  # a LAS reference may be filtered though the candidates are of another kind
+    if path.suffix.lower() in FILTERED:  # candidates may have other formats than a filtered LAS reference
         filters = {"classes": settings.classes, "returns": settings.returns}
     cloud = read_cloud(path, on_warning=warnings.append, **filters)
     return cloud, InputFile(str(path), digest(path), tuple(warnings))
 
 
 def paths_in(settings: Settings) -> list[Path]:
-    """The files that settings name, such as a matrix."""
+    """Return the files named in settings, such as a matrix."""
     cores = settings.m3c2.file if isinstance(settings.m3c2, M3C2Settings) else None
     return [*filter(None, (named_file(settings.register), named_file(settings.crop), cores))]
 
 
 def named_files(settings: Settings) -> tuple[InputFile, ...]:
-    """What the report says of the files that settings name."""
+    """Record the files named in settings."""
     return tuple(InputFile(str(path), digest(path)) for path in paths_in(settings))

@@ -1,7 +1,7 @@
-"""Settings as settings.json holds them: with all that repeats a comparison bit for bit, also what was given as objects.
+"""Settings in settings.json, complete enough to repeat a comparison with the same bits, also if they were objects.
 
-A text stays what it is, but that a file in it is named from the root. An object becomes `{"type": NAME}` with its
-fields, numbers in full; a registration that a text names completely becomes that text.
+A text is kept, with absolute paths. An object becomes `{"type": NAME}` with its fields and all digits of its numbers. A
+registration method that a text describes completely becomes that text.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TYPES: dict[str, type[Any]] = {
 
 
 def record(settings: Settings) -> dict[str, Any]:
-    """The settings as JSON values from which `restore` makes equal ones."""
+    """Return settings as JSON values; `restore` returns equal settings."""
     values = {item.name: getattr(settings, item.name) for item in fields(settings)}
     if values["initial"] is None:
         del values["initial"]
@@ -37,10 +37,10 @@ def record(settings: Settings) -> dict[str, Any]:
 
 
 def restore(values: Mapping[str, Any]) -> Settings:
-    """The settings that `record` wrote.
+    """Return the settings from values of `record`.
 
     Raises:
-        InputError, AttributeError, KeyError, TypeError, ValueError: they are damaged.
+        InputError, AttributeError, KeyError, TypeError, ValueError: the values are damaged.
     """
     restored = {name: _restored(value) for name, value in values.items()}
     if isinstance(values.get("m3c2"), Mapping):
@@ -52,17 +52,17 @@ def _recorded(value: Any) -> Any:
     if isinstance(value, IcpSettings | FeatureSettings) and value.text in METHODS and parse_method(value.text) == value:
         return value.text
     if type(value).__name__ in _TYPES and is_dataclass(value):
-        named = {item.name: _recorded(getattr(value, item.name)) for item in fields(value) if item.init}
-        if "text" in named:
-            named["text"] = _absolute(named["text"])
-        return {"type": type(value).__name__, **named}
+        recorded = {item.name: _recorded(getattr(value, item.name)) for item in fields(value) if item.init}
+        if "text" in recorded:
+            recorded["text"] = _absolute(recorded["text"])
+        return {"type": type(value).__name__, **recorded}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
         return {name: _recorded(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [_recorded(item) for item in value]
-    return getattr(value, "text", value)  # a region of the caller's own can only be named
+    return getattr(value, "text", value)  # a user-defined region has only its text
 
 
 def _absolute(text: str) -> str:
@@ -77,10 +77,10 @@ def _recorded_m3c2(settings: M3C2Settings) -> Any:
 
 
 def _restored(value: Any) -> Any:
-    """Non-finite numbers are null in JSON and the defaults of their fields here."""
+    """Restore a value; fields that are null in JSON (non-finite numbers) get their defaults."""
     if isinstance(value, Mapping) and "type" in value:
-        given = {name: _restored(item) for name, item in value.items() if name != "type" and item is not None}
-        return _TYPES[value["type"]](**given)
+        arguments = {name: _restored(item) for name, item in value.items() if name != "type" and item is not None}
+        return _TYPES[value["type"]](**arguments)
     if isinstance(value, Mapping):
         return {name: _restored(item) for name, item in value.items()}
     return tuple(_restored(item) for item in value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""The main numbers of a comparison: at most a dozen rows for one or two candidates, a row each for more."""
+"""The main metrics of a comparison: about a dozen rows for one or two candidates, one row per candidate for more."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from pcbench.report.inputs import SourcedComparison
 from pcbench.report.table import Line, across
 from pcbench.report.words import UNKNOWN, columns, number, rounding, shortened
 
-MOST_ACROSS = 2  # candidates that stand side by side
-_MOST_ROWS = 12
+MAX_SIDE_BY_SIDE = 2  # candidates in one table with a column each
+_MAX_ROWS = 12
 _GAP = 2  # blanks between columns
-_LEAST_NAME = 16  # letters of a name that columns may not take
+_MIN_NAME_COLUMNS = 16
 
 
 class Column(NamedTuple):
-    """A column of the table with a row each: two lines of header, and a cell a candidate."""
+    """A column of the table with one row per candidate: two lines of header, and the cells."""
 
     head: tuple[str, str]
     cells: list[str]
 
     @property
     def width(self) -> int:
+        """Width of the widest cell, in terminal columns."""
         return max(map(columns, (*self.head, *self.cells)))
 
 
 def main_lines(comparison: SourcedComparison) -> list[Line]:
-    """For candidates side by side: metrics down, both directions across, the floor below what it belongs to."""
+    """Return the rows for candidates side by side: a line per metric with both directions, its floor below it."""
     candidates = list(comparison)
     show, thresholds = _shown(comparison), _thresholds(comparison)
 
@@ -44,11 +45,11 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
         return show(quantity.value) if quantity.unit == LENGTH else number(quantity.value)
 
     always: list[Line] = []
-    wanted: list[Line] = []
+    optional: list[Line] = []
     for row in across(candidates, is_shown):
         headline = row.first.headline
         assert headline is not None
-        (wanted if headline.optional else always).append(Line(headline.label, row.cells(text)))
+        (optional if headline.optional else always).append(Line(headline.label, row.cells(text)))
     methods = {c.registration.method.partition(":")[0] for c in candidates}
     how = "registration" if len(methods) > 1 else methods.pop()
     fits = [(show(c.registration.rmse), f"{c.registration.overlap:.1%}") for c in candidates]
@@ -60,42 +61,42 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
     ]
     limits = [c.deformation.minimum_detectable_rms for c in candidates]
     if any(limit is not None for limit in limits):
-        bends = [None if c.deformation.verdict == "undecided" else c.deformation.amplitude for c in candidates]
-        sizes = [None if bend is None else bend.rms for bend in bends]
+        amplitudes = [None if c.deformation.verdict == "undecided" else c.deformation.amplitude for c in candidates]
+        sizes = [None if amplitude is None else amplitude.rms for amplitude in amplitudes]
         cells = [(show(size), show(limit)) for size, limit in zip(sizes, limits, strict=True)]
-        rows.append(Line("  bend RMS, detectable", cells))
-    return rows + wanted[: _MOST_ROWS - len(rows)]
+        rows.append(Line("  RMS, detectable RMS", cells))
+    return rows + optional[: _MAX_ROWS - len(rows)]
 
 
 def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
-    """For a row each: as many as `width` columns of a terminal hold beside the names, the most telling ones first."""
+    """Return the columns for one row per candidate: those of highest rank that fit into `width` terminal columns."""
     candidates = list(comparison)
     pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
-    ranked = [  # in the order in which they stand, with their rank
+    ranked = [  # in the order of the table, each with its rank
         (8, Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates])),
         (0 if any(pose) else None, Column(("", "pose"), pose)),
         (4, Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates])),
         *_quantity_columns(comparison),
         (2, Column(("", "deformation"), [c.deformation.verdict for c in candidates])),
-        (7, Column(("bend", "RMS"), [_bend_size(c, _shown(comparison, digits=3)) for c in candidates])),
+        (7, Column(("deformed", "RMS"), [_deformation_size(c, _shown(comparison, digits=3)) for c in candidates])),
     ]
-    room = width - min(max(columns(c.name) for c in candidates), _LEAST_NAME)
+    room = width - min(max(columns(c.name) for c in candidates), _MIN_NAME_COLUMNS)
     kept: set[int] = set()
     ranks = sorted({rank for rank, _ in ranked if rank is not None})
     for rank in ranks:
-        some = {k for k, (of, _) in enumerate(ranked) if of == rank}
-        needed = sum(ranked[k][1].width + _GAP for k in some)
+        group = {k for k, (of, _) in enumerate(ranked) if of == rank}
+        needed = sum(ranked[k][1].width + _GAP for k in group)
         if rank > 0 and needed > room:
             break
-        kept |= some
+        kept |= group
         room -= needed
     chosen = [column for k, (_, column) in enumerate(ranked) if k in kept]
-    left = max(width - sum(column.width + _GAP for column in chosen), _LEAST_NAME // 2)
+    left = max(width - sum(column.width + _GAP for column in chosen), _MIN_NAME_COLUMNS // 2)
     return [Column(("", ""), _names(candidates, left)), *chosen]
 
 
 def _names(candidates: list[Candidate], width: int) -> list[str]:
-    """In the room that there is; with numbers where shortening would make two of them alike."""
+    """Return the names shortened to `width` columns, numbered if two would become equal."""
     names = [shortened(c.name, width) for c in candidates]
     if len(set(names)) < len(names):
         names = [f"{k} {shortened(c.name, width - len(str(k)) - 1)}" for k, c in enumerate(candidates, 1)]
@@ -107,7 +108,7 @@ def _measured(comparison: SourcedComparison) -> int:
 
 
 def _quantity_columns(comparison: SourcedComparison) -> Iterator[tuple[int, Column]]:
-    """A column each, with its rank; of several thresholds for the first alone."""
+    """Yield the rank and the column of each quantity with a headline; of several thresholds only the first."""
     show, thresholds = _shown(comparison, digits=3), _thresholds(comparison)[:1]
 
     def text(quantity: Quantity | None) -> str:
@@ -125,18 +126,18 @@ def _quantity_columns(comparison: SourcedComparison) -> Iterator[tuple[int, Colu
 
 
 def _thresholds(comparison: SourcedComparison) -> list[float]:
-    """Those that were asked for; of the three that nobody asked for the one in the middle."""
+    """Return the thresholds that the user set, or the middle one of the default three."""
     found = [score.threshold for score in comparison.candidates[0].metrics.fscores]
     return found if comparison.settings.thresholds is not None else found[len(found) // 2 :][:1]
 
 
-def _bend_size(candidate: Candidate, show: Callable[[float | None], str]) -> str:
-    bend = candidate.deformation
-    return show(bend.amplitude.rms) if bend.amplitude is not None and bend.verdict == "non-affine" else ""
+def _deformation_size(candidate: Candidate, show: Callable[[float | None], str]) -> str:
+    result = candidate.deformation
+    return show(result.amplitude.rms) if result.amplitude is not None and result.verdict == "non-affine" else ""
 
 
 def _shown(comparison: SourcedComparison, digits: int = 4) -> Callable[[float | None], str]:
-    """How lengths are shown: what is rounding is 0."""
+    """Return a function that formats lengths; values within rounding are 0."""
     least = rounding(comparison)
 
     def show(value: float | None) -> str:

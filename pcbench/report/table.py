@@ -1,4 +1,4 @@
-"""The one table: metrics down, candidates across, both directions; as lines, Markdown, HTML and tidy rows."""
+"""All metrics of a comparison as table lines, Markdown, HTML and rows of `metrics.csv`."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from pcbench.report.markup import markdown_row
 from pcbench.report.notes import details, survey_sentences, warnings
 from pcbench.report.words import UNKNOWN, number, title
 
-_WAYS = {FORTH: "accuracy", BACK: "completeness"}
+_DIRECTIONS = {FORTH: "accuracy", BACK: "completeness"}
 _LEGEND = (
-    "c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit}, squares in"
-    " its square, [95 % interval]. The sampling floor is what independent, error-free points of the same surface"
-    " would score: a value near it says nothing about the surface."
+    "c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit}, mean"
+    " squares in its square, [95 % confidence interval]. The sampling floor is the score of independent, error-free"
+    " points of the same surface: a value near it reflects point spacing, not error."
 )
 
 
 class Row(NamedTuple):
-    """One line of metrics.csv; (candidate, metric, variant, threshold, direction) tells it from all others."""
+    """A row of metrics.csv, identified by (candidate, metric, variant, threshold, direction)."""
 
     candidate: str
     metric: str
@@ -39,7 +39,7 @@ class Row(NamedTuple):
 
 
 def rows(comparison: SourcedComparison) -> Iterator[Row]:
-    """Every number of a comparison, tidy."""
+    """Yield each number of a comparison as a row."""
     unit = comparison.reference.unit or "unit"
     for candidate in comparison.candidates:
         for q in quantities(candidate):
@@ -48,14 +48,19 @@ def rows(comparison: SourcedComparison) -> Iterator[Row]:
 
 
 class Line(NamedTuple):
-    """One row of the table: a label, and a text (or one a direction) for each candidate."""
+    """A line of the table: a label, and two cells for each candidate.
+
+    Attributes:
+        label: name of the metric.
+        cells: (c→r, r→c) for each candidate; the second is empty if one number covers both directions.
+    """
 
     label: str
-    cells: list[tuple[str, str]]  # (c→r, r→c); the second is empty where one number stands for both
+    cells: list[tuple[str, str]]
 
 
 def lines(comparison: SourcedComparison, *, intervals: bool = False) -> Iterator[Line | None]:
-    """All rows of the table, with 95 % intervals if asked for; None stands for a rule."""
+    """Yield all lines of the table, with 95 % confidence intervals on request; None separates sections."""
     candidates = comparison.candidates
     registered = [c.registration for c in candidates]
     yield Line("points", [(f"{c.points:,}", "") for c in candidates])
@@ -74,24 +79,24 @@ def lines(comparison: SourcedComparison, *, intervals: bool = False) -> Iterator
 
 
 class Across(NamedTuple):
-    """One line of a table: the quantities of each candidate in its two columns."""
+    """The quantities of one line: two columns per candidate."""
 
     pairs: list[list[Quantity | None]]
 
     @property
     def first(self) -> Quantity:
-        """One of them: all have the same labels."""
+        """The first quantity; all have the same label."""
         return next(quantity for pair in self.pairs for quantity in pair if quantity is not None)
 
     def cells(self, text: Callable[[Quantity], str]) -> list[tuple[str, str]]:
-        """The texts of both columns for each candidate; empty in a column that none of them has."""
+        """Return the texts of both columns for each candidate; a column without any quantity is empty."""
         empty = ["" if all(pair[k] is None for pair in self.pairs) else UNKNOWN for k in (0, 1)]
         left, right = ([empty[k] if (q := pair[k]) is None else text(q) for pair in self.pairs] for k in (0, 1))
         return list(zip(left, right, strict=True))
 
 
 def across(candidates: Sequence[Candidate], is_shown: Callable[[Quantity], bool]) -> list[Across]:
-    """The quantities of several candidates side by side, in the order in which they come."""
+    """Return the quantities of several candidates side by side, in their order."""
     found: dict[Hashable, Across] = {}
     for k, candidate in enumerate(candidates):
         for quantity in filter(is_shown, quantities(candidate)):
@@ -101,7 +106,7 @@ def across(candidates: Sequence[Candidate], is_shown: Callable[[Quantity], bool]
 
 
 def markdown(comparison: SourcedComparison) -> str:
-    """`table.md`: the answer and the warnings, the table with 95 % intervals, the definitions, and every difference."""
+    """Return `table.md`: answer, warnings, all metrics with 95 % intervals, legend, and differences."""
     header = ["", *(f"{candidate.name} {arrow}" for candidate in comparison for arrow in ARROWS.values())]
     text = [
         f"# {title(comparison)}",
@@ -123,11 +128,13 @@ def markdown(comparison: SourcedComparison) -> str:
 
 
 def html(comparison: SourcedComparison) -> str:
-    """For a notebook: the answer and the warnings, the table, and every difference; names are escaped."""
+    """Return the table of a notebook: answer, warnings, all metrics, and differences, with escaped names."""
     right, left = "text-align:right;padding:1px 10px", "text-align:left;padding:1px 10px"
     names = "".join(f'<th colspan="2" style="text-align:center">{escape(c.name)}</th>' for c in comparison)
-    ways = "".join(
-        f'<th style="{right}">{_WAYS[way]} {arrow}</th>' for _ in comparison for way, arrow in ARROWS.items()
+    directions = "".join(
+        f'<th style="{right}">{_DIRECTIONS[direction]} {arrow}</th>'
+        for _ in comparison
+        for direction, arrow in ARROWS.items()
     )
     body = []
     for line in lines(comparison):
@@ -143,7 +150,7 @@ def html(comparison: SourcedComparison) -> str:
     ]
     return (
         f"<p><b>{escape(title(comparison))}</b></p>{_list(first)}"
-        f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{ways}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{directions}</tr></thead><tbody>{''.join(body)}</tbody></table>"
         f"{_list(details(comparison))}<p>{escape(_legend(comparison))}</p>"
     )
 

@@ -1,4 +1,4 @@
-"""Numbers, names and labels as tables and sentences show them."""
+"""Formatting of numbers, lengths and names for tables and sentences."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pcbench.measure.wording import counted
 from pcbench.report.inputs import SourcedComparison
 
 UNKNOWN = "–"
-_ROUNDING = 1e-9  # of the scene's extent
+_ROUNDING_SHARE = 1e-9  # of the scene's extent
 
 
 def number(value: float | None, ci: Interval | None = None) -> str:
-    """Four digits, with its interval; a dash where there is none."""
+    """Return a number with four digits and its interval; a dash for None."""
     if value is None:
         return UNKNOWN
     text = f"{value:.4g}"
@@ -23,7 +23,7 @@ def number(value: float | None, ci: Interval | None = None) -> str:
 
 
 def length(value: float | None, unit: str | None) -> str:
-    """A length in a sentence: three digits and the unit, where that is known."""
+    """Return a length with three digits and its unit, if known."""
     if value is None:
         return UNKNOWN
     text = f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
@@ -31,33 +31,33 @@ def length(value: float | None, unit: str | None) -> str:
 
 
 def joined(names: Sequence[str], most: int = 8) -> str:
-    """a, b and c; of more than `most` the rest as their number."""
+    """Return "a, b and c"; beyond `most` names the rest is counted, as in "a, b and 3 others"."""
     if len(names) > most:
         names = [*names[: most - 1], f"{len(names) - most + 1} others"]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def shortened(name: str, width: int) -> str:
-    """A name in one line of at most `width` columns: its ends, which tell files apart, are kept."""
+    """Return a name in at most `width` columns; a long name keeps its two ends."""
     name = printable(name)
     if columns(name) <= width:
         return name
     tail = (width - 1) // 2
-    return f"{_as_many(name, width - 1 - tail)}…{_as_many(name[::-1], tail)[::-1]}"
+    return f"{_prefix(name, width - 1 - tail)}…{_prefix(name[::-1], tail)[::-1]}"
 
 
 def printable(name: str) -> str:
-    """A name in one line that moves no cursor."""
+    """Return a name with a question mark for each unprintable character."""
     return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
 def columns(text: str) -> int:
-    """That a text takes on a terminal: two for a wide letter, none for a mark upon one (Unicode annex 11)."""
+    """Return the columns of a text on a terminal: 2 for a wide letter, 0 for a combining mark (Unicode annex 11)."""
     return sum(map(_columns, text))
 
 
 def padded(text: str, width: int, *, right: bool = False) -> str:
-    """A text in `width` columns, at their left or at their right."""
+    """Pad a text with blanks to `width` columns, aligned to the left or to the right."""
     blanks = " " * (width - columns(text))
     return f"{blanks}{text}" if right else f"{text}{blanks}"
 
@@ -66,19 +66,19 @@ def _columns(letter: str) -> int:
     return 0 if unicodedata.combining(letter) else 2 if unicodedata.east_asian_width(letter) in "WF" else 1
 
 
-def _as_many(text: str, width: int) -> str:
-    """The letters at the beginning that `width` columns hold."""
+def _prefix(text: str, width: int) -> str:
+    """Return the longest prefix that fits into `width` columns."""
     ends = accumulate(map(_columns, text))
     return text[: sum(end <= width for end in ends)]
 
 
 def rounding(comparison: SourcedComparison) -> float:
-    """Distances up to this are no distances, in the clouds' unit."""
-    return _ROUNDING * comparison.reference.extent
+    """Return the largest distance that counts as rounding, in the clouds' unit."""
+    return _ROUNDING_SHARE * comparison.reference.extent
 
 
 def title(comparison: SourcedComparison) -> str:
-    """The reference, in one line."""
+    """Return one line about the reference: its path, number of points and spacing."""
     reference = comparison.reference
     unit = f" {reference.unit}" if reference.unit else ""
     name = "reference" if comparison.inputs is None else printable(str(comparison.inputs.reference.path))

@@ -77,7 +77,7 @@ def test_one_and_two_stand_side_by_side(shown, names, columns):
     above, table, below, out = shown(*names, columns=columns)
     assert len(table) == 2 + 12
     assert max(map(len, out.splitlines())) <= columns
-    assert table[1].split() == ["c→r", "r→c"] * len(names)
+    assert table[1].split() == ["lengths", "in", "m", *["c→r", "r→c"] * len(names)]
     assert [line[:16] for line in table].count("  sampling floor") == 2
     assert len({*table[0].split()}) == len(names)
     assert "--full" in below
@@ -121,7 +121,7 @@ def test_wide_letters_take_two_columns(clouds, run, monkeypatch, tmp_path):
 def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
     above, table, _, _ = shown("a", "b", "astray")
     said(" ".join(" ".join(above).split()))
-    assert table[1].split()[0] == "pose"
+    assert table[1].removeprefix("lengths in m").split()[0] == "pose"
     (row,) = [line for line in table if line.startswith("astray")]
     assert "doubtful" in row
     assert "doubtful" not in "".join(line for line in table if not line.startswith("astray"))
@@ -139,7 +139,7 @@ def test_full_prints_all(printed):
     _, _, _, out = printed("a", "b", options=["--full"])
     for label in ("Chamfer, sum of means", "mpeg: d1_psnr", "  median, signed", "  standard deviation", "  NMAD"):
         assert label in out
-    assert "D1 MSE c→r: a and b " in " ".join(out.split())
+    assert "D1 MSE c→r: no significant difference between a and b" in " ".join(out.split())
     assert "--full" not in out
 
 
