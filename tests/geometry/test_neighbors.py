@@ -143,7 +143,7 @@ def test_tied_equals_brute_force(shape, fraction):
     index, source = Index(points), Index(queries)
     matches, tied = index.nearest_of_with_ties(source, slack)
     np.testing.assert_array_equal(tied, others.any(axis=1))
-    for found, expected in zip(matches, index.nearest_of(source), strict=True):
+    for found, expected in zip(matches, index.query_index(source), strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
@@ -186,7 +186,7 @@ def test_radius_equals_brute_force(shape, fraction):
     found = Index(points).query_radius(queries, radius)
     np.testing.assert_array_equal(found.counts, inside.sum(axis=1))
     np.testing.assert_array_equal(found.indices, np.nonzero(inside)[1])
-    np.testing.assert_array_equal(found.of(3), np.nonzero(inside[3])[0])
+    np.testing.assert_array_equal(found.neighbors_of(3), np.nonzero(inside[3])[0])
 
 
 @pytest.mark.parametrize("radius, half_length", [(0.0, 0.2), (0.02, 0.5), (0.2, 0.01), (0.3, 0.0), (2.0, 2.0)])

@@ -187,7 +187,7 @@ def test_chunks_do_not_show(monkeypatch):
     generator = np.random.default_rng(5)
     ring, xyz = star(generator, 30, 0.3, 1, (0, 0)), generator.uniform(-1, 1, (1000, 3))
     whole = Polygon((ring,)).contains(xyz)
-    monkeypatch.setattr("pcbench.geometry.regions._MAX_CHUNK", 7)
+    monkeypatch.setattr("pcbench.geometry.regions._CHUNK_POINTS", 7)
     assert (Polygon((ring,)).contains(xyz) == whole).all()
 
 
