@@ -1,8 +1,8 @@
-// A SIMD vector of sixteen floats, on whatever registers this translation unit may use, with integers and a mask alike.
-// Every operation is one IEEE operation on each lane (no reassociation; a multiply-add only where it is asked for, and
-// then with one rounding everywhere), so each instruction set gives the same bits. Roots are the compiler's own: of
-// std::sqrt(float) the linker would keep one copy for all instruction sets. Included once for each instruction set,
-// into the namespace PCB_SPACE, which names it.
+// A SIMD vector of sixteen floats, with a mask, on the registers that this translation unit may use. Every operation is
+// one IEEE operation per lane, without reassociation. A multiply-add is used only if requested, and then has a single
+// rounding everywhere. Each instruction set therefore gives the same bits. Square roots are compiler built-ins, because
+// the linker would keep one copy of std::sqrt(float) for all instruction sets. Included once per instruction set, into
+// its own namespace PCB_SPACE.
 #pragma once
 #include <cstdint>
 
@@ -59,7 +59,7 @@ inline Floats exponent(Floats x, Floats& mantissa) {
         _mm512_or_epi32(_mm512_and_epi32(all, _mm512_set1_epi32(0x007fffff)), _mm512_set1_epi32(0x3f800000)));
     return _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_srli_epi32(all, 23), _mm512_set1_epi32(127)));
 }
-// The sums of the lanes of sixteen vectors, halves folded onto each other: lane i with i + 8, with i + 4, i + 2, i + 1.
+// Sums of the lanes of sixteen vectors. Halves are added to each other: lane i and i + 8, then i + 4, i + 2, i + 1.
 inline Floats sums(const Floats* from) {
     const auto folded = [](__m512 a, __m512 b) {
         return _mm512_add_ps(_mm512_shuffle_f32x4(a, b, 0x44), _mm512_shuffle_f32x4(a, b, 0xee));

@@ -1,4 +1,4 @@
-// Distances to triangles, and rays.
+// Closest points on triangles, and ray casting.
 #include "mesh/mesh_index.h"
 
 #include "golden.h"

@@ -20,9 +20,9 @@ void golden::pairs() {
     const pcbench::Rows to{closest.data(), nullptr}, along{normals.data(), nullptr};
     std::vector<double> residuals(kCount), weights(kCount), sums;
     for (const bool robust : {false, true}) {
-        const pcbench::Weighing found = pcbench::weigh(kCount, moved.data(), distances.data(), to, along, 1.5, robust,
-                                                       0.75, residuals.data(), weights.data());
-        sums = {static_cast<double>(found.near), found.sigma};
+        const pcbench::WeightSummary summary = pcbench::weigh(kCount, moved.data(), distances.data(), to, along, 1.5,
+                                                              robust, 0.75, residuals.data(), weights.data());
+        sums = {static_cast<double>(summary.pairs_in_range), summary.sigma};
         Hash(robust ? "weigh_robust" : "weigh_trimmed").add(residuals).add(weights).add(sums);
     }
     const pcbench::PlaneSystem system =
@@ -34,7 +34,7 @@ void golden::pairs() {
     Hash("plane_system").add(sums);
     pcbench::rounded_squares(kCount, {moved.data(), nullptr}, to, distances.data());
     Hash("rounded_squares").add(distances);
-    std::vector<pcbench::Step> steps;
+    std::vector<pcbench::MonomialStep> steps;
     for (int64_t a = 0; a + 1 < static_cast<int64_t>(pcbench::kProducts); ++a) steps.push_back({a / 3, a % 3});
     std::vector<double> moments(pcbench::kProducts * 6), scores(pcbench::kMonomials * 3);
     pcbench::normal_equations(0, kCount, moved.data(), normals.data(), weights.data(), residuals.data(), steps.data(),
