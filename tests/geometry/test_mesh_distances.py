@@ -231,9 +231,7 @@ def test_signs_agree_with_the_winding_number(seed, origin):
     inside = winding(points, vertices, faces) > 0.5
     mesh = Mesh(vertices + origin, faces)
     distances = MeshIndex(mesh).query(points + origin, signed=True).distances
-    far = (
-        np.abs(distances) > 1e-8
-    )  # accuracy of the winding number's arctangents, and coordinates rounded at 1e-9
+    far = np.abs(distances) > 1e-8  # accuracy of the winding number's arctangents, and coordinates rounded at 1e-9
     np.testing.assert_array_equal(distances[far] < 0, inside[far])
     assert inside.mean() > 0.2 and far.mean() > 0.99
 
