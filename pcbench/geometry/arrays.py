@@ -29,11 +29,11 @@ def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
 
 
-def as_rows(what: str, data: ArrayLike) -> FloatArray:
+def as_rows(name: str, data: ArrayLike) -> FloatArray:
     """Return a caller's points or directions as a C-contiguous float64 array (N, 3), copied only if needed.
 
     Args:
-        what: name of the data in error messages.
+        name: name of the data in error messages.
         data: array-like (N, 3) of real numbers.
 
     Raises:
@@ -41,13 +41,13 @@ def as_rows(what: str, data: ArrayLike) -> FloatArray:
     """
     kind = getattr(getattr(data, "dtype", None), "kind", "f")
     if isinstance(data, np.ma.MaskedArray) or kind not in "fiub":
-        raise InputError(f"expected {what} as a plain array of real numbers, got {type(data).__name__}")
+        raise InputError(f"expected {name} as a plain array of real numbers, got {type(data).__name__}")
     try:
         array = np.ascontiguousarray(data, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}") from error
+        raise InputError(f"expected {name} as an (N, 3) array of numbers, got {type(data).__name__}") from error
     if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
+        raise InputError(f"expected {name} of shape (N, 3), got {array.shape}")
     return array
 
 
@@ -70,10 +70,10 @@ def is_frozen(array: NDArray[Any]) -> bool:
     return part is None or isinstance(part, bytes)
 
 
-def as_frozen(array: _Array, given: Any) -> _Array:
+def as_frozen(array: _Array, original: Any) -> _Array:
     """Return a read-only array that the caller cannot change.
 
-    This is `array` itself if it is frozen or newly converted from `given`, else a copy.
+    This is `array` itself if it is frozen or newly converted from `original`, else a copy.
     """
-    converted = isinstance(given, np.ndarray | list | tuple) and array is not given and array.base is None
+    converted = isinstance(original, np.ndarray | list | tuple) and array is not original and array.base is None
     return array if is_frozen(array) else freeze(array if converted else array.copy())

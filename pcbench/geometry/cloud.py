@@ -69,18 +69,18 @@ class Cloud:
             )
         if not isinstance(self.attributes, Mapping) or not all(isinstance(name, str) for name in self.attributes):
             raise InputError("expected attributes as a mapping from names to arrays")
-        for what, text in (("crs", self.crs), ("unit", self.unit)):
+        for name, text in (("crs", self.crs), ("unit", self.unit)):
             if not isinstance(text, str | None):
-                raise InputError(f"expected {what} as text, got {type(text).__name__}")
+                raise InputError(f"expected {name} as text, got {type(text).__name__}")
         attributes = {name: as_frozen(np.asarray(values), values) for name, values in self.attributes.items()}
         for name, values in attributes.items():
             self._check_shape(f"attribute {name!r}", values, (len(points),))
         object.__setattr__(self, "attributes", attributes)
 
-    def _check_shape(self, what: str, array: NDArray[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+    def _check_shape(self, name: str, array: NDArray[Any], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
         expected = shape or self.points.shape
         if array.shape != expected:
-            raise InputError(f"expected {what} of shape {expected}, got {array.shape}")
+            raise InputError(f"expected {name} of shape {expected}, got {array.shape}")
         return array
 
     @classmethod
@@ -171,8 +171,8 @@ class Cloud:
             InputError: `geometry` is neither of them, or is not a valid `Cloud`.
         """
         if not hasattr(geometry, "vertices") or not hasattr(geometry, "visual"):
-            what = type(geometry).__name__
-            raise InputError(f"expected a trimesh PointCloud or Trimesh, got {what}; convert a Scene with to_mesh()")
+            kind = type(geometry).__name__
+            raise InputError(f"expected a trimesh PointCloud or Trimesh, got {kind}; convert a Scene with to_mesh()")
         colors: Any = geometry.visual.vertex_colors if geometry.visual.kind == "vertex" else ()
         return cls(np.asarray(geometry.vertices), colors=colors[:, :3] if len(colors) else None)
 
@@ -213,8 +213,8 @@ def as_cloud(data: Cloud | ArrayLike) -> Cloud:
     return data if isinstance(data, Cloud) else Cloud(_as_frozen_points("points", data))
 
 
-def _as_frozen_points(what: str, data: ArrayLike) -> FloatArray:
-    return as_frozen(as_rows(what, data), data)
+def _as_frozen_points(name: str, data: ArrayLike) -> FloatArray:
+    return as_frozen(as_rows(name, data), data)
 
 
 def _as_frozen_colors(data: ArrayLike) -> NDArray[np.uint8]:

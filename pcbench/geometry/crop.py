@@ -9,20 +9,20 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.regions import Mask, Region
 
 
-def points_inside(points: FloatArray, region: Region | None, given: Region | str, whose: str) -> Mask:
+def points_inside(points: FloatArray, region: Region | None, requested: Region | str, owner: str) -> Mask:
     """Return the mask (N,) of the points inside a region, or of all points if `region` is None.
 
     Args:
         points: (N, 3) coordinates.
         region: region in the coordinates of the points, or None.
-        given: the region as the user wrote it, for the error message.
-        whose: owner of the points in the error message, such as "the reference's".
+        requested: the region as the user wrote it, for the error message.
+        owner: owner of the points in the error message, such as "the reference's".
 
     Raises:
         InputError: no point lies inside.
     """
     inside = np.ones(len(points), dtype=np.bool_) if region is None else region.contains(points)
     if not inside.any():
-        text = given if isinstance(given, str) else given.text
-        raise InputError(f"the crop {text!r} leaves none of {whose} {len(points)} points")
+        text = requested if isinstance(requested, str) else requested.text
+        raise InputError(f"the crop {text!r} leaves none of {owner} {len(points)} points")
     return inside

@@ -299,13 +299,13 @@ def _edge_keys(faces: IntArray, vertex_count: int) -> IntArray:
 
 
 def _as_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    towards = as_rows("directions", directions)
+    ray_directions = as_rows("directions", directions)
     starts = np.asarray(origins, dtype=np.float64)
-    starts = as_rows("origins", np.broadcast_to(starts, towards.shape) if starts.shape == (3,) else starts)
-    if len(starts) != len(towards):
-        raise InputError(f"expected an origin for each of the {len(towards)} directions, got {len(starts)}")
-    if not (np.isfinite(starts).all() and np.isfinite(towards).all()):
+    starts = as_rows("origins", np.broadcast_to(starts, ray_directions.shape) if starts.shape == (3,) else starts)
+    if len(starts) != len(ray_directions):
+        raise InputError(f"expected an origin for each of the {len(ray_directions)} directions, got {len(starts)}")
+    if not (np.isfinite(starts).all() and np.isfinite(ray_directions).all()):
         raise InputError("expected finite origins and directions of rays, got NaN or Inf")
-    if not towards.any(axis=1).all():
+    if not ray_directions.any(axis=1).all():
         raise InputError("expected ray directions of nonzero length, got zero")
-    return starts, towards
+    return starts, ray_directions

@@ -102,28 +102,28 @@ class Index:
         Raises:
             InputError: k is less than 1 or exceeds the number of points, or a coordinate is not finite.
         """
-        wanted = _as_points(queries, "queries")
+        query_points = _as_points(queries, "queries")
         if not 1 <= k <= len(self):
             raise InputError(f"k: expected 1 to {len(self)} (the number of points), got {k}")
-        shape = (len(wanted),) if k == 1 else (len(wanted), k)
-        found = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
+        shape = (len(query_points),) if k == 1 else (len(query_points), k)
+        matches = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
         try:
             if k == 1:
-                self._tree.nearest(wanted, *found)
+                self._tree.nearest(query_points, *matches)
             else:
-                self._tree.knearest(wanted, *found)
+                self._tree.knearest(query_points, *matches)
         except ValueError as error:
-            _raise_bad_coordinates(error, wanted, "queries")
-        return found
+            _raise_bad_coordinates(error, query_points, "queries")
+        return matches
 
     def query_radius(self, queries: ArrayLike, radius: float) -> Neighborhoods:
         """Find the points within `radius` of each query (M, 3): squared distance <= radius * radius."""
-        wanted = _as_points(queries, "queries")
+        query_points = _as_points(queries, "queries")
         _check_length(radius, "radius")
         try:
-            return Neighborhoods(*self._tree.in_balls(wanted, radius))
+            return Neighborhoods(*self._tree.in_balls(query_points, radius))
         except ValueError as error:
-            _raise_bad_coordinates(error, wanted, "queries")
+            _raise_bad_coordinates(error, query_points, "queries")
 
     def query_cylinder(self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float) -> Neighborhoods:
         """Find the points inside the cylinder around each origin (M, 3) along its unit axis (M, 3).
@@ -168,9 +168,9 @@ class Index:
 
         The points of an index are already sorted in space.
         """
-        found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
-        self._tree.nearest_of(queries._tree, *found)
-        return found
+        matches = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
+        self._tree.nearest_of(queries._tree, *matches)
+        return matches
 
     def nearest_of_with_ties(self, queries: "Index", slack: float) -> tuple[Matches, NDArray[np.bool_]]:
         """Find nearest points as `query_index` does, and report ties.
@@ -185,10 +185,10 @@ class Index:
         """
         if not 0 <= slack <= MAX_COORDINATE**2:
             raise InputError(f"slack: expected a finite squared length of at least 0, got {slack}")
-        found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
+        matches = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         tied = np.empty(len(queries), np.bool_)
-        self._tree.nearest_of(queries._tree, *found, slack, tied)
-        return found, tied
+        self._tree.nearest_of(queries._tree, *matches, slack, tied)
+        return matches, tied
 
     def nearest_of_moved(
         self, queries: "Index", motion: NDArray[np.float64], hint: NDArray[np.int64] | None = None
@@ -206,16 +206,16 @@ class Index:
         Returns:
             The moved points (M, 3) and their matches.
         """
-        moved, found = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
+        moved, matches = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
         rows = np.ascontiguousarray(motion[:3], np.float64)
         hint = None if hint is None else self._as_indices(hint, "hint")
         if hint is not None and len(hint) != len(queries):
             raise InputError(f"hint: expected one index for each of the {len(queries)} queries, got {len(hint)}")
         try:
-            self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *found)
+            self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *matches)
         except ValueError as error:
             _raise_bad_coordinates(error, moved, "queries")
-        return moved, found
+        return moved, matches
 
     def _as_indices(self, values: ArrayLike, name: str) -> NDArray[np.int64]:
         rows: NDArray[Any] = np.asarray(values)
@@ -251,13 +251,13 @@ def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
     if len(index) < 2:
         return 0.0
     if nearest_other is None:
-        found = _nonzero_nearest_distances(index, np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE)))
+        distances = _nonzero_nearest_distances(index, np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE)))
     else:
-        found = nearest_other.distances
-        duplicates = np.flatnonzero(found == 0)
+        distances = nearest_other.distances
+        duplicates = np.flatnonzero(distances == 0)
         if len(duplicates):
-            found = np.concatenate([found[found > 0], _nonzero_nearest_distances(index, duplicates)])
-    return float(np.median(found)) if len(found) else 0.0
+            distances = np.concatenate([distances[distances > 0], _nonzero_nearest_distances(index, duplicates)])
+    return float(np.median(distances)) if len(distances) else 0.0
 
 
 def _nonzero_nearest_distances(index: Index, rows: NDArray[np.int64]) -> NDArray[np.float64]:

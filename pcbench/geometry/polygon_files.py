@@ -152,20 +152,20 @@ def _vertices(ring: Any, size: int) -> list[list[float]]:
     return result
 
 
-def _as_list(what: str, value: Any) -> list[Any]:
+def _as_list(name: str, value: Any) -> list[Any]:
     if not isinstance(value, list):
-        raise InputError(f"expected {what} as a list, got {shorten(value)}")
+        raise InputError(f"expected {name} as a list, got {shorten(value)}")
     return value
 
 
-def as_finite_number(what: str, value: Any) -> float:
+def as_finite_number(name: str, value: Any) -> float:
     """Return a number of a file as a float; raise InputError if it is not finite or is out of range."""
     # bool is an int in Python, and integers in JSON have any length.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_COORDINATE:
         expected = "a finite number"
         if isinstance(value, float) and math.isfinite(value):
             expected += f" below {MAX_COORDINATE:g}"
-        raise InputError(f"expected {what} as {expected}, got {shorten(value)}")
+        raise InputError(f"expected {name} as {expected}, got {shorten(value)}")
     return float(value)
 
 

@@ -298,18 +298,18 @@ def _format_region(kind: str, *values: float) -> str:
 # Conversion of callers' data
 
 
-def _as_array(what: str, values: ArrayLike) -> FloatArray:
+def _as_array(name: str, values: ArrayLike) -> FloatArray:
     """Copy an array, so that a region does not change with the caller's array."""
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"expected {what} as an array of numbers, got {type(values).__name__}: {error}") from error
+        raise InputError(f"expected {name} as an array of numbers, got {type(values).__name__}: {error}") from error
 
 
-def _as_vector(what: str, values: ArrayLike) -> FloatArray:
-    array = _as_array(f"the {what}", values)
+def _as_vector(name: str, values: ArrayLike) -> FloatArray:
+    array = _as_array(f"the {name}", values)
     if array.shape != (3,) or not (np.abs(array) < MAX_COORDINATE).all():
-        raise InputError(f"expected the {what} as three finite numbers, got {array.tolist()}")
+        raise InputError(f"expected the {name} as three finite numbers, got {array.tolist()}")
     return array
 
 

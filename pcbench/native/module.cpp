@@ -56,12 +56,12 @@ public:
 
     void nearest_of(const PointIndex& queries, Out<double, nb::shape<-1>> distances,
                     Out<int64_t, nb::shape<-1>> indices, double slack, std::optional<Flags> tied) const {
-        const pcbench::Tree& from = queries.tree();
-        check(distances.shape(0) == from.count && indices.shape(0) == from.count,
+        const pcbench::Tree& query_tree = queries.tree();
+        check(distances.shape(0) == query_tree.count && indices.shape(0) == query_tree.count,
               "nearest_of: expected one row per query");
-        check(!tied || tied->shape(0) == from.count, "nearest_of: expected one flag per query");
+        check(!tied || tied->shape(0) == query_tree.count, "nearest_of: expected one flag per query");
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
-            pcbench::kernels().nearest(tree(), from.leaves, from.leaf_count, nullptr, &queries == this,
+            pcbench::kernels().nearest(tree(), query_tree.leaves, query_tree.leaf_count, nullptr, &queries == this,
                                        distances.data(), indices.data(), {slack, tied ? tied->data() : nullptr},
                                        interrupt);
         });
@@ -71,20 +71,21 @@ public:
     void nearest_of_moved(const PointIndex& queries, In<double, nb::shape<3, 4>> motion, std::optional<Indices> hints,
                           Out<double, nb::shape<-1, 3>> moved, Out<double, nb::shape<-1>> distances,
                           Out<int64_t, nb::shape<-1>> indices) const {
-        const pcbench::Tree& from = queries.tree();
-        check(moved.shape(0) == from.count && distances.shape(0) == from.count && indices.shape(0) == from.count,
+        const pcbench::Tree& query_tree = queries.tree();
+        check(moved.shape(0) == query_tree.count && distances.shape(0) == query_tree.count &&
+                  indices.shape(0) == query_tree.count,
               "nearest_of_moved: expected one row per query");
         if (hints) {
-            check(hints->shape(0) == from.count, "nearest_of_moved: expected one hint per query");
+            check(hints->shape(0) == query_tree.count, "nearest_of_moved: expected one hint per query");
             check_rows(*hints, "nearest_of_moved: expected hints that are indices of points");
         }
         bool valid = true;
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
-            const pcbench::Block<pcbench::Leaf> leaves = pcbench::allocate<pcbench::Leaf>(from.leaf_count);
-            valid = transform_leaves(from, motion.data(), leaves.get(), moved.data());
+            const pcbench::Block<pcbench::Leaf> leaves = pcbench::allocate<pcbench::Leaf>(query_tree.leaf_count);
+            valid = transform_leaves(query_tree, motion.data(), leaves.get(), moved.data());
             if (!valid) return;
-            pcbench::kernels().nearest(tree(), leaves.get(), from.leaf_count, hints ? hints->data() : nullptr, false,
-                                       distances.data(), indices.data(), {}, interrupt);
+            pcbench::kernels().nearest(tree(), leaves.get(), query_tree.leaf_count, hints ? hints->data() : nullptr,
+                                       false, distances.data(), indices.data(), {}, interrupt);
         });
         check(valid, kBadCoordinate);
     }
@@ -153,11 +154,12 @@ public:
 
 private:
     // A motion preserves neighbourhoods, so the sorted leaves are reused.
-    static bool transform_leaves(const pcbench::Tree& from, const double* m, pcbench::Leaf* leaves, double* moved) {
+    static bool transform_leaves(const pcbench::Tree& query_tree, const double* m, pcbench::Leaf* leaves,
+                                 double* moved) {
         bool valid = true;
-#pragma omp parallel for schedule(static) reduction(&& : valid) if (from.leaf_count > 1024)
-        for (size_t l = 0; l < from.leaf_count; ++l) {
-            const pcbench::Leaf& leaf = from.leaves[l];
+#pragma omp parallel for schedule(static) reduction(&& : valid) if (query_tree.leaf_count > 1024)
+        for (size_t l = 0; l < query_tree.leaf_count; ++l) {
+            const pcbench::Leaf& leaf = query_tree.leaves[l];
             leaves[l] = leaf;
             double* axes[3] = {leaves[l].x, leaves[l].y, leaves[l].z};
             for (size_t i = 0; i < pcbench::kFanout && leaf.row[i] != pcbench::kNoRow; ++i)

@@ -217,10 +217,10 @@ private:
             const float at = static_cast<float>(centred[axis] * frame_.scale), error = std::fabs(at) * 0x1p-23f;
             low[axis] = broadcast(at - error), high[axis] = broadcast(at + error);
         }
-        const double to_boxes = frame_.scale * frame_.scale * kDistanceMargin;
+        const double to_box_units = frame_.scale * frame_.scale * kDistanceMargin;
         uint32_t best = start;
         double squared = closest_point_on_triangle(p, triangles_[start]).squared_distance;
-        float bound = static_cast<float>(squared * to_boxes);
+        float bound = static_cast<float>(squared * to_box_units);
 
         Entry stack[3 * Builder::kMaxDepth + 1];
         int top = 0;
@@ -232,7 +232,7 @@ private:
                 const double candidate = closest_point_on_triangle(p, triangles_[i]).squared_distance;
                 if (candidate < squared || (candidate == squared && faces_[i] < faces_[best])) {
                     best = i, squared = candidate;
-                    bound = static_cast<float>(squared * to_boxes);
+                    bound = static_cast<float>(squared * to_box_units);
                 }
             }
             if (entry.count) continue;

@@ -20,12 +20,12 @@ using OptionalIndices = std::optional<Indices>;
 
 // Returns `count` rows of an array: those listed in `indices`, or else all in order.
 pcbench::Rows rows_of(Points array, const OptionalIndices& indices, size_t count) {
-    check((indices ? indices->shape(0) : array.shape(0)) == count, "every argument needs one row for each pair");
+    check((indices ? indices->shape(0) : array.shape(0)) == count, "expected one row of every argument for each pair");
     bool in_range = true;
     if (indices)
         for (size_t i = 0; i < count; ++i)
             in_range &= indices->data()[i] >= 0 && static_cast<size_t>(indices->data()[i]) < array.shape(0);
-    if (!in_range) throw nb::index_error("an index lies outside its array");
+    if (!in_range) throw nb::index_error("expected indices within their arrays");
     return {array.data(), indices ? indices->data() : nullptr};
 }
 

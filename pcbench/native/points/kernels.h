@@ -15,7 +15,7 @@ struct Kernels {
     const char* name;
     bool (*sort_into_leaves)(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt&);
     void (*build_upper_levels)(Tree&);
-    void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
+    void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own_leaves,
                     double* distances, int64_t* indices, Ties, Interrupt&);
     void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances, int64_t* indices,
                      Interrupt&);

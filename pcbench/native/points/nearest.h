@@ -138,7 +138,7 @@ private:
 
 template <bool kTies>
 inline void nearest_in_chunk(const Tree& tree, const Leaf* queries, size_t begin, size_t end, const int64_t* hints,
-                             bool own, double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
+                             bool own_leaves, double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
     uint32_t start_leaf = 0;
     for (size_t q = begin; q < end; ++q) {
         if (q % 16 == 0 && interrupt.requested()) return;
@@ -146,7 +146,7 @@ inline void nearest_in_chunk(const Tree& tree, const Leaf* queries, size_t begin
         // The rows are scattered over the result: prefetch them during the traversal.
         for (size_t row : group.row) __builtin_prefetch(distances + row, 1), __builtin_prefetch(indices + row, 1);
         GroupNearest<kTies> search(tree, group, ties.slack);
-        if (own)
+        if (own_leaves)
             search.start_in_own_leaf(static_cast<uint32_t>(q));
         else
             search.start(start_leaf);
@@ -161,16 +161,16 @@ inline void nearest_in_chunk(const Tree& tree, const Leaf* queries, size_t begin
     }
 }
 
-// `queries` are leaves, sorted in space, with the row of each query. `own` means that they are the leaves of the tree
-// itself. Ties are not supported together with hints.
-inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
+// `queries` are leaves, sorted in space, with the row of each query. `own_leaves` means that they are the tree's
+// leaves. Ties are not supported together with hints.
+inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own_leaves,
                     double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
     constexpr size_t kChunk = 256;
     const auto search_chunk = ties.flags ? nearest_in_chunk<true> : nearest_in_chunk<false>;
 #pragma omp parallel for schedule(dynamic) if (leaf_count > 4 * kChunk)
     for (size_t begin = 0; begin < leaf_count; begin += kChunk) {
         const size_t end = begin + kChunk < leaf_count ? begin + kChunk : leaf_count;
-        search_chunk(tree, queries, begin, end, hints, own, distances, indices, ties, interrupt);
+        search_chunk(tree, queries, begin, end, hints, own_leaves, distances, indices, ties, interrupt);
     }
 }
 

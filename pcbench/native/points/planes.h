@@ -70,8 +70,8 @@ public:
         tighten(0);
         const Vector x = load(group_.x), y = load(group_.y), z = load(group_.z), zero = splat(0.0);
         Vector sx = zero, sy = zero, sz = zero, xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
-        alignas(64) double own[kLanes];
-        for (int l = 0; l < kLanes; ++l) own[l] = static_cast<double>(group_.point[l]);
+        alignas(64) double own_row[kLanes];
+        for (int l = 0; l < kLanes; ++l) own_row[l] = static_cast<double>(group_.point[l]);
         Vector nearest = splat(HUGE_VAL), nearest_row = splat(kNoRow);
         const size_t run_count = sort_runs();
         for (size_t run = 0; run < run_count; ++run) {
@@ -88,7 +88,7 @@ public:
                 xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
                 yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
                 const Vector candidate = splat(leaf.row[i]);
-                const Vector other = select(candidate == load(own), splat(HUGE_VAL), squared(c));
+                const Vector other = select(candidate == load(own_row), splat(HUGE_VAL), squared(c));
                 // `nearest` may hold the query itself at infinity until another point replaces it, which exists as k
                 // >= 2.
                 const Mask better = (other < nearest) | ((other == nearest) & (candidate < nearest_row));

@@ -26,7 +26,7 @@ struct alignas(32) Leaf {
 };
 
 // Construction sorts the items and converts each eight of them into a leaf in place.
-static_assert(sizeof(Leaf) == kFanout * sizeof(Item), "a leaf takes the room of its items");
+static_assert(sizeof(Leaf) == kFanout * sizeof(Item), "a leaf must occupy the memory of its items");
 
 struct alignas(32) Node {
     double low[3][kFanout], high[3][kFanout];  // +inf and -inf for a missing child
