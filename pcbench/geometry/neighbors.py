@@ -66,7 +66,7 @@ class Index:
         points: (N, 3) finite coordinates, N >= 1.
 
     Raises:
-        InputError: another shape, no points, or coordinates that are not finite.
+        InputError: the points have another shape, are empty, or are not finite.
     """
 
     def __init__(self, points: ArrayLike) -> None:
@@ -155,12 +155,12 @@ class Index:
         """Fit a plane to the k nearest points, the point itself included, of each point or of those in `rows` (M,)."""
         if not 3 <= k <= len(self):
             raise InputError(f"k: expected 3 to {len(self)} (the number of points), got {k}")
-        chosen = None if rows is None else self._as_indices(rows, "rows")
-        count = len(self) if chosen is None else len(chosen)
+        selected = None if rows is None else self._as_indices(rows, "rows")
+        count = len(self) if selected is None else len(selected)
         fits = LocalPlanes(
             np.empty((count, 3)), np.empty(count), Matches(np.empty(count), np.empty(count, dtype=np.int64))
         )
-        self._tree.planes(k, chosen, fits.normals, fits.variation, *fits.nearest_other)
+        self._tree.planes(k, selected, fits.normals, fits.variation, *fits.nearest_other)
         return fits
 
     def query_index(self, queries: "Index") -> Matches:
@@ -241,7 +241,7 @@ def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
     """Return the median distance from a point to the nearest point at another position; 0 if all points coincide.
 
     This is the definition of "spacing" everywhere in pcbench. Duplicates are ignored: the spacing of a cloud merged
-    with itself is that of either copy. Points with more than seven copies are left out.
+    with itself is that of either copy. Points that occur more than seven times are left out.
 
     Args:
         index: index of the cloud.

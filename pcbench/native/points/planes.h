@@ -89,8 +89,7 @@ public:
                 yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
                 const Vector candidate = splat(leaf.row[i]);
                 const Vector other = select(candidate == load(own_row), splat(HUGE_VAL), squared(c));
-                // `nearest` may hold the query itself at infinity until another point replaces it, which exists as k
-                // >= 2.
+                // `nearest` may be the query itself, at infinity, until another point replaces it (k >= 2).
                 const Mask better = (other < nearest) | ((other == nearest) & (candidate < nearest_row));
                 nearest = min(nearest, other);
                 nearest_row = select(better, candidate, nearest_row);

@@ -10,7 +10,7 @@
 
 namespace {
 
-bool never() { return false; }
+bool no_interrupt() { return false; }
 
 // A rough plane far from the origin. Every fourth point duplicates an earlier one, so that ties are resolved by row.
 std::vector<double> make_cloud(size_t count, uint64_t seed) {
@@ -30,7 +30,7 @@ std::vector<double> make_cloud(size_t count, uint64_t seed) {
 void golden::points() {
     constexpr size_t kCount = 20000, kQueries = 3000, kNeighbors = 12;
     const std::vector<double> cloud = make_cloud(kCount, 1), queries = make_cloud(kQueries, 2);
-    pcbench::Interrupt interrupt(never);
+    pcbench::Interrupt interrupt(no_interrupt);
     const pcbench::Index index(cloud.data(), kCount, interrupt);
     const pcbench::Tree& tree = index.tree();
     const pcbench::SortedPoints sorted(queries.data(), kQueries, interrupt);
