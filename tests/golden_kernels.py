@@ -1,6 +1,6 @@
-"""Builds and runs `tests/native/golden`: every compiled kernel on small inputs, with a hash of each result.
+"""Build and run `tests/native/golden`: every compiled kernel on small inputs, with a hash of each result.
 
-`python tests/golden_kernels.py > tests/native/golden/hashes.txt` renews the hashes after a change of the kernels.
+After a change of the kernels, `python tests/golden_kernels.py > tests/native/golden/hashes.txt` renews the hashes.
 """
 
 import os
@@ -18,7 +18,7 @@ HASHES = GOLDEN / "hashes.txt"
 NATIVE = ROOT / "pcbench" / "native"
 _PATCHMATCH = ROOT / "reconstructors" / "mvs" / "native"
 _SPLAT = ROOT / "reconstructors" / "splat"
-# As in CMakeLists.txt.
+# The flags of CMakeLists.txt.
 _FLAGS = ["-std=c++17", "-O3", "-ffp-contract=off", "-Wall", "-Wextra", "-fopenmp", f"-I{NATIVE}", f"-I{GOLDEN}"]
 _INSTRUCTIONS = {
     "baseline": [],
@@ -31,7 +31,7 @@ ARM_EMULATOR = shutil.which("qemu-aarch64")
 
 
 def build(compiler: str, folder: Path, *, x86: bool) -> Path:
-    """The program, which is linked statically for another processor: no libraries of it are installed."""
+    """Build the program. For another processor it is linked statically, since its libraries are not installed."""
     kernels = {NATIVE / "points": [], _PATCHMATCH: [_PATCHMATCH], _SPLAT / "cpu": [_SPLAT, _SPLAT / "cpu"]}
     units = [(GOLDEN / f"{name}.cpp", []) for name in ("main", "points", "mesh", "pairs")]
     units += [(GOLDEN / "patchmatch.cpp", [_PATCHMATCH]), (GOLDEN / "splats.cpp", [_SPLAT, _SPLAT / "cpu"])]
@@ -42,12 +42,12 @@ def build(compiler: str, folder: Path, *, x86: bool) -> Path:
         flags = ["-fno-exceptions", "-w", *_INSTRUCTIONS[isa]]
         commands += [(home / f"kernels_{isa}.cpp", includes, flags) for home, includes in kernels.items()]
 
-    def compile_unit(numbered):
-        number, (source, includes, flags) = numbered
-        out = folder / f"{number}.o"
+    def compile_unit(indexed_command):
+        index, (source, includes, flags) = indexed_command
+        out = folder / f"{index}.o"
         paths = [f"-I{path}" for path in includes]
-        defined = ["-DPCB_X86"] if x86 else []
-        _check([compiler, *_FLAGS, *defined, *paths, *flags, "-c", source, "-o", out])
+        defines = ["-DPCB_X86"] if x86 else []
+        _check([compiler, *_FLAGS, *defines, *paths, *flags, "-c", source, "-o", out])
         return out
 
     with ThreadPoolExecutor(2) as pool:
@@ -58,27 +58,27 @@ def build(compiler: str, folder: Path, *, x86: bool) -> Path:
 
 
 def hashes(program: Path, *, isa: str = "baseline", emulator: str | None = None) -> dict[str, str]:
-    """Hash of each result by its name."""
+    """Run the program and return the hash of each result by name."""
     command = [program] if emulator is None else [emulator, program]
     environment = {**os.environ, "PCBENCH_ISA": isa, "OMP_NUM_THREADS": "2"}
     text = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
-    return parsed(text)
+    return parse_hashes(text)
 
 
-def parsed(text: str) -> dict[str, str]:
-    """Lines of `name hash`; those that begin with # are comments."""
+def parse_hashes(text: str) -> dict[str, str]:
+    """Parse lines of `name hash`; lines that begin with # are comments."""
     return dict(line.split(maxsplit=1) for line in text.splitlines() if not line.startswith("#"))
 
 
-def runs_here(isa: str) -> bool:
-    """Whether this processor has an instruction set of x86."""
+def is_supported(isa: str) -> bool:
+    """Whether this processor supports an x86 instruction set."""
     flags = set(Path("/proc/cpuinfo").read_text().split()) if Path("/proc/cpuinfo").exists() else set()
-    needed = {
+    required = {
         "baseline": set(),
         "avx2": {"avx2", "fma", "bmi2"},
         "avx512": {"avx512f", "avx512dq", "avx512bw", "avx512vl"},
     }
-    return needed[isa] <= flags
+    return required[isa] <= flags
 
 
 def is_x86() -> bool:
@@ -86,8 +86,8 @@ def is_x86() -> bool:
 
 
 def _check(command: list) -> None:
-    ended = subprocess.run(command, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 if __name__ == "__main__":

@@ -12,13 +12,13 @@ def cube(half=1.0, centre=(0.0, 0.0, 0.0)):
 
 
 def tetrahedron():
-    """The one with corners at the origin and the three unit points."""
+    """The tetrahedron with corners at the origin and the three unit points."""
     vertices = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
     return vertices, np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
 
 
 def icosphere(levels=3):
-    """An icosahedron, each face cut into four `levels` times, its vertices on the unit sphere: 20 * 4^levels faces."""
+    """An icosahedron subdivided `levels` times, with vertices on the unit sphere: 20 * 4^levels faces."""
     golden = (1 + np.sqrt(5)) / 2
     vertices = [(x, y * golden, 0) for x in (-1, 1) for y in (-1, 1)]
     vertices = np.array([np.roll(v, turn) for turn in range(3) for v in vertices], dtype=float)
@@ -46,24 +46,24 @@ def icosphere(levels=3):
 
 
 def spiky(levels=2, seed=0):
-    """An icosphere with random radii from 0.3 to 1.5: closed, starlike about the origin, with sharp edges both ways."""
+    """An icosphere with random radii from 0.3 to 1.5: closed, star-shaped about the origin, with sharp edges."""
     vertices, faces = icosphere(levels)
     return vertices * np.random.default_rng(seed).uniform(0.3, 1.5, (len(vertices), 1)), faces
 
 
 def height_field(n, seed=0):
-    """An open surface of 2 (n - 1)^2 faces over the unit square, rough."""
+    """A rough open surface of 2 (n - 1)^2 faces over the unit square."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n), indexing="ij")
     z = 0.05 * np.sin(20 * x) * np.cos(17 * y) + rng.normal(0, 0.1 / n, x.shape)
-    number = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    index = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     return np.column_stack([x.ravel(), y.ravel(), z.ravel()]), faces
 
 
 def triangle_soup(count):
-    """Vertices and faces without neighbours, spread through a cube."""
+    """Separate triangles spread through a cube."""
     rng = np.random.default_rng(21)
     corners = rng.random((count, 1, 3)) + rng.normal(0, 1e-2, (count, 3, 3))
     return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""The same reconstruction several times: on few and many threads and CPUs, and beside busy processes."""
+"""Repeat a reconstruction with few and many threads and CPUs, and with other processes running."""
 
 import hashlib
 import os
@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.threads import cpus
 
-# Small settings of the reconstructors, by name: seconds each.
+# Small settings of each reconstructor, for runs of seconds.
 SMALL = {
     "sfm": {"poses": "solve", "features": "1500", "upsample": "no"},
     "mvs": {"backend": "bundled"},
@@ -21,12 +21,12 @@ SMALL = {
 
 
 class Conditions(NamedTuple):
-    """How a reconstruction is run.
+    """Conditions under which a reconstruction runs.
 
     Args:
-        cpus: how many it may use.
+        cpus: number of CPUs that it may use.
         threads: OMP_NUM_THREADS.
-        busy: processes beside it that do nothing but compute.
+        busy: number of other processes that only compute.
     """
 
     cpus: int
@@ -34,12 +34,12 @@ class Conditions(NamedTuple):
     busy: int
 
 
-# As many CPUs as there are is at least one of these; more threads than CPUs are switched between at any place.
+# Either one CPU or all. More threads than CPUs are preempted at arbitrary positions.
 CONDITIONS = (Conditions(1, 1, 0), Conditions(cpus(), 2, 2), Conditions(cpus(), 7, 2))
 
 
 class Repeat(NamedTuple):
-    """What a run made: its number of points, and SHA-256 of the bytes of the cloud's file."""
+    """Result of a run: the number of points, and the SHA-256 of the cloud's file."""
 
     points: int
     sha256: str
@@ -48,24 +48,24 @@ class Repeat(NamedTuple):
 def repeat(method: str, scene: Path, workspace: Path, conditions: Conditions, **settings: str) -> Repeat:
     """Run a reconstructor with small settings in a new workspace."""
     with under(conditions):
-        made = run(ReconstructionJob(method, scene, SMALL[method] | settings), workspace)
-    points = len(made.required().cloud)
+        result = run(ReconstructionJob(method, scene, SMALL[method] | settings), workspace)
+    points = len(result.required().cloud)
     return Repeat(points, hashlib.sha256((workspace / "cloud.ply").read_bytes()).hexdigest())
 
 
 @contextmanager
 def under(conditions: Conditions) -> Iterator[None]:
-    """Child processes that are started meanwhile run under these conditions."""
+    """Apply the conditions to child processes that are started in the context."""
     allowed = os.sched_getaffinity(0)
     threads = os.environ.get("OMP_NUM_THREADS")
     spin = [sys.executable, "-c", "while True: pass"]
-    spinning = [subprocess.Popen(spin) for _ in range(conditions.busy)]
+    busy_processes = [subprocess.Popen(spin) for _ in range(conditions.busy)]
     try:
         os.sched_setaffinity(0, sorted(allowed)[: conditions.cpus])
         os.environ["OMP_NUM_THREADS"] = str(conditions.threads)
         yield
     finally:
-        for process in spinning:
+        for process in busy_processes:
             process.kill()
             process.wait()
         os.sched_setaffinity(0, allowed)

@@ -1,1 +1,1 @@
-"""The types everything else is made of: arrays, clouds, meshes, cameras, transforms, and what is computed of them."""
+"""Basic geometry: arrays, clouds, meshes, cameras, transforms, regions, and nearest-neighbour search."""

@@ -1,4 +1,4 @@
-"""What arrays are called here, what a caller may give as one, how far coordinates go, and who may change them."""
+"""Array types, conversion of callers' data, the largest supported coordinate, and read-only arrays."""
 
 from typing import Any, TypeVar
 
@@ -12,14 +12,14 @@ IntArray = NDArray[np.int64]
 
 _Array = TypeVar("_Array", bound=NDArray[Any])
 
-MAX_COORDINATE = 1e100  # squared distances between coordinates beyond it overflow
-_ROUNDINGS = 16  # in the last digit of a coordinate
+MAX_COORDINATE = 1e100  # squared distances overflow beyond it
+_ROUNDING_ULPS = 16  # rounding allowed after a few operations, in units in the last place of the largest coordinate
 
 
 def rounding_of(points: FloatArray, origin: FloatArray) -> float:
-    """A length that coordinates of points (N, 3) plus an origin (3,) are surely rounded by, after a few operations."""
+    """Upper bound of the rounding error of points (N, 3) plus an origin (3,) after a few operations, as a length."""
     largest = max(float(np.abs(corner + origin).max()) for corner in bounds(points))
-    return _ROUNDINGS * float(np.finfo(np.float64).eps) * largest
+    return _ROUNDING_ULPS * float(np.finfo(np.float64).eps) * largest
 
 
 def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -29,35 +29,39 @@ def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
 
 
-def as_rows(what: str, data: ArrayLike) -> FloatArray:
-    """Points or directions that a caller gave, as C-contiguous float64 (N, 3): its own array where that is one.
+def as_rows(name: str, data: ArrayLike) -> FloatArray:
+    """Return a caller's points or directions as a C-contiguous float64 array (N, 3), copied only if needed.
+
+    Args:
+        name: name of the data in error messages.
+        data: array-like (N, 3) of real numbers.
 
     Raises:
-        InputError: it is no plain array of real numbers, or has another shape. `what` names it in the message.
+        InputError: `data` is not a plain array of real numbers, or does not have the shape (N, 3).
     """
     kind = getattr(getattr(data, "dtype", None), "kind", "f")
     if isinstance(data, np.ma.MaskedArray) or kind not in "fiub":
-        raise InputError(f"expected {what} as a plain array of real numbers, got {type(data).__name__}")
+        raise InputError(f"expected {name} as a plain array of real numbers, got {type(data).__name__}")
     try:
         array = np.ascontiguousarray(data, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"expected {what} as an (N, 3) array of numbers, got {type(data).__name__}") from error
+        raise InputError(f"expected {name} as an (N, 3) array of numbers, got {type(data).__name__}") from error
     if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError(f"expected {what} of shape (N, 3), got {array.shape}")
+        raise InputError(f"expected {name} of shape (N, 3), got {array.shape}")
     return array
 
 
 def freeze(array: _Array) -> _Array:
-    """The same array, read-only from now on: one that was just made and is handed over can be kept without a copy."""
+    """Make an array and the arrays that it is a view of read-only, and return it. Use it on arrays just created."""
     part: Any = array
-    while isinstance(part, np.ndarray):  # a view is frozen with what it looks at
+    while isinstance(part, np.ndarray):  # a view stays writable through its base
         part.flags.writeable = False
         part = part.base
     return array
 
 
 def is_frozen(array: NDArray[Any]) -> bool:
-    """Whether no array, neither this one nor what it is a view of, gives leave to change its numbers."""
+    """Whether neither the array nor any array that it is a view of is writable."""
     part: Any = array
     while isinstance(part, np.ndarray):
         if part.flags.writeable:
@@ -66,7 +70,10 @@ def is_frozen(array: NDArray[Any]) -> bool:
     return part is None or isinstance(part, bytes)
 
 
-def kept(array: _Array, given: Any) -> _Array:
-    """An array that its giver cannot change: itself where it is frozen or was converted from `given`, else a copy."""
-    converted = isinstance(given, np.ndarray | list | tuple) and array is not given and array.base is None
+def as_frozen(array: _Array, original: Any) -> _Array:
+    """Return a read-only array that the caller cannot change.
+
+    This is `array` itself if it is frozen or newly converted from `original`, else a copy.
+    """
+    converted = isinstance(original, np.ndarray | list | tuple) and array is not original and array.base is None
     return array if is_frozen(array) else freeze(array if converted else array.copy())

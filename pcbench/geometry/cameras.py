@@ -1,6 +1,6 @@
-"""Cameras: intrinsics and poses, in the conventions of COLMAP and OpenCV.
+"""Cameras: intrinsics and poses in the conventions of COLMAP and OpenCV.
 
-The camera looks along +z, x to the right, y down. Pixel (0, 0) is the top-left one and its centre is at (0.5, 0.5).
+The camera looks along +z, with x to the right and y down. Pixel (0, 0) is the top-left pixel; its centre is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from pcbench.geometry.transform import Similarity
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole with Brown's distortion (OpenCV's and COLMAP's OPENCV model).
+    """Pinhole intrinsics with Brown's distortion (OpenCV's model, and COLMAP's OPENCV model).
 
     Args:
-        width, height: pixels.
+        width, height: image size in pixels.
         fx, fy, cx, cy: focal lengths and principal point in pixels.
-        distortion: k1, k2, p1, p2.
+        distortion: coefficients k1, k2, p1, p2.
 
     Raises:
         InputError: a size or a focal length is not positive, or a number is not finite.
@@ -46,22 +46,23 @@ class Intrinsics:
 
     @classmethod
     def from_fov(cls, width: int, height: int, vertical_fov_deg: float) -> Intrinsics:
-        """A centred pinhole with square pixels."""
+        """Return a pinhole with square pixels and the principal point at the image centre."""
         focal = 0.5 * height / np.tan(0.5 * np.radians(vertical_fov_deg))
         return cls(width, height, focal, focal, 0.5 * width, 0.5 * height)
 
     @property
     def matrix(self) -> FloatArray:
-        """K (3, 3)."""
+        """The calibration matrix K (3, 3)."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
     @property
     def is_pinhole(self) -> bool:
+        """Whether the lens has no distortion."""
         return not any(self.distortion)
 
     @property
     def widest(self) -> FloatArray:
-        """The largest |x| and |y| (2,) at depth 1 of the rays through the image's border."""
+        """Largest |x| and |y| (2,) of the rays through the image border, at depth z = 1."""
         u, v = np.linspace(0, self.width, 65), np.linspace(0, self.height, 65)
         upper, lower = (np.column_stack([u, np.full(65, y)]) for y in (0, self.height))
         left, right = (np.column_stack([np.full(65, x), v]) for x in (0, self.width))
@@ -69,49 +70,49 @@ class Intrinsics:
         return widest
 
     def directions(self, pixels: FloatArray) -> FloatArray:
-        """Directions (N, 3) in the camera's frame, of depth z = 1, of the rays through pixel coordinates (N, 2).
+        """Return ray directions (N, 3) in the camera frame, with depth z = 1, through pixel coordinates (N, 2).
 
-        The distortion is undone by Newton's method on Brown's two equations.
+        Newton's method on Brown's two equations removes the distortion.
 
         Raises:
-            InputError: the distortion folds the image over within its border: no ray belongs to some pixel.
+            InputError: the distortion folds the image over within its border, so that some pixels have no ray.
         """
-        goal = (np.asarray(pixels, dtype=np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
+        target = (np.asarray(pixels, dtype=np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
         if self.is_pinhole:
-            return np.column_stack([goal, np.ones(len(goal))])
+            return np.column_stack([target, np.ones(len(target))])
         k1, k2, p1, p2 = self.distortion
-        x, y = goal.T.copy()
+        x, y = target.T.copy()
         for _ in range(20):
             r2 = x * x + y * y
             radial, slope = 1 + r2 * (k1 + r2 * k2), 2 * (k1 + 2 * k2 * r2)
-            miss_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - goal[:, 0]
-            miss_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - goal[:, 1]
+            error_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - target[:, 0]
+            error_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - target[:, 1]
             xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
             xy = slope * x * y + 2 * p1 * x + 2 * p2 * y
             yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
             determinant = xx * yy - xy * xy
             if not (determinant > 1e-3).all():
                 break
-            x, y = x - (yy * miss_x - xy * miss_y) / determinant, y - (xx * miss_y - xy * miss_x) / determinant
-            if max(np.abs(miss_x).max(initial=0), np.abs(miss_y).max(initial=0)) < 1e-14:
-                return np.column_stack([x, y, np.ones(len(goal))])
-        if max(np.abs(miss_x).max(), np.abs(miss_y).max()) < 1e-10 and (determinant > 1e-3).all():
-            return np.column_stack([x, y, np.ones(len(goal))])
+            x, y = x - (yy * error_x - xy * error_y) / determinant, y - (xx * error_y - xy * error_x) / determinant
+            if max(np.abs(error_x).max(initial=0), np.abs(error_y).max(initial=0)) < 1e-14:
+                return np.column_stack([x, y, np.ones(len(target))])
+        if max(np.abs(error_x).max(), np.abs(error_y).max()) < 1e-10 and (determinant > 1e-3).all():
+            return np.column_stack([x, y, np.ones(len(target))])
         raise InputError(f"the distortion {self.distortion} folds the image over: some pixels have no ray")
 
     def scaled(self, factor: float) -> Intrinsics:
-        """For images resized by `factor`; sizes are rounded, and the rest follows the rounded sizes."""
+        """Return the intrinsics of images resized by `factor`, with the size rounded to pixels."""
         return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
 
     def resized(self, width: int, height: int) -> Intrinsics:
-        """For images resized to width x height pixels."""
+        """Return the intrinsics of images resized to width x height pixels."""
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One photograph's camera: file name, intrinsics, and the rigid motion from world to camera coordinates."""
+    """The camera of one photograph: file name, intrinsics, and the rigid motion from world to camera coordinates."""
 
     name: str
     intrinsics: Intrinsics
@@ -119,20 +120,21 @@ class Camera:
 
     @property
     def position(self) -> FloatArray:
-        """The centre of projection in the world (3,)."""
+        """The centre of projection (3,) in world coordinates."""
         position: FloatArray = -self.cam_from_world.rotation.T @ self.cam_from_world.translation
         return position
 
     @property
     def direction(self) -> FloatArray:
-        """The viewing direction in the world (3,), unit length."""
+        """The viewing direction (3,) in world coordinates, of unit length."""
         direction: FloatArray = self.cam_from_world.rotation[2]
         return direction
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pixel coordinates (N, 2) and z-depths (N,) of world points (N, 3); those behind the camera have depth <= 0.
+        """Return pixel coordinates (N, 2) and z-depths (N,) of world points (N, 3); points behind have depth <= 0.
 
-        Brown 1966 as OpenCV writes it: x' = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2), and y' alike.
+        Brown 1966 in OpenCV's form: x' = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2), and
+        y' = y (1 + k1 r^2 + k2 r^4) + p1 (r^2 + 2 y^2) + 2 p2 x y.
         """
         at = self.cam_from_world.apply(points)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -147,12 +149,12 @@ class Camera:
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Similarity:
-    """The cam_from_world of a camera at `position` (3,) that looks at `target` (3,) with `up` upwards in the image.
+    """Return cam_from_world of a camera at `position` (3,) that looks at `target` (3,), with `up` upwards in the image.
 
-    Looking straight along `up`, the image's upper side is north (+y).
+    If the camera looks along `up`, the upper side of the image is north (+y).
 
     Raises:
-        InputError: position and target are one point.
+        InputError: position and target are the same point.
     """
     eye = np.asarray(position, dtype=np.float64)
     forward = np.asarray(target, dtype=np.float64) - eye
@@ -169,11 +171,12 @@ def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1
 
 
 def rotation_from(matrix: ArrayLike) -> FloatArray:
-    """The rotation (3, 3) that a file's matrix means: camera files carry few digits, and the nearest rotation (the
-    polar factor) is what they were printed from.
+    """Return the rotation (3, 3) nearest to the matrix of a camera file, which is rounded to few digits.
+
+    The nearest rotation is the orthogonal factor of the polar decomposition.
 
     Raises:
-        InputError: it is further than 1e-3 from any rotation: scaled, sheared, reflected, or no matrix at all.
+        InputError: the matrix is not 3x3 and finite, or differs by over 1e-3 from a rotation.
     """
     m = np.asarray(matrix, dtype=np.float64)
     if m.shape != (3, 3) or not np.isfinite(m).all():

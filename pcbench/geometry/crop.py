@@ -1,4 +1,4 @@
-"""Points cut to a region."""
+"""Selection of the points inside a region."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.regions import Mask, Region
 
 
-def points_inside(points: FloatArray, region: Region | None, given: Region | str, whose: str) -> Mask:
-    """Mask (N,) of the points inside a region; of all where there is none.
+def points_inside(points: FloatArray, region: Region | None, requested: Region | str, owner: str) -> Mask:
+    """Return the mask (N,) of the points inside a region, or of all points if `region` is None.
 
     Args:
-        points: (N, 3).
-        region: in the same coordinates as the points.
-        given: the region as the user gave it, for the message of a refusal.
-        whose: the points, in that message: "the reference's".
+        points: (N, 3) coordinates.
+        region: region in the coordinates of the points, or None.
+        requested: the region as the user wrote it, for the error message.
+        owner: owner of the points in the error message, such as "the reference's".
 
     Raises:
         InputError: no point lies inside.
     """
     inside = np.ones(len(points), dtype=np.bool_) if region is None else region.contains(points)
     if not inside.any():
-        text = given if isinstance(given, str) else given.text
-        raise InputError(f"the crop {text!r} leaves none of {whose} {len(points)} points")
+        text = requested if isinstance(requested, str) else requested.text
+        raise InputError(f"the crop {text!r} leaves none of {owner} {len(points)} points")
     return inside

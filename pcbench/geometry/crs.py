@@ -1,4 +1,4 @@
-"""Coordinate reference systems as files name them: WKT or an authority code."""
+"""Coordinate reference systems (CRS) given as WKT or as an authority code."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import fit_similarity
 
-_MAX_LINE = 100
+_MAX_LABEL_LENGTH = 100
 
 
 def same_crs(first: str, second: str) -> bool:
-    """Whether two names mean one system; without pyproj only equal texts do."""
+    """Whether two texts name the same CRS. Without pyproj, only equal texts do."""
     if first == second:
         return True
-    a, b = _parsed(first), _parsed(second)
+    a, b = _parse_crs(first), _parse_crs(second)
     return a is not None and b is not None and bool(a.equals(b, ignore_axis_order=True))
 
 
 def crs_name(text: str) -> str:
-    """A short name for messages: the authority code or the system's own name."""
-    crs = _parsed(text)
+    """Return a short name for messages: the authority code, or else the name of the CRS."""
+    crs = _parse_crs(text)
     if crs is None:
         return text if len(text) <= 40 else f"{text[:37]}..."
     authority = crs.to_authority(min_confidence=100)
@@ -33,11 +33,11 @@ def crs_name(text: str) -> str:
 
 
 def crs_line(text: str) -> str:
-    """A system for people: its name and, where there is one, its authority code, in one line of at most 100 letters.
+    """Return the name of a CRS and its authority code, if any, on one line of at most 100 characters.
 
-    Without pyproj the name that WKT begins with, else the text itself, is all that is known.
+    Without pyproj, the name is read from the start of the WKT; other texts are returned as they are.
     """
-    crs = _parsed(text)
+    crs = _parse_crs(text)
     if crs is not None:
         code = crs.to_authority(min_confidence=100)
         line = f"{crs.name} ({':'.join(code)})" if code else str(crs.name)
@@ -45,30 +45,30 @@ def crs_line(text: str) -> str:
         quoted = re.match(r'\s*\w+\s*\[\s*"([^"]+)"', text)
         line = quoted[1] if quoted else text
     line = " ".join(line.split())
-    return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE - 3]}..."
+    return line if len(line) <= _MAX_LABEL_LENGTH else f"{line[: _MAX_LABEL_LENGTH - 3]}..."
 
 
 def is_known(text: str | None) -> bool:
-    """Whether pyproj is installed and knows this system."""
-    return text is not None and _parsed(text) is not None
+    """Whether pyproj is installed and knows the CRS."""
+    return text is not None and _parse_crs(text) is not None
 
 
 def has_heights(text: str | None) -> bool:
-    """Return whether a system is a map grid, alone or with a system of heights, so that z is known to be height."""
-    crs = None if text is None else _parsed(text)
+    """Whether the CRS is projected, alone or with a vertical CRS, so that z is a height."""
+    crs = None if text is None else _parse_crs(text)
     if crs is None:
         return False
     return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_projected)
 
 
-def euclidean_offsets(text: str, places: FloatArray) -> FloatArray | None:
-    """How far (N, 3) places (N, 3) on a map grid lie from where they are in Euclidean space, in the map's unit.
+def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:
+    """Return offsets (N, 3) from positions (N, 3) on a map grid to their Euclidean positions, in the map's unit.
 
-    Earth-centred coordinates, brought back onto the map's by the best rigid motion: what is left is the Earth's
-    curvature and the projection's scale. Heights are taken as ellipsoidal. None where the system is no map grid, or is
-    not known.
+    Earth-centred coordinates are fitted to the map coordinates by a rigid motion. The residuals are the Earth's
+    curvature and the scale of the projection. Heights are taken as ellipsoidal. The result is None if the CRS is
+    unknown or not projected.
     """
-    crs = _parsed(text)
+    crs = _parse_crs(text)
     if crs is None:
         return None
     crs = crs.sub_crs_list[0] if crs.sub_crs_list else crs
@@ -78,16 +78,16 @@ def euclidean_offsets(text: str, places: FloatArray) -> FloatArray | None:
 
     unit = crs.axis_info[0].unit_conversion_factor
     to_geographic = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
-    longitude, latitude = to_geographic.transform(places[:, 0], places[:, 1])
+    longitude, latitude = to_geographic.transform(positions[:, 0], positions[:, 1])
     to_space = Transformer.from_crs(crs.geodetic_crs.to_3d(), {"proj": "geocent", "datum": "WGS84"}, always_xy=True)
-    space = np.stack(to_space.transform(longitude, latitude, places[:, 2] * unit), axis=1) / unit
+    space = np.stack(to_space.transform(longitude, latitude, positions[:, 2] * unit), axis=1) / unit
     if not np.isfinite(space).all():
         return None
-    offsets: FloatArray = fit_similarity(space, places, with_scale=False).apply(space) - places
+    offsets: FloatArray = fit_similarity(space, positions, with_scale=False).apply(space) - positions
     return offsets
 
 
-def _parsed(text: str) -> Any | None:
+def _parse_crs(text: str) -> Any | None:
     try:
         pyproj = require("pyproj")
     except MissingExtra:

@@ -1,4 +1,4 @@
-"""WGS84 positions into local east-north-up metres."""
+"""Conversion of WGS84 positions to local east-north-up coordinates in metres."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _SEMI_MAJOR, _FLATTENING = 6_378_137.0, 1 / 298.257223563  # WGS84 (NIMA TR8350.
 
 
 class Gps(NamedTuple):
-    """A position as the camera wrote it: WGS84 latitude and longitude in degrees, altitude in metres.
+    """A position from a camera's file: WGS84 latitude and longitude in degrees, altitude in metres.
 
-    The altitude is 0 where the file has none; above the sea or the ellipsoid, cameras do not agree.
+    The altitude is 0 if the file has none. Depending on the camera it is above sea level or above the ellipsoid.
     """
 
     latitude_deg: float
@@ -24,8 +24,10 @@ class Gps(NamedTuple):
 
 
 def radii_of_curvature(latitude_deg: float) -> tuple[float, float]:
-    """Radii of WGS84 in metres at a latitude: along the prime vertical (N, which east is) and along the meridian (M,
-    which north is), NIMA TR8350.2.
+    """Return the radii of curvature of WGS84 in metres at a latitude (NIMA TR8350.2).
+
+    The first is that of the prime vertical (N, for distances to the east), the second that of the meridian (M, for
+    distances to the north).
     """
     eccentricity2 = _FLATTENING * (2 - _FLATTENING)
     w = float(np.sqrt(1 - eccentricity2 * np.sin(np.radians(latitude_deg)) ** 2))
@@ -33,12 +35,14 @@ def radii_of_curvature(latitude_deg: float) -> tuple[float, float]:
 
 
 def enu_from_wgs84(positions: Sequence[Gps] | FloatArray, origin: Gps) -> FloatArray:
-    """East, north and up (N, 3) in metres of positions (an array has their three numbers in its rows), in the plane
-    that touches the ellipsoid's normal at `origin`.
+    """Return east, north and up (N, 3) in metres, relative to the tangent plane of the ellipsoid at `origin`.
 
-    Altitudes are taken as heights above the ellipsoid; one constant offset from that (the geoid) cancels.
+    Args:
+        positions: WGS84 positions, or an array (N, 3) of latitude, longitude (degrees) and altitude (metres).
+        origin: origin of the local frame. Altitudes are taken as ellipsoidal heights; a constant offset from them,
+            such as the geoid height, cancels.
     """
-    centred = _earth_centred(positions) - _earth_centred([origin])
+    centred = _ecef_from_geodetic(positions) - _ecef_from_geodetic([origin])
     latitude, longitude = np.radians(origin.latitude_deg), np.radians(origin.longitude_deg)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
     axes = np.array(
@@ -52,7 +56,7 @@ def enu_from_wgs84(positions: Sequence[Gps] | FloatArray, origin: Gps) -> FloatA
     return enu
 
 
-def _earth_centred(positions: Sequence[Gps] | FloatArray) -> FloatArray:
+def _ecef_from_geodetic(positions: Sequence[Gps] | FloatArray) -> FloatArray:
     latitude, longitude, height = np.array(positions, dtype=np.float64).reshape(-1, 3).T
     latitude, longitude = np.radians(latitude), np.radians(longitude)
     eccentricity2 = _FLATTENING * (2 - _FLATTENING)

@@ -1,4 +1,4 @@
-"""Triangle meshes: the type, points drawn from one, and exact distances to one."""
+"""Triangle meshes: the type, random points on the surface, exact distances, and ray casting."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.native import _core
 
-# What the kernel calls the places of a face: corners 0-2, then the edges 01, 12, 20, then the inside.
-_EDGE, _INSIDE = 3, 6
-_FLAT = 1e-28  # square of a face's height by its sides, below which it is rounding: the kernel's limit
+# The kernel's codes for the part of a face: corners 0-2, then the edges 01, 12, 20, then the interior.
+_FIRST_EDGE, _INTERIOR = 3, 6
+_DEGENERATE_SIN2 = 1e-28  # squared sine of a face's angle up to which its area is rounding error; the kernel's limit
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh, checked once at birth.
+    """A validated triangle mesh.
 
     Args:
-        vertices: (V, 3) finite coordinates, kept as C-contiguous float64.
-        faces: (F, 3) indices of vertices, F >= 1, anticlockwise seen from outside, kept as C-contiguous int64. Faces
-            without area are allowed as long as one has some.
-        crs: coordinate reference system as given by the file (WKT or authority code), if any.
-        unit: unit of the coordinates ("m", "ft", ...), if known.
+        vertices: (V, 3) finite coordinates, stored as C-contiguous float64.
+        faces: (F, 3) vertex indices, F >= 1, anticlockwise seen from outside, stored as C-contiguous int64. Faces
+            without area are allowed if at least one face has an area.
+        crs: coordinate reference system as given by the file (WKT or authority code), or None.
+        unit: unit of the coordinates ("m", "ft", ...), or None if unknown.
 
     Raises:
         InputError: a shape or a value is not as described.
@@ -48,17 +48,19 @@ class Mesh:
             raise InputError("expected a mesh with at least one face, got none")
         if not np.isfinite(vertices).all():
             bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
-            raise InputError(f"expected finite coordinates, got NaN or Inf in {bad} of {len(vertices)} vertices")
+            raise InputError(
+                f"expected finite coordinates, got NaN or Inf in {bad} of {len(vertices)} vertices; remove them first"
+            )
         low, high = int(faces.min()), int(faces.max())
         if low < 0 or high >= len(vertices):
             wrong = low if low < 0 else high
-            raise InputError(f"expected faces of the {len(vertices)} vertices 0 to {len(vertices) - 1}, got {wrong}")
+            raise InputError(f"expected vertex indices from 0 to {len(vertices) - 1} in faces, got {wrong}")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", np.ascontiguousarray(faces, dtype=np.int64))
         with np.errstate(over="ignore", invalid="ignore"):
             area = self.area
         if not (0 < area < np.inf):
-            raise InputError(f"expected a mesh with an area, got {len(faces)} faces of area {area:g} together")
+            raise InputError(f"expected a mesh with an area, got {len(faces)} faces with a total area of {area:g}")
 
     def __len__(self) -> int:
         return len(self.faces)
@@ -68,34 +70,34 @@ class Mesh:
 
     @property
     def area(self) -> float:
-        """Sum of the faces' areas, in the unit squared."""
+        """Total area of the faces, in squared units."""
         return float(self.areas().sum())
 
     def areas(self) -> FloatArray:
-        """Area of each face (F,), in the unit squared."""
-        areas: FloatArray = np.linalg.norm(self._crosses(), axis=1) / 2
+        """Return the area of each face (F,), in squared units."""
+        areas: FloatArray = np.linalg.norm(self._cross_products(), axis=1) / 2
         return areas
 
     def normals(self) -> FloatArray:
-        """Unit normal of each face (F, 3); zero where it has no area."""
-        crosses = self._crosses()
-        lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
-        normals: FloatArray = np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+        """Return the unit normal of each face (F, 3); zero for a face without area."""
+        cross_products = self._cross_products()
+        lengths = np.linalg.norm(cross_products, axis=1, keepdims=True)
+        normals: FloatArray = np.divide(cross_products, lengths, out=np.zeros_like(cross_products), where=lengths > 0)
         return normals
 
     @cached_property
     def is_closed(self) -> bool:
-        """Whether every edge is shared by exactly two faces that run along it in opposite directions.
+        """Whether every edge is shared by exactly two faces that traverse it in opposite directions.
 
-        A face that names a vertex twice has no inside and is passed over: its neighbours meet at its one edge.
+        A face that repeats a vertex is ignored: it has no interior, and its neighbours meet at its only edge.
         """
-        proper = self.faces[_is_proper(self.faces)]
+        proper = self.faces[_has_distinct_vertices(self.faces)]
         keys = np.sort(_edge_keys(proper, len(self.vertices)), axis=None)
         backwards = np.sort(_edge_keys(proper[:, ::-1], len(self.vertices)), axis=None)
         return bool((np.diff(keys) > 0).all() and np.array_equal(keys, backwards))
 
     def sample(self, count: int, seed: int = 0) -> Cloud:
-        """`count` random points, uniform by area, with their faces' unit normals.
+        """Return `count` random points, distributed uniformly by area, with the unit normals of their faces.
 
         Raises:
             InputError: `count` is less than 1.
@@ -103,34 +105,36 @@ class Mesh:
         if count < 1:
             raise InputError(f"expected a count of at least 1 point, got {count}")
         rng = np.random.default_rng(seed)
-        upto = np.cumsum(self.areas())
-        # searchsorted on the right never picks a face without area.
-        which = np.searchsorted(upto, rng.random(count) * upto[-1], side="right").clip(max=len(self) - 1)
+        cumulative_area = np.cumsum(self.areas())
+        # With side="right", searchsorted never selects a face without area.
+        which = np.searchsorted(cumulative_area, rng.random(count) * cumulative_area[-1], side="right").clip(
+            max=len(self) - 1
+        )
         s, t = rng.random((2, count, 1))
-        beyond = s + t > 1  # the other half of the parallelogram is folded back
-        s, t = np.where(beyond, 1 - s, s), np.where(beyond, 1 - t, t)
+        outside = s + t > 1  # the other half of the parallelogram is folded back
+        s, t = np.where(outside, 1 - s, s), np.where(outside, 1 - t, t)
         a, b, c = (self.vertices[self.faces[which, k]] for k in range(3))
         return Cloud(a + s * (b - a) + t * (c - a), normals=self.normals()[which], crs=self.crs, unit=self.unit)
 
     def transformed(self, transform: Similarity | Affine) -> Mesh:
-        """The mesh in another frame. A reflection turns the faces round, so that they still look outwards."""
+        """Return the mesh in another frame. A reflection reverses the faces, so that normals still point outwards."""
         mirrored = np.linalg.det(transform.linear) < 0
         faces = self.faces[:, ::-1] if mirrored else self.faces
         return replace(self, vertices=transform.apply(self.vertices), faces=faces)
 
     def shifted(self, origin: ArrayLike) -> Mesh:
-        """The mesh with `origin` (3,) subtracted."""
+        """Return the mesh with `origin` (3,) subtracted from its coordinates."""
         return replace(self, vertices=self.vertices - np.asarray(origin, dtype=np.float64))
 
-    def _crosses(self) -> FloatArray:
-        """Normals (F, 3) as long as twice the faces' areas."""
+    def _cross_products(self) -> FloatArray:
+        """Return the face normals (F, 3) with lengths of twice the face areas."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        crosses: FloatArray = np.cross(b - a, c - a)
-        return crosses
+        cross_products: FloatArray = np.cross(b - a, c - a)
+        return cross_products
 
 
 class MeshMatches(NamedTuple):
-    """For each query its distance (N,), the nearest point of the mesh (N, 3), and the face (N,) that it lies on."""
+    """Distance (N,), closest point on the mesh (N, 3) and its face (N,) for each query."""
 
     distances: FloatArray
     closest: FloatArray
@@ -138,15 +142,14 @@ class MeshMatches(NamedTuple):
 
 
 class RayHits(NamedTuple):
-    """For each ray where it first meets the mesh (N,), in lengths of its direction, and the face (N,); inf and -1 where
-    it does not."""
+    """First intersection of each ray: distance (N,) in lengths of its direction, and face (N,); inf and -1 if none."""
 
     distances: FloatArray
     faces: IntArray
 
 
 class MeshIndex:
-    """Exact point-to-triangle distances in float64 to a fixed mesh, and where rays meet it."""
+    """Index of a mesh for exact float64 point-to-triangle distances and for ray casting."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
@@ -157,25 +160,25 @@ class MeshIndex:
 
     @cached_property
     def has_inside(self) -> bool:
-        """Whether `signed` distances can be had: the mesh is closed, and its faces of three vertices have an area."""
+        """Whether `query` supports signed distances: the mesh is closed and has no degenerate faces."""
         try:
             return bool(self._pseudo_normals)
         except InputError:
             return False
 
     def query(self, points: ArrayLike, *, signed: bool = False) -> MeshMatches:
-        """The nearest point of the mesh to each of `points` (N, 3); among equals that of the lowest face.
+        """Find the closest point of the mesh to each of `points` (N, 3); the lowest face index decides ties.
 
         Args:
-            points: finite coordinates in the mesh's frame.
-            signed: distances are negative inside a closed mesh, whichever way its faces look. The sign is that of the
-                angle-weighted pseudo-normal of the nearest corner, edge or face: Baerentzen and Aanaes, "Signed
-                distance computation using the angle weighted pseudonormal", 2005. It means nothing where the mesh
-                passes through itself.
+            points: (N, 3) finite coordinates in the mesh's frame.
+            signed: whether distances are negative inside the mesh, which must be closed; the orientation of its faces
+                does not matter. The sign comes from the angle-weighted pseudo-normal of the nearest corner, edge or
+                face: Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal", 2005.
+                It is undefined where the mesh intersects itself.
 
         Raises:
-            InputError: `points` are not finite (N, 3) coordinates; `signed` and the mesh is not closed, or has faces
-                whose three different vertices lie on one line (`has_inside` tells beforehand).
+            InputError: `points` are not finite (N, 3) coordinates; `signed` and the mesh is not closed or has
+                degenerate faces (see `has_inside`).
         """
         queries = as_rows("points", points)
         if not np.isfinite(queries).all():
@@ -190,28 +193,31 @@ class MeshIndex:
         return matches._replace(distances=np.where(side < 0, -matches.distances, matches.distances))
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
-        """Where rays first meet the mesh, from either side of its faces.
+        """Find the first intersection of each ray with the mesh, on either side of its faces.
 
-        Watertight (Woop, Benthin and Wald, "Watertight ray/triangle intersection", 2013): no ray slips through between
-        two faces with a common edge. Rays that are neighbours in the arrays should be neighbours in space.
+        The test is watertight (Woop, Benthin and Wald, "Watertight ray/triangle intersection", 2013): no ray passes
+        between two faces that share an edge. It is fastest if consecutive rays are close in space.
 
         Args:
             origins: (N, 3) in the mesh's frame, or (3,) for all rays.
-            directions: (N, 3), of any length but 0. With a depth of 1 along the viewing axis, distances are z-depths.
+            directions: (N, 3) of any nonzero length. If their component along the viewing axis is 1, the returned
+                distances are z-depths.
 
         Raises:
             InputError: a shape is wrong, a number is not finite, or a direction is zero.
         """
-        origins, directions = _rays(origins, directions)
+        origins, directions = _as_rays(origins, directions)
         hits = RayHits(np.empty(len(origins)), np.empty(len(origins), dtype=np.int64))
         self._tree.cast(origins, directions, np.inf, *hits)
         return hits
 
     def blocked(self, origins: ArrayLike, directions: ArrayLike, *, limit: float = np.inf) -> NDArray[np.bool_]:
-        """Whether rays (N,) meet the mesh closer than `limit` lengths of their directions: with ends minus origins and
-        a limit of 1 whether something stands between. Arguments and errors are those of `cast`.
+        """Return whether each ray (N,) intersects the mesh before `limit` lengths of its direction.
+
+        To test lines of sight, pass end points minus origins as directions and a limit of 1. The other arguments and
+        the errors are those of `cast`.
         """
-        origins, directions = _rays(origins, directions)
+        origins, directions = _as_rays(origins, directions)
         result = np.empty(len(origins), dtype=np.bool_)
         self._tree.blocked(origins, directions, limit, result)
         return result
@@ -222,80 +228,84 @@ class MeshIndex:
 
 
 class _PseudoNormals:
-    """Outward directions at the corners, edges and faces of a closed mesh.
+    """Pseudo-normals, pointing outwards, at the corners, edges and faces of a closed mesh.
 
-    Each is the sum of the unit normals of the faces that meet there; at a corner they are weighted by their angles.
+    Each is the sum of the unit normals of the adjacent faces; at a corner they are weighted by their angles.
+    Baerentzen and Aanaes 2005, section 2.
     """
 
     def __init__(self, mesh: Mesh) -> None:
         if not mesh.is_closed:
-            raise InputError("expected a closed mesh to tell inside from outside, got one with open or shared edges")
-        own = np.flatnonzero(_is_proper(mesh.faces))
-        corners = mesh.vertices[mesh.faces[own]]  # (P, 3, 3)
-        sides = np.roll(corners, -1, axis=1) - corners  # side k runs from corner k to the next
-        crosses = np.cross(sides[:, 0], -sides[:, 2])
-        lengths = np.linalg.norm(crosses, axis=1)
-        squares = np.square(sides).sum(axis=2)
-        if flat := int(np.count_nonzero(lengths**2 <= _FLAT * squares[:, 0] * squares[:, 2])):
             raise InputError(
-                f"expected faces with an area to tell inside from outside, got {flat} of {len(mesh)} whose three"
-                " vertices lie on one line: repair the mesh first"
+                "expected a closed mesh for signed distances, got open edges or edges of more than two faces;"
+                " repair the mesh first"
             )
-        volume = np.einsum("ni,ni->", corners[:, 0] - mesh.vertices.mean(axis=0), crosses)
-        normals = np.sign(volume) * crosses / lengths[:, None]
-        # The angle between two sides from its sine and cosine: exact also where it is nearly 0 or 180 degrees.
+        rows = np.flatnonzero(_has_distinct_vertices(mesh.faces))
+        corners = mesh.vertices[mesh.faces[rows]]  # (P, 3, 3)
+        sides = np.roll(corners, -1, axis=1) - corners  # side k runs from corner k to the next
+        cross_products = np.cross(sides[:, 0], -sides[:, 2])
+        lengths = np.linalg.norm(cross_products, axis=1)
+        squares = np.square(sides).sum(axis=2)
+        if flat := int(np.count_nonzero(lengths**2 <= _DEGENERATE_SIN2 * squares[:, 0] * squares[:, 2])):
+            raise InputError(
+                f"expected faces with an area for signed distances, got {flat} of {len(mesh)} with their three vertices"
+                " on one line; repair the mesh first"
+            )
+        volume = np.einsum("ni,ni->", corners[:, 0] - mesh.vertices.mean(axis=0), cross_products)
+        normals = np.sign(volume) * cross_products / lengths[:, None]
+        # arctan2 of the sine and the cosine is exact also for angles near 0 or 180 degrees.
         cosines = -np.einsum("nki,nki->nk", sides, np.roll(sides, 1, axis=1))
         angles = np.arctan2(lengths[:, None], cosines)
         self._mesh = mesh
         self._faces = np.zeros((len(mesh), 3))
-        self._faces[own] = normals
+        self._faces[rows] = normals
         self._corners = np.column_stack(
             [
-                np.bincount(mesh.faces[own].ravel(), (angles * normals[:, [axis]]).ravel(), len(mesh.vertices))
+                np.bincount(mesh.faces[rows].ravel(), (angles * normals[:, [axis]]).ravel(), len(mesh.vertices))
                 for axis in range(3)
             ]
         )
-        keys = _edge_keys(mesh.faces[own], len(mesh.vertices)).ravel()
+        keys = _edge_keys(mesh.faces[rows], len(mesh.vertices)).ravel()
         order = np.argsort(keys)
-        self._keys, self._owners = keys[order], own[order // 3]
+        self._keys, self._key_faces = keys[order], rows[order // 3]
 
     def at(self, faces: IntArray, features: NDArray[np.uint8]) -> FloatArray:
-        """The direction (N, 3) at a feature (N,) of a face (N,), not of unit length."""
+        """Return the pseudo-normals (N, 3), not of unit length, at the features (N,) of faces (N,)."""
         directions = self._faces[faces]
         ends = self._mesh.faces[faces]
-        rows = np.flatnonzero(features < _EDGE)
+        rows = np.flatnonzero(features < _FIRST_EDGE)
         directions[rows] = self._corners[ends[rows, features[rows]]]
-        rows = np.flatnonzero((features >= _EDGE) & (features < _INSIDE))
-        first, second = ends[rows, features[rows] - _EDGE], ends[rows, (features[rows] - _EDGE + 1) % 3]
-        directions[rows] = self._along(first, second) + self._along(second, first)
+        rows = np.flatnonzero((features >= _FIRST_EDGE) & (features < _INTERIOR))
+        first, second = ends[rows, features[rows] - _FIRST_EDGE], ends[rows, (features[rows] - _FIRST_EDGE + 1) % 3]
+        directions[rows] = self._face_normals_at_edges(first, second) + self._face_normals_at_edges(second, first)
         return directions
 
-    def _along(self, first: IntArray, second: IntArray) -> FloatArray:
-        """Normals (M, 3) of the faces that run from vertex `first` to vertex `second`."""
-        places = np.searchsorted(self._keys, first * len(self._mesh.vertices) + second)
-        return self._faces[self._owners[places]]
+    def _face_normals_at_edges(self, first: IntArray, second: IntArray) -> FloatArray:
+        """Return the normals (M, 3) of the faces with a directed edge from vertex `first` to vertex `second`."""
+        positions = np.searchsorted(self._keys, first * len(self._mesh.vertices) + second)
+        return self._faces[self._key_faces[positions]]
 
 
-def _is_proper(faces: IntArray) -> NDArray[np.bool_]:
-    """Which faces (F,) have three different vertices."""
+def _has_distinct_vertices(faces: IntArray) -> NDArray[np.bool_]:
+    """Return which faces (F,) have three distinct vertices."""
     a, b, c = faces.T
     proper: NDArray[np.bool_] = (a != b) & (b != c) & (c != a)
     return proper
 
 
-def _edge_keys(faces: IntArray, vertices: int) -> IntArray:
-    """One number for each directed edge (F, 3) of the faces: from corner k to the next."""
-    return faces * vertices + np.roll(faces, -1, axis=1)
+def _edge_keys(faces: IntArray, vertex_count: int) -> IntArray:
+    """Return an integer key (F, 3) for each directed edge of the faces, from corner k to the next."""
+    return faces * vertex_count + np.roll(faces, -1, axis=1)
 
 
-def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    towards = as_rows("directions", directions)
+def _as_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    ray_directions = as_rows("directions", directions)
     starts = np.asarray(origins, dtype=np.float64)
-    starts = as_rows("origins", np.broadcast_to(starts, towards.shape) if starts.shape == (3,) else starts)
-    if len(starts) != len(towards):
-        raise InputError(f"expected an origin for each of the {len(towards)} directions, got {len(starts)}")
-    if not (np.isfinite(starts).all() and np.isfinite(towards).all()):
-        raise InputError("expected rays of finite numbers, got NaN or Inf")
-    if not towards.any(axis=1).all():
-        raise InputError("expected directions of some length, got zero")
-    return starts, towards
+    starts = as_rows("origins", np.broadcast_to(starts, ray_directions.shape) if starts.shape == (3,) else starts)
+    if len(starts) != len(ray_directions):
+        raise InputError(f"expected an origin for each of the {len(ray_directions)} directions, got {len(starts)}")
+    if not (np.isfinite(starts).all() and np.isfinite(ray_directions).all()):
+        raise InputError("expected finite origins and directions of rays, got NaN or Inf")
+    if not ray_directions.any(axis=1).all():
+        raise InputError("expected ray directions of nonzero length, got zero")
+    return starts, ray_directions

@@ -1,7 +1,7 @@
-"""Exact nearest-neighbour search: the only caller of the compiled search kernels.
+"""Exact nearest-neighbour search. Only this module calls the compiled search kernels.
 
-Every answer equals a float64 brute force that evaluates (dx*dx + dy*dy) + dz*dz in this order and breaks ties by the
-lowest index, on any machine and with any number of threads.
+Every result equals a float64 brute-force search that evaluates (dx*dx + dy*dy) + dz*dz in this order and breaks ties by
+the lowest index, on any machine and with any number of threads.
 """
 
 from typing import Any, NamedTuple, NoReturn
@@ -15,39 +15,40 @@ from pcbench.native import _core
 
 __all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways", "median_spacing"]
 
-_SPACING_SAMPLE = 20_000  # points that a spacing is estimated from
-_MAX_DUPLICATES = 8  # nearest points, itself included, among which one in another place is looked for
+_SPACING_SAMPLE = 20_000  # approximate number of points that a median spacing is estimated from
+_MAX_DUPLICATES = 8  # size of the neighbourhood, the point itself included, that is searched for a non-duplicate
 
 
 class Matches(NamedTuple):
-    """Nearest points, in the unit of the coordinates: one row for each query."""
+    """Nearest points: distances, in the unit of the coordinates, and indices; one row per query."""
 
     distances: NDArray[np.float64]
     indices: NDArray[np.int64]
 
 
 class Neighborhoods(NamedTuple):
-    """Variable numbers of neighbours: those of query i are indices[offsets[i]:offsets[i + 1]], ascending."""
+    """Neighbours of each query: those of query i are indices[offsets[i]:offsets[i + 1]], in ascending order."""
 
     offsets: NDArray[np.int64]
     indices: NDArray[np.int64]
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """The number of neighbours of each query (N,)."""
+        """Number of neighbours of each query (N,)."""
         return np.diff(self.offsets)
 
-    def of(self, query: int) -> NDArray[np.int64]:
-        """The neighbours of one query, ascending."""
+    def neighbors_of(self, query: int) -> NDArray[np.int64]:
+        """Return the neighbours of one query, in ascending order."""
         return self.indices[self.offsets[query] : self.offsets[query + 1]]
 
 
 class LocalPlanes(NamedTuple):
-    """Planes through the nearest points around some of the indexed points: one row for each.
+    """Planes through the k nearest points of indexed points; one row per point.
 
-    normals (M, 3): unit, their sign chosen upwards: z > 0, then y, then x where the others are zero. variation (M,):
-    smallest eigenvalue of the covariance over the sum of all three, 0 to 1/3. nearest_other: see
-    `Index.nearest_other`; comes for free here.
+    Attributes:
+        normals: (M, 3) unit vectors, oriented upwards: z > 0; if z is 0, y > 0; if both are 0, x > 0.
+        variation: (M,) smallest eigenvalue of the covariance divided by the sum of all three, from 0 to 1/3.
+        nearest_other: nearest other point of each point, as from `Index.nearest_other`, without extra cost.
     """
 
     normals: NDArray[np.float64]
@@ -56,11 +57,16 @@ class LocalPlanes(NamedTuple):
 
 
 class Index:
-    """A search tree over points (N, 3), N >= 1: built in parallel, at most 40 bytes a point beside the points.
+    """A search tree over points, built in parallel, with at most 40 bytes per point in addition to the points.
 
-    The points are kept by reference when they are a C-contiguous float64 array, and must not change afterwards;
-    anything else is converted first. Raises InputError for another shape, no points, or coordinates that are not
-    finite. Ctrl-C stops building and searching.
+    A C-contiguous float64 array is not copied and must not change afterwards; other input is converted. Ctrl-C stops
+    construction and queries.
+
+    Args:
+        points: (N, 3) finite coordinates, N >= 1.
+
+    Raises:
+        InputError: the points have another shape, are empty, or are not finite.
     """
 
     def __init__(self, points: ArrayLike) -> None:
@@ -72,7 +78,7 @@ class Index:
         try:
             self._tree = _core.PointIndex(rows)
         except ValueError as error:
-            _explain(error, rows, "points")
+            _raise_bad_coordinates(error, rows, "points")
 
     def __len__(self) -> int:
         return len(self.points)
@@ -83,38 +89,46 @@ class Index:
         return self._tree.bytes
 
     def query(self, queries: ArrayLike, k: int = 1) -> Matches:
-        """Distances to the k nearest points, in the unit of the coordinates.
+        """Find the k nearest points of each query.
 
-        queries (M, 3); k = 1 gives arrays (M,), k > 1 gives (M, k) sorted by (distance, index). Raises InputError when
-        k exceeds the number of points.
+        Args:
+            queries: (M, 3) coordinates.
+            k: number of neighbours.
+
+        Returns:
+            Distances, in the unit of the coordinates, and indices: (M,) for k = 1, else (M, k), sorted by
+            (distance, index).
+
+        Raises:
+            InputError: k is less than 1 or exceeds the number of points, or a coordinate is not finite.
         """
-        wanted = _as_points(queries, "queries")
+        query_points = _as_points(queries, "queries")
         if not 1 <= k <= len(self):
             raise InputError(f"k: expected 1 to {len(self)} (the number of points), got {k}")
-        shape = (len(wanted),) if k == 1 else (len(wanted), k)
-        found = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
+        shape = (len(query_points),) if k == 1 else (len(query_points), k)
+        matches = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
         try:
             if k == 1:
-                self._tree.nearest(wanted, *found)
+                self._tree.nearest(query_points, *matches)
             else:
-                self._tree.knearest(wanted, *found)
+                self._tree.knearest(query_points, *matches)
         except ValueError as error:
-            _explain(error, wanted, "queries")
-        return found
+            _raise_bad_coordinates(error, query_points, "queries")
+        return matches
 
     def query_radius(self, queries: ArrayLike, radius: float) -> Neighborhoods:
-        """The points whose squared distance to each query (M, 3) is at most radius * radius."""
-        wanted = _as_points(queries, "queries")
+        """Find the points within `radius` of each query (M, 3): squared distance <= radius * radius."""
+        query_points = _as_points(queries, "queries")
         _check_length(radius, "radius")
         try:
-            return Neighborhoods(*self._tree.in_balls(wanted, radius))
+            return Neighborhoods(*self._tree.in_balls(query_points, radius))
         except ValueError as error:
-            _explain(error, wanted, "queries")
+            _raise_bad_coordinates(error, query_points, "queries")
 
     def query_cylinder(self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float) -> Neighborhoods:
-        """The points p in a cylinder around each origin (M, 3) along its unit axis (M, 3).
+        """Find the points inside the cylinder around each origin (M, 3) along its unit axis (M, 3).
 
-        With d = p - origin: |d . axis| <= half_length and |d - (d . axis) axis| <= radius.
+        A point p with d = p - origin is inside if |d . axis| <= half_length and |d - (d . axis) axis| <= radius.
         """
         centers, directions = _as_points(origins, "origins"), _as_points(axes, "axes")
         _check_length(radius, "radius")
@@ -129,64 +143,81 @@ class Index:
         try:
             return Neighborhoods(*self._tree.in_cylinders(centers, directions, radius, half_length))
         except ValueError as error:
-            _explain(error, centers, "origins")
+            _raise_bad_coordinates(error, centers, "origins")
 
     def nearest_other(self) -> Matches:
-        """Distance from each indexed point to its nearest other point (another index; a duplicate is at distance 0)."""
+        """Find the nearest other point of each indexed point. A duplicate is another point, at distance 0."""
         if len(self) < 2:
             raise InputError("nearest_other: expected an index of at least two points, got one")
-        return self.nearest_of(self)
+        return self.query_index(self)
 
     def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
-        """The plane through the k nearest points of each point, itself included, or of those in `rows` (M,)."""
+        """Fit a plane to the k nearest points, the point itself included, of each point or of those in `rows` (M,)."""
         if not 3 <= k <= len(self):
             raise InputError(f"k: expected 3 to {len(self)} (the number of points), got {k}")
-        chosen = None if rows is None else self._as_rows(rows, "rows")
-        count = len(self) if chosen is None else len(chosen)
+        selected = None if rows is None else self._as_indices(rows, "rows")
+        count = len(self) if selected is None else len(selected)
         fits = LocalPlanes(
             np.empty((count, 3)), np.empty(count), Matches(np.empty(count), np.empty(count, dtype=np.int64))
         )
-        self._tree.planes(k, chosen, fits.normals, fits.variation, *fits.nearest_other)
+        self._tree.planes(k, selected, fits.normals, fits.variation, *fits.nearest_other)
         return fits
 
-    def nearest_of(self, queries: "Index") -> Matches:
-        """The nearest point of each point of another index: `query`, but about a third faster, as they are sorted."""
-        found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
-        self._tree.nearest_of(queries._tree, *found)
-        return found
+    def query_index(self, queries: "Index") -> Matches:
+        """Find the nearest point of each point of another index; about a third faster than `query`.
+
+        The points of an index are already sorted in space.
+        """
+        matches = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
+        self._tree.nearest_of(queries._tree, *matches)
+        return matches
 
     def nearest_of_with_ties(self, queries: "Index", slack: float) -> tuple[Matches, NDArray[np.bool_]]:
-        """`nearest_of`, and whether another point is about as near: squared distance less the match's < slack (M,).
+        """Find nearest points as `query_index` does, and report ties.
 
-        slack is in squared units; 0 finds none.
+        Args:
+            queries: index of the query points.
+            slack: tolerance of a tie, in squared units; 0 reports none.
+
+        Returns:
+            The matches, and a mask (M,): whether the squared distance to another point exceeds the match's by
+            less than `slack`.
         """
         if not 0 <= slack <= MAX_COORDINATE**2:
             raise InputError(f"slack: expected a finite squared length of at least 0, got {slack}")
-        found = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
+        matches = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         tied = np.empty(len(queries), np.bool_)
-        self._tree.nearest_of(queries._tree, *found, slack, tied)
-        return found, tied
+        self._tree.nearest_of(queries._tree, *matches, slack, tied)
+        return matches, tied
 
     def nearest_of_moved(
         self, queries: "Index", motion: NDArray[np.float64], hint: NDArray[np.int64] | None = None
     ) -> tuple[NDArray[np.float64], Matches]:
-        """The points of another index after a motion (3, 4) or (4, 4), and the nearest point of each: one ICP step.
+        """Move the points of another index and find the nearest point of each: one iteration of ICP.
 
-        Points that were near each other still are, so nothing is sorted again. `hint` (M,) holds an index near each
-        answer, such as the answer before a small motion: it never changes the result.
+        The spatial order of the other index is reused, since a motion preserves neighbourhoods.
+
+        Args:
+            queries: index of the query points.
+            motion: affine motion (3, 4) or (4, 4) that is applied to the query points.
+            hint: indices (M,) of points near the result, such as the matches before a small motion. They save time
+                and never change the result.
+
+        Returns:
+            The moved points (M, 3) and their matches.
         """
-        moved, found = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
+        moved, matches = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
         rows = np.ascontiguousarray(motion[:3], np.float64)
-        hint = None if hint is None else self._as_rows(hint, "hint")
+        hint = None if hint is None else self._as_indices(hint, "hint")
         if hint is not None and len(hint) != len(queries):
             raise InputError(f"hint: expected one index for each of the {len(queries)} queries, got {len(hint)}")
         try:
-            self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *found)
+            self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *matches)
         except ValueError as error:
-            _explain(error, moved, "queries")
-        return moved, found
+            _raise_bad_coordinates(error, moved, "queries")
+        return moved, matches
 
-    def _as_rows(self, values: ArrayLike, name: str) -> NDArray[np.int64]:
+    def _as_indices(self, values: ArrayLike, name: str) -> NDArray[np.int64]:
         rows: NDArray[Any] = np.asarray(values)
         if rows.ndim != 1 or (len(rows) and rows.dtype.kind not in "iu"):
             raise InputError(f"{name}: expected indices of shape (M,), got {rows.dtype} {rows.shape}")
@@ -196,40 +227,41 @@ class Index:
 
 
 def match_both_ways(reference: Index, candidate: Index) -> tuple[Matches, Matches]:
-    """Nearest distances in both directions: candidate -> reference, then reference -> candidate.
+    """Match points in both directions: candidate to reference, then reference to candidate.
 
-    The queries come from the other tree, where they are sorted in space already: cheaper than two calls of `query`.
+    The query points are already sorted in space by their own index, so this is faster than two calls of `query`.
     """
     if reference is candidate:
-        itself = reference.query(reference.points)
-        return itself, itself
-    return reference.nearest_of(candidate), candidate.nearest_of(reference)
+        self_matches = reference.query(reference.points)
+        return self_matches, self_matches
+    return reference.query_index(candidate), candidate.query_index(reference)
 
 
 def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
-    """Median distance from a point to the nearest point in another place; 0 where all points lie in one place.
+    """Return the median distance from a point to the nearest point at another position; 0 if all points coincide.
 
-    This is what "spacing" means everywhere in pcbench. A duplicate is no neighbour: the spacing of a cloud that was
-    merged with itself is that of either copy. Points that are there more than seven times do not count.
+    This is the definition of "spacing" everywhere in pcbench. Duplicates are ignored: the spacing of a cloud merged
+    with itself is that of either copy. Points that occur more than seven times are left out.
 
     Args:
-        nearest_other: of every point, where it is known already (`Index.nearest_other`): the median is then of all
-            points, otherwise of an even sample of about 20,000.
+        index: index of the cloud.
+        nearest_other: result of `Index.nearest_other`, if available. With it the median is taken over all points,
+            otherwise over an even sample of about 20,000.
     """
     if len(index) < 2:
         return 0.0
     if nearest_other is None:
-        found = _nearest_elsewhere(index, np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE)))
+        distances = _nonzero_nearest_distances(index, np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE)))
     else:
-        found = nearest_other.distances
-        doubled = np.flatnonzero(found == 0)
-        if len(doubled):
-            found = np.concatenate([found[found > 0], _nearest_elsewhere(index, doubled)])
-    return float(np.median(found)) if len(found) else 0.0
+        distances = nearest_other.distances
+        duplicates = np.flatnonzero(distances == 0)
+        if len(duplicates):
+            distances = np.concatenate([distances[distances > 0], _nonzero_nearest_distances(index, duplicates)])
+    return float(np.median(distances)) if len(distances) else 0.0
 
 
-def _nearest_elsewhere(index: Index, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Distances of points to the nearest that is no duplicate, without those that have none among their nearest."""
+def _nonzero_nearest_distances(index: Index, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return distances to the nearest non-duplicate, without the points that have none among their nearest."""
     distances = index.query(index.points[rows], k=min(_MAX_DUPLICATES, len(index))).distances
     other = np.where(distances > 0, distances, np.inf).min(axis=1)
     found: NDArray[np.float64] = other[np.isfinite(other)]
@@ -248,11 +280,11 @@ def _check_length(value: float, name: str) -> None:
         raise InputError(f"{name}: expected a finite length of 0 to {MAX_COORDINATE:g}, got {value}")
 
 
-def _explain(error: ValueError, rows: NDArray[np.float64], name: str) -> NoReturn:
-    """The kernels check coordinates as they read them; which one is wrong is only looked up when one is."""
+def _raise_bad_coordinates(error: ValueError, rows: NDArray[np.float64], name: str) -> NoReturn:
+    """Raise an InputError that names the first bad coordinate. The kernels only report that there is one."""
     wrong = ~(np.abs(rows) <= MAX_COORDINATE)
     if not wrong.any():
         raise error
     row = int(np.argmax(wrong.any(axis=1)))
-    expected = f"expected finite coordinates of at most {MAX_COORDINATE:g}"
+    expected = f"expected finite coordinates up to {MAX_COORDINATE:g}"
     raise InputError(f"{name}: {expected}, got {rows[row].tolist()} in row {row}; remove such points first") from error

@@ -15,52 +15,57 @@ from pcbench.native import _core
 
 
 class Normals(NamedTuple):
-    """Unit normals (M, 3), their sign chosen upwards, and surface variation (M,): 0 flat, 1/3 shapeless."""
+    """Unit normals (M, 3), oriented upwards, and surface variation (M,), from 0 (flat) to 1/3 (isotropic)."""
 
     directions: FloatArray
     variation: FloatArray
 
 
-def estimate_normals(index: Index, k: int = 20, which: IntArray | None = None) -> Normals:
-    """Normals of the indexed points (or those of `which`) from planes through their k nearest points, self included.
+def estimate_normals(index: Index, k: int = 20, rows: IntArray | None = None) -> Normals:
+    """Estimate normals at the indexed points, or at those in `rows`, from planes through their k nearest points.
 
-    The normal is the eigenvector of the smallest eigenvalue of the neighbours' covariance (Hoppe et al. 1992,
-    section 3.2); surface variation is that eigenvalue's share of their sum (Pauly et al. 2002, eq. 3).
+    A normal is the eigenvector of the smallest eigenvalue of the neighbours' covariance (Hoppe et al. 1992, section
+    3.2); surface variation is the share of that eigenvalue in the sum of the eigenvalues (Pauly et al. 2002, eq. 3).
+
+    Args:
+        index: index of the points (N, 3).
+        k: number of neighbours, the point itself included.
+        rows: indices (M,) of the points; None for all.
 
     Raises:
-        InputError: fewer than three points.
+        InputError: there are fewer than three points.
     """
     k = min(k, len(index))
     if k < 3:
         raise InputError(f"expected at least 3 points to estimate normals, got {k}")
-    return Normals(*index.local_planes(k, which)[:2])
+    return Normals(*index.local_planes(k, rows)[:2])
 
 
 def plane_normals(points: FloatArray, neighbors: IntArray) -> Normals:
-    """Normals, signs as they come, of planes through the points (N, 3) that each row of `neighbors` (M, k) names."""
+    """Fit planes to the points (N, 3) listed in each row of `neighbors` (M, k); the signs of normals are arbitrary."""
     directions, variation = np.empty((len(neighbors), 3)), np.empty(len(neighbors))
     _core.plane_fits(points, np.ascontiguousarray(neighbors), directions, variation)
     return Normals(directions, variation)
 
 
 class Surface:
-    """A cloud as a surface: its index, and what is known of its points, computed where it is first asked for and kept.
+    """A cloud as a surface: its index, and properties of its points that are computed on demand and cached.
 
     Args:
-        index: of the points.
-        k: neighbours a normal is estimated from.
-        given: normals (N, 3) that came with the cloud; only those without a length are estimated.
+        index: index of the points.
+        k: number of neighbours from which a normal is estimated.
+        given: normals (N, 3) supplied with the cloud; normals are estimated only for rows of zero length.
     """
 
     def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None) -> None:
         self.index = index
         self.k = k
-        self._normals: FloatArray | None = None  # NaN where it is not known
-        self._known = np.zeros(len(index), dtype=bool)
+        self._normals: FloatArray | None = None  # NaN where not yet computed
+        self._is_known = np.zeros(len(index), dtype=bool)
         if given is not None:
-            self._normals, self._known = unit(given)
-            self._normals[~self._known] = np.nan
-        self._complete = bool(self._known.all())
+            self._normals, self._is_known = unit(given)
+            self._normals[~self._is_known] = np.nan
+        self._is_complete = bool(self._is_known.all())
         self._variation = np.full(len(index), np.nan, dtype=np.float32)
         self._nearest_other: Matches | None = None
 
@@ -69,80 +74,82 @@ class Surface:
 
     @property
     def points(self) -> FloatArray:
+        """The indexed points (N, 3)."""
         return self.index.points
 
     @property
     def is_complete(self) -> bool:
-        """Whether the normals of all points are known already."""
-        return self._complete
+        """Whether the normals of all points are available."""
+        return self._is_complete
 
-    def normals(self, which: IntArray) -> FloatArray:
-        """Unit normals (M, 3) at the indices `which` (M,).
+    def normals(self, rows: IntArray) -> FloatArray:
+        """Return unit normals (M, 3) at the indices `rows` (M,).
 
         Raises:
-            InputError: fewer than three points.
+            InputError: there are fewer than three points.
         """
-        return self.with_normals_at(which)[which]
+        return self.with_normals_at(rows)[rows]
 
-    def with_normals_at(self, which: IntArray | None) -> FloatArray:
-        """All normals (N, 3), not a copy: unit ones at the indices `which` (M,) (None: at every index), and NaN where
-        one was never computed.
+    def with_normals_at(self, rows: IntArray | None) -> FloatArray:
+        """Compute the normals at the indices `rows` (M,), or at all points if None, and return those of all points.
+
+        The result (N, 3) is not a copy: unit normals where computed, NaN elsewhere.
         """
-        if not self._complete:
-            if which is None or len(which) == len(self):
-                missing = np.flatnonzero(~self._known)
+        if not self._is_complete:
+            if rows is None or len(rows) == len(self):
+                missing = np.flatnonzero(~self._is_known)
             else:
-                missing = np.unique(which[~self._known[which]])
+                missing = np.unique(rows[~self._is_known[rows]])
             if len(missing) == len(self):
                 self._normals, self._variation[:], self._nearest_other = self._planes(None)
             elif len(missing):
                 directions, self._variation[missing], _ = self._planes(missing)
-                self._all_normals()[missing] = directions
-            self._known[missing] = True
-            self._complete = bool(self._known.all())
-        return self._all_normals()
+                self._normals_array()[missing] = directions
+            self._is_known[missing] = True
+            self._is_complete = bool(self._is_known.all())
+        return self._normals_array()
 
-    def _all_normals(self) -> FloatArray:
+    def _normals_array(self) -> FloatArray:
         if self._normals is None:
             self._normals = np.full((len(self), 3), np.nan)
         return self._normals
 
-    def variation(self, which: IntArray) -> FloatArray:
-        """Surface variation (M,) at the indices `which` (M,), to float32's digits: see `estimate_normals`.
+    def variation(self, rows: IntArray) -> FloatArray:
+        """Return surface variation (M,) at the indices `rows` (M,), in float32 precision; see `estimate_normals`.
 
         Raises:
-            InputError: fewer than three points.
+            InputError: there are fewer than three points.
         """
-        missing = np.unique(which[np.isnan(self._variation[which])])
+        missing = np.unique(rows[np.isnan(self._variation[rows])])
         if len(missing):
             self._variation[missing] = self._planes(missing).variation
-        return self._variation[which].astype(np.float64)
+        return self._variation[rows].astype(np.float64)
 
     @cached_property
     def spacing(self) -> float:
-        """See `median_spacing`; of an even sample."""
+        """Median spacing from an even sample of the points; see `median_spacing`."""
         return median_spacing(self.index)
 
     def nearest_other(self) -> Matches:
-        """See `Index.nearest_other`."""
+        """Return the nearest other point of each point; see `Index.nearest_other`."""
         if self._nearest_other is None:
             self._nearest_other = self.index.nearest_other()
         return self._nearest_other
 
-    def _planes(self, which: IntArray | None) -> LocalPlanes:
+    def _planes(self, rows: IntArray | None) -> LocalPlanes:
         if len(self) < 3:
             raise InputError(f"expected at least 3 points to estimate normals, got {len(self)}")
-        return self.index.local_planes(min(self.k, len(self)), which)
+        return self.index.local_planes(min(self.k, len(self)), rows)
 
 
 def orient_towards(directions: FloatArray, points: FloatArray, sensors: FloatArray) -> FloatArray:
-    """The same normals (M, 3) with signs such that each looks at its sensor's position (M, 3) or (3,)."""
+    """Flip normals (M, 3) so that each points towards its sensor position, given as (M, 3) or (3,)."""
     away = np.einsum("ni,ni->n", directions, sensors - points) < 0
     return np.where(away[:, None], -directions, directions)
 
 
 def unit(directions: NDArray[np.float64]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Directions (M, 3) scaled to length one, and which of them have one (zero vectors stay zero)."""
+    """Scale vectors (M, 3) to unit length, and return a mask of those with a length; zero vectors stay zero."""
     length = np.linalg.norm(directions, axis=1)
     valid = np.isfinite(length) & (length > 0)
     scaled = np.divide(directions, length[:, None], out=np.zeros_like(directions), where=valid[:, None])

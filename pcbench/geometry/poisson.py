@@ -1,4 +1,4 @@
-"""A surface through an oriented cloud."""
+"""Surface reconstruction from an oriented cloud."""
 
 from __future__ import annotations
 
@@ -15,30 +15,33 @@ from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.normals import unit
 from pcbench.geometry.voxels import voxel_downsample_to
 
-_REACH = 4.0  # spacings between points beyond which the surface is invented, not measured
+_MAX_SPACINGS_FROM_POINTS = 4.0  # distance in point spacings beyond which the surface is extrapolated, not measured
 _MIN_POINTS = 50
-_ORIENTED = 100_000  # points that signs are spread over
+_MAX_ORIENTATION_POINTS = 100_000  # points over which the signs of normals are propagated
 
 
 def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
-    """The surface of screened Poisson reconstruction (Kazhdan and Hoppe 2013) through a cloud with normals.
+    """Reconstruct a surface from a cloud with normals by screened Poisson reconstruction (Kazhdan and Hoppe 2013).
 
     The method closes every surface, over holes and beyond borders. Vertices farther from every point than 4 times the
-    cloud's median spacing are taken away with their faces, so the mesh ends where the data end. Open3D does the work,
-    or pymeshlab where Open3D cannot be used; Open3D runs on one thread, because more give other bits every time.
+    cloud's median spacing are removed with their faces, so that the mesh ends where the data end. Open3D computes the
+    surface, or pymeshlab if Open3D is unavailable. Open3D runs on one thread, because its result is not reproducible
+    with more.
 
     Args:
         cloud: points with outward normals of any length.
-        depth: of the octree; its cells are the (inflated) bounding cube's side / 2^depth. By default such that a cell
-            is about the median spacing, within 5 to 11.
+        depth: octree depth; a cell is the (padded) bounding cube's side / 2^depth. By default a cell is about the
+            median spacing, with the depth clamped to 5 to 11.
 
     Raises:
         InputError: there are no normals, fewer than 50 points with a normal, the depth is not 1 to 14, or no surface
-            stays near the points.
+            passes near the points.
         MissingExtra: neither library is installed and loads.
     """
     if cloud.normals is None:
-        raise InputError("expected a cloud with normals to reconstruct a surface: estimate and orient them first")
+        raise InputError(
+            "expected a cloud with normals to reconstruct a surface, got none; estimate and orient them first"
+        )
     if depth is not None and not 1 <= depth <= 14:
         raise InputError(f"expected a depth of 1 to 14, got {depth}")
     normals, valid = unit(cloud.normals)
@@ -55,41 +58,45 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
     vertices, faces = _reconstruct(points, normals, depth)
     near = np.zeros(len(vertices), dtype=bool)
     if len(vertices):
-        near = index.query(vertices).distances <= _REACH * spacing
+        near = index.query(vertices).distances <= _MAX_SPACINGS_FROM_POINTS * spacing
     faces = faces[near[faces].all(axis=1)]
     if not len(faces):
-        raise InputError(f"no surface passes within {_REACH:g} spacings of the {count} points: are the normals right?")
+        raise InputError(
+            f"expected a surface within {_MAX_SPACINGS_FROM_POINTS:g} spacings of the {count} points, got none;"
+            " check the directions of the normals"
+        )
     used, faces = np.unique(faces, return_inverse=True)
     return Mesh(vertices[used] + origin, faces.reshape(-1, 3), crs=cloud.crs, unit=cloud.unit)
 
 
 def oriented(cloud: Cloud) -> Cloud:
-    """The cloud with signs of its normals that agree over the surface, most of them upwards.
+    """Orient the normals of a cloud consistently over the surface, most of them upwards.
 
-    Signs spread along a minimum spanning tree of neighbours (Hoppe et al. 1992, section 3.3), through Open3D, over at
-    most about 100,000 points (some 4 s); every other point takes the sign of the nearest of those.
+    Open3D propagates signs along a minimum spanning tree of neighbours (Hoppe et al. 1992, section 3.3) over at most
+    about 100,000 points (about 4 s). Every other point takes the sign of the nearest of them.
 
     Raises:
-        MissingExtra: Open3D is not installed or does not load. (pymeshlab's surface then needs a cloud that came with
-            normals.)
+        MissingExtra: Open3D is not installed or does not load. pymeshlab then needs a cloud with oriented normals.
     """
     open3d = require("open3d")
     assert cloud.normals is not None
     index = Index(cloud.points)
-    few = voxel_downsample_to(cloud.points, _ORIENTED, start=float(np.median(index.nearest_other().distances)))
-    data = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points[few]))
-    data.normals = open3d.utility.Vector3dVector(cloud.normals[few])
+    rows = voxel_downsample_to(
+        cloud.points, _MAX_ORIENTATION_POINTS, start=float(np.median(index.nearest_other().distances))
+    )
+    data = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points[rows]))
+    data.normals = open3d.utility.Vector3dVector(cloud.normals[rows])
     data.orient_normals_consistent_tangent_plane(10)
     signed = np.asarray(data.normals)
     if signed[:, 2].sum() < 0:
         signed = -signed
-    nearest = Index(cloud.points[few]).query(cloud.points).indices
+    nearest = Index(cloud.points[rows]).query(cloud.points).indices
     away = np.einsum("ni,ni->n", cloud.normals, signed[nearest]) < 0
     return replace(cloud, normals=np.where(away[:, None], -cloud.normals, cloud.normals))
 
 
 def _reconstruct(points: FloatArray, normals: FloatArray, depth: int) -> tuple[FloatArray, IntArray]:
-    """Vertices (V, 3) and faces (F, 3) of the untrimmed surface."""
+    """Return vertices (V, 3) and faces (F, 3) of the untrimmed surface."""
     try:
         open3d = require("open3d")
     except MissingExtra:

@@ -1,4 +1,4 @@
-"""Polygons from files: GeoJSON, WKT, and the selection volumes of Open3D and Tanks and Temples."""
+"""Read polygons from GeoJSON, WKT, and the selection volumes of Open3D and Tanks and Temples."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pcbench.regular_files import read_bytes
 def read_polygon(path: str | Path) -> Polygon | Union:
     """Read a polygon from a GeoJSON or WKT file (heights are ignored), or from a selection volume.
 
-    GeoJSON may be a Polygon, a MultiPolygon, a Feature or a FeatureCollection (RFC 7946); WKT a POLYGON or
-    MULTIPOLYGON, with or without Z and M and an SRID in front. A selection volume is the JSON that Open3D writes and
-    Tanks and Temples crops by: class_name SelectionPolygonVolume. Coordinates are the reference's, whatever
-    coordinate system the file states.
+    GeoJSON may be a Polygon, a MultiPolygon, a Feature or a FeatureCollection (RFC 7946). WKT may be a POLYGON or
+    MULTIPOLYGON, with or without Z and M and a leading SRID. A selection volume is the JSON file that Open3D writes and
+    Tanks and Temples uses for cropping: class_name SelectionPolygonVolume. Coordinates are taken as those of the
+    reference, whatever coordinate system the file states.
 
     Raises:
-        InputError: the file cannot be read or is none of these.
+        InputError: the file cannot be read or has none of these formats.
     """
     try:
         data = read_bytes(path)
@@ -36,7 +36,7 @@ def read_polygon(path: str | Path) -> Polygon | Union:
         polygon = _polygon_from(data)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    object.__setattr__(polygon, "file", Path(path))  # new, and seen by nobody yet
+    object.__setattr__(polygon, "file", Path(path))  # safe on a frozen dataclass: the polygon is not shared yet
     return polygon
 
 
@@ -65,7 +65,7 @@ def _polygon_from(data: bytes) -> Polygon | Union:
     raise InputError(f"{expected}, got a text that starts with {text[:20]!r}")
 
 
-# A part is a polygon in the files' sense: its outer ring, then its holes.
+# A part is a polygon as files define it: its outer ring, then its holes.
 _Part = Sequence[Sequence[Sequence[float]]]
 
 
@@ -79,7 +79,7 @@ def _union(parts: Iterable[_Part]) -> Polygon | Union:
 def _geojson_parts(content: dict[str, Any]) -> list[_Part]:
     kind = content.get("type")
     if kind == "FeatureCollection":
-        features = _list("features", content.get("features"))
+        features = _as_list("features", content.get("features"))
         return [part for feature in features for part in _feature_parts(feature)]
     return _feature_parts(content)
 
@@ -89,11 +89,11 @@ def _feature_parts(feature: Any) -> list[_Part]:
     kind = geometry.get("type") if isinstance(geometry, dict) else geometry
     if not isinstance(geometry, dict) or kind not in ("Polygon", "MultiPolygon"):
         raise InputError(
-            f"expected GeoJSON of type Polygon, MultiPolygon, Feature or FeatureCollection, got {brief(kind)}"
+            f"expected GeoJSON of type Polygon, MultiPolygon, Feature or FeatureCollection, got {shorten(kind)}"
         )
-    coordinates = _list("coordinates", geometry.get("coordinates"))
+    coordinates = _as_list("coordinates", geometry.get("coordinates"))
     parts = [coordinates] if kind == "Polygon" else coordinates
-    return [[_vertices(ring, 2) for ring in _list("a polygon", part)] for part in parts]
+    return [[_vertices(ring, 2) for ring in _as_list("a polygon", part)] for part in parts]
 
 
 _WKT = re.compile(r"(SRID\s*=\s*\d+\s*;\s*)?(?P<multi>MULTI)?POLYGON\s*(ZM|Z|M)?(?![a-z])\s*", re.IGNORECASE)
@@ -106,7 +106,7 @@ def _wkt_parts(multi: bool, body: str) -> list[_Part]:
     body = body.rstrip().removesuffix(";")
     if body.upper() == "EMPTY":
         return []
-    # With each innermost pair of brackets as one letter, the nesting is a regular language.
+    # With each innermost pair of brackets replaced by one letter, the nesting is a regular language.
     skeleton = "".join(_WKT_RING.sub("R", body.replace("R", "?")).split())
     if not (_WKT_PARTS if multi else _WKT_PART).fullmatch(skeleton):
         example = "MULTIPOLYGON (((x y, ...), (hole)), ((x y, ...)))" if multi else "POLYGON ((x y, ...), (hole))"
@@ -118,58 +118,59 @@ def _wkt_parts(multi: bool, body: str) -> list[_Part]:
 def _wkt_ring(text: str) -> Sequence[Sequence[float]]:
     try:
         return _vertices([[float(word) for word in vertex.split()] for vertex in text.split(",")], 2)
-    except InputError:  # a ValueError too, but it says all already
+    except InputError:  # a subclass of ValueError whose message is complete already
         raise
     except ValueError as error:
-        raise InputError(f"expected WKT vertices as numbers, got {brief(str(error).partition(': ')[2])}") from error
+        raise InputError(f"expected WKT vertices as numbers, got {shorten(str(error).partition(': ')[2])}") from error
 
 
 def _selection_volume(content: dict[str, Any]) -> Polygon:
     if content.get("class_name") != "SelectionPolygonVolume":
-        raise InputError(f"expected class_name SelectionPolygonVolume, got {brief(content.get('class_name'))}")
+        raise InputError(f"expected class_name SelectionPolygonVolume, got {shorten(content.get('class_name'))}")
     axis_name = content.get("orthogonal_axis")
     if not isinstance(axis_name, str) or len(axis_name) != 1 or axis_name.lower() not in AXES:
-        raise InputError(f"expected orthogonal_axis X, Y or Z, got {brief(axis_name)}")
+        raise InputError(f"expected orthogonal_axis X, Y or Z, got {shorten(axis_name)}")
     axis = AXES.index(axis_name.lower())
-    lower, upper = (number(name, content.get(name)) for name in ("axis_min", "axis_max"))
+    lower, upper = (as_finite_number(name, content.get(name)) for name in ("axis_min", "axis_max"))
     vertices = np.array(_vertices(content.get("bounding_polygon"), 3))
     return Polygon((np.delete(vertices[:, :3], axis, axis=1),), axis, lower, upper)
 
 
-# Checks of what files hold
+# Checks of file contents
 
 
 def _vertices(ring: Any, size: int) -> list[list[float]]:
-    """A list of vertices, cut to their first `size` numbers."""
+    """Return the first `size` coordinates of each vertex of a ring."""
     result = []
-    for vertex in _list("a ring of vertices", ring):
-        values = _list("a vertex", vertex)
+    for vertex in _as_list("a ring of vertices", ring):
+        values = _as_list("a vertex", vertex)
         if len(values) < size:
-            raise InputError(f"expected vertices of at least {size} numbers, got {brief(vertex)}")
-        result.append([number("a coordinate", value) for value in values[:size]])
+            raise InputError(f"expected vertices of at least {size} numbers, got {shorten(vertex)}")
+        result.append([as_finite_number("a coordinate", value) for value in values[:size]])
     if not result:
         raise InputError("expected a ring of vertices, got none")
     return result
 
 
-def _list(what: str, value: Any) -> list[Any]:
+def _as_list(name: str, value: Any) -> list[Any]:
     if not isinstance(value, list):
-        raise InputError(f"expected {what} as a list, got {brief(value)}")
+        raise InputError(f"expected {name} as a list, got {shorten(value)}")
     return value
 
 
-def number(what: str, value: Any) -> float:
-    # bool is an int in Python, and integers of any length come out of JSON.
+def as_finite_number(name: str, value: Any) -> float:
+    """Return a number of a file as a float; raise InputError if it is not finite or is out of range."""
+    # bool is an int in Python, and integers in JSON have any length.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_COORDINATE:
         expected = "a finite number"
         if isinstance(value, float) and math.isfinite(value):
             expected += f" below {MAX_COORDINATE:g}"
-        raise InputError(f"expected {what} as {expected}, got {brief(value)}")
+        raise InputError(f"expected {name} as {expected}, got {shorten(value)}")
     return float(value)
 
 
-def brief(value: Any) -> str:
-    """A value on one short line."""
+def shorten(value: Any) -> str:
+    """Return a value as text on one line of at most 40 characters, for messages."""
     if isinstance(value, int) and abs(value) >= MAX_COORDINATE:
         return "a number out of range"
     if isinstance(value, list | dict):

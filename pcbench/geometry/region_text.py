@@ -1,4 +1,4 @@
-"""Regions as they are written on a command line."""
+"""Parse regions as they are written on the command line."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.polygon_files import brief, number, read_polygon
+from pcbench.geometry.polygon_files import as_finite_number, read_polygon, shorten
 from pcbench.geometry.regions import Box, Region, Sphere
 
 
 def parse_region(text: str, reference: Cloud) -> Region | None:
-    """The region that `text` names, in the reference's coordinates and unit; None for "none".
+    """Parse a region in the reference's coordinates and unit; return None for "none".
 
-    Known are:
+    The forms are:
         none
         box:xmin,ymin,zmin,xmax,ymax,zmax
         sphere:x,y,z,r
-        polygon:FILE        GeoJSON, WKT, or the selection volume of Open3D and Tanks and Temples
-        reference           the reference's bounding box
-        quantile:0.99       the sphere about the reference's centre that holds this share of its points
+        polygon:FILE        GeoJSON, WKT, or a selection volume of Open3D and Tanks and Temples
+        reference           bounding box of the reference
+        quantile:0.99       sphere about the reference's centre that contains this share of its points
 
     Raises:
-        InputError: the text or the file is none of these.
+        InputError: the text or the file has none of these forms.
     """
     kind, colon, rest = text.strip().partition(":")
     kind, rest = kind.strip().lower(), rest.strip()
@@ -39,13 +39,13 @@ def parse_region(text: str, reference: Cloud) -> Region | None:
     try:
         match kind:
             case "box":
-                values = _numbers(rest, "xmin,ymin,zmin,xmax,ymax,zmax")
+                values = _parse_numbers(rest, "xmin,ymin,zmin,xmax,ymax,zmax")
                 return Box(np.array(values[:3]), np.array(values[3:]))
             case "sphere":
-                values = _numbers(rest, "x,y,z,r")
+                values = _parse_numbers(rest, "x,y,z,r")
                 return Sphere(np.array(values[:3]), values[3])
             case "quantile":
-                return Sphere.around(reference, *_numbers(rest, "q"))
+                return Sphere.around(reference, *_parse_numbers(rest, "q"))
     except InputError as error:
         raise InputError(f"region {text!r}: {error}") from error
     raise InputError(
@@ -55,22 +55,22 @@ def parse_region(text: str, reference: Cloud) -> Region | None:
 
 
 def as_region(region: Region | str, reference: Cloud) -> Region | None:
-    """A region as it is, or the one that a text names, see `parse_region`.
+    """Return a region itself, or the region that a text describes; see `parse_region`.
 
     Raises:
-        InputError: it is neither, or the text names no region.
+        InputError: `region` is neither a region nor the text of one.
     """
     if isinstance(region, str):
         return parse_region(region, reference)
     if not isinstance(region, Region):
         raise InputError(
-            "expected a region, such as pcbench.Box(lower, upper), or its text, such as 'box:0,0,0,1,1,1'; got"
+            "expected a region, such as pcbench.Box(lower, upper), or its text, such as 'box:0,0,0,1,1,1', got"
             f" {type(region).__name__}"
         )
     return region
 
 
-def _numbers(text: str, names: str) -> list[float]:
+def _parse_numbers(text: str, names: str) -> list[float]:
     words = text.split(",") if text else []
     if len(words) != (count := names.count(",") + 1):
         raise InputError(f"expected {count} number{'s' * (count > 1)} ({names}), got {len(words)}")
@@ -81,6 +81,6 @@ def _numbers(text: str, names: str) -> list[float]:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise InputError(f"expected finite numbers ({names}), got {brief(word.strip())}")
-        values.append(number(names, value))
+            raise InputError(f"expected finite numbers ({names}), got {shorten(word.strip())}")
+        values.append(as_finite_number(names, value))
     return values

@@ -1,8 +1,8 @@
-"""Gaussian splats as points: their means, what is said of them, and which of them count.
+"""Gaussian splats as point clouds: their attributes, and filters by opacity and size.
 
-A model is a cloud whose attributes are those of the PLY files of Kerbl et al., "3D Gaussian Splatting for Real-Time
-Radiance Field Rendering", 2023: the logits of opacities, and the logarithms of the standard deviations along two or
-three axes. Huang et al., "2D Gaussian Splatting for Geometrically Accurate Radiance Fields", 2024, have two.
+A model is a cloud with the attributes of the PLY files of Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance
+Field Rendering", 2023: logits of opacities, and logarithms of the standard deviations along three axes. The splats of
+Huang et al., "2D Gaussian Splatting for Geometrically Accurate Radiance Fields", 2024, have two axes.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 
-_NEEDED = ("opacity", "scale_0", "scale_1", "rot_0")
-_DEGREES = {3 * ((degree + 1) ** 2 - 1): degree for degree in range(5)}  # by the number of f_rest_*
+_REQUIRED_ATTRIBUTES = ("opacity", "scale_0", "scale_1", "rot_0")
+_SH_DEGREES = {3 * ((degree + 1) ** 2 - 1): degree for degree in range(5)}  # keyed by the number of f_rest_* attributes
 
 
 @dataclass(frozen=True, eq=False)
 class SplatModel:
-    """What the splats of a cloud are.
+    """Properties of the splats of a cloud.
 
     Attributes:
-        dimensions: of a splat: 3, or 2 where it is a disc.
-        sh_degree: of the spherical harmonics of its colour; None where the coefficients are of no degree.
-        opacities: (N,) 0 to 1.
-        axes: (N, 2 or 3) standard deviations along each axis, in the cloud's unit.
+        dimensions: 3, or 2 for flat discs.
+        sh_degree: degree of the colours' spherical harmonics; None if the number of coefficients matches no degree.
+        opacities: (N,) values from 0 to 1.
+        axes: (N, 2 or 3) standard deviations along the axes, in the cloud's unit.
     """
 
     dimensions: int
@@ -37,51 +37,52 @@ class SplatModel:
 
     @property
     def largest_axes(self) -> FloatArray:
-        """(N,) of each splat."""
+        """Largest standard deviation of each splat (N,), in the cloud's unit."""
         longest: FloatArray = self.axes.max(axis=1)
         return longest
 
 
 def splat_model(cloud: Cloud) -> SplatModel | None:
-    """What the splats of a cloud are; None where it has no attributes of splats.
+    """Return the properties of a cloud's splats, or None if it lacks the attributes of splats.
 
-    Opacities that all lie between 0 and 1 are taken as they are, others for logits, which trained models hold.
+    Opacities that all lie between 0 and 1 are used as they are; others are logits, as in trained models.
     """
     attributes = cloud.attributes
-    if not attributes.keys() >= set(_NEEDED):
+    if not attributes.keys() >= set(_REQUIRED_ATTRIBUTES):
         return None
     stored = attributes["opacity"].astype(np.float64)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is NaN or Inf in a file counts as nothing
+    with np.errstate(over="ignore", invalid="ignore"):  # files may contain NaN or Inf
         plain = bool(((stored >= 0) & (stored <= 1)).all())
         opacities = stored if plain else 1 / (1 + np.exp(-stored))
         names = [name for name in ("scale_0", "scale_1", "scale_2") if name in attributes]
         axes = np.exp(np.stack([attributes[name].astype(np.float64) for name in names], axis=1))
     rest = sum(name.startswith("f_rest_") for name in attributes)
-    return SplatModel(len(names), _DEGREES.get(rest), opacities, axes)
+    return SplatModel(len(names), _SH_DEGREES.get(rest), opacities, axes)
 
 
 def is_of_splats(name: str) -> bool:
-    """Whether an attribute of a model is one that every model has."""
+    """Whether the attribute is one that every splat model has."""
     return name == "opacity" or name.startswith(("scale_", "rot_", "f_dc_", "f_rest_"))
 
 
 def check_limits(min_opacity: float | None, max_axis: float | None) -> None:
-    """Raise InputError where limits, as `filter_splats` takes them, are no numbers that can be."""
+    """Raise InputError if a limit of `filter_splats` is not a number in its range."""
     if min_opacity is not None and not (_is_number(min_opacity) and 0 <= min_opacity <= 1):
-        raise InputError(f"expected the least opacity as a number 0 to 1, got {min_opacity!r}")
+        raise InputError(f"expected a minimum opacity from 0 to 1, got {min_opacity!r}")
     if max_axis is not None and not (_is_number(max_axis) and 0 < max_axis < np.inf):
-        raise InputError(f"expected the largest axis as a positive length, got {max_axis!r}")
+        raise InputError(f"expected a maximum axis as a positive length, got {max_axis!r}")
 
 
 def filter_splats(cloud: Cloud, min_opacity: float | None, max_axis: float | None) -> Cloud:
-    """The means of those splats that are opaque and small enough: what a renderer hardly shows is no surface.
+    """Keep the splats that are opaque and small enough: low-opacity and very large splats lie on no surface.
 
     Args:
-        min_opacity: 0 to 1; None for any.
-        max_axis: the largest standard deviation along an axis, in the cloud's unit; None for any.
+        cloud: a splat model.
+        min_opacity: minimum opacity, from 0 to 1; None for no limit.
+        max_axis: maximum standard deviation along any axis, in the cloud's unit; None for no limit.
 
     Raises:
-        InputError: the cloud is no model of splats, a limit cannot be, or no splat is left.
+        InputError: the cloud is not a splat model, a limit is out of range, or no splat is left.
     """
     check_limits(min_opacity, max_axis)
     if min_opacity is None and max_axis is None:
@@ -89,8 +90,8 @@ def filter_splats(cloud: Cloud, min_opacity: float | None, max_axis: float | Non
     model = splat_model(cloud)
     if model is None:
         raise InputError(
-            "a least opacity and a largest axis are known of Gaussian splats only: the cloud has no attributes"
-            f" {', '.join(_NEEDED)}"
+            "expected a Gaussian splat model to filter by opacity or axis, got a cloud without the attributes"
+            f" {', '.join(_REQUIRED_ATTRIBUTES)}"
         )
     keep = np.ones(len(cloud), dtype=np.bool_)
     if min_opacity is not None:
@@ -99,14 +100,14 @@ def filter_splats(cloud: Cloud, min_opacity: float | None, max_axis: float | Non
         keep &= model.largest_axes <= max_axis
     if not keep.any():
         raise InputError(
-            f"none of {len(cloud)} splats is left: opacities are {spread(model.opacities)}, largest axes"
-            f" {spread(model.largest_axes)}"
+            f"expected limits that keep a splat, got none of {len(cloud)} left: opacities are"
+            f" {spread(model.opacities)}, largest axes {spread(model.largest_axes)}"
         )
     return cloud if keep.all() else cloud.select(keep)
 
 
 def spread(values: FloatArray) -> str:
-    """Least, greatest and median, for messages."""
+    """Format the minimum, maximum and median of finite values for messages."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return "unknown"

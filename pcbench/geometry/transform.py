@@ -1,4 +1,4 @@
-"""Similarity and affine transforms of 3-D points, their closed-form fits, and their text files."""
+"""Similarity and affine transforms of 3-D points, their closed-form fits, and their text format."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _MAX_REWEIGHTINGS = 30
 
 
 class Motion(NamedTuple):
-    """A similarity as people imagine one: what it does to a place, and how it turns and scales about that place.
+    """A similarity described at one point: the shift of that point, and the rotation and scale about it.
 
     Attributes:
-        shift: (3,) from the place to where it goes.
-        angle_deg: of the rotation, from 0 to 180.
-        axis: (3,) of unit length, about which it turns counter-clockwise; None where it does not turn.
-        scale: above zero.
+        shift: (3,) displacement of the point.
+        angle_deg: rotation angle in degrees, from 0 to 180.
+        axis: (3,) unit axis of the counter-clockwise rotation; None if there is no rotation.
+        scale: positive scale factor.
     """
 
     shift: FloatArray
@@ -35,7 +35,7 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """x -> linear @ x + translation, with an invertible (3, 3) linear part."""
+    """The map x -> linear @ x + translation, with an invertible (3, 3) linear part."""
 
     linear: FloatArray
     translation: FloatArray
@@ -50,7 +50,7 @@ class Affine:
         if not (np.isfinite(linear).all() and np.isfinite(translation).all()):
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
         stretch = np.linalg.svd(linear, compute_uv=False)
-        if not stretch[2] > 1e-12 * stretch[0]:  # a ratio: the inverse of what passes passes too
+        if not stretch[2] > 1e-12 * stretch[0]:  # the same ratio as that of the inverse, which is accepted too
             raise InputError("expected an invertible transform, got a singular matrix")
         object.__setattr__(self, "linear", linear)
         object.__setattr__(self, "translation", translation)
@@ -58,21 +58,22 @@ class Affine:
     @property
     def matrix(self) -> FloatArray:
         """The homogeneous (4, 4) matrix."""
-        return _homogeneous(self.linear, self.translation)
+        return _homogeneous_matrix(self.linear, self.translation)
 
     def apply(self, points: FloatArray) -> FloatArray:
-        """Transform (N, 3) points."""
-        return _each(self.linear, points) + self.translation
+        """Return transformed points (N, 3)."""
+        return _multiply_rows(self.linear, points) + self.translation
 
     def apply_normals(self, normals: FloatArray) -> FloatArray:
-        """Transform (N, 3) normals by the inverse transpose; lengths are kept as they were."""
-        moved = _each(self.inverse().linear.T, normals)
+        """Return normals (N, 3) transformed by the inverse transpose, with their lengths preserved."""
+        moved = _multiply_rows(self.inverse().linear.T, normals)
         length = np.linalg.norm(moved, axis=1, keepdims=True)
-        before = np.linalg.norm(normals, axis=1, keepdims=True)
-        scaled: FloatArray = np.divide(moved * before, length, out=np.zeros_like(moved), where=length > 0)
+        lengths_before = np.linalg.norm(normals, axis=1, keepdims=True)
+        scaled: FloatArray = np.divide(moved * lengths_before, length, out=np.zeros_like(moved), where=length > 0)
         return scaled
 
     def inverse(self) -> Affine:
+        """Return the inverse map."""
         linear: FloatArray = np.linalg.inv(self.linear).astype(np.float64)
         return Affine(linear, -linear @ self.translation)
 
@@ -84,7 +85,7 @@ class Affine:
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """x -> scale * rotation @ x + translation; scale > 0, a proper (3, 3) rotation."""
+    """The map x -> scale * rotation @ x + translation, with scale > 0 and a proper (3, 3) rotation."""
 
     rotation: FloatArray
     translation: FloatArray
@@ -105,7 +106,7 @@ class Similarity:
             raise InputError(f"expected a positive scale, got {self.scale}")
         if not 1 / MAX_COORDINATE <= self.scale <= MAX_COORDINATE:
             raise InputError(f"expected a scale of {1 / MAX_COORDINATE:g} to {MAX_COORDINATE:g}, got {self.scale:g}")
-        # 1e-6: matrices printed with seven digits still count as rotations.
+        # The tolerance accepts rotation matrices printed with seven digits.
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
             raise InputError("expected a rotation matrix: orthonormal rows and determinant +1")
         object.__setattr__(self, "rotation", rotation)
@@ -114,14 +115,15 @@ class Similarity:
 
     @classmethod
     def identity(cls) -> Similarity:
+        """Return the identity."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Similarity:
-        """From a homogeneous (4, 4) matrix.
+        """Return the similarity of a homogeneous (4, 4) matrix.
 
         Raises:
-            InputError: it is not a rotation times a positive scale (use `Affine` for shear and reflections).
+            InputError: the matrix is not a rotation times a positive scale (use `Affine` for shear and reflections).
         """
         m = np.asarray(matrix, dtype=np.float64)
         if m.shape != (4, 4):
@@ -136,34 +138,35 @@ class Similarity:
         if not determinant > 0:
             raise InputError(f"expected a rotation with a positive scale, got determinant {determinant:g}")
         scale = float(np.cbrt(determinant))
-        if abs(scale - 1) < 1e-9:  # the cube root's rounding is no scale
+        if abs(scale - 1) < 1e-9:  # rounding of the cube root
             scale = 1.0
         return cls(m[:3, :3] / scale, m[:3, 3], scale)
 
     @property
     def linear(self) -> FloatArray:
-        """scale * rotation, (3, 3)."""
+        """The linear part (3, 3): scale * rotation."""
         return self.scale * self.rotation
 
     @property
     def matrix(self) -> FloatArray:
         """The homogeneous (4, 4) matrix."""
-        return _homogeneous(self.linear, self.translation)
+        return _homogeneous_matrix(self.linear, self.translation)
 
     def apply(self, points: FloatArray) -> FloatArray:
-        """Transform (N, 3) points."""
-        return _each(self.linear, points) + self.translation
+        """Return transformed points (N, 3)."""
+        return _multiply_rows(self.linear, points) + self.translation
 
     def apply_normals(self, normals: FloatArray) -> FloatArray:
-        """Rotate (N, 3) normals."""
-        return _each(self.rotation, normals)
+        """Return rotated normals (N, 3)."""
+        return _multiply_rows(self.rotation, normals)
 
     def inverse(self) -> Similarity:
+        """Return the inverse map."""
         return Similarity(self.rotation.T, -(self.rotation.T @ self.translation) / self.scale, 1.0 / self.scale)
 
     def __matmul__(self, other: Similarity) -> Similarity:
         """`self @ other` applies `other` first."""
-        # Products of many rotations drift off orthonormality: the polar factor brings them back.
+        # Rounding in long products makes rotations lose orthonormality; the polar factor restores it.
         u, _, vt = np.linalg.svd(self.rotation @ other.rotation)
         return Similarity(
             u @ vt,
@@ -172,24 +175,26 @@ class Similarity:
         )
 
     def about(self, origin: FloatArray) -> Similarity:
-        """The same motion for coordinates that still carry `origin`: this one was found after subtracting it."""
+        """Return the same motion for original coordinates, if this one was fitted after subtracting `origin` (3,)."""
         return Similarity(self.rotation, self.translation + origin - self.linear @ origin, self.scale)
 
-    def motion_at(self, place: ArrayLike) -> Motion:
-        """What the transform does, seen from a place (3,): a matrix's translation is what it does to the origin, which
-        is far from most clouds.
+    def motion_at(self, position: ArrayLike) -> Motion:
+        """Return the motion of the transform about a position (3,).
+
+        It is easier to interpret than the matrix, whose translation is that of the origin, far from most clouds.
         """
-        place = np.asarray(place, np.float64)
+        position = np.asarray(position, np.float64)
         angle, axis = _angle_and_axis(self.rotation)
-        return Motion(self.apply(place[None])[0] - place, float(np.degrees(angle)), axis, self.scale)
+        return Motion(self.apply(position[None])[0] - position, float(np.degrees(angle)), axis, self.scale)
 
 
 def _angle_and_axis(rotation: FloatArray) -> tuple[float, FloatArray | None]:
-    """In radians from 0 to pi, and of unit length, (3,); by the unit quaternion, exact for small angles and half turns
-    alike (Shepperd 1978: *Quaternion from rotation matrix*).
+    """Return the rotation angle in radians, from 0 to pi, and the unit axis (3,), or None for no rotation.
+
+    The unit quaternion is exact for small angles and for half turns (Shepperd 1978, "Quaternion from rotation matrix").
     """
     r, trace = rotation, np.trace(rotation)
-    squares = np.array([1 + trace, *(1 - trace + 2 * np.diag(r))])  # of 2 w, 2 x, 2 y, 2 z: the largest divides
+    squares = np.array([1 + trace, *(1 - trace + 2 * np.diag(r))])  # (2w)^2, (2x)^2, ...: the largest is the divisor
     largest = int(np.argmax(squares))
     if largest == 0:
         quaternion = np.array([squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
@@ -200,22 +205,22 @@ def _angle_and_axis(rotation: FloatArray) -> tuple[float, FloatArray | None]:
         quaternion[1 + j], quaternion[1 + k] = r[j, i] + r[i, j], r[k, i] + r[i, k]
     quaternion /= np.linalg.norm(quaternion)
     sine = float(np.linalg.norm(quaternion[1:]))
-    if sine < 1e-12:  # rounding has no axis
+    if sine < 1e-12:  # rounding determines no axis
         return 0.0, None
     axis: FloatArray = quaternion[1:] * (1 if quaternion[0] >= 0 else -1) / sine
     return 2 * math.atan2(sine, abs(float(quaternion[0]))), axis
 
 
-def _homogeneous(linear: FloatArray, translation: FloatArray) -> FloatArray:
-    """(4, 4) of x -> linear (3, 3) @ x + translation (3,)."""
+def _homogeneous_matrix(linear: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return the homogeneous matrix (4, 4) of x -> linear (3, 3) @ x + translation (3,)."""
     result = np.eye(4)
     result[:3, :3], result[:3, 3] = linear, translation
     return result
 
 
-def _each(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
-    """matrix (3, 3) times each of vectors (N, 3)."""
-    # einsum without BLAS: the same bits whatever the number of threads.
+def _multiply_rows(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return matrix (3, 3) times each of vectors (N, 3)."""
+    # einsum does not use BLAS, so the result does not depend on the number of threads.
     products: FloatArray = np.einsum("nj,ij->ni", vectors, matrix)
     return products
 
@@ -223,13 +228,19 @@ def _each(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
 def fit_similarity(
     candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True, weights: FloatArray | None = None
 ) -> Similarity:
-    """Least-squares similarity (or rigid motion) that maps candidate (N, 3) onto reference (N, 3) points.
+    """Fit the least-squares similarity, or rigid motion, that maps candidate (N, 3) onto reference (N, 3) points.
 
-    Umeyama 1991, eqs. 40-42: rotation from the SVD of the cross-covariance with the reflection fix, then scale, then
-    translation (in this order: a translation from before the fix is wrong for planar sets). `weights` (N,) >= 0.
+    Umeyama 1991, eqs. 40-42: the rotation from the SVD of the cross-covariance with its reflection correction, then the
+    scale, then the translation. This order matters: a translation from before the correction is wrong for planar sets.
+
+    Args:
+        candidate: points (N, 3) to be moved.
+        reference: points (N, 3) to be matched, row by row.
+        with_scale: whether a scale is estimated; otherwise it is 1.
+        weights: nonnegative weights (N,); None for equal weights.
 
     Raises:
-        InputError: fewer than three pairs, or all candidate or all reference points on one line.
+        InputError: there are fewer than three pairs, or all candidate or all reference points lie on one line.
     """
     candidate, reference = np.asarray(candidate, np.float64), np.asarray(reference, np.float64)
     if candidate.shape != reference.shape or candidate.ndim != 2 or candidate.shape[1] != 3:
@@ -243,9 +254,9 @@ def fit_similarity(
     c, r = candidate - mean_c, reference - mean_r
     covariance = np.einsum("ni,n,nj->ij", r, w, c)
     variances = np.linalg.eigvalsh(np.einsum("ni,n,nj->ij", c, w, c))
-    # Eigenvalues are squared lengths: rounding leaves 1e-16 of the largest where there is nothing.
+    # Eigenvalues are squared lengths; rounding leaves about 1e-16 of the largest in place of zero.
     u, singular, vt = np.linalg.svd(covariance)
-    # The covariance has rank one as soon as either set lies on a line.
+    # The covariance has rank one if either set lies on a line.
     if variances[1] <= 1e-14 * variances[2] or singular[1] <= 1e-14 * singular[0]:
         raise InputError("expected pairs that span a plane, got points on one line: the rotation is not determined")
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -255,29 +266,34 @@ def fit_similarity(
 
 
 def robust_similarity(candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True) -> Similarity:
-    """The similarity (or rigid motion) that brings candidate (N, 3) to reference (N, 3) points, some perhaps wrong.
+    """Fit the similarity, or rigid motion, that maps candidate (N, 3) onto reference (N, 3) points despite outliers.
 
-    Least squares, weighted anew by 1 / max(residual, median residual): beyond the median an error counts by its length
-    and not by its square (Huber 1964 with a scale from the data), so no threshold in metres is needed.
+    Iteratively reweighted least squares with weights 1 / max(residual, median residual). Beyond the median, an error
+    contributes linearly and not quadratically (Huber 1964 with a data-driven scale), so no metric threshold is needed.
+
+    Args:
+        candidate: points (N, 3) to be moved.
+        reference: points (N, 3) to be matched, row by row.
+        with_scale: whether a scale is estimated; otherwise it is 1.
 
     Raises:
-        InputError: fewer than three pairs, or points on one line.
+        InputError: there are fewer than three pairs, or the points lie on one line.
     """
     fit = fit_similarity(candidate, reference, with_scale=with_scale)
     for _ in range(_MAX_REWEIGHTINGS):
         residuals = np.linalg.norm(fit.apply(candidate) - reference, axis=1)
         scale = float(np.median(residuals))
-        if scale <= 1e-12 * float(np.abs(reference).max(initial=1)):  # exact but for rounding
+        if scale <= 1e-12 * float(np.abs(reference).max(initial=1)):  # exact up to rounding
             break
         fit = fit_similarity(candidate, reference, with_scale=with_scale, weights=1 / np.maximum(residuals, scale))
     return fit
 
 
 def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:
-    """Least-squares affine map of candidate (N, 3) onto reference (N, 3) points.
+    """Fit the least-squares affine map of candidate (N, 3) onto reference (N, 3) points.
 
     Raises:
-        InputError: fewer than four pairs, or all candidate points in one plane.
+        InputError: there are fewer than four pairs, or all candidate points lie in one plane.
     """
     candidate, reference = np.asarray(candidate, np.float64), np.asarray(reference, np.float64)
     if candidate.shape != reference.shape or candidate.ndim != 2 or candidate.shape[1] != 3:
@@ -294,10 +310,10 @@ def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:
 
 
 def read_matrix(path: str | Path) -> Similarity:
-    """Read a 4x4 (or 3x4) matrix of a similarity from a text file; lines that start with # are comments.
+    """Read a 4x4 (or 3x4) matrix of a similarity from a text file; text after # is a comment.
 
     Raises:
-        InputError: the file is not such a matrix.
+        InputError: the file does not contain such a matrix.
     """
     try:
         text = read_text(path)
@@ -320,6 +336,9 @@ def read_matrix(path: str | Path) -> Similarity:
 
 
 def format_matrix(transform: Similarity | Affine) -> str:
-    """The 4x4 matrix as text. `read_matrix` reads a rigid motion back without losing a bit; a scale other than 1 it
-    splits off again, which is good to the last digit."""
+    """Format the 4x4 matrix of a transform as text.
+
+    `read_matrix` restores a rigid motion exactly. It separates a scale other than 1, which costs rounding in the last
+    digit.
+    """
     return "".join(" ".join(repr(float(v)) for v in row) + "\n" for row in transform.matrix)

@@ -1,4 +1,4 @@
-"""Which points of a surface cameras see."""
+"""Visibility of surface points in cameras."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.mesh import MeshIndex
 
-SEEN_BY = 3  # cameras that make a point visible: what multi-view stereo asks for
-_LIFT = 1e-7  # of the scene's size: far above the rounding of its coordinates, far below what hides anything
+SEEN_BY = 3  # minimum number of cameras that see a point: what multi-view stereo needs
+_RAY_OFFSET_SHARE = 1e-7  # ray offset as a share of the scene size: above coordinate rounding, below any occluder
 
 
 def views(
@@ -23,39 +23,46 @@ def views(
     *,
     enough: int | None = None,
 ) -> NDArray[np.int64]:
-    """How many cameras see each of `points` (N, 3) of the mesh: in the frame, from the normal's side, nothing between.
+    """Count the cameras that see each of `points` (N, 3) of the mesh.
+
+    A camera sees a point that lies in its frame, faces it with its normal, and is not occluded.
 
     Args:
-        normals: (N, 3), to the side that light falls on.
-        enough: points that so many cameras see are not looked at again.
+        index: index of the mesh.
+        cameras: cameras in the mesh's frame.
+        points: (N, 3) on the surface.
+        normals: (N, 3) towards the visible side.
+        enough: count at which a point is not tested further; None for all cameras.
     """
     counts = np.zeros(len(points), dtype=np.int64)
     for camera in cameras:
-        open_ = np.arange(len(points)) if enough is None else np.flatnonzero(counts < enough)
-        counts[open_] += sees(index, camera, points[open_], normals[open_])
+        pending = np.arange(len(points)) if enough is None else np.flatnonzero(counts < enough)
+        counts[pending] += sees(index, camera, points[pending], normals[pending])
     return counts
 
 
 def sees(index: MeshIndex, camera: Camera, points: FloatArray, normals: FloatArray) -> NDArray[np.bool_]:
-    """Which of `points` (N, 3) of the mesh, with `normals` (N, 3) as in `views`, one camera sees."""
-    seen = in_frame(camera, points)
-    # Lines of sight must not meet what they start from.
-    lifted = points[seen] + _LIFT * float(np.ptp(index.mesh.vertices, axis=0).max()) * normals[seen]
-    lines = camera.position - lifted
-    facing = np.einsum("ni,ni->n", lines, normals[seen]) > 0
+    """Return the mask (N,) of `points` (N, 3) of the mesh that one camera sees; see `views`."""
+    visible = in_frame(camera, points)
+    # Offset the start of each line of sight so that it does not intersect its own surface.
+    starts = points[visible] + _RAY_OFFSET_SHARE * float(np.ptp(index.mesh.vertices, axis=0).max()) * normals[visible]
+    lines = camera.position - starts
+    facing = np.einsum("ni,ni->n", lines, normals[visible]) > 0
     free = np.zeros(len(lines), dtype=np.bool_)
     if facing.any():
-        free[facing] = ~index.blocked(lifted[facing], lines[facing], limit=1.0)
-    seen[seen] = free
-    return seen
+        free[facing] = ~index.blocked(starts[facing], lines[facing], limit=1.0)
+    visible[visible] = free
+    return visible
 
 
 def in_frame(camera: Camera, points: FloatArray, *, beyond: float = 0.0) -> NDArray[np.bool_]:
-    """Which of points (N, 3) fall into the image, or outside it by less than the share `beyond` of its sides."""
+    """Return the mask (N,) of points (N, 3) inside the image, extended by the share `beyond` of its sides."""
     k = camera.intrinsics
-    at = camera.cam_from_world.apply(points)
-    # Far outside the frame a distorted point can come back into it: no ray of the lens goes there.
-    front = (at[:, 2] > 0) & (np.abs(at[:, :2]) <= (1.01 + 2 * beyond) * k.widest * at[:, 2:]).all(axis=1)
+    points_in_camera = camera.cam_from_world.apply(points)
+    # Far outside the frame, a distorted projection can fold back into it although no ray of the lens goes there.
+    front = (points_in_camera[:, 2] > 0) & (
+        np.abs(points_in_camera[:, :2]) <= (1.01 + 2 * beyond) * k.widest * points_in_camera[:, 2:]
+    ).all(axis=1)
     u, v = camera.project(points)[0].T
     x, y = beyond * k.width, beyond * k.height
     inside: NDArray[np.bool_] = front & (u >= -x) & (u < k.width + x) & (v >= -y) & (v < k.height + y)
@@ -63,9 +70,10 @@ def in_frame(camera: Camera, points: FloatArray, *, beyond: float = 0.0) -> NDAr
 
 
 def pixel_sizes(camera: Camera, points: FloatArray, *, beyond: float = 0.0) -> FloatArray:
-    """How large a pixel is at each of points (N, 3), across the line of sight: depth over focal length, which is the
-    ground sample distance of a camera that looks straight down. Infinite where `in_frame` says that the point is not
-    in the image; what hides points is not asked.
+    """Return the size of a pixel at each of points (N, 3), across the line of sight.
+
+    This is depth over focal length: the ground sample distance of a camera that looks straight down. It is infinite for
+    points outside the image (see `in_frame`); occlusion is not tested.
     """
     depths = camera.cam_from_world.apply(points)[:, 2]
     sizes = depths / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)

@@ -1,4 +1,4 @@
-"""Regular grids over points: voxels to downsample by, to weight by, and to average over."""
+"""Voxel grids for downsampling, weighting and averaging."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pcbench.native import _core
 
 
 class Cells(NamedTuple):
-    """The occupied cells of a grid, numbered in the order in which points first fall into them."""
+    """The occupied cells of a grid, numbered by the order of their first points."""
 
-    of_point: IntArray  # (N,) the cell of each point
-    first: IntArray  # (M,) the first point in each cell, ascending
-    counts: IntArray  # (M,) of points in each cell
+    of_point: IntArray  # (N,) cell of each point
+    first: IntArray  # (M,) index of the first point in each cell, ascending
+    counts: IntArray  # (M,) number of points in each cell
 
     def means(self, values: FloatArray) -> FloatArray:
-        """The mean in each cell (M,) of one value a point (N,)."""
+        """Return the mean in each cell (M,) of values (N,), one per point."""
         means: FloatArray = np.bincount(self.of_point, values, len(self.first)) / self.counts
         return means
 
 
 def cells(points: FloatArray, side: float, lower: FloatArray | None = None) -> Cells:
-    """The cubic cells of edge `side` that points (N, 3) lie in, counted from `lower` (default: their lowest corner).
+    """Group points (N, 3) into cubic cells of edge length `side`, counted from `lower` (default: their lowest corner).
 
-    Cells far outside (beyond 2^31 cells from the corner) share the outermost one.
+    Points more than 2^31 cells from the corner share the outermost cells.
     """
     if not side > 0:
         raise InputError(f"expected a positive cell side, got {side}")
@@ -38,34 +38,34 @@ def cells(points: FloatArray, side: float, lower: FloatArray | None = None) -> C
 
 
 def voxel_downsample(points: FloatArray, side: float) -> IntArray:
-    """Voxel downsampling: indices of the first point in each occupied cell of edge `side`, in ascending order."""
+    """Return the indices of the first point in each occupied cell of edge length `side`, in ascending order."""
     return cells(points, side).first
 
 
 def voxel_downsample_to(points: FloatArray, count: int, start: float) -> IntArray:
-    """Voxel downsampling to at most about `count` points: the first one in each cell; cells grow until that fits."""
+    """Downsample to at most about `count` points by enlarging the cells from edge length `start` until they fit."""
     side = max(start, 1e-12 * robust_extent(points), np.finfo(float).tiny)
     which = voxel_downsample(points, side)
     while len(which) > 1.2 * count:
-        side *= max(1.1, np.sqrt(len(which) / count))  # surfaces: the count falls with the square of the side
+        side *= max(1.1, np.sqrt(len(which) / count))  # on surfaces the count is inversely proportional to side^2
         which = which[voxel_downsample(points[which], side)]
     return which
 
 
 def cell_means(points: FloatArray, side: float, lower: FloatArray | None = None) -> FloatArray:
-    """Mean point (M, 3) of each occupied cell of edge `side`, counted from `lower` (default: the lowest corner)."""
+    """Return the mean point (M, 3) of each occupied cell of edge length `side`, counted from `lower` (see `cells`)."""
     grid = cells(points, side, lower)
     return np.stack([grid.means(points[:, axis]) for axis in range(3)], axis=1)
 
 
 def robust_bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Corners (3,) of the box that holds the inner 98 % of points (N, 3) along each axis: stragglers do not count."""
-    some = np.ascontiguousarray(points[:: max(1, len(points) // 100_000)].T)
-    lower, upper = np.percentile(some, [1, 99], axis=1)
+    """Return the corners (3,) of the box around the inner 98 % of points (N, 3) along each axis: robust to outliers."""
+    sample = np.ascontiguousarray(points[:: max(1, len(points) // 100_000)].T)
+    lower, upper = np.percentile(sample, [1, 99], axis=1)
     return lower, upper
 
 
 def robust_extent(points: FloatArray) -> float:
-    """Diagonal of the robust bounds of points (N, 3)."""
+    """Return the diagonal of the robust bounds of points (N, 3)."""
     lower, upper = robust_bounds(points)
     return float(np.linalg.norm(upper - lower))

@@ -1,4 +1,4 @@
-"""Compiled kernels. A missing or broken build is said at the first import, never silently replaced."""
+"""Compiled kernels. A missing or broken build raises ImportError at the first import; there is no silent fallback."""
 
 from pcbench.errors import InputError
 from pcbench.threads import fit_threads
@@ -13,7 +13,7 @@ except ImportError as error:  # pragma: no cover - only on a broken installation
     ) from error
 try:
     _core.isa()
-except RuntimeError as error:  # PCBENCH_ISA names a set that is unknown, or that this processor lacks
+except RuntimeError as error:  # PCBENCH_ISA names an instruction set that is unknown or unsupported here
     raise InputError(str(error)) from None
 
 __all__ = ["_core"]

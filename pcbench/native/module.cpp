@@ -1,4 +1,4 @@
-// The compiled core: loops over points that numpy cannot fuse. No Python objects inside the loops, the GIL released.
+// The compiled core: loops over points that numpy cannot fuse. They use no Python objects and release the GIL.
 #include <nanobind/stl/optional.h>
 
 #include <algorithm>
@@ -20,22 +20,22 @@ namespace {
 
 using Flags = Out<bool, nb::shape<-1>>;
 
-constexpr const char* kBadCoordinate = "a coordinate is not finite or beyond 1e100";
+constexpr const char* kBadCoordinate = "expected finite coordinates up to 1e100";
 
-// Queries are sorted in parts of this many, which bounds the memory.
-constexpr size_t kQueryPart = size_t{1} << 20;
+// Queries are sorted in batches of this size, which bounds the memory.
+constexpr size_t kQueryBatch = size_t{1} << 20;
 
-// Hands the memory to numpy.
+// Transfers ownership of the memory to numpy.
 auto to_numpy(pcbench::Block<int64_t> block, size_t count) {
     int64_t* data = block.release();
     return nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(
-        data, {count}, nb::capsule(data, [](void* p) noexcept { pcbench::Free()(p); }));
+        data, {count}, nb::capsule(data, [](void* p) noexcept { pcbench::AlignedFree()(p); }));
 }
 
 class PointIndex {
 public:
     explicit PointIndex(Points points) : points_(points) {
-        check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoRow, "Index: 1 to 2^32 - 2 points");
+        check(points.shape(0) > 0 && points.shape(0) < pcbench::kNoRow, "Index: expected 1 to 2^32 - 2 points");
         pcbench::interruptible(
             [&](pcbench::Interrupt& interrupt) { index_.emplace(points_.data(), points_.shape(0), interrupt); });
         check(index_->valid(), kBadCoordinate);
@@ -46,43 +46,46 @@ public:
 
     void nearest(Points queries, Out<double, nb::shape<-1>> distances, Out<int64_t, nb::shape<-1>> indices) const {
         const size_t count = queries.shape(0);
-        check(distances.shape(0) == count && indices.shape(0) == count, "nearest: one row for each query");
-        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
-            pcbench::kernels().nearest(tree(), part.leaves.get(), part.leaf_count, nullptr, false,
-                                       distances.data() + offset, indices.data() + offset, {}, interrupt);
-        });
+        check(distances.shape(0) == count && indices.shape(0) == count, "nearest: expected one row per query");
+        for_query_batches(
+            queries, [&](const pcbench::SortedPoints& batch, size_t offset, pcbench::Interrupt& interrupt) {
+                pcbench::kernels().nearest(tree(), batch.leaves.get(), batch.leaf_count, nullptr, false,
+                                           distances.data() + offset, indices.data() + offset, {}, interrupt);
+            });
     }
 
     void nearest_of(const PointIndex& queries, Out<double, nb::shape<-1>> distances,
                     Out<int64_t, nb::shape<-1>> indices, double slack, std::optional<Flags> tied) const {
-        const pcbench::Tree& from = queries.tree();
-        check(distances.shape(0) == from.count && indices.shape(0) == from.count, "nearest_of: one row for each query");
-        check(!tied || tied->shape(0) == from.count, "nearest_of: one flag for each query");
+        const pcbench::Tree& query_tree = queries.tree();
+        check(distances.shape(0) == query_tree.count && indices.shape(0) == query_tree.count,
+              "nearest_of: expected one row per query");
+        check(!tied || tied->shape(0) == query_tree.count, "nearest_of: expected one flag per query");
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
-            pcbench::kernels().nearest(tree(), from.leaves, from.leaf_count, nullptr, &queries == this,
+            pcbench::kernels().nearest(tree(), query_tree.leaves, query_tree.leaf_count, nullptr, &queries == this,
                                        distances.data(), indices.data(), {slack, tied ? tied->data() : nullptr},
                                        interrupt);
         });
     }
 
-    // `motion`: the first three rows of a homogeneous matrix.
+    // `motion` holds the first three rows of a homogeneous matrix.
     void nearest_of_moved(const PointIndex& queries, In<double, nb::shape<3, 4>> motion, std::optional<Indices> hints,
                           Out<double, nb::shape<-1, 3>> moved, Out<double, nb::shape<-1>> distances,
                           Out<int64_t, nb::shape<-1>> indices) const {
-        const pcbench::Tree& from = queries.tree();
-        check(moved.shape(0) == from.count && distances.shape(0) == from.count && indices.shape(0) == from.count,
-              "nearest_of_moved: one row for each query");
+        const pcbench::Tree& query_tree = queries.tree();
+        check(moved.shape(0) == query_tree.count && distances.shape(0) == query_tree.count &&
+                  indices.shape(0) == query_tree.count,
+              "nearest_of_moved: expected one row per query");
         if (hints) {
-            check(hints->shape(0) == from.count, "nearest_of_moved: one hint for each query");
-            check_rows(*hints, "nearest_of_moved: a hint lies outside the points");
+            check(hints->shape(0) == query_tree.count, "nearest_of_moved: expected one hint per query");
+            check_rows(*hints, "nearest_of_moved: expected hints that are indices of points");
         }
         bool valid = true;
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
-            const pcbench::Block<pcbench::Leaf> leaves = pcbench::allocate<pcbench::Leaf>(from.leaf_count);
-            valid = move_leaves(from, motion.data(), leaves.get(), moved.data());
+            const pcbench::Block<pcbench::Leaf> leaves = pcbench::allocate<pcbench::Leaf>(query_tree.leaf_count);
+            valid = transform_leaves(query_tree, motion.data(), leaves.get(), moved.data());
             if (!valid) return;
-            pcbench::kernels().nearest(tree(), leaves.get(), from.leaf_count, hints ? hints->data() : nullptr, false,
-                                       distances.data(), indices.data(), {}, interrupt);
+            pcbench::kernels().nearest(tree(), leaves.get(), query_tree.leaf_count, hints ? hints->data() : nullptr,
+                                       false, distances.data(), indices.data(), {}, interrupt);
         });
         check(valid, kBadCoordinate);
     }
@@ -90,26 +93,27 @@ public:
     void knearest(Points queries, Out<double, nb::ndim<2>> distances, Out<int64_t, nb::ndim<2>> indices) const {
         const size_t count = queries.shape(0), k = distances.shape(1);
         check(distances.shape(0) == count && indices.shape(0) == count && indices.shape(1) == k,
-              "knearest: one row for each query, k columns");
-        check(k > 0 && k <= tree().count, "knearest: k must lie between 1 and the number of points");
-        in_parts(queries, [&](const pcbench::SortedPoints& part, size_t offset, pcbench::Interrupt& interrupt) {
-            pcbench::kernels().knearest(tree(), part.leaves.get(), part.leaf_count, k, distances.data() + k * offset,
-                                        indices.data() + k * offset, interrupt);
-        });
+              "knearest: expected one row per query and k columns");
+        check(k > 0 && k <= tree().count, "knearest: expected k from 1 to the number of points");
+        for_query_batches(
+            queries, [&](const pcbench::SortedPoints& batch, size_t offset, pcbench::Interrupt& interrupt) {
+                pcbench::kernels().knearest(tree(), batch.leaves.get(), batch.leaf_count, k,
+                                            distances.data() + k * offset, indices.data() + k * offset, interrupt);
+            });
     }
 
     nb::tuple in_balls(Points centres, double radius) const {
-        return in_regions(centres, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
-                                       pcbench::Interrupt& interrupt) {
+        return query_regions(centres, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
+                                          pcbench::Interrupt& interrupt) {
             pcbench::kernels().in_balls(tree(), sorted.leaves.get(), sorted.leaf_count, radius, offsets, rows,
                                         interrupt);
         });
     }
 
     nb::tuple in_cylinders(Points origins, Points axes, double radius, double half_length) const {
-        check(axes.shape(0) == origins.shape(0), "in_cylinders: one axis for each origin");
-        return in_regions(origins, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
-                                       pcbench::Interrupt& interrupt) {
+        check(axes.shape(0) == origins.shape(0), "in_cylinders: expected one axis per origin");
+        return query_regions(origins, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
+                                          pcbench::Interrupt& interrupt) {
             pcbench::kernels().in_cylinders(tree(), sorted.leaves.get(), sorted.leaf_count, axes.data(), radius,
                                             half_length, offsets, rows, interrupt);
         });
@@ -121,14 +125,14 @@ public:
         const size_t count = rows ? rows->shape(0) : tree().count;
         check(normals.shape(0) == count && variation.shape(0) == count && distances.shape(0) == count &&
                   indices.shape(0) == count,
-              "planes: one row for each point asked for");
-        check(k > 1 && k <= tree().count, "planes: k must lie between 2 and the number of points");
-        pcbench::Block<double> picked;
+              "planes: expected one row per requested point");
+        check(k > 1 && k <= tree().count, "planes: expected k from 2 to the number of points");
+        pcbench::Block<double> selected_points;
         if (rows) {
-            check_rows(*rows, "planes: a row lies outside the points");
-            picked = pcbench::allocate<double>(3 * count);
+            check_rows(*rows, "planes: expected rows that are indices of points");
+            selected_points = pcbench::allocate<double>(3 * count);
             for (size_t i = 0; i < count; ++i)
-                std::copy_n(tree().points + 3 * rows->data()[i], 3, picked.get() + 3 * i);
+                std::copy_n(tree().points + 3 * rows->data()[i], 3, selected_points.get() + 3 * i);
         }
         const pcbench::Kernels& kernels = pcbench::kernels();
         const size_t stride = (kernels.plane_scratch_bytes(k) + 4095) / 4096 * 4096 / sizeof(double);
@@ -143,21 +147,22 @@ public:
             };
             if (!rows) return fit(tree().leaves, tree().leaf_count);
             if (count == 0) return;
-            const pcbench::SortedPoints sorted(picked.get(), count, interrupt);
+            const pcbench::SortedPoints sorted(selected_points.get(), count, interrupt);
             if (!interrupt.requested()) fit(sorted.leaves.get(), sorted.leaf_count);
         });
     }
 
 private:
-    // What is near stays near under a motion: the sorted leaves serve again.
-    static bool move_leaves(const pcbench::Tree& from, const double* m, pcbench::Leaf* leaves, double* moved) {
+    // A motion preserves neighbourhoods, so the sorted leaves are reused.
+    static bool transform_leaves(const pcbench::Tree& query_tree, const double* m, pcbench::Leaf* leaves,
+                                 double* moved) {
         bool valid = true;
-#pragma omp parallel for schedule(static) reduction(&& : valid) if (from.leaf_count > 1024)
-        for (size_t l = 0; l < from.leaf_count; ++l) {
-            const pcbench::Leaf& leaf = from.leaves[l];
+#pragma omp parallel for schedule(static) reduction(&& : valid) if (query_tree.leaf_count > 1024)
+        for (size_t l = 0; l < query_tree.leaf_count; ++l) {
+            const pcbench::Leaf& leaf = query_tree.leaves[l];
             leaves[l] = leaf;
             double* axes[3] = {leaves[l].x, leaves[l].y, leaves[l].z};
-            for (size_t i = 0; i < pcbench::kFan && leaf.row[i] != pcbench::kNoRow; ++i)
+            for (size_t i = 0; i < pcbench::kFanout && leaf.row[i] != pcbench::kNoRow; ++i)
                 for (int a = 0; a < 3; ++a) {
                     const double v =
                         ((m[4 * a] * leaf.x[i] + m[4 * a + 1] * leaf.y[i]) + m[4 * a + 2] * leaf.z[i]) + m[4 * a + 3];
@@ -173,9 +178,9 @@ private:
             check(rows.data()[i] >= 0 && static_cast<size_t>(rows.data()[i]) < tree().count, message);
     }
 
-    // Counts first, then fills: no list grows, and the result is as large as it needs to be.
+    // The search runs twice, to count and then to fill, so that memory is allocated once with the exact size.
     template <typename Search>
-    nb::tuple in_regions(Points queries, Search search) const {
+    nb::tuple query_regions(Points queries, Search search) const {
         const size_t count = queries.shape(0);
         pcbench::Block<int64_t> offsets = pcbench::allocate<int64_t>(count + 1), rows;
         offsets[0] = 0;
@@ -200,15 +205,15 @@ private:
     }
 
     template <typename Search>
-    void in_parts(Points queries, Search search) const {
+    void for_query_batches(Points queries, Search search) const {
         bool valid = true;
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
-            for (size_t offset = 0; offset < queries.shape(0); offset += kQueryPart) {
-                const size_t count = std::min(kQueryPart, queries.shape(0) - offset);
-                const pcbench::SortedPoints part(queries.data() + 3 * offset, count, interrupt);
-                valid = valid && part.valid;
+            for (size_t offset = 0; offset < queries.shape(0); offset += kQueryBatch) {
+                const size_t count = std::min(kQueryBatch, queries.shape(0) - offset);
+                const pcbench::SortedPoints batch(queries.data() + 3 * offset, count, interrupt);
+                valid = valid && batch.valid;
                 if (!valid || interrupt.requested()) return;
-                search(part, offset, interrupt);
+                search(batch, offset, interrupt);
             }
         });
         check(valid, kBadCoordinate);
@@ -221,37 +226,38 @@ private:
 }  // namespace
 
 NB_MODULE(_core, m) {
-    m.doc() = "Compiled kernels of pcbench; call them through the modules that own them.";
+    m.doc() = "Compiled kernels of pcbench; use the Python modules that wrap them.";
     pcbench::one_thread_when_forked();
 
     m.def("isa", [] { return pcbench::kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
 
-    nb::class_<PointIndex>(m, "PointIndex", "A tree over points; results are written into the arrays given.")
+    nb::class_<PointIndex>(m, "PointIndex", "A search tree over points. Results are written into the given arrays.")
         .def(nb::init<Points>(), nb::arg("points").noconvert())
-        .def_prop_ro("bytes", &PointIndex::bytes, "Memory held beyond the points.")
+        .def_prop_ro("bytes", &PointIndex::bytes, "Memory of the tree in bytes, without the points.")
         .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert())
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), nb::arg("slack") = 0.0, nb::arg("tied").noconvert().none() = nb::none(),
-             "Queries are another index's points, or its own: then no point is its own neighbour. tied: whether another"
-             " point than the match has a squared distance below the match's plus slack.")
+             "Nearest points to the points of another index, or of this one, whose points are then not their own"
+             " neighbours. tied: whether another point than the match has a squared distance below the match's plus "
+             "slack.")
         .def("nearest_of_moved", &PointIndex::nearest_of_moved, nb::arg("queries"), nb::arg("motion").noconvert(),
              nb::arg("hints").noconvert().none(), nb::arg("moved").noconvert(), nb::arg("distances").noconvert(),
-             nb::arg("indices").noconvert(), "Queries are another index's points after a motion (3, 4).")
+             nb::arg("indices").noconvert(), "Nearest points to the points of another index after a motion (3, 4).")
         .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert())
         .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),
              nb::arg("normals").noconvert(), nb::arg("variation").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(),
-             "Planes through the k nearest points of each point, or of those in rows, itself included, with normals"
-             " that look up, and its nearest other point.")
+             "Planes through the k nearest points of each point, or of those in rows, the point itself included, with"
+             " normals oriented upwards, and the nearest other point.")
         .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
-             "Offsets (N + 1,) and the rows found, ascending for each ball.",
+             "Offsets (N + 1,) and the indices of points, ascending for each ball.",
              nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> "
                      "tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
         .def("in_cylinders", &PointIndex::in_cylinders, nb::arg("origins").noconvert(), nb::arg("axes").noconvert(),
              nb::arg("radius"), nb::arg("half_length"),
-             "Offsets (N + 1,) and the rows found, ascending for each cylinder.",
+             "Offsets (N + 1,) and the indices of points, ascending for each cylinder.",
              nb::sig("def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: "
                      "float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
 

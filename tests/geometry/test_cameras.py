@@ -1,4 +1,4 @@
-"""Cameras: conventions pinned by hand-made cases."""
+"""Cameras: conventions checked with hand-computed cases."""
 
 import numpy as np
 import pytest
@@ -22,8 +22,8 @@ def test_conventions():
     assert pixels[1, 0] > 320
 
 
-def test_distortion_is_opencvs():
-    # Written out for one point, from OpenCV's documentation.
+def test_distortion_follows_opencv():
+    # The formula of OpenCV's documentation for one point.
     k = Intrinsics(100, 80, 100, 110, 50, 40, (0.1, -0.05, 0.01, 0.02))
     camera = Camera("a.png", k, look_at([0, 0, 0], [0, 0, 1], up=[0, -1, 0]))
     pixels, _ = camera.project(np.array([[0.3, -0.2, 1.0]]))
@@ -34,7 +34,7 @@ def test_distortion_is_opencvs():
     np.testing.assert_allclose(pixels, [[100 * u + 50, 110 * v + 40]], atol=1e-12)
 
 
-def test_scaling_keeps_rays():
+def test_scaling_preserves_rays():
     k = Intrinsics(1001, 667, 900, 905, 498, 331)
     half = k.scaled(0.5)
     assert (half.width, half.height) == (500, 334)
@@ -59,19 +59,19 @@ LENSES = [(0, 0, 0, 0), (0.08, 0, 0, 0), (-0.12, 0.02, 0.003, -0.002), (0.1, -0.
 
 
 @pytest.mark.parametrize("distortion", LENSES)
-def test_directions_undo_projection(distortion):
+def test_directions_invert_projection(distortion):
     k = Intrinsics(320, 200, 210, 215, 155, 104, distortion)
     u, v = np.meshgrid(np.linspace(0, 320, 33), np.linspace(0, 200, 21))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
     rays = k.directions(pixels)
     np.testing.assert_array_equal(rays[:, 2], 1)
-    there = Camera("a.png", k, look_at([0, 0, 0], [0, 0, 1], up=[0, -1, 0])).project(7 * rays)[0]
-    np.testing.assert_allclose(there, pixels, atol=1e-9)  # pixels of about 300, Newton to 1e-10 of a focal length
+    projected = Camera("a.png", k, look_at([0, 0, 0], [0, 0, 1], up=[0, -1, 0])).project(7 * rays)[0]
+    np.testing.assert_allclose(projected, pixels, atol=1e-9)  # pixels of about 300, Newton to 1e-10 of a focal length
     inner = np.abs(rays[:, :2]).max(axis=0)
-    np.testing.assert_allclose(k.widest, inner, rtol=0.01)  # the border's extreme is between the grid's points
+    np.testing.assert_allclose(k.widest, inner, rtol=0.01)  # the extreme of the border lies between grid points
 
 
-def test_a_lens_that_folds_is_refused():
+def test_folding_distortion_is_refused():
     k = Intrinsics(320, 200, 110, 110, 160, 100, (-0.6, 0, 0, 0))
     with refused():
         k.directions(np.array([[0.0, 0.0], [160, 100]]))

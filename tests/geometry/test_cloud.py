@@ -1,4 +1,4 @@
-"""Cloud: checked at birth, selected, moved, and each refusal."""
+"""Cloud: validation, selection, transforms, conversions, and each refusal."""
 
 import dataclasses
 
@@ -28,8 +28,8 @@ def full_cloud():
 
 
 def test_keeps_float64_in_c_order():
-    for given in (POINTS.astype(np.float32), POINTS.tolist(), np.asfortranarray(POINTS), POINTS.astype(">f8")):
-        points = Cloud(given).points
+    for array in (POINTS.astype(np.float32), POINTS.tolist(), np.asfortranarray(POINTS), POINTS.astype(">f8")):
+        points = Cloud(array).points
         assert points.dtype == np.float64
         assert points.dtype.isnative
         assert points.flags.c_contiguous
@@ -50,13 +50,13 @@ def test_is_frozen():
 
 
 @pytest.mark.parametrize("which", [np.array([True, False, False, True]), np.array([0, 3])])
-def test_select_takes_everything_along(which):
-    picked = full_cloud().select(which)
-    assert picked.points.tolist() == [[0, 1, 2], [9, 10, 11]]
-    assert picked.normals.shape == (2, 3)
-    assert picked.colors.tolist() == [[0, 1, 2], [9, 10, 11]]
-    assert picked.attributes["intensity"].tolist() == [0, 3]
-    assert (picked.crs, picked.unit) == ("EPSG:25832", "m")
+def test_select_applies_to_all_fields(which):
+    selected = full_cloud().select(which)
+    assert selected.points.tolist() == [[0, 1, 2], [9, 10, 11]]
+    assert selected.normals.shape == (2, 3)
+    assert selected.colors.tolist() == [[0, 1, 2], [9, 10, 11]]
+    assert selected.attributes["intensity"].tolist() == [0, 3]
+    assert (selected.crs, selected.unit) == ("EPSG:25832", "m")
 
 
 def test_select_may_reorder_and_repeat():
@@ -64,9 +64,9 @@ def test_select_may_reorder_and_repeat():
 
 
 def test_select_of_a_bare_cloud():
-    picked = Cloud(POINTS).select(np.array([1]))
-    assert picked.normals is None
-    assert picked.colors is None
+    selected = Cloud(POINTS).select(np.array([1]))
+    assert selected.normals is None
+    assert selected.colors is None
 
 
 def test_transformed():
@@ -75,8 +75,8 @@ def test_transformed():
     assert moved.points[1].tolist() == [10 - 2 * 4, 2 * 3, 2 * 5]
     assert moved.normals[0].tolist() == [0, 1, 0]
     assert moved.colors is cloud.colors
-    assert list(moved.attributes) == ["intensity"]  # a splat's own axes do not survive
-    assert (cloud.points == POINTS).all()  # the caller's data stay as they were
+    assert list(moved.attributes) == ["intensity"]  # attributes in the splat's axes are dropped
+    assert (cloud.points == POINTS).all()  # the original is unchanged
     assert len(cloud.attributes) == 4
 
 
@@ -95,12 +95,12 @@ def test_as_cloud():
 
 
 @pytest.mark.parametrize("make", [Cloud, Cloud.from_finite])
-def test_sums_that_overflow_are_too_large_and_not_dropped_as_infinite(make):
+def test_overflowing_sums_raise_and_are_not_dropped_as_infinite(make):
     with refused():
         make(np.full((3, 3), 1.7e308))
 
 
-def test_from_finite_drops_rows_of_everything():
+def test_from_finite_drops_rows_of_all_fields():
     broken = POINTS.copy()
     broken[1, 2], broken[2, 0] = np.nan, -np.inf
     colors = np.arange(12).reshape(4, 3)
@@ -166,7 +166,7 @@ def test_colors_of_other_types_with_whole_values():
         assert (colors == 255).all()
 
 
-def test_later_changes_to_what_was_given_change_nothing():
+def test_clouds_do_not_change_with_the_callers_arrays():
     points, normals = POINTS.copy(), np.tile([1.0, 0, 0], (4, 1))
     colors, intensity = np.zeros((4, 3), np.uint8), np.zeros(4)
     read_only_view = points[:]
@@ -199,17 +199,17 @@ def test_arrays_are_read_only_and_not_copied_again(tmp_path):
         assert all(again.attributes[name] is cloud.attributes[name] for name in cloud.attributes)
 
 
-def test_open3d_there_and_back():
+def test_open3d_round_trip():
     import_or_skip("open3d")
     cloud = full_cloud()
     legacy = Cloud.from_open3d(cloud.to_open3d())
     tensor = Cloud.from_open3d(cloud.to_open3d_tensor())
-    for back in (legacy, tensor):
-        assert (back.points == cloud.points).all()
-        assert back.points.dtype == np.float64
-        assert (back.normals == cloud.normals).all()
-        assert (back.colors == cloud.colors).all()
-        assert back.colors.dtype == np.uint8
+    for restored in (legacy, tensor):
+        assert (restored.points == cloud.points).all()
+        assert restored.points.dtype == np.float64
+        assert (restored.normals == cloud.normals).all()
+        assert (restored.colors == cloud.colors).all()
+        assert restored.colors.dtype == np.uint8
     assert not legacy.attributes
     assert sorted(tensor.attributes) == sorted(cloud.attributes)
     assert all((tensor.attributes[name] == cloud.attributes[name]).all() for name in cloud.attributes)
@@ -217,7 +217,7 @@ def test_open3d_there_and_back():
     assert (bare.normals, bare.colors) == (None, None)
 
 
-def test_every_colour_survives_open3d():
+def test_open3d_round_trip_preserves_every_colour():
     import_or_skip("open3d")
     every = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     cloud = Cloud(np.zeros((256, 3)), colors=every)
@@ -229,16 +229,16 @@ def test_every_colour_survives_open3d():
 
 def test_a_cloud_from_open3d_is_a_copy():
     open3d = import_or_skip("open3d")
-    theirs = Cloud(POINTS).to_open3d()
+    original = Cloud(POINTS).to_open3d()
     tensor = Cloud(POINTS).to_open3d_tensor()
-    clouds = [Cloud.from_open3d(theirs), Cloud.from_open3d(tensor)]
-    theirs.translate([1.0, 0, 0])
+    clouds = [Cloud.from_open3d(original), Cloud.from_open3d(tensor)]
+    original.translate([1.0, 0, 0])
     tensor.translate(open3d.core.Tensor([1.0, 0, 0]))
     for cloud in clouds:
         assert (cloud.points == POINTS).all()
 
 
-def test_what_is_no_open3d_cloud():
+def test_other_types_than_open3d_clouds_are_refused():
     with refused():
         Cloud.from_open3d([1, 2])
     open3d = import_or_skip("open3d")
@@ -250,9 +250,9 @@ def test_what_is_no_open3d_cloud():
 def test_from_trimesh():
     trimesh = import_or_skip("trimesh")
     colors = np.arange(16, dtype=np.uint8).reshape(4, 4)
-    theirs = trimesh.PointCloud(POINTS.copy(), colors=colors)
-    cloud = Cloud.from_trimesh(theirs)
-    theirs.vertices += 1
+    original = trimesh.PointCloud(POINTS.copy(), colors=colors)
+    cloud = Cloud.from_trimesh(original)
+    original.vertices += 1
     assert (cloud.points == POINTS).all()
     assert (cloud.colors == colors[:, :3]).all()
     assert Cloud.from_trimesh(trimesh.PointCloud(POINTS)).colors is None
@@ -265,7 +265,7 @@ def test_from_trimesh():
         Cloud.from_trimesh(trimesh.Scene(box))
 
 
-def test_errors_are_of_the_kinds_that_python_programs_catch():
+def test_errors_have_standard_base_classes():
     with refused(ValueError):
         Cloud(np.zeros((0, 3)))
     assert issubclass(MissingExtra, ImportError)

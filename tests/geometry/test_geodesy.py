@@ -1,4 +1,4 @@
-"""WGS84 to east-north-up, beside two other programs."""
+"""WGS84 to east-north-up, compared with pyproj and known lengths."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Meshes as a type: area, normals, closedness, motions, sampling, and refusals."""
+"""Mesh: area, normals, closedness, transforms, sampling, and refusals."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_transformed_and_shifted():
 
 
 def test_sample_is_uniform_by_area():
-    # Twenty faces of areas 1 to 20, cut from strips, one without area between them.
+    # Twenty faces of areas 1 to 20, cut from strips, with one face without area among them.
     heights = np.arange(21.0)
     x = np.arange(21) * 3.0
     vertices = np.concatenate([
@@ -61,7 +61,7 @@ def test_sample_is_uniform_by_area():
     observed, expected = np.bincount(owners, minlength=21)[1:], count * heights[1:] / heights.sum()
     assert not (owners == 0).any()
     assert ((observed - expected) ** 2 / expected).sum() < chi2.ppf(0.999, 19)
-    # Within a face: the four similar parts of a triangle are hit alike.
+    # Within a face: the four similar parts of a triangle get equally many points.
     s, t = cloud.points[:, 0] - 3 * owners, cloud.points[:, 1] / heights[owners]
     part = np.select([s > 0.5, t > 0.5, s + t < 0.5], [0, 1, 2], 3)
     assert ((np.bincount(part) - count / 4) ** 2 / (count / 4)).sum() < chi2.ppf(0.999, 3)
@@ -71,7 +71,7 @@ def test_sample_is_uniform_by_area():
 def test_sample_lies_on_the_mesh_and_repeats():
     mesh = Mesh(*spiky(2), crs="EPSG:32632", unit="m")
     cloud = mesh.sample(2000, seed=1)
-    # A coordinate is made by five roundings, and the distance by about as many.
+    # A coordinate has five roundings, and the distance about as many.
     rounding = 10 * np.finfo(float).eps * np.abs(mesh.vertices).max()
     assert MeshIndex(mesh).query(cloud.points).distances.max() < rounding
     np.testing.assert_array_equal(cloud.points, mesh.sample(2000, seed=1).points)

@@ -1,4 +1,4 @@
-"""Distances to meshes: closed forms, every triangle looked at in numpy, signs by the winding number, and refusals."""
+"""Distances to meshes: closed forms, a brute force in numpy, signs by the winding number, and refusals."""
 
 import os
 import subprocess
@@ -17,7 +17,7 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 
 
 def brute(points, vertices, faces):
-    """Distances (N,) and the first nearest face (N,): the least of plane distance (where inside) and three edges."""
+    """Distances (N,) and the lowest nearest face (N,): minimum over the plane (if inside the face) and the edges."""
     a, b, c = (vertices[faces[:, k]][None] for k in range(3))
     p = points[:, None, :]
     squared = np.minimum.reduce([edge(p, a, b), edge(p, b, c), edge(p, c, a)])
@@ -42,7 +42,7 @@ def edge(p, a, b):
 
 
 def winding(points, vertices, faces):
-    """How often the mesh winds round each point (N,): Van Oosterom and Strackee 1983."""
+    """Winding number of the mesh about each point (N,): Van Oosterom and Strackee 1983."""
     a, b, c = (vertices[faces[:, k]][None] - points[:, None] for k in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
     volume = (a * np.cross(b, c)).sum(-1)
@@ -74,7 +74,7 @@ def test_tetrahedron_closed_form():
     np.testing.assert_allclose(matches.distances, expected, rtol=1e-15)
     np.testing.assert_allclose(matches.closest[:4], [[1 / 3] * 3, [0, 0, 0], [0.25, 0.25, 0], [1, 0, 0]], atol=1e-15)
     assert matches.faces[0] == 3
-    assert matches.faces[1] == 0  # the origin belongs to three faces: the lowest
+    assert matches.faces[1] == 0  # the origin lies on three faces: the lowest index wins
 
 
 def test_icosphere_against_the_sphere():
@@ -107,10 +107,10 @@ def soup(seed, count=300):
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("origin", [np.zeros(3), UTM], ids=["near", "far"])
-def test_against_every_triangle(seed, origin):
+def test_distances_equal_brute_force(seed, origin):
     vertices, faces = soup(seed)
     rng = np.random.default_rng(100 + seed)
-    # The oracle's normal equations square the condition of slender triangles: half the digits are left.
+    # The oracle's normal equations square the condition number of slender triangles: half the digits remain.
     half_of_the_digits = np.sqrt(np.finfo(float).eps) * np.abs(vertices).max()
     vertices = vertices + origin
     points = np.concatenate([
@@ -122,7 +122,7 @@ def test_against_every_triangle(seed, origin):
     ])  # fmt: skip
     matches = MeshIndex(Mesh(vertices, faces)).query(points)
     distances, _ = brute(points - origin, vertices - origin, faces)
-    # Subtracting the origin is exact but for the last digit at a few hundred metres' distance, 1e-9.
+    # Subtracting the origin is exact up to rounding of 1e-9 at a distance of a few hundred metres.
     np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=half_of_the_digits)
     own = brute_one(points - origin, (vertices - origin)[faces[matches.faces]])
     np.testing.assert_allclose(own, distances, rtol=1e-12, atol=half_of_the_digits)
@@ -135,7 +135,7 @@ def brute_one(points, corners):
     return np.array(each)
 
 
-def test_points_of_a_large_mesh():
+def test_points_on_a_large_mesh():
     vertices, faces = height_field(60)
     points = np.random.default_rng(3).uniform(-0.2, 1.2, (400, 3)) * [1, 1, 0.2]
     matches = MeshIndex(Mesh(vertices, faces)).query(points)
@@ -151,7 +151,7 @@ def test_ties_go_to_the_lowest_face():
     lowest = np.array([np.flatnonzero((faces == v).any(axis=1)).min() for v in range(len(vertices))])
     index = MeshIndex(Mesh(vertices, faces))
     np.testing.assert_array_equal(index.query(vertices).faces, lowest)
-    # Above an edge whose faces fall away on both sides each of the two finds the same bits.
+    # Above a convex edge both faces give the same bits.
     ridge = Mesh([(0, 0, 0), (1.3, 0.7, 0.9), (-1, 1, -3), (2, -1, -3)], [(1, 0, 2), (0, 1, 3)])
     t = np.random.default_rng(4).uniform(0.1, 0.9, (200, 1))
     above = t * ridge.vertices[1] + [0.0, 0.0, 0.2]
@@ -162,7 +162,7 @@ def test_ties_go_to_the_lowest_face():
     assert (MeshIndex(doubled).query(points).faces < len(index)).all()
 
 
-def test_batches_threads_and_runs_give_the_same_bits():
+def test_results_are_bit_identical_across_batches_threads_and_runs():
     vertices, faces = spiky(4)
     points = np.random.default_rng(6).normal(size=(3000, 3))
     index = MeshIndex(Mesh(vertices, faces))
@@ -188,7 +188,7 @@ def test_batches_threads_and_runs_give_the_same_bits():
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-9, 1e12, 1e60])
-def test_scale_does_not_matter(scale):
+def test_scale_invariance(scale):
     vertices, faces = spiky(2)
     points = np.random.default_rng(7).normal(size=(500, 3))
     plain = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
@@ -202,8 +202,8 @@ def test_queries_far_away_are_exact():
     np.testing.assert_array_equal(MeshIndex(mesh).query(away).distances, np.linalg.norm(away, axis=1) - 1)
 
 
-def test_equal_triangles_by_the_thousand():
-    # Boxes of one place cannot be told apart by any cut.
+def test_thousands_of_identical_triangles():
+    # No split separates boxes at one position.
     mesh = Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], np.tile([0, 1, 2], (50_000, 1)))
     matches = MeshIndex(mesh).query([(0.2, 0.2, 2.0), (-1, 0, 0)])
     np.testing.assert_array_equal(matches.distances, [2, 1])
@@ -219,7 +219,7 @@ def test_no_queries():
 
 @pytest.mark.parametrize("origin", [np.zeros(3), UTM], ids=["near", "far"])
 @pytest.mark.parametrize("seed", range(3))
-def test_signs_against_the_winding_number(seed, origin):
+def test_signs_agree_with_the_winding_number(seed, origin):
     vertices, faces = spiky(2, seed)
     rng = np.random.default_rng(seed)
     edges = vertices[faces[:, 0]] + 0.4 * (vertices[faces[:, 1]] - vertices[faces[:, 0]])
@@ -231,13 +231,13 @@ def test_signs_against_the_winding_number(seed, origin):
     inside = winding(points, vertices, faces) > 0.5
     mesh = Mesh(vertices + origin, faces)
     distances = MeshIndex(mesh).query(points + origin, signed=True).distances
-    far = np.abs(distances) > 1e-8  # the winding number is as good as its arctangents; coordinates are rounded at 1e-9
+    far = np.abs(distances) > 1e-8  # accuracy of the winding number's arctangents, and coordinates rounded at 1e-9
     np.testing.assert_array_equal(distances[far] < 0, inside[far])
     assert inside.mean() > 0.2 and far.mean() > 0.99
 
 
-def test_the_case_that_needs_weights_by_angle():
-    # The nearest point is a corner where one side is cut into many thin faces: unweighted normals would let them win.
+def test_pseudo_normals_need_angle_weights():
+    # The closest point is a corner with many thin faces on one side, which would dominate unweighted normals.
     fan = 60
     angles = np.linspace(0, np.pi / 2, fan)
     rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(fan)])
@@ -254,7 +254,7 @@ def test_the_case_that_needs_weights_by_angle():
     np.testing.assert_array_equal(MeshIndex(mesh).query(points, signed=True).distances < 0, inside)
 
 
-def test_inside_is_inside_whichever_way_faces_look():
+def test_signs_do_not_depend_on_face_orientation():
     vertices, faces = cube()
     points = [(0, 0, 0), (0, 0, 3), (0.9, 0.9, 0.9)]
     for turned in (faces, faces[:, ::-1]):
@@ -262,7 +262,7 @@ def test_inside_is_inside_whichever_way_faces_look():
         np.testing.assert_allclose(signed, [-1, 2, -0.1], rtol=1e-14)
 
 
-def test_faces_that_name_a_vertex_twice_change_nothing():
+def test_faces_with_a_repeated_vertex_are_ignored():
     vertices, faces = spiky(2)
     needles = faces[:40, [0, 0, 1]]
     mesh = Mesh(vertices, np.concatenate([needles, faces]))
@@ -302,7 +302,7 @@ def test_query_refusals():
         index.query([(0, 0, np.nan)])
 
 
-def test_kernel_checks_what_it_is_given():
+def test_kernel_validates_its_arguments():
     from pcbench.native import _core
 
     vertices, faces = cube()

@@ -1,4 +1,4 @@
-"""Rays through meshes: every triangle looked at in numpy, no cracks between faces, limits, and refusals."""
+"""Ray casting: a brute force in numpy, watertightness, limits, and refusals."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 
 
 @pytest.mark.parametrize("offset", [np.zeros(3), UTM], ids=["origin", "utm"])
-def test_rays_against_every_triangle(offset):
+def test_rays_equal_brute_force(offset):
     rng = np.random.default_rng(3)
     vertices, faces = rng.normal(size=(300, 3)), rng.integers(0, 300, (400, 3))
     faces = faces[(np.diff(np.sort(faces), axis=1) > 0).all(axis=1)]
@@ -24,13 +24,13 @@ def test_rays_against_every_triangle(offset):
     assert 50 < np.isfinite(expected).sum() < 400
     np.testing.assert_array_equal(np.isfinite(hits.distances), np.isfinite(expected))
     met = np.isfinite(expected)
-    # The oracle's 3x3 systems lose digits where triangles are slender or seen edge-on.
+    # The oracle's 3x3 systems lose digits for triangles that are slender or seen edge-on.
     np.testing.assert_allclose(hits.distances[met], expected[met], rtol=1e-6)
     assert (hits.faces[~met] == -1).all()
     assert (hits.faces[met] >= 0).all()
 
 
-def test_rays_meet_the_plane_of_their_face():
+def test_hits_lie_in_the_plane_of_their_face():
     rng = np.random.default_rng(4)
     vertices, faces = icosphere(3)
     index = MeshIndex(Mesh(vertices, faces))
@@ -42,8 +42,8 @@ def test_rays_meet_the_plane_of_their_face():
     np.testing.assert_array_equal(index.blocked(origins, directions), np.ones(2000, dtype=bool))
 
 
-def test_no_ray_slips_between_faces():
-    """Through vertices and points of edges of a closed mesh, from inside: the places where cracks would be."""
+def test_rays_are_watertight():
+    """Rays from inside a closed mesh through its vertices and edges, where gaps would be."""
     vertices, faces = icosphere(3)
     index = MeshIndex(Mesh(vertices, faces))
     rng = np.random.default_rng(5)
@@ -55,7 +55,7 @@ def test_no_ray_slips_between_faces():
             np.testing.assert_allclose(hits.distances, 1, rtol=1e-12)
 
 
-def test_rays_end_at_their_limit():
+def test_ray_limit():
     vertices, faces = cube()
     index = MeshIndex(Mesh(vertices, faces))
     low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
@@ -67,7 +67,7 @@ def test_rays_end_at_their_limit():
     assert not index.blocked(start, -up)[0]  # nothing behind the origin
 
 
-def test_rays_that_are_refused():
+def test_ray_refusals():
     index = MeshIndex(Mesh(*cube()))
     for origins, directions in (
         ([[0, 0, 0]], [[0, 0, 0]]),

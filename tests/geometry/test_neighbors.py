@@ -1,4 +1,4 @@
-"""The search against a brute force in numpy that shares no code with it: equal to the last bit, ties by index."""
+"""Nearest-neighbour search compared with an independent brute force in numpy: bit-identical, ties by index."""
 
 import subprocess
 import sys
@@ -17,14 +17,14 @@ from pcbench.geometry.neighbors import Index, match_both_ways, median_spacing
 
 
 def squared_distances(queries, points):
-    """(M, N), evaluated in the promised order; numpy never fuses a multiplication and an addition."""
+    """Squared distances (M, N) in the documented order of operations; numpy does not use fused multiply-adds."""
     x, y, z = (queries[:, None, a] - points[None, :, a] for a in range(3))
     return (x * x + y * y) + z * z
 
 
 def brute_nearest(queries, points, k=1):
     squared = squared_distances(queries, points)
-    order = np.argsort(squared, axis=1, kind="stable")[:, :k]  # stable: ties stay in the order of the index
+    order = np.argsort(squared, axis=1, kind="stable")[:, :k]  # a stable sort resolves ties by index
     distances = np.sqrt(np.take_along_axis(squared, order, axis=1))
     return (distances[:, 0], order[:, 0]) if k == 1 else (distances, order)
 
@@ -69,7 +69,7 @@ def test_k_nearest_equals_brute_force(shape, k):
     assert_matches(Index(points).query(queries, k), brute_nearest(queries, points, k))
 
 
-def test_all_points_are_neighbors_when_k_is_their_number(shape):
+def test_k_may_equal_the_number_of_points(shape):
     rng = np.random.default_rng(3)
     points = shape(rng, 77)
     assert_matches(Index(points).query(points, 77), brute_nearest(points, points, 77))
@@ -108,7 +108,7 @@ def test_a_hint_never_changes_the_result(shape):
 
 
 @pytest.mark.parametrize("n", [2, 8, 9, 65, 900])
-def test_nearest_other_leaves_out_the_point_itself(shape, n):
+def test_nearest_other_excludes_the_point_itself(shape, n):
     points = shape(np.random.default_rng(n), n)
     squared = squared_distances(points, points)
     np.fill_diagonal(squared, np.inf)
@@ -116,7 +116,7 @@ def test_nearest_other_leaves_out_the_point_itself(shape, n):
     assert_matches(Index(points).nearest_other(), (np.sqrt(squared[np.arange(n), indices]), indices))
 
 
-def test_both_ways_equal_two_queries(shape):
+def test_matching_in_both_directions_equals_two_queries(shape):
     rng = np.random.default_rng(5)
     reference, candidate = shape(rng, 1100), shape(rng, 333)
     to_reference, to_candidate = match_both_ways(Index(reference), Index(candidate))
@@ -143,11 +143,11 @@ def test_tied_equals_brute_force(shape, fraction):
     index, source = Index(points), Index(queries)
     matches, tied = index.nearest_of_with_ties(source, slack)
     np.testing.assert_array_equal(tied, others.any(axis=1))
-    for found, expected in zip(matches, index.nearest_of(source), strict=True):
+    for found, expected in zip(matches, index.query_index(source), strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
-def test_tied_is_strict_to_the_last_bit(shape):
+def test_tie_slack_is_exact(shape):
     rng = np.random.default_rng(16)
     points = shape(rng, 500)
     queries = near_and_far_queries(rng, points, 60)
@@ -159,8 +159,8 @@ def test_tied_is_strict_to_the_last_bit(shape):
         assert index.nearest_of_with_ties(source, np.nextafter(slack, np.inf))[1].all()
 
 
-def test_ties_of_many_duplicates_are_no_more_work_than_matches():
-    """Points at one place, or all within the slack: one tie is enough, the others are not looked at."""
+def test_ties_of_many_duplicates_cost_no_more_than_matches():
+    """Points at one position, or all within the slack: the search stops after one tie."""
     for points in (np.zeros((40_000, 3)), 3e-5 * np.random.default_rng(18).random((40_000, 3))):
         matches, tied = Index(points).nearest_of_with_ties(Index(points.copy()), 1e-8)
         assert tied.all()
@@ -186,7 +186,7 @@ def test_radius_equals_brute_force(shape, fraction):
     found = Index(points).query_radius(queries, radius)
     np.testing.assert_array_equal(found.counts, inside.sum(axis=1))
     np.testing.assert_array_equal(found.indices, np.nonzero(inside)[1])
-    np.testing.assert_array_equal(found.of(3), np.nonzero(inside[3])[0])
+    np.testing.assert_array_equal(found.neighbors_of(3), np.nonzero(inside[3])[0])
 
 
 @pytest.mark.parametrize("radius, half_length", [(0.0, 0.2), (0.02, 0.5), (0.2, 0.01), (0.3, 0.0), (2.0, 2.0)])
@@ -210,7 +210,7 @@ def test_cylinder_equals_brute_force(shape, radius, half_length):
 
 
 def neighborhood_eigen(points, k):
-    """Eigenvalues (N, 3) ascending and eigenvectors of the covariance of each point's k nearest, by LAPACK."""
+    """Ascending eigenvalues (N, 3) and eigenvectors of the covariance of each point's k nearest points, from LAPACK."""
     near = points[brute_nearest(points, points, k)[1]] - points[:, None]
     near -= near.mean(axis=1, keepdims=True)
     return np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
@@ -234,7 +234,7 @@ def test_local_planes_equal_lapack(shape, k):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-9, 1e-6])
-def test_normals_of_nearly_flat_neighborhoods_keep_their_digits(noise):
+def test_normals_of_nearly_flat_neighborhoods_are_accurate(noise):
     rng = np.random.default_rng(13)
     points = oblique_plane(rng, 2000) + rng.normal(0, noise, (2000, 3)) + np.array([5e5, 4.8e6, 100.0]) * (noise > 1e-9)
     values, vectors = neighborhood_eigen(points, 12)
@@ -243,7 +243,7 @@ def test_normals_of_nearly_flat_neighborhoods_keep_their_digits(noise):
 
 
 @pytest.mark.parametrize("k, count", [(3, 1), (9, 250), (9, 900), (40, 60), (300, 17)])
-def test_local_planes_of_some_rows_are_those_of_all_to_the_last_bit(shape, k, count):
+def test_local_planes_of_selected_rows_are_bit_identical(shape, k, count):
     rng = np.random.default_rng(14)
     index = Index(shape(rng, 900))
     every = index.local_planes(k)
@@ -254,7 +254,7 @@ def test_local_planes_of_some_rows_are_those_of_all_to_the_last_bit(shape, k, co
     assert index.local_planes(k, np.empty(0, np.int64)).normals.shape == (0, 3)
 
 
-def test_no_queries_give_empty_answers():
+def test_empty_queries_give_empty_results():
     index, none = Index(np.zeros((3, 3))), np.empty((0, 3))
     assert index.query(none).distances.shape == (0,)
     assert index.query(none, 2).indices.shape == (0, 2)
@@ -262,7 +262,7 @@ def test_no_queries_give_empty_answers():
     assert index.query_cylinder(none, none, 1.0, 1.0).offsets.tolist() == [0]
 
 
-def test_points_are_kept_by_reference_and_read_only():
+def test_points_are_not_copied_and_read_only():
     points = uniform(np.random.default_rng(9), 10)
     index = Index(points)
     assert np.shares_memory(index.points, points) and not index.points.flags.writeable and points.flags.writeable
@@ -270,7 +270,7 @@ def test_points_are_kept_by_reference_and_read_only():
     assert len(Index(points[::2])) == 5
 
 
-def test_memory_is_at_most_40_bytes_a_point():
+def test_memory_is_at_most_40_bytes_per_point():
     assert Index(uniform(np.random.default_rng(10), 500_000)).nbytes <= 40 * 500_000
 
 
@@ -308,7 +308,7 @@ def test_refusals(make):
         make()
 
 
-def test_nearest_of_moved_is_a_query_with_moved_points(shape):
+def test_nearest_of_moved_equals_a_query_with_moved_points(shape):
     rng = np.random.default_rng(31)
     index, queries = Index(shape(rng, 700)), shape(rng, 333)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
@@ -324,18 +324,18 @@ def test_nearest_of_moved_is_a_query_with_moved_points(shape):
         index.nearest_of_moved(source, np.hstack([turn, np.full((3, 1), 1e200)]))
 
 
-def test_importing_the_room_costs_no_scipy():
+def test_import_does_not_load_scipy():
     script = "import sys, pcbench.geometry.neighbors; print('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout == "False\n"
 
 
-def test_spacing_is_the_median_distance_to_another_place():
+def test_spacing_ignores_duplicates():
     rng = np.random.default_rng(4)
     points = rng.random((3000, 3))
     index = Index(points)
     nearest = oracles.leave_one_out(points)
     assert median_spacing(index) == median_spacing(index, index.nearest_other()) == np.median(nearest)
-    # Every third point is there twice, or all are there seven times: the places are the same, and so are distances.
+    # Every third point is duplicated, or all points occur seven times: positions and distances are the same.
     some = Index(np.concatenate([points, points[::3]]))
     expected = np.median(np.concatenate([nearest, nearest[::3]]))
     assert median_spacing(some) == median_spacing(some, some.nearest_other()) == expected
@@ -347,7 +347,7 @@ def test_spacing_is_the_median_distance_to_another_place():
     assert median_spacing(alone, alone.nearest_other()) == 0
 
 
-def test_spacing_of_a_sample_is_near_that_of_all_points():
+def test_sampled_spacing_agrees_with_that_of_all_points():
     index = Index(np.random.default_rng(5).random((100_000, 3)))
-    # The median of 20,000 distances that spread by 0.4 of it: 0.4 * 1.25 / sqrt(20,000) = 0.4 %, three times over.
+    # Median of 20,000 distances with a relative spread of 0.4: three standard errors of 0.4 * 1.25 / sqrt(20,000).
     assert median_spacing(index) == pytest.approx(median_spacing(index, index.nearest_other()), rel=0.012)

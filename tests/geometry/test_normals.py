@@ -1,4 +1,4 @@
-"""Normals: surfaces whose normals are known, and numpy's eigenvectors."""
+"""Normals: surfaces with known normals, and comparison with numpy's eigenvectors."""
 
 import numpy as np
 import oracles
@@ -11,7 +11,7 @@ from pcbench.geometry.normals import Surface, estimate_normals, orient_towards
 
 
 def angles_deg(a, b):
-    """Between lines, signs ignored."""
+    """Angles between lines in degrees, ignoring signs."""
     sine = np.linalg.norm(np.cross(a, b), axis=1)
     return np.degrees(np.arctan2(sine, np.abs((a * b).sum(axis=1))))
 
@@ -31,7 +31,7 @@ def test_exact_on_a_tilted_plane_even_at_utm():
 def test_sphere_within_its_curvature():
     points, normals = shapes.fibonacci_sphere(4000)
     found = estimate_normals(Index(points), 12)
-    # Half a spacing (sqrt(4 pi / 4000) rad): so far may the centre of twelve neighbours lie from the point.
+    # Half a spacing (sqrt(4 pi / 4000) rad), the largest offset of the centre of twelve neighbours from the point.
     assert angles_deg(found.directions, normals).max() < 1.6
 
 
@@ -49,7 +49,7 @@ def test_against_numpy_eigenvectors():
 
 def test_signs():
     grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
-    for axis in range(3):  # z, y or x up, whichever is the first that a plane's normal has
+    for axis in range(3):  # upwards in z, or in y if z is 0, or in x
         flat = np.insert(grid, axis, 0.0, axis=1)
         np.testing.assert_array_equal(estimate_normals(Index(flat), 5).directions, np.tile(np.eye(3)[axis], (16, 1)))
     assert (estimate_normals(Index(shapes.sphere(50)[0]), 5).directions[:, 2] >= 0).all()
@@ -58,7 +58,7 @@ def test_signs():
     np.testing.assert_allclose(orient_towards(normals, points, np.zeros(3)), -normals)
 
 
-def test_surface_keeps_given_normals_and_estimates_the_missing():
+def test_surface_uses_given_normals_and_estimates_missing_ones():
     points = shapes.plane_grid(10)
     given = np.tile([0, 3.0, 4.0], (100, 1))
     given[7] = 0
@@ -67,7 +67,7 @@ def test_surface_keeps_given_normals_and_estimates_the_missing():
 
 
 @pytest.mark.parametrize("given", [False, True])
-def test_rows_that_were_never_computed_are_no_normals(given):
+def test_uncomputed_rows_are_nan(given):
     points = shapes.plane_grid(10)
     normals = np.zeros((100, 3)) if given else None
     surface = Surface(Index(points), given=normals)

@@ -1,4 +1,4 @@
-"""Poisson reconstruction: a sphere comes back, its open half stays open, and what is refused."""
+"""Poisson reconstruction: a sphere is recovered, its open half stays open, and each refusal."""
 
 import numpy as np
 import pytest
@@ -41,14 +41,14 @@ def test_an_open_surface_ends_where_its_points_end():
     points, normals = fibonacci_sphere(6000, 10.0)
     half = points[:, 2] > 0
     mesh = poisson_mesh(oriented(points[half], normals[half]))
-    spacing = 20 / np.sqrt(6000) * np.sqrt(np.pi)  # side of a point's share of the sphere
+    spacing = 20 / np.sqrt(6000) * np.sqrt(np.pi)  # side of the area per point
     assert not mesh.is_closed
     assert mesh.vertices[:, 2].min() > -4 * spacing
     assert MeshIndex(mesh).query(points[half]).distances.max() < spacing
 
 
 @pytest.mark.usefixtures("library")
-def test_two_runs_give_the_same_bits():
+def test_reconstruction_is_reproducible():
     points, normals = fibonacci_sphere(3000)
     first, second = (poisson_mesh(oriented(points, normals), depth=6) for _ in range(2))
     np.testing.assert_array_equal(first.vertices, second.vertices)
@@ -75,7 +75,7 @@ def test_without_a_library(monkeypatch, tmp_path):
             call(cloud)
 
 
-def test_pymeshlab_takes_the_place_of_an_open3d_that_does_not_load(monkeypatch, tmp_path):
+def test_pymeshlab_is_used_if_open3d_does_not_load(monkeypatch, tmp_path):
     import_or_skip("pymeshlab")
     break_library(monkeypatch, tmp_path, "open3d")
     points, normals = fibonacci_sphere(4000, 10.0)
@@ -85,7 +85,7 @@ def test_pymeshlab_takes_the_place_of_an_open3d_that_does_not_load(monkeypatch, 
         poisson.oriented(oriented(points, normals))
 
 
-def test_signs_agree_over_a_sphere():
+def test_orientation_is_consistent_over_a_sphere():
     import_or_skip("open3d")
     points, normals = fibonacci_sphere(5000)
     signs = np.random.default_rng(0).choice([-1.0, 1.0], len(points))

@@ -1,4 +1,4 @@
-"""Polygons from files: formats that agree, and every refusal."""
+"""Polygon files: agreement between formats, and every refusal."""
 
 import json
 from dataclasses import replace
@@ -16,7 +16,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.polygon_files import read_polygon
 from pcbench.geometry.regions import Polygon, Union
 
-unhurried = settings(deadline=None)  # a busy machine is no failure
+no_deadline = settings(deadline=None)  # must not fail on a busy machine
 CLOUD = Cloud(np.random.default_rng(0).normal(size=(500, 3)))
 
 
@@ -94,7 +94,7 @@ def test_autzen_selection():
     region = parse_region(f"polygon:{data_folder('autzen') / 'autzen-selection.json'}", CLOUD)
     rings = [[636758.0, 850667.0], [637000.0, 851000.0], [636539.2, 851056.6], [636540.0, 850500.0]]
     inside = region.contains(np.column_stack([rings, np.zeros(4)]))
-    # A corner moved outwards, the middle, a corner moved outwards, and the box's empty corner.
+    # Two corners moved outwards, the middle, and the empty corner of the bounding box.
     assert inside.tolist() == [False, True, True, False]
     assert len(region.rings[0]) == 18
 
@@ -111,7 +111,7 @@ def test_the_text_of_a_polygon_is_its_file(tmp_path):
     (tmp_path / "p.wkt").write_text("POLYGON((0 0,4 0,4 4))")
     region = read_polygon(tmp_path / "p.wkt")
     assert region.text == f"polygon:{tmp_path / 'p.wkt'}"
-    # What is made of it is not what the file says.
+    # A modified copy no longer refers to the file.
     said(replace(region, lower=1).text, masked=False)
     said(region.shifted(np.ones(3)).text, masked=False)
 
@@ -199,9 +199,9 @@ json_like = st.recursive(
 )
 
 
-@unhurried
+@no_deadline
 @given(st.binary(max_size=60) | json_like.map(lambda value: json.dumps(value).encode()))
-def test_any_file_is_a_region_or_one_line(tmp_path_factory, content):
+def test_any_file_gives_a_region_or_a_one_line_error(tmp_path_factory, content):
     path = tmp_path_factory.getbasetemp() / "any"
     path.write_bytes(content)
     try:

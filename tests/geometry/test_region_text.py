@@ -1,4 +1,4 @@
-"""Regions as they are written on a command line, and clouds cut to them."""
+"""Regions as text on the command line, and clouds cropped to them."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from pcbench import Box, Cloud, Polygon, Sphere, crop, parse_region
 from pcbench.errors import InputError
 from pcbench.geometry.region_text import as_region
 
-unhurried = settings(deadline=None)  # a busy machine is no failure
+no_deadline = settings(deadline=None)  # must not fail on a busy machine
 CLOUD = Cloud(np.random.default_rng(0).normal(size=(500, 3)))
 
 
@@ -20,13 +20,13 @@ def test_boxes_and_spheres():
     assert parse_region(" Sphere: 1, 2, 3, 2.5 ", CLOUD).text == "sphere:1,2,3,2.5"
 
 
-def test_words_that_speak_of_the_cloud():
+def test_regions_relative_to_the_reference():
     assert parse_region("none", CLOUD) is None
     assert parse_region("REFERENCE", CLOUD).text == Box.around(CLOUD).text
     assert parse_region("quantile:0.9", CLOUD).text == Sphere.around(CLOUD, 0.9).text
 
 
-def test_objects_and_texts_are_regions():
+def test_as_region_accepts_objects_and_texts():
     box = Box([0, 0, 0], [1, 1, 1])
     assert as_region(box, CLOUD) is box
     assert as_region("box:0,0,0,1,1,1", CLOUD).text == box.text
@@ -35,11 +35,11 @@ def test_objects_and_texts_are_regions():
             as_region(wrong, CLOUD)
 
 
-# Clouds cut to a region
+# Clouds cropped to a region
 
 
 @pytest.mark.parametrize("region", ["sphere:0,0,0,1", Sphere([0, 0, 0], 1)], ids=["text", "object"])
-def test_a_crop_keeps_what_belongs_to_the_points(region):
+def test_a_crop_applies_to_all_fields(region):
     cloud = Cloud(CLOUD.points, normals=-CLOUD.points, attributes={"row": np.arange(500)}, unit="m")
     inside = np.flatnonzero((CLOUD.points**2).sum(axis=1) <= 1)
     found = crop(cloud, region)
@@ -50,7 +50,7 @@ def test_a_crop_keeps_what_belongs_to_the_points(region):
     np.testing.assert_array_equal(crop(CLOUD.points, region).points, found.points)
 
 
-def test_a_crop_to_the_whole_is_the_cloud():
+def test_a_crop_that_contains_all_points_returns_the_cloud():
     assert crop(CLOUD, "none") is CLOUD
     np.testing.assert_array_equal(crop(CLOUD, "reference").points, CLOUD.points)
     assert len(crop(CLOUD, "quantile:0.5")) == 250
@@ -66,7 +66,7 @@ def test_a_crop_to_the_whole_is_the_cloud():
         7,
     ],
 )
-def test_a_crop_that_leaves_nothing_is_refused(region):
+def test_an_empty_crop_is_refused(region):
     with refused():
         pcbench.crop(CLOUD, region)
 
@@ -108,14 +108,14 @@ def test_refused_texts(text):
         parse_region(text, CLOUD)
 
 
-def test_refused_quantile_of_one_place():
+def test_refused_quantile_of_coincident_points():
     with refused():
         parse_region("quantile:0.5", Cloud(np.vstack([np.zeros((9, 3)), np.ones((1, 3))])))
 
 
-@unhurried
+@no_deadline
 @given(st.text(max_size=30) | st.from_regex(r"(box|sphere|quantile|polygon):[-0-9.,e ]{0,30}", fullmatch=True))
-def test_any_text_is_a_region_or_one_line(text):
+def test_any_text_gives_a_region_or_a_one_line_error(text):
     try:
         region = parse_region(text, CLOUD)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Regions: known answers, an independent point-in-polygon, far coordinates, and what they are in words."""
+"""Regions: known answers, an independent point-in-polygon test, far coordinates, and their text."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def test_border_and_vertices_are_inside(ring):
     assert Polygon((ring, HOLE)).contains(points(*hole)).all()
 
 
-def test_level_with_vertices():
+def test_points_level_with_vertices():
     # A diamond: the ray from a point at the height of its left and right tips runs through a vertex.
     diamond = Polygon(([[0, -1], [1, 0], [0, 1], [-1, 0]],))
     rows = [[0, 0, 0], [-2, 0, 0], [2, 0, 0], [-1, 1, 0], [-1, -1, 0], [0.5, 0.5, 0], [0.51, 0.5, 0]]
@@ -81,7 +81,7 @@ def test_overlapping_polygons_are_united():
     said(Union((region,) * 4), masked=False)
 
 
-def test_a_box_around_holds_all():
+def test_bounding_box_contains_all_points():
     box = Box.around(CLOUD)
     assert box.contains(CLOUD.points).all()
     assert not box.contains(CLOUD.points + np.ptp(CLOUD.points, axis=0) * 1.01).any()
@@ -89,7 +89,7 @@ def test_a_box_around_holds_all():
 
 
 @pytest.mark.parametrize("quantile", [0.25, 0.99, 1])
-def test_quantile_holds_its_share(quantile):
+def test_quantile_sphere_contains_its_share(quantile):
     for offset in (0, UTM):
         cloud = Cloud(CLOUD.points + offset)
         region = Sphere.around(cloud, quantile)
@@ -97,10 +97,10 @@ def test_quantile_holds_its_share(quantile):
         assert region.shifted(UTM).contains(cloud.points - UTM).mean() == pytest.approx(quantile, abs=1 / len(cloud))
 
 
-def test_quantile_centre_ignores_stragglers():
-    stray = np.vstack([CLOUD.points, np.full((20, 3), 1e6)])
-    assert np.linalg.norm(Sphere.around(stray, 0.9).center) < 0.3  # median of 500 standard normals +- 0.06 each
-    assert Sphere.around(stray, 0.9).radius < 5
+def test_quantile_centre_is_robust_to_outliers():
+    outliers = np.vstack([CLOUD.points, np.full((20, 3), 1e6)])
+    assert np.linalg.norm(Sphere.around(outliers, 0.9).center) < 0.3  # median of 500 standard normals +- 0.06 each
+    assert Sphere.around(outliers, 0.9).radius < 5
 
 
 def test_a_region_does_not_change_with_the_callers_array():
@@ -112,7 +112,7 @@ def test_a_region_does_not_change_with_the_callers_array():
     assert polygon.rings[0].min() == 0
 
 
-# In words
+# Text form
 
 
 @pytest.mark.parametrize(
@@ -125,9 +125,9 @@ def test_a_region_does_not_change_with_the_callers_array():
     ],
     ids=["box", "far box", "sphere", "quantile"],
 )
-def test_the_text_says_the_same_region(region, text, short):
+def test_text_round_trip(region, text, short):
     again = parse_region(region.text, CLOUD)
-    # Every float64 has a shortest decimal that reads as itself: the bits are the same.
+    # Every float64 has a shortest decimal that reads back exactly.
     assert again.text == region.text
     assert repr(again) == repr(region)
     if text is not None:
@@ -143,7 +143,7 @@ def test_a_polygon_without_a_file_is_described():
     assert replace(polygon, upper=3).upper == 3
 
 
-def test_what_has_the_same_methods_is_a_region():
+def test_other_classes_with_the_same_methods_are_regions():
     assert all(isinstance(region, Region) for region in (Box.around(CLOUD), Union(())))
     assert not isinstance("box:0,0,0,1,1,1", Region)
 
@@ -152,7 +152,7 @@ def test_what_has_the_same_methods_is_a_region():
 
 
 def slow_inside(point, rings):
-    """The angle that each ring turns about the point, summed edge by edge: odd number of turns in all is inside."""
+    """Winding angle of the rings about the point, summed over edges: an odd number of turns is inside."""
     turns = 0
     for ring in rings:
         d = np.asarray(ring, dtype=float) - point
@@ -171,9 +171,9 @@ def star(generator, vertices, low, high, centre):
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("offset", [(0, 0), UTM[:2]])
-def test_against_winding_numbers(seed, offset):
+def test_polygons_agree_with_winding_numbers(seed, offset):
     generator = np.random.default_rng(seed)
-    # Enough vertices that no gap between directions exceeds half a turn: holes stay within, parts apart.
+    # Enough vertices that no gap between directions exceeds half a turn: holes stay inside, parts stay separate.
     outer, hole, island = (star(generator, 25, *radii, offset) for radii in ((0.6, 1), (0.3, 0.4), (0.1, 0.2)))
     rings = (outer, hole[::-1], island, star(generator, 12, 0.2, 0.5, np.add(offset, [2.0, 0.3])))
     xy = generator.uniform(-1.1, 2.6, (400, 2)) + offset
@@ -183,11 +183,11 @@ def test_against_winding_numbers(seed, offset):
     assert got.tolist() == expected
 
 
-def test_chunks_do_not_show(monkeypatch):
+def test_chunk_size_does_not_matter(monkeypatch):
     generator = np.random.default_rng(5)
     ring, xyz = star(generator, 30, 0.3, 1, (0, 0)), generator.uniform(-1, 1, (1000, 3))
     whole = Polygon((ring,)).contains(xyz)
-    monkeypatch.setattr("pcbench.geometry.regions._MAX_CHUNK", 7)
+    monkeypatch.setattr("pcbench.geometry.regions._CHUNK_POINTS", 7)
     assert (Polygon((ring,)).contains(xyz) == whole).all()
 
 
@@ -201,18 +201,18 @@ def test_chunks_do_not_show(monkeypatch):
     ],
     ids=lambda region: type(region).__name__,
 )
-def test_shift_is_invisible(region):
+def test_shifted_regions_contain_the_same_points(region):
     xyz = np.random.default_rng(2).uniform(-0.2, 1.2, (5000, 3))
     expected = region.contains(xyz)
     assert 0 < expected.sum() < 5000
     far = region.shifted(-UTM)
-    # Coordinates at 5.6e6 round to 1e-9; none of the 5000 points lies that near to a border.
+    # Coordinates at 5.6e6 round to 1e-9; none of the 5000 points lies that close to a border.
     assert (far.contains(xyz + UTM) == expected).all()
     assert (far.shifted(UTM).contains(xyz) == expected).all()
     assert (region.contains(xyz) == expected).all()
 
 
-def test_nothing_in_nothing():
+def test_no_points():
     for region in (Box([0, 0, 0], [1, 1, 1]), Sphere([0, 0, 0], 1), Polygon((SQUARE,)), Union(())):
         assert region.contains(np.empty((0, 3))).shape == (0,)
         assert not region.contains(points([50, 50, 50])).any()

@@ -1,4 +1,4 @@
-"""Which Gaussian splats count as points, from files as training writes them."""
+"""Splat models: attributes, filters by opacity and size, and refusals."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from pcbench.geometry.splats import splat_model
 
 
 @pytest.mark.parametrize(("dimensions", "degree"), [(3, 3), (3, 0), (2, 3), (3, 1)])
-def test_a_model_is_known_by_its_attributes(tmp_path, dimensions, degree):
+def test_models_are_recognised_by_their_attributes(tmp_path, dimensions, degree):
     write_cloud(tmp_path / "a.ply", splat_models.some(5, dimensions, degree))
     model = splat_model(read_cloud(tmp_path / "a.ply"))
     assert (model.dimensions, model.sh_degree) == (dimensions, degree)
@@ -19,17 +19,17 @@ def test_a_model_is_known_by_its_attributes(tmp_path, dimensions, degree):
     np.testing.assert_allclose(model.largest_axes, 0.01 * dimensions * np.arange(1, 6), rtol=1e-6)
 
 
-def test_opacities_that_are_no_logits_are_taken_as_they_are():
+def test_opacities_from_0_to_1_are_not_logits():
     cloud = splat_models.some()
     plain = Cloud(cloud.points, attributes={**cloud.attributes, "opacity": np.linspace(0, 1, 5)})
     np.testing.assert_array_equal(splat_model(plain).opacities, np.linspace(0, 1, 5))
 
 
-def test_other_clouds_are_no_models(tmp_path):
+def test_other_clouds_are_not_models(tmp_path):
     assert splat_model(Cloud(np.zeros((2, 3)), attributes={"opacity": np.zeros(2)})) is None
 
 
-def test_files_are_filtered_as_they_are_read(tmp_path):
+def test_filters_on_reading(tmp_path):
     file = tmp_path / "a.ply"
     whole = splat_models.some()
     write_cloud(file, whole)
@@ -57,7 +57,7 @@ def test_refusals(tmp_path):
             read_cloud(path, **options)
 
 
-def test_a_comparison_leaves_faint_and_long_splats_out(tmp_path):
+def test_a_comparison_filters_low_opacity_and_large_splats(tmp_path):
     rng = np.random.default_rng(0)
     plane = np.column_stack([rng.uniform(-1, 1, (900, 2)), np.zeros(900)])
     mist = rng.uniform(-1, 1, (300, 3))

@@ -1,4 +1,4 @@
-"""Transforms: known answers, group laws, fits that recover what was applied, files that round trip, refusals."""
+"""Transforms: known answers, group laws, recovery by fits, file round trips, and refusals."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from wording import refused
 
 from pcbench.geometry.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
 
-unhurried = settings(deadline=None)  # a busy machine is no failure
+no_deadline = settings(deadline=None)  # must not fail on a busy machine
 QUARTER_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
 coordinates = st.tuples(*[st.floats(-100, 100)] * 3).map(np.array)
@@ -29,7 +29,7 @@ def close(got, expected, size=1.0):
 # Known answers
 
 
-def test_similarity_turns_scales_then_shifts():
+def test_similarity_rotates_scales_then_translates():
     transform = Similarity(QUARTER_TURN, [10, 20, 30], 2)
     assert transform.apply(np.array([[1.0, 2, 3]])).tolist() == [[6, 22, 36]]
     assert transform.apply_normals(np.array([[1.0, 0, 0]])).tolist() == [[0, 1, 0]]
@@ -37,26 +37,26 @@ def test_similarity_turns_scales_then_shifts():
     assert transform.linear.tolist() == [[0, -2, 0], [2, 0, 0], [0, 0, 2]]
 
 
-def test_identity_changes_no_bit():
+def test_identity_is_exact():
     assert (Similarity.identity().apply(PROBES) == PROBES).all()
     assert (Similarity.identity().matrix == np.eye(4)).all()
 
 
-@unhurried
+@no_deadline
 @given(axes, st.floats(1e-9, 180), coordinates, st.floats(0.01, 100))
-@example(np.array([1.0, 2.0, -3.0]), 180.0, np.ones(3), 1.0)  # a half turn: the trace says nothing of the axis
-@example(np.array([0.0, 0.0, 1.0]), 1e-9, np.ones(3), 1.0)  # and so little that the cosine is 1
-def test_a_motion_is_what_it_was_made_of(axis, angle, place, scale):
-    transform = Similarity(shapes.rotation(axis, angle), [4, 5, 6], scale).about(place)
-    motion = transform.motion_at(place)
+@example(np.array([1.0, 2.0, -3.0]), 180.0, np.ones(3), 1.0)  # a half turn: the trace does not determine the axis
+@example(np.array([0.0, 0.0, 1.0]), 1e-9, np.ones(3), 1.0)  # an angle whose cosine rounds to 1
+def test_motion_recovers_axis_angle_and_scale(axis, angle, position, scale):
+    transform = Similarity(shapes.rotation(axis, angle), [4, 5, 6], scale).about(position)
+    motion = transform.motion_at(position)
     close(motion.shift, [4, 5, 6], size=1e4)
     assert motion.angle_deg == pytest.approx(angle, rel=1e-6, abs=1e-12)
     assert motion.scale == scale
-    sign = np.sign(motion.axis @ axis) if angle > 180 - 1e-6 else 1  # a half turn is the same about either end
+    sign = np.sign(motion.axis @ axis) if angle > 180 - 1e-6 else 1  # a half turn has two opposite axes
     close(motion.axis, sign * axis / np.linalg.norm(axis), size=1e7 if angle < 1e-3 else 1e3)
 
 
-def test_what_does_not_turn_has_no_axis():
+def test_no_rotation_has_no_axis():
     motion = Similarity(np.eye(3), [1, 0, 0]).motion_at([5e6, 0, 0])
     assert (motion.shift.tolist(), motion.angle_deg, motion.axis, motion.scale) == ([1, 0, 0], 0, None, 1)
 
@@ -78,10 +78,10 @@ def test_affine_normals_stay_perpendicular_and_keep_their_length():
         np.abs((moved * (along @ transform.linear.T)).sum(axis=1)).max() < 1e-12 * np.abs(transform.linear).max() * 100
     )
     close(np.linalg.norm(moved, axis=1), np.linalg.norm(normals, axis=1), 10)
-    assert transform.apply_normals(np.zeros((1, 3))).tolist() == [[0, 0, 0]]  # no direction stays none
+    assert transform.apply_normals(np.zeros((1, 3))).tolist() == [[0, 0, 0]]  # zero vectors stay zero
 
 
-def test_composition_applies_the_right_one_first():
+def test_composition_applies_the_right_operand_first():
     turn, shift = Similarity(QUARTER_TURN, np.zeros(3)), Similarity(np.eye(3), [1, 0, 0])
     point = np.array([[1.0, 0, 0]])
     assert (turn @ shift).apply(point).tolist() == [[0, 2, 0]]
@@ -94,43 +94,43 @@ def test_composition_applies_the_right_one_first():
 # Properties
 
 
-@unhurried
+@no_deadline
 @given(similarities)
 def test_inverse(transform):
     for identity in (transform @ transform.inverse(), transform.inverse() @ transform):
         close(identity.rotation, np.eye(3))
         assert identity.scale == pytest.approx(1, rel=1e-15)
-    # The translation passes through the scale (up to 100) and back.
+    # The translation is multiplied and divided by the scale (up to 100).
     close(transform.inverse().apply(transform.apply(PROBES)), PROBES, 1e4)
 
 
-@unhurried
+@no_deadline
 @given(similarities, similarities)
 def test_composition(first, second):
     close((first @ second).apply(PROBES), first.apply(second.apply(PROBES)), 1e6)
     close((first @ second).matrix, first.matrix @ second.matrix, 1e6)
 
 
-def test_long_products_stay_rotations():
+def test_long_products_remain_rotations():
     step = Similarity(shapes.rotation([1, 2, 3], 1.0), [0.1, 0, 0])
     product = step
     for _ in range(3599):
         product = step @ product
     close(product.rotation @ product.rotation.T, np.eye(3))
-    close(product.rotation, np.eye(3), 1e3)  # 3600 turns of one degree, each good to 1e-16
+    close(product.rotation, np.eye(3), 1e3)  # 3600 rotations of one degree, each with an error of 1e-16
 
 
-@unhurried
+@no_deadline
 @given(similarities)
-def test_about_is_shifting(transform):
-    # Found between clouds from which the origin was subtracted, used on clouds that still carry it.
+def test_about_restores_the_origin(transform):
+    # Fitted to clouds after subtracting the origin, applied to the original clouds.
     full = transform.about(UTM).apply(PROBES + UTM)
     close(full, transform.apply(PROBES) + UTM, np.abs(UTM).max() * (1 + transform.scale))
 
 
-@unhurried
+@no_deadline
 @given(similarities)
-def test_similarity_is_its_matrix(transform):
+def test_matrix_round_trip(transform):
     again = Similarity.from_matrix(transform.matrix)
     assert again.scale == pytest.approx(transform.scale, rel=1e-14)
     close(again.rotation, transform.rotation)
@@ -143,18 +143,18 @@ def test_similarity_is_its_matrix(transform):
 # Recovery
 
 
-@unhurried
+@no_deadline
 @given(similarities, st.integers(3, 30), st.integers(0, 2**32 - 1))
 def test_fit_similarity_recovers(transform, count, seed):
     candidate = np.random.default_rng(seed).normal(size=(count, 3))
     fitted = fit_similarity(candidate, transform.apply(candidate))
-    # Three random points may lie nearly on a line: what is asked for is the fit, not the parameters.
+    # Three random points may be nearly collinear, so the fit is tested and not its parameters.
     np.testing.assert_allclose(fitted.apply(candidate), transform.apply(candidate), atol=1e-9 * transform.scale + 1e-11)
 
 
 @pytest.mark.parametrize("count", [3, 4, 50])
 def test_fit_similarity_of_planar_sets(count):
-    """200 exact planar motions: where the reflection trap springs, and where a stale translation shows."""
+    """Fit 200 exact planar motions, which need the reflection correction and the translation after it."""
     generator = np.random.default_rng(count)
     traps = 0
     for _ in range(200):
@@ -173,22 +173,22 @@ def test_fit_similarity_of_planar_sets(count):
             assert np.linalg.det(fitted.rotation) == pytest.approx(1, abs=1e-12)
             assert fitted.scale == pytest.approx(1, abs=1e-12)
             np.testing.assert_allclose(fitted.apply(candidate), reference, atol=1e-11)
-            # A triangle may be thin; then its plane's tilt is known less well.
+            # The tilt of a thin triangle's plane is less well determined.
             np.testing.assert_allclose(fitted.rotation, truth.rotation, atol=1e-9)
             np.testing.assert_allclose(fitted.translation, truth.translation, atol=1e-7)
-    assert traps > 20  # the fix was needed
+    assert traps > 20  # the reflection correction was needed
 
 
 def test_fit_of_a_mirror_image_is_a_rotation():
     corners = np.stack(np.meshgrid([-3, 3], [-2, 2], [-1, 1]), axis=-1).reshape(-1, 3).astype(float)
     fitted = fit_similarity(corners, corners * [1, 1, -1])
-    # The flattest axis is given up: any turn that mends it costs more along the others.
+    # The flattest axis is sacrificed: any rotation that fits it costs more along the others.
     close(fitted.rotation, np.eye(3))
     # Umeyama's scale: (9 + 4 - 1) / (9 + 4 + 1).
     assert fitted.scale == pytest.approx(12 / 14)
 
 
-def test_fit_with_scale_and_without():
+def test_fit_with_and_without_scale():
     candidate, _, _ = shapes.city(500, seed=1)
     truth = Similarity(shapes.rotation([1, 1, 0], 20), [1, 2, 3], 1.03)
     assert fit_similarity(candidate, truth.apply(candidate)).scale == pytest.approx(1.03, rel=1e-13)
@@ -222,7 +222,7 @@ def test_fit_is_the_least_squares_optimum():
         assert cost(nudged) > cost(best)
 
 
-def test_weights_are_repetitions():
+def test_weights_equal_repetitions():
     generator = np.random.default_rng(5)
     candidate, reference = generator.normal(size=(2, 10, 3))
     repeats = generator.integers(0, 4, 10)
@@ -250,9 +250,9 @@ def test_affine_inverse_of_strong_stretching():
 # Files
 
 
-@unhurried
+@no_deadline
 @given(rigid_motions)
-def test_rigid_files_round_trip_bit_by_bit(tmp_path_factory, transform):
+def test_rigid_files_round_trip_exactly(tmp_path_factory, transform):
     path = tmp_path_factory.getbasetemp() / "rigid.txt"
     path.write_text(format_matrix(transform))
     again = read_matrix(path)
@@ -261,13 +261,13 @@ def test_rigid_files_round_trip_bit_by_bit(tmp_path_factory, transform):
     assert format_matrix(again) == format_matrix(transform)
 
 
-@unhurried
+@no_deadline
 @given(similarities)
 @example(Similarity(shapes.rotation([0, 1, 1], 2.225073858507203e-309), np.zeros(3), 6.5))
-def test_scaled_files_round_trip_to_the_last_digit(tmp_path_factory, transform):
+def test_scaled_files_round_trip_to_rounding(tmp_path_factory, transform):
     path = tmp_path_factory.getbasetemp() / "scaled.txt"
     path.write_text(format_matrix(transform))
-    # Below 2.2e-308 numbers stand 5e-324 apart: half of that, times a scale of 100, is their last digit.
+    # Subnormal numbers have a spacing of 5e-324: half of it, times a scale of 100, is the rounding.
     np.testing.assert_allclose(read_matrix(path).matrix, transform.matrix, rtol=4e-16, atol=2.5e-322)
 
 
@@ -287,7 +287,7 @@ def test_read_matrix(tmp_path, text):
     assert transform.scale == 1
 
 
-def test_printed_digits_are_enough(tmp_path):
+def test_printed_digits_restore_the_matrix(tmp_path):
     rotation = shapes.rotation([1, 2, 3], 77)
     (tmp_path / "m.txt").write_text("\n".join(" ".join(f"{v:.7f}" for v in [*row, 5.0]) for row in rotation))
     np.testing.assert_allclose(read_matrix(tmp_path / "m.txt").rotation, rotation, atol=2e-7)

@@ -1,4 +1,4 @@
-"""Grids over points, against numpy's sorting."""
+"""Voxel grids compared with sorting in numpy."""
 
 import numpy as np
 import pytest
@@ -10,13 +10,13 @@ from pcbench.geometry.voxels import cell_means, cells, voxel_downsample, voxel_d
 def by_sorting(points, side, lower):
     places = np.clip(np.floor((points - lower) / side), -(2**31), 2**31 - 1)
     _, first, inverse, counts = np.unique(places, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    order = np.argsort(first)  # cells are numbered as they first appear
+    order = np.argsort(first)  # cells are numbered by their first points
     number = np.argsort(order)
     return number[inverse.ravel()], first[order], counts[order]
 
 
 @pytest.mark.parametrize("count, side", [(1, 1.0), (63, 0.3), (5000, 0.02), (5000, 5.0), (40_000, 0.1)])
-def test_cells_equal_a_sort(count, side):
+def test_cells_agree_with_sorting(count, side):
     rng = np.random.default_rng(count)
     points = rng.normal(size=(count, 3)) * [3, 1, 0.2] + [5e5, 4e6, 0]
     for lower in (points.min(axis=0), points.min(axis=0) + 0.7):
@@ -27,14 +27,14 @@ def test_cells_equal_a_sort(count, side):
     np.testing.assert_allclose(grid.means(points[:, 2])[:20], heights, rtol=0, atol=1e-12)
 
 
-def test_far_cells_share_the_outermost():
+def test_far_points_share_the_outermost_cells():
     points = np.array([[0.0, 0, 0], [1e90, 0, 0], [1e95, 0, 0], [-1e95, 0, 0]])
     np.testing.assert_array_equal(cells(points, 1.0, np.zeros(3)).of_point, [0, 1, 1, 2])
     with refused():
         cells(points, 0.0)
 
 
-def test_thinning_keeps_the_first_point_of_each_cell():
+def test_downsampling_keeps_the_first_point_of_each_cell():
     points = np.array([[0.1, 0, 0], [0.9, 0, 0], [1.1, 0, 0], [0.2, 0, 0], [5, 0, 0]])
     np.testing.assert_array_equal(voxel_downsample(points, 1.0), [0, 2, 4])
     np.testing.assert_allclose(cell_means(points, 1.0, np.zeros(3))[:, 0], [0.4, 1.1, 5])

@@ -1,4 +1,4 @@
-"""What fork() made has none of its parent's threads: loops run there all the same, with one."""
+"""Loops run in a forked child with one thread, although it has none of its parent's threads."""
 
 import os
 import subprocess
@@ -28,14 +28,14 @@ import torch
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.splat import rasterize
 camera = Camera("view", Intrinsics.from_fov(64, 48, 60), look_at((0, -4, 0), (0, 0, 0)))
-given = torch.zeros(1, 3), torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), torch.ones(1, 1, 3)
+gaussians = torch.zeros(1, 3), torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), torch.ones(1, 1, 3)
 def answer():
-    return rasterize(*given, camera).color.numpy().tobytes()
+    return rasterize(*gaussians, camera).color.numpy().tobytes()
 """
 
 
 @pytest.mark.parametrize("loop", [NEIGHBORS, SPLATS], ids=["neighbors", "splats"])
-def test_a_forked_child_does_not_wait_for_threads_that_are_not_there(loop):
+def test_loops_run_in_a_forked_child(loop):
     if loop is SPLATS:
         import_or_skip("torch")
     environment = {**os.environ, "OMP_NUM_THREADS": "2"}

@@ -1,19 +1,29 @@
-"""The same bits from every processor: all kernels on small inputs, against hashes in a file.
+"""Bit-identical results on every processor: hashes of all kernels on small inputs are compared with those in a file.
 
-Inputs are whole numbers or quotients of them, and no kernel calls a function of the C library whose result it may
-choose (square roots and fused multiply-adds have one correct result), so there is nothing to tolerate. The weights of
-PatchMatch and the bias correction of Adam, which take exp and pow, are computed outside the kernels and given here.
+Inputs are integers or quotients of integers. Kernels call no function of the C library with platform-dependent
+rounding; square roots and fused multiply-adds have one correct result. No tolerance is therefore needed. The weights
+of PatchMatch and the bias correction of Adam use exp and pow; they are computed outside the kernels and are inputs.
 """
 
 import pytest
-from golden_kernels import ARM_COMPILER, ARM_EMULATOR, COMPILER, HASHES, build, hashes, is_x86, parsed, runs_here
+from golden_kernels import (
+    ARM_COMPILER,
+    ARM_EMULATOR,
+    COMPILER,
+    HASHES,
+    build,
+    hashes,
+    is_supported,
+    is_x86,
+    parse_hashes,
+)
 
-pytestmark = pytest.mark.slow  # compiles the kernels once more
+pytestmark = pytest.mark.slow  # compiles the kernels again
 
 
 @pytest.fixture(scope="module")
 def expected():
-    return parsed(HASHES.read_text())
+    return parse_hashes(HASHES.read_text())
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +35,7 @@ def program(tmp_path_factory):
 
 @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
 def test_this_processor(program, expected, isa):
-    if isa != "baseline" and not (is_x86() and runs_here(isa)):
+    if isa != "baseline" and not (is_x86() and is_supported(isa)):
         pytest.skip(f"this processor has no {isa}")
     found = hashes(program, isa=isa)
     print("\n".join(f"{isa:10}{name:20}{value}" for name, value in found.items()))

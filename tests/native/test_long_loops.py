@@ -1,4 +1,4 @@
-"""Long loops of the compiled core end when Ctrl-C is pressed or memory runs out. No test waits for a clock."""
+"""Long loops of the compiled core stop on Ctrl-C or when memory runs out. No test depends on timing."""
 
 import _thread
 import operator
@@ -17,11 +17,11 @@ from reconstructors.mvs.native import _patchmatch
 
 
 def assert_ctrl_c_stops(call):
-    """Ctrl-C is pressed before `call`, a compiled function, runs; the interpreter comes to look at it only after.
+    """Assert that Ctrl-C, pressed before the compiled function `call` runs, stops it.
 
-    Both calls are made by `map`, so no bytecode runs between them and nothing but the compiled loop itself can raise
-    the KeyboardInterrupt early. It looks twenty times a second: `call` must take longer than that. That it stopped
-    early is seen in what it left unwritten, which is for the caller to assert.
+    `map` makes both calls, so no bytecode runs between them, and only the compiled loop itself can raise
+    KeyboardInterrupt early. The loop checks twenty times a second, so `call` must take longer than that. The caller
+    asserts that part of the output was left unwritten.
     """
     with pytest.raises(KeyboardInterrupt):
         list(map(operator.call, (_thread.interrupt_main, call)))
@@ -31,7 +31,7 @@ def test_ctrl_c_stops_a_search():
     points = np.random.default_rng(12).uniform(-1, 1, (40_000, 3))
     index = _core.PointIndex(points)
     distances, indices = np.empty((len(points), 600)), np.full((len(points), 600), -1)
-    # Seconds of work, where a twentieth of one is enough.
+    # Takes seconds; a twentieth of a second is enough.
     assert_ctrl_c_stops(partial(index.knearest, points, distances, indices))
     assert (indices == -1).any()
     nearest, row = np.empty(9), np.empty(9, np.int64)
@@ -39,32 +39,32 @@ def test_ctrl_c_stops_a_search():
     np.testing.assert_array_equal(row, np.arange(9))
 
 
-def test_ctrl_c_stops_the_building():
+def test_ctrl_c_stops_construction():
     tree = _core.MeshIndex.__new__(_core.MeshIndex)
-    # About a second of work, where a twentieth of one is enough.
+    # Takes about a second; a twentieth of a second is enough.
     assert_ctrl_c_stops(partial(tree.__init__, *triangle_soup(500_000)))
     with pytest.warns(RuntimeWarning, match="uninitialized"), pytest.raises(TypeError):
         len(tree)
 
 
-def from_the_center(count):
-    """The tree of a sphere and `count` places at its centre: every triangle must be looked at for each of them."""
+def sphere_queries(count):
+    """The tree of a sphere and `count` queries at its centre, each of which must visit every triangle."""
     vertices, faces = icosphere(5)
     return _core.MeshIndex(vertices, faces), np.zeros((count, 3))
 
 
 def test_ctrl_c_stops_closest_points():
-    tree, points = from_the_center(20_000)  # many seconds of work
+    tree, points = sphere_queries(20_000)  # takes many seconds
     faces = np.full(len(points), -1)
     outputs = np.empty(len(points)), np.empty_like(points), faces, np.empty(len(points), np.uint8)
     assert_ctrl_c_stops(partial(tree.query, points, *outputs))
     assert (faces == -1).any()
     tree.query(points[:1], *(output[:1] for output in outputs))
-    assert outputs[0][0] == pytest.approx(1, abs=0.01)  # the sphere has faces, not a curve
+    assert outputs[0][0] == pytest.approx(1, abs=0.01)  # the faces are chords of the sphere
 
 
-@pytest.mark.parametrize("what", ["cast", "blocked"])
-def test_ctrl_c_stops_rays(what):
+@pytest.mark.parametrize("method", ["cast", "blocked"])
+def test_ctrl_c_stops_rays(method):
     vertices, faces = triangle_soup(100_000)
     tree = _core.MeshIndex(vertices, faces)
     origins = np.full((1_000_000, 3), -10.0)
@@ -74,7 +74,7 @@ def test_ctrl_c_stops_rays(what):
         np.empty(len(origins), np.int64),
         np.full(len(origins), 7, np.uint8),
     )
-    if what == "cast":
+    if method == "cast":
         assert_ctrl_c_stops(partial(tree.cast, origins, directions, np.inf, distances, hits))
         assert np.isnan(distances).any()
     else:
@@ -82,7 +82,7 @@ def test_ctrl_c_stops_rays(what):
         assert (flags == 7).any()
 
 
-SHORT_OF_MEMORY = """
+LIMITED_MEMORY = """
 import resource, sys
 from pathlib import Path
 sys.path[:0] = {path!r}
@@ -91,29 +91,29 @@ from pcbench.native import _core
 from reconstructors.mvs.native import _patchmatch
 
 vertices, faces = triangle_soup(50_000)
-_core.MeshIndex(*triangle_soup(10))  # all threads are there
-failed, room = 0, 0
-_, most = resource.getrlimit(resource.RLIMIT_AS)
+_core.MeshIndex(*triangle_soup(10))  # starts all threads
+failed, spare = 0, 0
+_, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
 while True:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + room, most))
+    resource.setrlimit(resource.RLIMIT_AS, (used + spare, hard_limit))
     try:
         tree = _core.MeshIndex(vertices, faces)
         break
     except MemoryError:
         failed += 1
     finally:
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    room += 1 << 18
+        resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
+    spare += 1 << 18
 print(failed, len(tree))
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_mesh_beyond_memory_is_a_memory_error(threads):
-    """A little more memory each time, so that every allocation of the building is once the one that fails."""
-    code = SHORT_OF_MEMORY.format(path=[str(TESTS)])
+def test_a_mesh_beyond_memory_raises_memory_error(threads):
+    """Memory grows in small steps, so that each allocation of the construction fails once."""
+    code = LIMITED_MEMORY.format(path=[str(TESTS)])
     done = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},
@@ -125,12 +125,12 @@ def test_a_mesh_beyond_memory_is_a_memory_error(threads):
     assert failed > 3 and size == 50_000
 
 
-def test_ctrl_c_stops_the_search_for_a_depth_map():
+def test_ctrl_c_stops_patchmatch():
     gray = np.random.default_rng(3).integers(0, 255, (300, 400), np.uint8)
     pinhole, motion = np.array([400, 400, 200, 150], np.float32), np.eye(3, 4, dtype=np.float32)
     motion[0, 3] = 40
     matcher = _patchmatch.Matcher(gray, pinhole, None, 1.0, 10.0, 40.0, 1.0, 0)
     matcher.add_source(gray, motion, None, motion, None)
     planes, cost, views = (np.full((300, 400, n), -1, np.float32) for n in (4, 1, 1))
-    # Many seconds of work.
+    # Takes many seconds.
     assert_ctrl_c_stops(partial(matcher.run, planes, cost[..., 0].copy(), views, 200))

@@ -1,4 +1,4 @@
-"""The compiled modules: their committed stubs are current."""
+"""The committed stubs of the compiled modules are current."""
 
 import subprocess
 import sys

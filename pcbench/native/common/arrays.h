@@ -1,4 +1,5 @@
-// The arrays that modules take: C-contiguous, on the CPU, of one type; results are written into those of the caller.
+// Array types of the modules' arguments: C-contiguous, on the CPU, with one element type. Results are written into
+// arrays of the caller.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>

@@ -1,5 +1,5 @@
-// Memory for many small records, uninitialised: the build writes every entry, in parallel, so that pages are first
-// touched where they are used.
+// Uninitialised memory for many small records. The caller writes every entry in parallel, so that each page is first
+// touched by the thread that uses it.
 #pragma once
 #include <cstdlib>
 #include <memory>
@@ -13,7 +13,7 @@
 
 namespace pcbench {
 
-struct Free {
+struct AlignedFree {
     void operator()(void* memory) const {
 #ifdef _WIN32
         _aligned_free(memory);
@@ -24,13 +24,13 @@ struct Free {
 };
 
 template <typename T>
-using Block = std::unique_ptr<T[], Free>;
+using Block = std::unique_ptr<T[], AlignedFree>;
 
 template <typename T>
 Block<T> allocate(size_t count) {
     constexpr size_t kHugePage = size_t{1} << 21;
-    const size_t wanted = count * sizeof(T), align = wanted < 2 * kHugePage ? 64 : kHugePage;
-    const size_t bytes = (wanted + align - 1) / align * align;
+    const size_t requested = count * sizeof(T), align = requested < 2 * kHugePage ? 64 : kHugePage;
+    const size_t bytes = (requested + align - 1) / align * align;
 #ifdef _WIN32
     void* memory = _aligned_malloc(bytes, align);
 #else
@@ -38,7 +38,7 @@ Block<T> allocate(size_t count) {
 #endif
     if (memory == nullptr) throw std::bad_alloc();
 #ifdef __linux__
-    // Page faults cost a fifth of the build otherwise. Only a hint: a refusal changes nothing.
+    // Huge pages save a fifth of the build time, which page faults would take. The call is a hint and may fail.
     if (align == kHugePage) madvise(memory, bytes, MADV_HUGEPAGE);
 #endif
     return Block<T>(static_cast<T*>(memory));

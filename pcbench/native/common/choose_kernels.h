@@ -1,5 +1,5 @@
-// Which of the loops that were compiled once for each instruction set are run: the widest that this machine has, or
-// those that the environment's PCBENCH_ISA names.
+// Choice of the instruction set at run time: the widest that this machine supports, or the one named by the environment
+// variable PCBENCH_ISA.
 #pragma once
 #include <cstdlib>
 #include <initializer_list>
@@ -8,7 +8,7 @@
 
 namespace pcbench {
 
-inline bool runs_here(const std::string& isa) {
+inline bool is_supported(const std::string& isa) {
 #ifdef PCB_X86
     const bool bits =
         __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt");
@@ -20,17 +20,18 @@ inline bool runs_here(const std::string& isa) {
     return isa == "baseline";
 }
 
-// `choices`: the widest first; each has a name. Throws std::runtime_error when the one that is wanted cannot run.
+// Chooses from `choices`, widest first. Throws std::runtime_error if the requested instruction set is not supported.
 template <typename Kernels>
 const Kernels& choose_kernels(std::initializer_list<const Kernels*> choices) {
-    const char* wanted = std::getenv("PCBENCH_ISA");
-    std::string here;
+    const char* requested = std::getenv("PCBENCH_ISA");
+    std::string supported;
     for (const Kernels* choice : choices) {
-        if (!runs_here(choice->name)) continue;
-        if (wanted == nullptr || *wanted == '\0' || std::string(wanted) == choice->name) return *choice;
-        here += (here.empty() ? "" : ", ") + std::string(choice->name);
+        if (!is_supported(choice->name)) continue;
+        if (requested == nullptr || *requested == '\0' || std::string(requested) == choice->name) return *choice;
+        supported += (supported.empty() ? "" : ", ") + std::string(choice->name);
     }
-    throw std::runtime_error("PCBENCH_ISA: expected one that this machine runs (" + here + "), got '" + wanted + "'");
+    throw std::runtime_error("PCBENCH_ISA: expected an instruction set that this machine supports (" + supported +
+                             "), got '" + requested + "'");
 }
 
 }  // namespace pcbench

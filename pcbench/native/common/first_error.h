@@ -1,15 +1,15 @@
-// Exceptions inside OpenMP regions: one that leaves its thread would end the process.
+// Exceptions inside OpenMP regions. An exception that leaves its thread would terminate the process.
 #pragma once
 #include <atomic>
 #include <exception>
 
 namespace pcbench {
 
-// Keeps the first exception of a region until all threads have left it. After one, what is left of the work is skipped.
+// Stores the first exception of a region until all threads have left it. The remaining work is then skipped.
 class FirstError {
 public:
-    // The C++ library's memory of a thread's exceptions is taken when the thread first needs it, and a thread for which
-    // there is none then ends the process: all threads take it here, before the region takes its own.
+    // The C++ library allocates a thread's exception state on first use and terminates the process if that fails. Here
+    // every thread allocates it before the region uses up memory.
     FirstError() {
 #pragma omp parallel
         unfinished_ += std::uncaught_exceptions();
@@ -25,13 +25,13 @@ public:
         }
     }
 
-    // Throws what was kept. To be called after the region.
+    // Throws the stored exception, if any. Call it after the region.
     void rethrow() const {
         if (error_) std::rethrow_exception(error_);
     }
 
 private:
-    std::atomic<int> unfinished_{0};  // exceptions that threads came with: none, but the compiler must ask
+    std::atomic<int> unfinished_{0};  // always 0; its use keeps the compiler from removing the calls above
     std::atomic<bool> failed_{false};
     std::exception_ptr error_;  // written once, read after the barrier that ends the region
 };

@@ -1,8 +1,8 @@
-// A SIMD vector of sixteen floats, on whatever registers this translation unit may use, with integers and a mask alike.
-// Every operation is one IEEE operation on each lane (no reassociation; a multiply-add only where it is asked for, and
-// then with one rounding everywhere), so each instruction set gives the same bits. Roots are the compiler's own: of
-// std::sqrt(float) the linker would keep one copy for all instruction sets. Included once for each instruction set,
-// into the namespace PCB_SPACE, which names it.
+// A SIMD vector of sixteen floats, with a mask, on the registers that this translation unit may use. Every operation is
+// one IEEE operation per lane, without reassociation. A multiply-add is used only if requested, and then has a single
+// rounding everywhere. Each instruction set therefore gives the same bits. Square roots are compiler built-ins, because
+// the linker would keep one copy of std::sqrt(float) for all instruction sets. Included once per instruction set, into
+// its own namespace PCB_SPACE.
 #pragma once
 #include <cstdint>
 
@@ -52,27 +52,29 @@ inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.m & b.m
 inline Mask operator~(Mask a) { return {static_cast<__mmask16>(~a.m)}; }
 inline unsigned bits(Mask m) { return m.m; }
 inline Floats select(Mask m, Floats yes, Floats no) { return _mm512_mask_blend_ps(m.m, no.v, yes.v); }
-inline Floats add_exponent(Floats x, Floats whole) { return _mm512_scalef_ps(x.v, whole.v); }
+// x * 2^power, for integer powers and normal results.
+inline Floats add_exponent(Floats x, Floats power) { return _mm512_scalef_ps(x.v, power.v); }
+// The exponent of positive normal x, and its mantissa in [1, 2).
 inline Floats exponent(Floats x, Floats& mantissa) {
     const __m512i all = _mm512_castps_si512(x.v);
     mantissa = _mm512_castsi512_ps(
         _mm512_or_epi32(_mm512_and_epi32(all, _mm512_set1_epi32(0x007fffff)), _mm512_set1_epi32(0x3f800000)));
     return _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_srli_epi32(all, 23), _mm512_set1_epi32(127)));
 }
-// The sums of the lanes of sixteen vectors, halves folded onto each other: lane i with i + 8, with i + 4, i + 2, i + 1.
-inline Floats sums(const Floats* from) {
-    const auto folded = [](__m512 a, __m512 b) {
+// Sums of the lanes of sixteen vectors. Halves are added to each other: lane i and i + 8, then i + 4, i + 2, i + 1.
+inline Floats sums(const Floats* vectors) {
+    const auto fold = [](__m512 a, __m512 b) {
         return _mm512_add_ps(_mm512_shuffle_f32x4(a, b, 0x44), _mm512_shuffle_f32x4(a, b, 0xee));
     };
     __m512 quarters[4];
     for (int k = 0; k < 4; ++k) {
-        const __m512 low = folded(from[k].v, from[k + 4].v), high = folded(from[k + 8].v, from[k + 12].v);
+        const __m512 low = fold(vectors[k].v, vectors[k + 4].v), high = fold(vectors[k + 8].v, vectors[k + 12].v);
         quarters[k] = _mm512_add_ps(_mm512_shuffle_f32x4(low, high, 0x88), _mm512_shuffle_f32x4(low, high, 0xdd));
     }
-    const auto halved = [](__m512 a, __m512 b) {
+    const auto halve = [](__m512 a, __m512 b) {
         return _mm512_add_ps(_mm512_shuffle_ps(a, b, 0x44), _mm512_shuffle_ps(a, b, 0xee));
     };
-    const __m512 even = halved(quarters[0], quarters[1]), odd = halved(quarters[2], quarters[3]);
+    const __m512 even = halve(quarters[0], quarters[1]), odd = halve(quarters[2], quarters[3]);
     return _mm512_add_ps(_mm512_shuffle_ps(even, odd, 0x88), _mm512_shuffle_ps(even, odd, 0xdd));
 }
 
@@ -128,8 +130,8 @@ inline unsigned bits(Mask m) { return _mm256_movemask_ps(m.a) | _mm256_movemask_
 inline Floats select(Mask m, Floats yes, Floats no) {
     return {_mm256_blendv_ps(no.a, yes.a, m.a), _mm256_blendv_ps(no.b, yes.b, m.b)};
 }
-inline __m256 add_exponent(__m256 x, __m256 whole) {
-    const __m256i n = _mm256_slli_epi32(_mm256_cvtps_epi32(whole), 23);
+inline __m256 add_exponent(__m256 x, __m256 power) {
+    const __m256i n = _mm256_slli_epi32(_mm256_cvtps_epi32(power), 23);
     return _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(x), n));
 }
 inline __m256 exponent(__m256 x, __m256& mantissa) {
@@ -138,22 +140,22 @@ inline __m256 exponent(__m256 x, __m256& mantissa) {
         _mm256_or_si256(_mm256_and_si256(all, _mm256_set1_epi32(0x007fffff)), _mm256_set1_epi32(0x3f800000)));
     return _mm256_cvtepi32_ps(_mm256_sub_epi32(_mm256_srli_epi32(all, 23), _mm256_set1_epi32(127)));
 }
-inline Floats add_exponent(Floats x, Floats whole) { return {add_exponent(x.a, whole.a), add_exponent(x.b, whole.b)}; }
+inline Floats add_exponent(Floats x, Floats power) { return {add_exponent(x.a, power.a), add_exponent(x.b, power.b)}; }
 inline Floats exponent(Floats x, Floats& mantissa) { return {exponent(x.a, mantissa.a), exponent(x.b, mantissa.b)}; }
-inline Floats sums(const Floats* from) {
-    const auto eight = [](const Floats* some) {
-        const auto folded = [](Floats x, Floats y) {
+inline Floats sums(const Floats* vectors) {
+    const auto sum_eight = [](const Floats* group) {
+        const auto fold = [](Floats x, Floats y) {
             const __m256 p = _mm256_add_ps(x.a, x.b), q = _mm256_add_ps(y.a, y.b);
             return _mm256_add_ps(_mm256_permute2f128_ps(p, q, 0x20), _mm256_permute2f128_ps(p, q, 0x31));
         };
-        const auto halved = [](__m256 p, __m256 q) {
+        const auto halve = [](__m256 p, __m256 q) {
             return _mm256_add_ps(_mm256_shuffle_ps(p, q, 0x44), _mm256_shuffle_ps(p, q, 0xee));
         };
-        const __m256 even = halved(folded(some[0], some[4]), folded(some[1], some[5]));
-        const __m256 odd = halved(folded(some[2], some[6]), folded(some[3], some[7]));
+        const __m256 even = halve(fold(group[0], group[4]), fold(group[1], group[5]));
+        const __m256 odd = halve(fold(group[2], group[6]), fold(group[3], group[7]));
         return _mm256_add_ps(_mm256_shuffle_ps(even, odd, 0x88), _mm256_shuffle_ps(even, odd, 0xdd));
     };
-    return {eight(from), eight(from + 8)};
+    return {sum_eight(vectors), sum_eight(vectors + 8)};
 }
 
 #else
@@ -210,18 +212,18 @@ inline float as_float(int32_t x) {
     __builtin_memcpy(&out, &x, sizeof out);
     return out;
 }
-inline Floats add_exponent(Floats x, Floats whole) {
+inline Floats add_exponent(Floats x, Floats power) {
     PCB_EACH(Floats, as_float(static_cast<int32_t>(static_cast<uint32_t>(as_bits(x.v[i])) +
-                                                   (static_cast<uint32_t>(static_cast<int32_t>(whole.v[i])) << 23))));
+                                                   (static_cast<uint32_t>(static_cast<int32_t>(power.v[i])) << 23))));
 }
 inline Floats exponent(Floats x, Floats& mantissa) {
     for (int i = 0; i < kLanes; ++i) mantissa.v[i] = as_float((as_bits(x.v[i]) & 0x007fffff) | 0x3f800000);
     PCB_EACH(Floats, static_cast<float>((as_bits(x.v[i]) >> 23) - 127));
 }
-inline Floats sums(const Floats* from) {
+inline Floats sums(const Floats* vectors) {
     Floats out;
     for (int k = 0; k < kLanes; ++k) {
-        Floats folded = from[k];
+        Floats folded = vectors[k];
         for (int half = kLanes / 2; half > 0; half /= 2)
             for (int i = 0; i < half; ++i) folded.v[i] += folded.v[i + half];
         out.v[k] = folded.v[0];

@@ -1,4 +1,4 @@
-// Loops in a process that fork() made, as Python's multiprocessing does on Linux.
+// OpenMP loops in a process created by fork(), as Python's multiprocessing does on Linux.
 #pragma once
 #include <omp.h>
 #ifndef _WIN32
@@ -7,8 +7,8 @@
 
 namespace pcbench {
 
-// Such a child has none of its parent's threads, but OpenMP believes that they are there and would wait for them for
-// ever: what is forked works with one thread. Each module says this when it is imported; results do not depend on it.
+// A forked child has none of its parent's threads, but OpenMP would wait for them forever. The child therefore uses one
+// thread. Every module calls this function when it is imported; results do not depend on the number of threads.
 inline void one_thread_when_forked() {
 #ifndef _WIN32  // which has no fork()
     pthread_atfork(nullptr, nullptr, [] { omp_set_num_threads(1); });

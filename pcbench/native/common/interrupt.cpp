@@ -4,7 +4,7 @@
 
 namespace pcbench {
 
-Interrupt::Interrupt(bool (*asks)()) : asks_(asks), last_(std::chrono::steady_clock::now()) {}
+Interrupt::Interrupt(bool (*poll)()) : poll_(poll), last_(std::chrono::steady_clock::now()) {}
 
 bool Interrupt::stopped() const { return stop_.load(std::memory_order_relaxed); }
 
@@ -13,7 +13,7 @@ bool Interrupt::requested() {
         const auto now = std::chrono::steady_clock::now();
         if (now - last_ > std::chrono::milliseconds(50)) {
             last_ = now;
-            if (asks_()) stop_.store(true, std::memory_order_relaxed);
+            if (poll_()) stop_.store(true, std::memory_order_relaxed);
         }
     }
     return stopped();

@@ -1,4 +1,4 @@
-// Ctrl-C during long loops: the calling thread asks Python now and then, the others look at a flag.
+// Ctrl-C during long loops. The calling thread polls Python at intervals, the other threads read a flag.
 #pragma once
 #include <atomic>
 #include <chrono>
@@ -7,15 +7,15 @@ namespace pcbench {
 
 class Interrupt {
 public:
-    // `asks` returns true when the work shall stop; it is only ever called on the thread that made this object.
-    explicit Interrupt(bool (*asks)());
+    // `poll` returns true if the work should stop. It is called only on the thread that created this object.
+    explicit Interrupt(bool (*poll)());
 
-    // Neither is inline: they must exist once, for all instruction sets.
-    bool requested();  // cheap enough for every few microseconds of work
+    // Not inline: there must be one copy for all instruction sets.
+    bool requested();  // cheap enough to be called every few microseconds
     bool stopped() const;
 
 private:
-    bool (*asks_)();
+    bool (*poll_)();
     std::chrono::steady_clock::time_point last_;
     std::atomic<bool> stop_{false};
 };

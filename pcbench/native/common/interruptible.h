@@ -1,4 +1,4 @@
-// Long loops on behalf of Python: without the GIL, and ended by Ctrl-C.
+// Runs long loops without the GIL, and stops them on Ctrl-C.
 #pragma once
 #include <nanobind/nanobind.h>
 
@@ -6,13 +6,13 @@
 
 namespace pcbench {
 
-// True when Ctrl-C has raised KeyboardInterrupt, which then waits to be thrown.
+// Returns true if Ctrl-C was pressed; KeyboardInterrupt is then set and must be thrown.
 inline bool python_interrupts() {
     nanobind::gil_scoped_acquire acquire;
     return PyErr_CheckSignals() != 0;
 }
 
-// Runs loop(interrupt) without the GIL. When Ctrl-C ends it early, KeyboardInterrupt is raised here.
+// Runs loop(interrupt) without the GIL. Throws KeyboardInterrupt if Ctrl-C stopped the loop.
 template <typename Loop>
 void interruptible(Loop loop) {
     Interrupt interrupt(python_interrupts);

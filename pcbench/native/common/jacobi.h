@@ -1,6 +1,6 @@
-// Symmetric 3x3 eigenproblems by cyclic Jacobi rotations, in doubles or in SIMD vectors of them: slower than the closed
-// form, but accurate to the last digits for the nearly singular covariances that planes have (the closed form loses
-// half of them).
+// Symmetric 3x3 eigenproblems by cyclic Jacobi rotations (Golub and Van Loan, Matrix Computations, section 8.5), in
+// doubles or SIMD vectors. The closed form is faster but loses half of the digits for the nearly singular covariances
+// of planes.
 #pragma once
 #include <cmath>
 
@@ -11,11 +11,11 @@ struct Symmetric {
     Number xx, xy, xz, yy, yz, zz;
 };
 
-// Turns axes p and q by the angle whose tangent makes a_pq vanish; the caller sets a_pq to zero. r is the third axis.
+// Rotates axes p and q by the angle whose tangent makes a_pq vanish; the caller sets a_pq to zero. r is the third axis.
 template <typename Number>
-inline void turn(Number tangent, Number one, Number& pp, Number& qq, const Number& pq, Number& rp, Number& rq,
-                 Number (&vp)[3], Number (&vq)[3]) {
-    using std::sqrt;  // that of SIMD vectors is found beside their type
+inline void rotate_axes(Number tangent, Number one, Number& pp, Number& qq, const Number& pq, Number& rp, Number& rq,
+                        Number (&vp)[3], Number (&vq)[3]) {
+    using std::sqrt;  // the sqrt of SIMD vectors is found by argument-dependent lookup
     const Number c = one / sqrt(tangent * tangent + one), s = tangent * c;
     pp = pp - tangent * pq;
     qq = qq + tangent * pq;
@@ -29,10 +29,10 @@ inline void turn(Number tangent, Number one, Number& pp, Number& qq, const Numbe
     }
 }
 
-// Every pair of axes once. `rotate` finds the tangent and turns: doubles may skip what is zero already, the numbers of
-// one SIMD vector cannot, so each has its own. `axes` holds one eigenvector in the making a row.
+// Rotates every pair of axes once. `rotate` computes the tangent and rotates: doubles may skip entries that are zero,
+// SIMD vectors cannot, so each has its own. `axes` holds one approximate eigenvector per row.
 template <typename Number, typename Rotate>
-inline void sweep(Symmetric<Number>& m, Number (&axes)[3][3], Rotate rotate) {
+inline void jacobi_sweep(Symmetric<Number>& m, Number (&axes)[3][3], Rotate rotate) {
     rotate(m.xx, m.yy, m.xy, m.xz, m.yz, axes[0], axes[1]);
     rotate(m.xx, m.zz, m.xz, m.xy, m.yz, axes[0], axes[2]);
     rotate(m.yy, m.zz, m.yz, m.xy, m.xz, axes[1], axes[2]);

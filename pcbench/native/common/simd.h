@@ -1,7 +1,6 @@
-// A SIMD vector of eight doubles, on whatever registers this translation unit may use, and a mask of eight truth
-// values. Every operation is one IEEE operation on each of the eight lanes (no fused multiply-add, no reassociation),
-// so each instruction set gives the same bits. Included once for each instruction set, inside its own namespace
-// PCB_ISA: see kernels_isa.h.
+// A SIMD vector of eight doubles and a mask of eight booleans, on the registers that this translation unit may use.
+// Every operation is one IEEE operation per lane (no fused multiply-add, no reassociation), so each instruction set
+// gives the same bits. Included once per instruction set, in its own namespace PCB_ISA: see kernels_isa.h.
 #pragma once
 #include <cmath>
 #include <cstddef>
@@ -40,7 +39,7 @@ inline Mask operator==(Vector a, Vector b) { return {_mm512_cmp_pd_mask(a.v, b.v
 inline Mask operator|(Mask a, Mask b) { return {static_cast<__mmask8>(a.m | b.m)}; }
 inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask8>(a.m & b.m)}; }
 inline Vector select(Mask m, Vector yes, Vector no) { return {_mm512_mask_blend_pd(m.m, no.v, yes.v)}; }
-inline Mask from_bits(unsigned bits) { return {static_cast<__mmask8>(bits)}; }
+inline Mask mask_from_bits(unsigned bits) { return {static_cast<__mmask8>(bits)}; }
 inline unsigned bits(Mask m) { return m.m; }
 
 #elif defined(__AVX2__)
@@ -79,7 +78,7 @@ inline Mask operator|(Mask x, Mask y) { return {_mm256_or_pd(x.a, y.a), _mm256_o
 inline Vector select(Mask m, Vector yes, Vector no) {
     return {_mm256_blendv_pd(no.a, yes.a, m.a), _mm256_blendv_pd(no.b, yes.b, m.b)};
 }
-inline Mask from_bits(unsigned bits) {
+inline Mask mask_from_bits(unsigned bits) {
     const __m256i all = _mm256_set1_epi64x(bits);
     const __m256i low = _mm256_set_epi64x(8, 4, 2, 1), high = _mm256_set_epi64x(128, 64, 32, 16);
     return {_mm256_castsi256_pd(_mm256_cmpeq_epi64(_mm256_and_si256(all, low), low)),
@@ -118,7 +117,7 @@ inline Mask operator==(Vector a, Vector b) { PCB_EACH(Mask, -static_cast<int64_t
 inline Mask operator|(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] | b.v[i]); }
 inline Mask operator&(Mask a, Mask b) { PCB_EACH(Mask, a.v[i] & b.v[i]); }
 inline Vector select(Mask m, Vector yes, Vector no) { PCB_EACH(Vector, m.v[i] ? yes.v[i] : no.v[i]); }
-inline Mask from_bits(unsigned bits) { PCB_EACH(Mask, -static_cast<int64_t>(bits >> i & 1)); }
+inline Mask mask_from_bits(unsigned bits) { PCB_EACH(Mask, -static_cast<int64_t>(bits >> i & 1)); }
 inline unsigned bits(Mask m) {
     unsigned out = 0;
     for (int i = 0; i < kLanes; ++i) out |= static_cast<unsigned>(m.v[i] & 1) << i;
@@ -128,11 +127,11 @@ inline unsigned bits(Mask m) {
 
 #endif
 
-// Not std::min, of which the linker would keep one copy for all instruction sets.
-inline size_t smaller(size_t a, size_t b) { return b < a ? b : a; }
+// Replaces std::min, of which the linker would keep one copy for all instruction sets.
+inline size_t min_size(size_t a, size_t b) { return b < a ? b : a; }
 
-// Exchanges two runs of four doubles, 32-byte aligned, which may be the same.
-inline void exchange(double* a, double* b) {
+// Swaps two groups of four doubles, 32-byte aligned and possibly identical.
+inline void swap_four(double* a, double* b) {
 #if defined(__AVX2__)
     const __m256d keep = _mm256_load_pd(a);
     _mm256_store_pd(a, _mm256_load_pd(b));
@@ -146,10 +145,10 @@ inline void exchange(double* a, double* b) {
 #endif
 }
 
-// The squared length of (x, y, z), always in this order: what "exact" means in this module.
+// Squared length of (x, y, z). This order of operations defines the exact result in this module.
 inline Vector squared_length(Vector x, Vector y, Vector z) { return (x * x + y * y) + z * z; }
 
-inline double largest(Vector a) {
+inline double max_lane(Vector a) {
     double v[kLanes];
     store(v, a);
     const double p = v[0] > v[1] ? v[0] : v[1], q = v[2] > v[3] ? v[2] : v[3];

@@ -1,4 +1,4 @@
-// Three coordinates.
+// Vectors of three doubles.
 #pragma once
 
 namespace pcbench {
@@ -7,7 +7,7 @@ struct Vec3 {
     double x, y, z;
 };
 
-// A row of an array (N, 3), read and written.
+// Read and write a row of an array (N, 3).
 inline Vec3 vec3(const double* row) { return {row[0], row[1], row[2]}; }
 inline void write(const Vec3& v, double* row) { row[0] = v.x, row[1] = v.y, row[2] = v.z; }
 

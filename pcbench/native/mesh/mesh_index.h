@@ -1,7 +1,7 @@
-// Distances to triangles and rays through them, by a tree of boxes.
+// Closest points on triangles and ray casting, by a tree of boxes.
 //
-// Boxes only decide what is looked at: they are a little larger than what they hold, so that the answer is the one that
-// looking at every triangle in float64 would give, to the last bit, whatever the tree's shape or the threads.
+// Boxes only prune. They are slightly enlarged, so that the result is bit-identical to a float64 search over all
+// triangles, whatever the shape of the tree or the number of threads.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -18,17 +18,17 @@
 
 namespace pcbench::mesh {
 
-// From the file's coordinates to those of the boxes: centred, and scaled by a power of two to about one.
+// Transform from mesh coordinates to those of the boxes: centred, and scaled by a power of two to a size of about one.
 struct Frame {
     double origin[3], scale;
 };
 
 class MeshIndex {
 public:
-    // vertices (V, 3), finite; faces (F, 3), indices in range, 1 <= F < 2^31. Not to be used when interrupted.
+    // vertices (V, 3) are finite; faces (F, 3) are valid indices, 1 <= F < 2^31. An interrupted index must not be used.
     MeshIndex(const double* vertices, size_t vertex_count, const int64_t* faces, size_t face_count,
               Interrupt& interrupt) {
-        frame_ = frame_of(vertices, vertex_count);
+        frame_ = compute_frame(vertices, vertex_count);
         std::vector<Item> items(face_count);
 #pragma omp parallel for schedule(static)
         for (size_t f = 0; f < face_count; ++f) {
@@ -37,7 +37,7 @@ public:
                 float low[3], high[3];
                 for (int axis = 0; axis < 3; ++axis) {
                     const double at = (vertices[3 * faces[3 * f + corner] + axis] - frame_.origin[axis]) * frame_.scale;
-                    low[axis] = round_down(at - kSlack), high[axis] = round_up(at + kSlack);
+                    low[axis] = round_down(at - kBoxMargin), high[axis] = round_up(at + kBoxMargin);
                 }
                 items[f].box.include(low, high);
             }
@@ -57,7 +57,7 @@ public:
 
     size_t size() const { return faces_.size(); }
 
-    // For each of `count` < 2^32 points: distance, nearest point, face (the lowest of equals) and feature on it.
+    // For each of `count` < 2^32 points: distance, closest point, face (lowest index on ties) and feature on the face.
     void query(const double* points, size_t count, double* distances, double* closest, int64_t* faces,
                uint8_t* features, Interrupt& interrupt) const {
         constexpr size_t kChunk = 512;
@@ -66,49 +66,49 @@ public:
 #pragma omp parallel for schedule(dynamic, 1)
         for (int64_t chunk = 0; chunk < chunks; ++chunk) {
             const size_t begin = chunk * kChunk, end = std::min(count, begin + kChunk);
-            uint32_t triangle = 0;  // the answer to the query before: a good first bound
+            uint32_t triangle = 0;  // result of the previous query: a good first bound
             for (size_t i = begin; i < end; ++i) {
-                if (i % kAsk == 0 && interrupt.requested()) break;
+                if (i % kInterruptInterval == 0 && interrupt.requested()) break;
                 const size_t row = order[i];
                 const Vec3 p = vec3(points + 3 * row);
-                triangle = search(p, triangle);
-                const Nearest nearest = nearest_on_triangle(p, triangles_[triangle]);
-                distances[row] = std::sqrt(nearest.squared);
-                write(nearest.closest, closest + 3 * row);
+                triangle = closest_triangle(p, triangle);
+                const ClosestPoint closest_point = closest_point_on_triangle(p, triangles_[triangle]);
+                distances[row] = std::sqrt(closest_point.squared_distance);
+                write(closest_point.point, closest + 3 * row);
                 faces[row] = faces_[triangle];
-                features[row] = nearest.feature;
+                features[row] = closest_point.feature;
             }
         }
     }
 
-    // Where each of `count` rays origin + t * direction first meets the mesh with t in (0, limit): t and the face, the
-    // lowest of equals; infinity and -1 where it meets none. Neighbours in the arrays should be neighbours in space.
+    // First intersection of each of `count` rays origin + t * direction with the mesh, t in (0, limit): t and the face,
+    // lowest index on ties; infinity and -1 if there is none. It is fastest if consecutive rays are close in space.
     void cast(const double* origins, const double* directions, size_t count, double limit, double* distances,
               int64_t* faces, Interrupt& interrupt) const {
-        each_ray(origins, directions, count, interrupt, [&](size_t row, const Ray& ray) {
+        for_each_ray(origins, directions, count, interrupt, [&](size_t row, const Ray& ray) {
             const RayHit hit = first_hit(ray, limit, false);
             distances[row] = hit.face < 0 ? HUGE_VAL : hit.t;
             faces[row] = hit.face;
         });
     }
 
-    // Whether each ray meets the mesh at all with t in (0, limit): stops at the first triangle found.
+    // Whether each ray intersects the mesh with t in (0, limit). The search stops at the first triangle found.
     void blocked(const double* origins, const double* directions, size_t count, double limit, bool* blocked,
                  Interrupt& interrupt) const {
-        each_ray(origins, directions, count, interrupt,
-                 [&](size_t row, const Ray& ray) { blocked[row] = first_hit(ray, limit, true).face >= 0; });
+        for_each_ray(origins, directions, count, interrupt,
+                     [&](size_t row, const Ray& ray) { blocked[row] = first_hit(ray, limit, true).face >= 0; });
     }
 
 private:
     template <typename Visit>
-    static void each_ray(const double* origins, const double* directions, size_t count, Interrupt& interrupt,
-                         Visit visit) {
+    static void for_each_ray(const double* origins, const double* directions, size_t count, Interrupt& interrupt,
+                             Visit visit) {
         constexpr size_t kChunk = 1024;
         const int64_t chunks = static_cast<int64_t>((count + kChunk - 1) / kChunk);
 #pragma omp parallel for schedule(dynamic, 1)
         for (int64_t chunk = 0; chunk < chunks; ++chunk)
             for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
-                if (i % kAsk == 0 && interrupt.requested()) break;
+                if (i % kInterruptInterval == 0 && interrupt.requested()) break;
                 visit(i, Ray(vec3(origins + 3 * i), vec3(directions + 3 * i)));
             }
     }
@@ -122,66 +122,66 @@ private:
         uint32_t first, count;
     };
 
-    RayHit first_hit(const Ray& ray, double limit, bool any) const {
-        // Slabs in float32, as Ize, "Robust BVH ray traversal", 2013: the origin is an interval that holds the true
-        // one, the three roundings that are left are relative and covered by kRayMargin.
+    RayHit first_hit(const Ray& ray, double limit, bool any_hit) const {
+        // Float32 slab test of Ize, "Robust BVH ray traversal", 2013: the origin is an interval that contains the true
+        // one; the three remaining roundings are relative and covered by kRayMargin.
         Float4 low_origin[3], high_origin[3], inverse[3];
         const double o[3] = {ray.origin.x, ray.origin.y, ray.origin.z};
         const double d[3] = {ray.direction.x, ray.direction.y, ray.direction.z};
         for (int axis = 0; axis < 3; ++axis) {
             const double centred = (o[axis] - frame_.origin[axis]) * frame_.scale;
             const float at = static_cast<float>(centred), error = std::fabs(at) * 0x1p-23f;
-            low_origin[axis] = all(at - error), high_origin[axis] = all(at + error);
-            // Never infinite: 0 * inf would be NaN on the face of a box.
+            low_origin[axis] = broadcast(at - error), high_origin[axis] = broadcast(at + error);
+            // Finite, since 0 * inf would be NaN on the face of a box.
             const double slope = d[axis] * frame_.scale;
             const double safe = std::fabs(slope) < 1e-18 ? std::copysign(1e-18, slope) : slope;
-            inverse[axis] = all(static_cast<float>(std::copysign(std::min(1 / std::fabs(safe), 1e18), safe)));
+            inverse[axis] = broadcast(static_cast<float>(std::copysign(std::min(1 / std::fabs(safe), 1e18), safe)));
         }
         RayHit best{limit, -1};
         float bound = to_bound(limit);
-        RayEntry stack[3 * Builder::kDepth + 1];
+        RayEntry stack[3 * Builder::kMaxDepth + 1];
         int top = 0;
         stack[top++] = {0, 0, 0};
         while (top > 0) {
             const RayEntry entry = stack[--top];
             if (entry.t > bound) continue;
             for (uint32_t i = entry.first; i < entry.first + entry.count; ++i) {
-                const double t = ray.meets(triangles_[i]);
+                const double t = ray.intersect(triangles_[i]);
                 const int64_t face = faces_[i];
                 if (!(t > 0) || !(t < best.t || (t == best.t && best.face >= 0 && face < best.face))) continue;
                 best = {t, face};
-                if (any) return best;
+                if (any_hit) return best;
                 bound = to_bound(t);
             }
             if (entry.count) continue;
             const Node& node = nodes_[entry.first];
-            Float4 enter = all(0), leave = all(std::numeric_limits<float>::max());
+            Float4 enter = broadcast(0), leave = broadcast(std::numeric_limits<float>::max());
             for (int axis = 0; axis < 3; ++axis) {
                 const Float4 a = (node.low[axis] - high_origin[axis]) * inverse[axis];
                 const Float4 b = (node.high[axis] - low_origin[axis]) * inverse[axis];
-                enter = larger(enter, smaller(a, b)), leave = smaller(leave, larger(a, b));
+                enter = maximum(enter, minimum(a, b)), leave = minimum(leave, maximum(a, b));
             }
-            leave = leave * all(kRayMargin);
+            leave = leave * broadcast(kRayMargin);
             const int pushed = top;
             for (int k = 0; k < 4; ++k) {
                 if (!(enter[k] <= leave[k]) || enter[k] > bound) continue;
-                int place = top++;  // the nearest last, so that it is taken first
-                for (; place > pushed && stack[place - 1].t < enter[k]; --place) stack[place] = stack[place - 1];
-                stack[place] = {enter[k], node.first[k], node.count[k]};
+                int slot = top++;  // insertion sort: the nearest child ends on top of the stack
+                for (; slot > pushed && stack[slot - 1].t < enter[k]; --slot) stack[slot] = stack[slot - 1];
+                stack[slot] = {enter[k], node.first[k], node.count[k]};
             }
         }
         return best;
     }
 
-    static constexpr size_t kAsk = 16;  // queries between two looks at the interrupt
+    static constexpr size_t kInterruptInterval = 16;  // queries between two checks for an interrupt
 
     static float to_bound(double t) { return static_cast<float>(std::min(t * kRayMargin, 1e38)); }
 
     static constexpr float kRayMargin = 1 + 0x1p-20f;
-    // Far above the rounding of float64 differences at the size of the mesh, which is about one in the boxes' frame.
-    static constexpr double kSlack = 0x1p-40;
-    // Float32 sums of three squares are good to 3e-7: a box must be farther by more than that to be left out.
-    static constexpr double kMargin = 1 + 1e-6;
+    // Far above the rounding of float64 differences at the size of the mesh, which is about one in box coordinates.
+    static constexpr double kBoxMargin = 0x1p-40;
+    // A float32 sum of three squares has a relative error of up to 3e-7; a box is pruned only beyond this margin.
+    static constexpr double kDistanceMargin = 1 + 1e-6;
 
     struct Entry {
         float squared;
@@ -194,7 +194,7 @@ private:
     }
     static float round_up(double value) { return -round_down(-value); }
 
-    static Frame frame_of(const double* vertices, size_t count) {
+    static Frame compute_frame(const double* vertices, size_t count) {
         Frame frame{{0, 0, 0}, 1};
         double widest = 0;
         for (int axis = 0; axis < 3; ++axis) {
@@ -209,45 +209,46 @@ private:
         return frame;
     }
 
-    // The triangle, by its place in the tree's order, nearest to p; `start` is any of them.
-    uint32_t search(const Vec3& p, uint32_t start) const {
+    // Position in the tree's order of the triangle closest to p; the search starts with the bound of triangle `start`.
+    uint32_t closest_triangle(const Vec3& p, uint32_t start) const {
         const double centred[3] = {p.x - frame_.origin[0], p.y - frame_.origin[1], p.z - frame_.origin[2]};
-        Float4 low[3], high[3];  // an interval of float32 that holds the query
+        Float4 low[3], high[3];  // float32 interval that contains the query
         for (int axis = 0; axis < 3; ++axis) {
             const float at = static_cast<float>(centred[axis] * frame_.scale), error = std::fabs(at) * 0x1p-23f;
-            low[axis] = all(at - error), high[axis] = all(at + error);
+            low[axis] = broadcast(at - error), high[axis] = broadcast(at + error);
         }
-        const double to_boxes = frame_.scale * frame_.scale * kMargin;
+        const double to_box_units = frame_.scale * frame_.scale * kDistanceMargin;
         uint32_t best = start;
-        double squared = nearest_on_triangle(p, triangles_[start]).squared;
-        float bound = static_cast<float>(squared * to_boxes);
+        double squared = closest_point_on_triangle(p, triangles_[start]).squared_distance;
+        float bound = static_cast<float>(squared * to_box_units);
 
-        Entry stack[3 * Builder::kDepth + 1];
+        Entry stack[3 * Builder::kMaxDepth + 1];
         int top = 0;
         stack[top++] = {0, 0, 0};
         while (top > 0) {
             const Entry entry = stack[--top];
             if (entry.squared > bound) continue;
             for (uint32_t i = entry.first; i < entry.first + entry.count; ++i) {
-                const double candidate = nearest_on_triangle(p, triangles_[i]).squared;
+                const double candidate = closest_point_on_triangle(p, triangles_[i]).squared_distance;
                 if (candidate < squared || (candidate == squared && faces_[i] < faces_[best])) {
                     best = i, squared = candidate;
-                    bound = static_cast<float>(squared * to_boxes);
+                    bound = static_cast<float>(squared * to_box_units);
                 }
             }
             if (entry.count) continue;
             const Node& node = nodes_[entry.first];
-            Float4 sum = all(0);
+            Float4 sum = broadcast(0);
             for (int axis = 0; axis < 3; ++axis) {
-                const Float4 gap = larger(larger(node.low[axis] - high[axis], low[axis] - node.high[axis]), all(0));
+                const Float4 gap =
+                    maximum(maximum(node.low[axis] - high[axis], low[axis] - node.high[axis]), broadcast(0));
                 sum += gap * gap;
             }
             const int pushed = top;
             for (int k = 0; k < 4; ++k) {
                 if (sum[k] > bound) continue;
-                int place = top++;  // the nearest last, so that it is taken first
-                for (; place > pushed && stack[place - 1].squared < sum[k]; --place) stack[place] = stack[place - 1];
-                stack[place] = {sum[k], node.first[k], node.count[k]};
+                int slot = top++;  // insertion sort: the nearest child ends on top of the stack
+                for (; slot > pushed && stack[slot - 1].squared < sum[k]; --slot) stack[slot] = stack[slot - 1];
+                stack[slot] = {sum[k], node.first[k], node.count[k]};
             }
         }
         return best;
@@ -256,7 +257,7 @@ private:
     Frame frame_;
     std::vector<Node> nodes_;
     std::vector<Triangle> triangles_;  // in the tree's order
-    std::vector<uint32_t> faces_;      // their numbers
+    std::vector<uint32_t> faces_;      // their face indices
 };
 
 }  // namespace pcbench::mesh

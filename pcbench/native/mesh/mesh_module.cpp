@@ -1,4 +1,4 @@
-// Python's view of the triangle tree.
+// Python bindings of the triangle tree.
 #include "mesh/mesh_module.h"
 
 #include <optional>
@@ -19,7 +19,7 @@ void init(MeshIndex* self, Points vertices, In<int64_t, nb::shape<-1, 3>> faces)
     if (count == 0 || count >> 31) throw nb::value_error("MeshIndex: expected 1 to 2^31 - 1 faces");
     for (size_t i = 0; i < 3 * count; ++i)
         if (faces.data()[i] < 0 || static_cast<size_t>(faces.data()[i]) >= vertices.shape(0))
-            throw nb::index_error("MeshIndex: a face names a vertex that is not there");
+            throw nb::index_error("MeshIndex: expected faces with valid vertex indices");
     std::optional<MeshIndex> built;
     interruptible([&](Interrupt& interrupt) {
         built.emplace(vertices.data(), vertices.shape(0), faces.data(), count, interrupt);
@@ -33,7 +33,7 @@ void query(const MeshIndex& self, Points points, Out<double, nb::shape<-1>> dist
     const size_t count = points.shape(0);
     if (distances.shape(0) != count || closest.shape(0) != count || faces.shape(0) != count ||
         features.shape(0) != count)
-        throw nb::value_error("MeshIndex: every output needs one row for each point");
+        throw nb::value_error("MeshIndex: expected outputs with one row for each point");
     if (count >> 32) throw nb::value_error("MeshIndex: expected fewer than 2^32 points at once");
     interruptible([&](Interrupt& interrupt) {
         self.query(points.data(), count, distances.data(), closest.data(), faces.data(), features.data(), interrupt);
@@ -42,7 +42,7 @@ void query(const MeshIndex& self, Points points, Out<double, nb::shape<-1>> dist
 
 void check_rays(size_t origins, size_t directions, size_t outputs) {
     if (origins != directions || origins != outputs)
-        throw nb::value_error("MeshIndex: every ray needs an origin, a direction and a row of each output");
+        throw nb::value_error("MeshIndex: expected an origin, a direction and a row of each output for every ray");
 }
 
 void cast(const MeshIndex& self, Points origins, Points directions, double limit, Out<double, nb::shape<-1>> distances,
@@ -65,18 +65,18 @@ void blocked(const MeshIndex& self, Points origins, Points directions, double li
 }  // namespace
 
 void bind_mesh(nb::module_& m) {
-    nb::class_<MeshIndex>(m, "MeshIndex", "A box tree over triangles; the caller has checked that vertices are finite.")
+    nb::class_<MeshIndex>(m, "MeshIndex", "A box tree over triangles. The caller checks that vertices are finite.")
         .def("__init__", &init, nb::arg("vertices"), nb::arg("faces"))
         .def("__len__", &MeshIndex::size)
         .def("query", &query, nb::arg("points"), nb::arg("distances").noconvert(), nb::arg("closest").noconvert(),
              nb::arg("faces").noconvert(), nb::arg("features").noconvert(),
-             "Nearest points of the mesh, written in place: distances (N,), closest (N, 3), faces (N,), and features "
+             "Closest points on the mesh, written in place: distances (N,), closest (N, 3), faces (N,), and features "
              "(N,):\n"
-             "0-2 the face's corners, 3-5 its edges 01, 12, 20, 6 its inside.")
+             "0-2 for the corners of the face, 3-5 for its edges 01, 12, 20, 6 for its interior.")
         .def("cast", &cast, nb::arg("origins"), nb::arg("directions"), nb::arg("limit"),
              nb::arg("distances").noconvert(), nb::arg("faces").noconvert(),
-             "Where rays first meet the mesh, written in place: distances (N,) in units of the directions' lengths,\n"
-             "infinity where there is nothing below `limit`, and faces (N,), -1 there.")
+             "First intersections of rays with the mesh, written in place: distances (N,) in lengths of the\n"
+             "directions, infinity without an intersection before `limit`, and faces (N,), -1 without one.")
         .def("blocked", &blocked, nb::arg("origins"), nb::arg("directions"), nb::arg("limit"),
-             nb::arg("blocked").noconvert(), "Whether rays meet the mesh before `limit`, written in place (N,).");
+             nb::arg("blocked").noconvert(), "Whether rays intersect the mesh before `limit`, written in place (N,).");
 }

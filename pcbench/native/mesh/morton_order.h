@@ -1,4 +1,4 @@
-// The order in which queries are answered, so that those that follow each other walk the same part of the tree.
+// Order of queries along a Morton curve, so that consecutive queries visit the same part of the tree.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -8,14 +8,14 @@
 
 namespace pcbench::mesh {
 
-inline uint32_t spread_bits(uint32_t value) {  // ten bits to every third place
+inline uint32_t spread_bits(uint32_t value) {  // moves ten bits to every third position
     value = (value | value << 16) & 0x030000FFu;
     value = (value | value << 8) & 0x0300F00Fu;
     value = (value | value << 4) & 0x030C30C3u;
     return (value | value << 2) & 0x09249249u;
 }
 
-// Indices of the points along a Morton curve: neighbours in it are neighbours in space.
+// Indices of the points along a Morton curve: consecutive points are close in space.
 inline std::vector<uint32_t> morton_order(const double* points, size_t count) {
     double low[3], high[3];
     for (int axis = 0; axis < 3; ++axis) low[axis] = HUGE_VAL, high[axis] = -HUGE_VAL;
@@ -34,7 +34,7 @@ inline std::vector<uint32_t> morton_order(const double* points, size_t count) {
             code |= spread_bits(static_cast<uint32_t>((points[3 * i + axis] - low[axis]) * scale)) << axis;
         keys[i] = static_cast<uint64_t>(code) << 32 | i;
     }
-    for (int shift = 32; shift < 62; shift += 10) {  // a radix sort, ten bits at a time
+    for (int shift = 32; shift < 62; shift += 10) {  // radix sort, ten bits per pass
         size_t starts[1025] = {};
         for (uint64_t key : keys) ++starts[(key >> shift & 1023) + 1];
         for (int b = 0; b < 1024; ++b) starts[b + 1] += starts[b];

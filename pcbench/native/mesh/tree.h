@@ -1,5 +1,5 @@
-// A tree of boxes over triangles, and how it is built: four children a node, their float32 boxes side by side for the
-// CPU's vector unit.
+// A tree of boxes over triangles, and its construction. Each node has four children; their float32 boxes are stored
+// side by side for SIMD.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -15,11 +15,11 @@ namespace pcbench::mesh {
 
 typedef float Float4 __attribute__((vector_size(16)));
 
-inline Float4 larger(Float4 a, Float4 b) { return a > b ? a : b; }
-inline Float4 smaller(Float4 a, Float4 b) { return a < b ? a : b; }
-inline Float4 all(float value) { return Float4{value, value, value, value}; }
+inline Float4 maximum(Float4 a, Float4 b) { return a > b ? a : b; }
+inline Float4 minimum(Float4 a, Float4 b) { return a < b ? a : b; }
+inline Float4 broadcast(float value) { return Float4{value, value, value, value}; }
 
-// Child k is a node if count[k] is 0, else the triangles first[k], first[k] + 1, ... Two cache lines.
+// Child k is a node if count[k] is 0, else the triangles first[k], first[k] + 1, ... A node takes two cache lines.
 struct alignas(64) Node {
     Float4 low[3], high[3];
     uint32_t first[4], count[4];
@@ -40,7 +40,7 @@ struct Box {
     }
 };
 
-struct Item {  // a triangle while the tree is built
+struct Item {  // a triangle during construction
     Box box;
     uint32_t face;
     float twice_centre(int axis) const { return box.low[axis] + box.high[axis]; }
@@ -48,26 +48,25 @@ struct Item {  // a triangle while the tree is built
 
 class Builder {
 public:
-    static constexpr uint32_t kLeaf = 2;             // triangles at most
-    static constexpr uint32_t kUninterrupted = 256;  // triangles that take no time worth asking after
-    static constexpr int kBins = 12;                 // candidates for a cut
-    static constexpr int kHalving = 40;              // levels after which ranges are halved, which bounds the depth
-    static constexpr int kDepth = kHalving + 32;     // levels at most
+    static constexpr uint32_t kMaxLeafTriangles = 2;
+    static constexpr uint32_t kMinInterruptibleTriangles = 256;  // smaller ranges are not worth a check for interrupts
+    static constexpr int kBins = 12;                             // candidate splits of the surface area heuristic
+    static constexpr int kMaxSahDepth = 40;  // deeper ranges are split in half, which bounds the depth of the tree
+    static constexpr int kMaxDepth = kMaxSahDepth + 32;
 
     Builder(std::vector<Item>& items, Interrupt& interrupt) : items_(items), interrupt_(interrupt) {}
 
-    // The nodes in an order that depends on the triangles alone; the first is the root. Not all of them when
-    // interrupted.
+    // Returns the nodes, root first, in an order that depends only on the triangles. Some are missing if interrupted.
     std::vector<Node> build() {
         const uint32_t size = static_cast<uint32_t>(items_.size());
         std::vector<Node> nodes;
-        std::vector<Job> jobs;
-        grow(nodes, Range(items_, 0, size), 0, std::max(1u << 14, size / 64), &jobs);
+        std::vector<PendingSubtree> jobs;
+        build_subtree(nodes, Range(items_, 0, size), 0, std::max(1u << 14, size / 64), &jobs);
         std::vector<std::vector<Node>> parts(jobs.size());
         FirstError error;
 #pragma omp parallel for schedule(dynamic, 1)
         for (size_t j = 0; j < jobs.size(); ++j)
-            error.guard([&] { grow(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr); });
+            error.guard([&] { build_subtree(parts[j], jobs[j].range, jobs[j].depth, 0, nullptr); });
         error.rethrow();
         for (size_t j = 0; j < jobs.size(); ++j) {
             const uint32_t offset = static_cast<uint32_t>(nodes.size());
@@ -91,36 +90,37 @@ private:
         }
         uint32_t size() const { return end - begin; }
     };
-    struct Job {  // a subtree left for a thread
+    struct PendingSubtree {  // built later by one thread
         Range range;
         int depth;
         uint32_t node;
         int slot;
     };
 
-    // Ranges of at most `small` triangles are not grown but noted in `jobs`.
-    uint32_t grow(std::vector<Node>& nodes, const Range& range, int depth, uint32_t small, std::vector<Job>* jobs) {
-        if (range.size() > kUninterrupted && interrupt_.requested()) return 0;
+    // Builds a subtree. Ranges of at most `max_pending_size` triangles are appended to `jobs`, if given.
+    uint32_t build_subtree(std::vector<Node>& nodes, const Range& range, int depth, uint32_t max_pending_size,
+                           std::vector<PendingSubtree>* jobs) {
+        if (range.size() > kMinInterruptibleTriangles && interrupt_.requested()) return 0;
         Range children[4];
         children[0] = range;
         int count = 1;
-        while (count < 4) {  // cut the child that most queries would enter
+        while (count < 4) {  // split the child with the largest surface, which most queries would enter
             int widest = -1;
             for (int k = 0; k < count; ++k)
-                if (children[k].size() > kLeaf &&
+                if (children[k].size() > kMaxLeafTriangles &&
                     (widest < 0 || children[k].box.half_area() > children[widest].box.half_area()))
                     widest = k;
             if (widest < 0) break;
-            const Range whole = children[widest];
-            const uint32_t middle = depth < kHalving ? cut(whole) : halve(whole);
-            children[widest] = Range(items_, whole.begin, middle);
-            children[count++] = Range(items_, middle, whole.end);
+            const Range parent = children[widest];
+            const uint32_t middle = depth < kMaxSahDepth ? split_by_sah(parent) : split_in_half(parent);
+            children[widest] = Range(items_, parent.begin, middle);
+            children[count++] = Range(items_, middle, parent.end);
         }
         const uint32_t index = static_cast<uint32_t>(nodes.size());
         nodes.emplace_back();
         for (int k = 0; k < 4; ++k) {
             const Range& child = children[k];
-            const bool leaf = child.size() <= kLeaf;  // an empty one too: its box is nowhere
+            const bool leaf = child.size() <= kMaxLeafTriangles;  // also for an empty child, whose box is empty
             for (int axis = 0; axis < 3; ++axis) {
                 nodes[index].low[axis][k] = child.box.low[axis];
                 nodes[index].high[axis][k] = child.box.high[axis];
@@ -129,18 +129,18 @@ private:
             nodes[index].count[k] = child.size() ? child.size() : 1;
             if (leaf) continue;
             nodes[index].count[k] = 0;
-            if (jobs && child.size() <= small)
+            if (jobs && child.size() <= max_pending_size)
                 jobs->push_back({child, depth + 1, index, k});
             else {
-                const uint32_t at = grow(nodes, child, depth + 1, small, jobs);
+                const uint32_t at = build_subtree(nodes, child, depth + 1, max_pending_size, jobs);
                 nodes[index].first[k] = at;
             }
         }
         return index;
     }
 
-    // The binned surface area heuristic: Wald, "On fast construction of SAH-based bounding volume hierarchies", 2007.
-    uint32_t cut(const Range& range) {
+    // Binned surface area heuristic: Wald, "On fast construction of SAH-based bounding volume hierarchies", 2007.
+    uint32_t split_by_sah(const Range& range) {
         float low[3], high[3];
         for (int axis = 0; axis < 3; ++axis) {
             low[axis] = HUGE_VALF, high[axis] = -HUGE_VALF;
@@ -153,7 +153,7 @@ private:
         for (int other = 1; other < 3; ++other)
             if (high[other] - low[other] > high[axis] - low[axis]) axis = other;
         const float scale = kBins / (high[axis] - low[axis]);
-        if (!(scale < std::numeric_limits<float>::max())) return halve(range);
+        if (!(scale < std::numeric_limits<float>::max())) return split_in_half(range);
         const auto bin = [&](const Item& item) {
             return std::min(kBins - 1, static_cast<int>((item.twice_centre(axis) - low[axis]) * scale));
         };
@@ -164,7 +164,7 @@ private:
             boxes[b].include(items_[i].box.low, items_[i].box.high);
             ++counts[b];
         }
-        float below[kBins];  // cost of all bins up to this one
+        float below[kBins];  // cost of all bins up to and including this one
         Box box;
         uint32_t count = 0;
         for (int b = 0; b < kBins; ++b) {
@@ -174,7 +174,7 @@ private:
         }
         box = Box(), count = 0;
         float best = HUGE_VALF;
-        int last = -1;  // bin of the left side
+        int last = -1;  // last bin of the left side
         for (int b = kBins - 1; b > 0; --b) {
             box.include(boxes[b].low, boxes[b].high);
             count += counts[b];
@@ -182,13 +182,13 @@ private:
             const float cost = below[b - 1] + count * box.half_area();
             if (cost < best) best = cost, last = b - 1;
         }
-        if (last < 0) return halve(range);
+        if (last < 0) return split_in_half(range);
         const auto middle = std::partition(items_.begin() + range.begin, items_.begin() + range.end,
                                            [&](const Item& item) { return bin(item) <= last; });
         return static_cast<uint32_t>(middle - items_.begin());
     }
 
-    static uint32_t halve(const Range& range) { return range.begin + range.size() / 2; }
+    static uint32_t split_in_half(const Range& range) { return range.begin + range.size() / 2; }
 
     std::vector<Item>& items_;
     Interrupt& interrupt_;

@@ -1,4 +1,4 @@
-// Python's view of the loops over points that need no tree.
+// Python bindings of the loops over points that need no tree.
 #include "pairs/loops_module.h"
 
 #include <nanobind/stl/optional.h>
@@ -18,15 +18,15 @@ namespace {
 
 using OptionalIndices = std::optional<Indices>;
 
-// `count` rows of an array, those that the list names if there is one.
-pcbench::Rows rows_of(Points array, const OptionalIndices& list, size_t count) {
-    check((list ? list->shape(0) : array.shape(0)) == count, "every argument needs one row for each pair");
+// Returns `count` rows of an array: those listed in `indices`, or else all in order.
+pcbench::Rows rows_of(Points array, const OptionalIndices& indices, size_t count) {
+    check((indices ? indices->shape(0) : array.shape(0)) == count, "expected one row of every argument for each pair");
     bool in_range = true;
-    if (list)
+    if (indices)
         for (size_t i = 0; i < count; ++i)
-            in_range &= list->data()[i] >= 0 && static_cast<size_t>(list->data()[i]) < array.shape(0);
-    if (!in_range) throw nb::index_error("an index lies outside its array");
-    return {array.data(), list ? list->data() : nullptr};
+            in_range &= indices->data()[i] >= 0 && static_cast<size_t>(indices->data()[i]) < array.shape(0);
+    if (!in_range) throw nb::index_error("expected indices within their arrays");
+    return {array.data(), indices ? indices->data() : nullptr};
 }
 
 nb::object to_numpy(const std::vector<int64_t>& values) {
@@ -37,9 +37,9 @@ nb::object to_numpy(const std::vector<int64_t>& values) {
 }
 
 nb::tuple group_by_cell(Points points, double side, In<double, nb::shape<3>> lower, Out<int64_t, nb::shape<-1>> cells) {
-    check(cells.shape(0) == points.shape(0), "group_by_cell: one cell for each point");
+    check(cells.shape(0) == points.shape(0), "group_by_cell: expected one cell for each point");
     check(side > 0, "group_by_cell: expected a positive side");
-    pcbench::Occupied occupied;
+    pcbench::OccupiedCells occupied;
     {
         nb::gil_scoped_release release;
         occupied =
@@ -52,14 +52,14 @@ void plane_fits(Points points, In<int64_t, nb::ndim<2>> neighbors, Out<double, n
                 Out<double, nb::shape<-1>> variation) {
     const size_t rows = neighbors.shape(0), k = neighbors.shape(1);
     check(normals.shape(0) == rows && variation.shape(0) == rows,
-          "plane_fits: normals and variation need one row for each row of neighbors");
+          "plane_fits: expected one row of normals and variation for each row of neighbors");
     bool in_range;
     {
         nb::gil_scoped_release release;
         in_range = pcbench::plane_fits(points.data(), points.shape(0), neighbors.data(), rows, k, normals.data(),
                                        variation.data());
     }
-    if (!in_range) throw nb::index_error("plane_fits: a neighbour index lies outside points");
+    if (!in_range) throw nb::index_error("plane_fits: expected neighbour indices within points");
 }
 
 void plane_distances(Points queries, OptionalIndices query_rows, Points closest, OptionalIndices closest_rows,
@@ -79,19 +79,20 @@ void rounded_squares(Points queries, Points closest, Indices rows, Out<double, n
 }
 
 nb::tuple weigh(Points moved, Column distances, Points closest, Indices rows, Points normals, double max_distance,
-                bool robust, double kept, Out<double, nb::shape<-1>> residuals, Out<double, nb::shape<-1>> weights) {
+                bool robust, double kept_share, Out<double, nb::shape<-1>> residuals,
+                Out<double, nb::shape<-1>> weights) {
     const size_t count = moved.shape(0);
-    check(0 <= kept && kept <= 1, "weigh: expected a share from 0 to 1");
+    check(0 <= kept_share && kept_share <= 1, "weigh: expected a kept share from 0 to 1");
     check(distances.shape(0) == count && residuals.shape(0) == count && weights.shape(0) == count,
-          "weigh: every argument needs one row for each pair");
+          "weigh: expected one row of every argument for each pair");
     const pcbench::Rows c = rows_of(closest, rows, count), n = rows_of(normals, rows, count);
-    pcbench::Weighing found;
+    pcbench::WeightSummary summary;
     {
         nb::gil_scoped_release release;
-        found = pcbench::weigh(count, moved.data(), distances.data(), c, n, max_distance, robust, kept,
-                               residuals.data(), weights.data());
+        summary = pcbench::weigh(count, moved.data(), distances.data(), c, n, max_distance, robust, kept_share,
+                                 residuals.data(), weights.data());
     }
-    return nb::make_tuple(found.near, found.sigma);
+    return nb::make_tuple(summary.pairs_in_range, summary.sigma);
 }
 
 double plane_system(Points moved, Points normals, Indices rows, Column residuals, Column weights,
@@ -99,7 +100,7 @@ double plane_system(Points moved, Points normals, Indices rows, Column residuals
                     Out<double, nb::shape<3>> center) {
     const size_t count = moved.shape(0);
     check(residuals.shape(0) == count && weights.shape(0) == count,
-          "plane_system: every argument needs one row for each pair");
+          "plane_system: expected one row of every argument for each pair");
     const pcbench::Rows n = rows_of(normals, rows, count);
     pcbench::PlaneSystem system;
     {
@@ -112,28 +113,28 @@ double plane_system(Points moved, Points normals, Indices rows, Column residuals
     return system.radius;
 }
 
-void normal_equations(Points places, Points normals, Column weights, Column residuals, Indices starts,
+void normal_equations(Points positions, Points normals, Column weights, Column residuals, Indices starts,
                       In<int64_t, nb::shape<pcbench::kProducts - 1, 2>> steps,
                       Out<double, nb::shape<-1, pcbench::kProducts, 6>> moments,
                       Out<double, nb::shape<-1, pcbench::kMonomials, 3>> scores) {
-    const size_t count = places.shape(0), groups = starts.shape(0);
+    const size_t count = positions.shape(0), groups = starts.shape(0);
     check(normals.shape(0) == count && weights.shape(0) == count && residuals.shape(0) == count,
-          "normal_equations: every argument needs one row for each pair");
-    check(moments.shape(0) == groups && scores.shape(0) == groups, "normal_equations: one result for each group");
-    std::array<pcbench::Step, pcbench::kProducts - 1> step;
+          "normal_equations: expected one row of every argument for each pair");
+    check(moments.shape(0) == groups && scores.shape(0) == groups, "normal_equations: expected one result per group");
+    std::array<pcbench::MonomialStep, pcbench::kProducts - 1> step;
     for (size_t a = 0; a < step.size(); ++a) {
         step[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
         check(
             0 <= step[a].earlier && step[a].earlier <= static_cast<int64_t>(a) && 0 <= step[a].axis && step[a].axis < 3,
-            "normal_equations: a monomial is an earlier one times a coordinate");
+            "normal_equations: expected each monomial as an earlier one times a coordinate");
     }
     std::vector<size_t> bounds(starts.data(), starts.data() + groups);
     bounds.push_back(count);
     check(std::is_sorted(bounds.begin(), bounds.end()), "normal_equations: expected ascending starts of groups");
     nb::gil_scoped_release release;
-#pragma omp parallel for schedule(dynamic) if (groups > 1 && count > pcbench::kWorthThreads / 8)
+#pragma omp parallel for schedule(dynamic) if (groups > 1 && count > pcbench::kMinParallelPairs / 8)
     for (size_t g = 0; g < groups; ++g)
-        pcbench::normal_equations(bounds[g], bounds[g + 1], places.data(), normals.data(), weights.data(),
+        pcbench::normal_equations(bounds[g], bounds[g + 1], positions.data(), normals.data(), weights.data(),
                                   residuals.data(), step.data(), moments.data() + g * pcbench::kProducts * 6,
                                   scores.data() + g * pcbench::kMonomials * 3);
 }
@@ -144,44 +145,45 @@ void bind_loops(nb::module_& m) {
     m.def(
         "group_by_cell", &group_by_cell, nb::arg("points").noconvert(), nb::arg("side"), nb::arg("lower"),
         nb::arg("cells").noconvert(),
-        "Number the occupied cubic cells in the order of their first points: cells (N,) are written in place; the\n"
-        "rows of their first points (M,) and their numbers of points (M,) are returned.",
+        "Number the occupied cubic cells in the order of their first points. The cells (N,) of the points are written\n"
+        "in place; the indices of the first points (M,) and the point counts (M,) of the cells are returned.",
         nb::sig("def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: "
                 "NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
     m.def(
         "plane_fits", &plane_fits, nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(),
         nb::arg("variation").noconvert(),
-        "Fit a plane to each row of neighbours: unit normals (M, 3) and surface variation (M,) are written in place.");
+        "Fit a plane to each row of neighbours. Unit normals (M, 3) and surface variation (M,) are written in place.");
     m.def("plane_distances", &plane_distances, nb::arg("queries").noconvert(), nb::arg("query_rows").noconvert().none(),
           nb::arg("closest").noconvert(), nb::arg("closest_rows").noconvert().none(), nb::arg("normals").noconvert(),
           nb::arg("normal_rows").noconvert().none(), nb::arg("distances").noconvert(),
-          "Signed distances (M,) along normals, written in place; each array is taken in order or by its rows.");
+          "Signed distances (M,) along normals, written in place; each array is used in order or by its row indices.");
     m.def("rounded_squares", &rounded_squares, nb::arg("queries").noconvert(), nb::arg("closest").noconvert(),
           nb::arg("closest_rows").noconvert(), nb::arg("squares").noconvert(),
-          "Squared distances (M,), written in place, from differences that were rounded to float32.");
+          "Squared distances (M,), written in place, from coordinate differences rounded to float32.");
     m.def(
         "weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("closest").noconvert(),
         nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("max_distance"), nb::arg("robust"),
-        nb::arg("kept"), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
-        "Residuals and weights (M,) of pairs, written in place; the number of pairs within the maximum correspondence\n"
-        "distance and their sigma.",
+        nb::arg("kept_share"), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
+        "Residuals and weights (M,) of pairs, written in place. Returned are the number of pairs within the maximum\n"
+        "correspondence distance and their sigma.",
         nb::sig(
             "def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], closest: "
             "NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], max_distance: float, "
-            "robust: bool, kept: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> "
+            "robust: bool, kept_share: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> "
             "tuple[int, float]"));
-    m.def("plane_system", &plane_system, nb::arg("moved").noconvert(), nb::arg("normals").noconvert(),
-          nb::arg("rows").noconvert(), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
-          nb::arg("hessian").noconvert(), nb::arg("gradient").noconvert(), nb::arg("center").noconvert(),
-          "Normal equations of one point-to-plane step, written in place; returns the pairs' RMS radius.",
-          nb::sig("def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64], rows: "
-                  "NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: "
-                  "NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> "
-                  "float"));
-    m.def("normal_equations", &normal_equations, nb::arg("places").noconvert(), nb::arg("normals").noconvert(),
-          nb::arg("weights").noconvert(), nb::arg("residuals").noconvert(), nb::arg("starts").noconvert(),
-          nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
-          "Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
-          "w phi n r, for the monomials that the steps (83, 2) build: an earlier one and the coordinate it is "
-          "multiplied by.");
+    m.def(
+        "plane_system", &plane_system, nb::arg("moved").noconvert(), nb::arg("normals").noconvert(),
+        nb::arg("rows").noconvert(), nb::arg("residuals").noconvert(), nb::arg("weights").noconvert(),
+        nb::arg("hessian").noconvert(), nb::arg("gradient").noconvert(), nb::arg("center").noconvert(),
+        "Normal equations of one point-to-plane iteration, written in place. Returned is the RMS radius of the pairs.",
+        nb::sig("def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64], rows: "
+                "NDArray[numpy.int64], residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64], hessian: "
+                "NDArray[numpy.float64], gradient: NDArray[numpy.float64], center: NDArray[numpy.float64]) -> "
+                "float"));
+    m.def(
+        "normal_equations", &normal_equations, nb::arg("positions").noconvert(), nb::arg("normals").noconvert(),
+        nb::arg("weights").noconvert(), nb::arg("residuals").noconvert(), nb::arg("starts").noconvert(),
+        nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
+        "Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
+        "w phi n r. Each monomial phi but the first is an earlier one times a coordinate, as given by steps (83, 2).");
 }

@@ -1,4 +1,4 @@
-// Points grouped by the cubic cell they lie in: a hash table that is filled in the order of the points.
+// Grouping of points by cubic cell, with a hash table that is filled in the order of the points.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -8,7 +8,7 @@
 
 namespace pcbench {
 
-// A cell's place: whole numbers along the axes.
+// Integer coordinates of a cell.
 struct Cell {
     int32_t x, y, z;
     bool operator==(const Cell& other) const { return x == other.x && y == other.y && z == other.z; }
@@ -18,15 +18,15 @@ struct Cell {
     }
 };
 
-// Where points' cells lie; those beyond 2^31 from the corner share the outermost one.
+// Maps points to cells; points more than 2^31 cells from the corner share the outermost cells.
 class Grid {
 public:
     Grid(double side, const double* lower) : side_(side), lower_{lower[0], lower[1], lower[2]} {}
 
-    Cell cell(const double* p) const { return {along(p, 0), along(p, 1), along(p, 2)}; }
+    Cell cell(const double* p) const { return {coordinate(p, 0), coordinate(p, 1), coordinate(p, 2)}; }
 
 private:
-    int32_t along(const double* p, int axis) const {
+    int32_t coordinate(const double* p, int axis) const {
         const double cell = std::floor((p[axis] - lower_[axis]) / side_);
         return static_cast<int32_t>(std::clamp(cell, -2147483648.0, 2147483647.0));
     }
@@ -34,21 +34,21 @@ private:
     double side_, lower_[3];
 };
 
-struct Occupied {
-    std::vector<int64_t> first, counts;  // of each cell: its first point, and how many it has
+struct OccupiedCells {
+    std::vector<int64_t> first, counts;  // first point and number of points of each cell
 };
 
-// Writes each point's cell, numbered in the order in which cells first appear.
-inline Occupied group_by_cell(const double* points, size_t count, const Grid& grid, int64_t* labels) {
+// Writes the cell of each point. Cells are numbered in the order of their first points.
+inline OccupiedCells group_by_cell(const double* points, size_t count, const Grid& grid, int64_t* labels) {
     struct Slot {
         Cell cell;
         int64_t label;
     };
-    constexpr Slot kFree = {{0, 0, 0}, -1};
-    constexpr size_t kBatch = 64;  // slots are fetched together: each one alone would be a wait for memory
+    constexpr Slot kEmpty = {{0, 0, 0}, -1};
+    constexpr size_t kBatch = 64;  // slots are prefetched together: a single access would wait for memory
     unsigned bits = 10;
-    std::vector<Slot> table(size_t{1} << bits, kFree);
-    Occupied cells;
+    std::vector<Slot> table(size_t{1} << bits, kEmpty);
+    OccupiedCells cells;
     const auto slot_of = [&](const Cell& cell) { return cell.hash() >> (64 - bits); };
     const auto find = [&](const Cell& cell) -> Slot& {
         size_t at = slot_of(cell);
@@ -56,7 +56,7 @@ inline Occupied group_by_cell(const double* points, size_t count, const Grid& gr
         return table[at];
     };
     const auto grow = [&] {
-        std::vector<Slot> old(size_t{4} << bits, kFree);
+        std::vector<Slot> old(size_t{4} << bits, kEmpty);
         old.swap(table);
         bits += 2;
         for (const Slot& slot : old)
@@ -65,15 +65,15 @@ inline Occupied group_by_cell(const double* points, size_t count, const Grid& gr
     for (size_t start = 0; start < count; start += kBatch) {
         const size_t size = std::min(kBatch, count - start);
         while (2 * (cells.first.size() + size) > table.size()) grow();
-        Cell places[kBatch];
+        Cell batch_cells[kBatch];
         for (size_t i = 0; i < size; ++i) {
-            places[i] = grid.cell(points + 3 * (start + i));
-            __builtin_prefetch(&table[slot_of(places[i])], 1);
+            batch_cells[i] = grid.cell(points + 3 * (start + i));
+            __builtin_prefetch(&table[slot_of(batch_cells[i])], 1);
         }
         for (size_t i = 0; i < size; ++i) {
-            Slot& slot = find(places[i]);
+            Slot& slot = find(batch_cells[i]);
             if (slot.label < 0) {
-                slot = {places[i], static_cast<int64_t>(cells.first.size())};
+                slot = {batch_cells[i], static_cast<int64_t>(cells.first.size())};
                 cells.first.push_back(static_cast<int64_t>(start + i));
                 cells.counts.push_back(0);
             }

@@ -1,19 +1,19 @@
-// Eight queries that lie near each other and walk the tree together, one in each lane of the SIMD vectors.
-// Included once for each instruction set, see kernels_isa.h.
+// Eight neighbouring queries that traverse the tree together, one per lane of the SIMD vectors.
+// Included once per instruction set, see kernels_isa.h.
 #pragma once
 #include "points/walk.h"
 
 namespace pcbench::PCB_ISA {
 
-struct Group {
+struct QueryGroup {
     alignas(64) double x[kLanes], y[kLanes], z[kLanes];
-    size_t row[kLanes];    // of the result
-    size_t point[kLanes];  // of the tree, for queries that are its own points
-    int count;             // real queries; the lanes beyond repeat the first
+    size_t row[kLanes];    // row of the result
+    size_t point[kLanes];  // point of the tree, for queries that are points of the tree
+    int count;             // number of queries; the other lanes repeat the first
     Box box;
 
-    explicit Group(const Leaf& leaf) : count(0) {
-        for (size_t l = 0; l < kFan; ++l) {
+    explicit QueryGroup(const Leaf& leaf) : count(0) {
+        for (size_t l = 0; l < kFanout; ++l) {
             const size_t from = leaf.row[l] == kNoRow ? 0 : l;
             count += from == l;
             x[l] = leaf.x[from], y[l] = leaf.y[from], z[l] = leaf.z[from],
@@ -29,19 +29,19 @@ struct Group {
         }
     }
 
-    // Squared distance of each query to one of the node's children.
-    Vector gaps_to(const Node& node, int child) const {
+    // Squared distance of each query to the box of one child of the node.
+    Vector squared_gaps_to(const Node& node, int child) const {
         const double* axes[3] = {x, y, z};
         Vector gap[3];
         for (int a = 0; a < 3; ++a) {
             const Vector q = load(axes[a]);
-            gap[a] = axis_gap(q, q, splat(node.low[a][child]), splat(node.high[a][child]));
+            gap[a] = interval_gap(q, q, splat(node.low[a][child]), splat(node.high[a][child]));
         }
         return squared_length(gap[0], gap[1], gap[2]);
     }
 };
 
-inline bool comes_before(double squared, double row, double other_squared, double other_row) {
+inline bool is_before(double squared, double row, double other_squared, double other_row) {
     return squared < other_squared || (squared == other_squared && row < other_row);
 }
 

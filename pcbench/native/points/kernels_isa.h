@@ -1,7 +1,7 @@
-// Compiled once for each instruction set with its own flags (CMakeLists.txt) and its own namespace PCB_ISA: the linker
-// must never find two copies of one inline function and keep the one that this machine cannot run. For the same reason
-// these headers take no function from the standard library but those of <cmath>, nor one that is inline elsewhere:
-// tests/native/test_instruction_sets.py looks at what each unit leaves to the linker.
+// Compiled once per instruction set, with its own flags (CMakeLists.txt) and its own namespace PCB_ISA. The linker must
+// not merge two copies of an inline function into one that this machine cannot run. For the same reason these headers
+// use no function of the standard library except those of <cmath>, and no inline functions of other headers.
+// tests/native/test_instruction_sets.py checks the weak symbols of each unit.
 #pragma once
 #include "points/kernels.h"
 #include "points/knearest.h"
@@ -14,7 +14,7 @@ namespace pcbench::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), arrange, bound, nearest, knearest, in_balls, in_cylinders, planes,
-                                PlaneScratch::bytes};
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), sort_into_leaves, build_upper_levels, nearest, knearest, in_balls,
+                                in_cylinders,       planes,           PlaneScratch::bytes};
 
 }  // namespace pcbench::PCB_ISA

@@ -1,20 +1,20 @@
-// The k nearest points of one query after the other.
-// Included once for each instruction set, see kernels_isa.h.
+// The k nearest points of each query, one query at a time.
+// Included once per instruction set, see kernels_isa.h.
 #pragma once
 #include "common/interrupt.h"
 #include "points/group.h"
 
 namespace pcbench::PCB_ISA {
 
-// A list sorted by (distance, row), filled in the rows of the result itself.
+// A list sorted by (distance, row), stored in the query's row of the result.
 class NearestK {
 public:
     NearestK(const Tree& tree, const double* query, size_t k, double* squared, int64_t* rows)
-        : tree_(tree), query_(query), box_(point_box(query)), k_(k), squared_(squared), rows_(rows) {}
+        : tree_(tree), query_(query), box_(box_of_point(query)), k_(k), squared_(squared), rows_(rows) {}
 
-    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, box_); }
-    double bound() const { return found_ < k_ ? kFarAway : squared_[k_ - 1]; }
-    uint32_t last_tie() const { return found_ < k_ ? UINT32_MAX : static_cast<uint32_t>(rows_[k_ - 1]); }
+    Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, box_); }
+    double bound() const { return count_ < k_ ? kUnbounded : squared_[k_ - 1]; }
+    uint32_t last_tie() const { return count_ < k_ ? UINT32_MAX : static_cast<uint32_t>(rows_[k_ - 1]); }
 
     void leaf(uint32_t id, const Node&, int) {
         const Leaf& leaf = tree_.leaves[id];
@@ -30,13 +30,13 @@ public:
 
 private:
     void insert(double squared, double row) {
-        if (found_ == k_) {
-            if (!comes_before(squared, row, squared_[k_ - 1], static_cast<double>(rows_[k_ - 1]))) return;
+        if (count_ == k_) {
+            if (!is_before(squared, row, squared_[k_ - 1], static_cast<double>(rows_[k_ - 1]))) return;
         } else {
-            ++found_;
+            ++count_;
         }
-        size_t at = found_ - 1;
-        for (; at > 0 && comes_before(squared, row, squared_[at - 1], static_cast<double>(rows_[at - 1])); --at)
+        size_t at = count_ - 1;
+        for (; at > 0 && is_before(squared, row, squared_[at - 1], static_cast<double>(rows_[at - 1])); --at)
             squared_[at] = squared_[at - 1], rows_[at] = rows_[at - 1];
         squared_[at] = squared, rows_[at] = static_cast<int64_t>(row);
     }
@@ -44,7 +44,7 @@ private:
     const Tree& tree_;
     const double* query_;
     Box box_;
-    size_t k_, found_ = 0;
+    size_t k_, count_ = 0;
     double* squared_;
     int64_t* rows_;
 };
@@ -54,11 +54,11 @@ inline void knearest(const Tree& tree, const Leaf* queries, size_t leaf_count, s
 #pragma omp parallel for schedule(dynamic, 16)
     for (size_t q = 0; q < leaf_count; ++q) {
         if (interrupt.requested()) continue;
-        for (size_t l = 0; l < kFan && queries[q].row[l] != kNoRow; ++l) {
+        for (size_t l = 0; l < kFanout && queries[q].row[l] != kNoRow; ++l) {
             const double query[3] = {queries[q].x[l], queries[q].y[l], queries[q].z[l]};
             const size_t row = static_cast<size_t>(queries[q].row[l]);
-            NearestK found(tree, query, k, distances + k * row, indices + k * row);
-            walk(tree, found);
+            NearestK search(tree, query, k, distances + k * row, indices + k * row);
+            traverse(tree, search);
             for (size_t j = 0; j < k; ++j) distances[k * row + j] = std::sqrt(distances[k * row + j]);
         }
     }

@@ -1,47 +1,47 @@
 // The nearest point of each query, eight queries at a time.
-// Included once for each instruction set, see kernels_isa.h.
+// Included once per instruction set, see kernels_isa.h.
 #pragma once
 #include "common/interrupt.h"
 #include "points/group.h"
 
 namespace pcbench::PCB_ISA {
 
-// With kTies also the squared distance to the nearest point that is not the answer, as far as it is less than the
-// answer's plus `slack`.
+// With kTies, also the squared distance to the nearest point other than the match, if it is less than the match's plus
+// `slack`.
 template <bool kTies>
-class NearestOfGroup {
+class GroupNearest {
 public:
-    NearestOfGroup(const Tree& tree, const Group& group, double slack) : tree_(tree), group_(group), slack_(slack) {
-        store(best_, splat(kFarAway));
+    GroupNearest(const Tree& tree, const QueryGroup& group, double slack) : tree_(tree), group_(group), slack_(slack) {
+        store(best_, splat(kUnbounded));
         store(row_, splat(kNoRow));
-        if (kTies) store(second_, splat(kFarAway));
+        if (kTies) store(second_, splat(kUnbounded));
     }
 
-    // Where the walk starts decides how much it prunes: any leaf will do, the previous group's answer is best.
+    // A good first bound prunes more. Any leaf is valid; the leaf of the previous group's match is best.
     void start(uint32_t leaf) {
-        seed_ = near_ = leaf;
+        start_leaf_ = best_leaf_ = leaf;
         visit_all(leaf);
-        bound_ = largest(limits());
+        bound_ = max_lane(limits());
     }
 
-    // Starts in the queries' own leaf, where a query is not its own neighbour.
-    void start_at_own(uint32_t leaf) {
-        seed_ = near_ = leaf;
+    // Starts in the queries' own leaf and excludes each query from its own candidates.
+    void start_in_own_leaf(uint32_t leaf) {
+        start_leaf_ = best_leaf_ = leaf;
         visit_all<true>(leaf);
-        bound_ = largest(limits());
+        bound_ = max_lane(limits());
     }
 
-    void suggest(const int64_t* hints) {
+    void apply_hints(const int64_t* hints) {
         for (int l = 0; l < kLanes; ++l) {
             const int64_t hint = hints[group_.row[l]];
             const double* p = tree_.points + 3 * hint;
             const double dx = group_.x[l] - p[0], dy = group_.y[l] - p[1], dz = group_.z[l] - p[2];
-            improve(l, (dx * dx + dy * dy) + dz * dz, static_cast<double>(hint));
+            update_best(l, (dx * dx + dy * dy) + dz * dz, static_cast<double>(hint));
         }
-        bound_ = largest(load(best_));
+        bound_ = max_lane(load(best_));
     }
 
-    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
+    Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, group_.box); }
     double bound() const { return bound_; }
 
     uint32_t last_tie() const {
@@ -53,8 +53,8 @@ public:
     }
 
     void leaf(uint32_t leaf, const Node& parent, int child) {
-        if (leaf == seed_) return;
-        unsigned lanes = bits(group_.gaps_to(parent, child) <= limits());
+        if (leaf == start_leaf_) return;
+        unsigned lanes = bits(group_.squared_gaps_to(parent, child) <= limits());
         if (!lanes) return;
         bool improved = false;
         if (__builtin_popcount(lanes) > 2)
@@ -62,30 +62,31 @@ public:
         else
             for (; lanes; lanes &= lanes - 1) improved |= visit_one(leaf, __builtin_ctz(lanes));
         if (!improved) return;
-        near_ = leaf;
-        bound_ = largest(limits());
+        best_leaf_ = leaf;
+        bound_ = max_lane(limits());
     }
 
-    uint32_t near() const { return near_; }
+    uint32_t best_leaf() const { return best_leaf_; }
     double squared(int lane) const { return best_[lane]; }
     int64_t row(int lane) const { return static_cast<int64_t>(row_[lane]); }
     bool tied(int lane) const { return second_[lane] - best_[lane] < slack_; }
 
 private:
-    // Squared distances that matter. Rounding is monotone: d - best < slack implies d <= best + slack, each rounded
-    // once. A query with a tie needs only its answer: what is skipped from then on is no nearer than that tie.
+    // Squared distances up to which points matter. Rounding is monotone: d - best < slack implies d <= best + slack,
+    // each rounded once. A query with a tie needs only its match: points skipped from then on are no nearer than that
+    // tie.
     Vector limits() const { return kTies ? select(untied(), load(best_) + splat(slack_), load(best_)) : load(best_); }
     Mask untied() const { return splat(slack_) <= load(second_) - load(best_); }
 
-    // One point after the other, against eight queries.
-    template <bool kOwnLeaf = false>
+    // One point at a time, against eight queries.
+    template <bool kIsOwnLeaf = false>
     bool visit_all(uint32_t id) {
         const Leaf& leaf = tree_.leaves[id];
         const Vector x = load(group_.x), y = load(group_.y), z = load(group_.z), before = load(best_);
         Vector best = before, row = load(row_), second = kTies ? load(second_) : before;
-        for (size_t i = 0; i < kFan; ++i) {
+        for (size_t i = 0; i < kFanout; ++i) {
             Vector squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
-            if (kOwnLeaf) squared = select(from_bits(1u << i), splat(HUGE_VAL), squared);
+            if (kIsOwnLeaf) squared = select(mask_from_bits(1u << i), splat(HUGE_VAL), squared);
             const Vector index = splat(leaf.row[i]);
             const Mask better = (squared < best) | ((squared == best) & (index < row));
             if (kTies) second = min(second, max(best, squared));
@@ -110,66 +111,66 @@ private:
         bool improved = false;
         for (; near; near &= near - 1) {
             const int i = __builtin_ctz(near);
-            improved |= improve(lane, squared[i], leaf.row[i]);
+            improved |= update_best(lane, squared[i], leaf.row[i]);
         }
         return improved;
     }
 
-    bool improve(int lane, double squared, double row) {
+    bool update_best(int lane, double squared, double row) {
         if (kTies) {
             const double loser = squared > best_[lane] ? squared : best_[lane];
             second_[lane] = loser < second_[lane] ? loser : second_[lane];
         }
-        if (!comes_before(squared, row, best_[lane], row_[lane])) return false;
+        if (!is_before(squared, row, best_[lane], row_[lane])) return false;
         best_[lane] = squared, row_[lane] = row;
         return true;
     }
 
     const Tree& tree_;
-    const Group& group_;
+    const QueryGroup& group_;
     const double slack_;
     alignas(64) double best_[kLanes];
     alignas(64) double row_[kLanes];
     alignas(64) double second_[kLanes];
-    double bound_ = kFarAway;
-    uint32_t seed_ = 0, near_ = 0;
+    double bound_ = kUnbounded;
+    uint32_t start_leaf_ = 0, best_leaf_ = 0;
 };
 
 template <bool kTies>
 inline void nearest_in_chunk(const Tree& tree, const Leaf* queries, size_t begin, size_t end, const int64_t* hints,
-                             bool own, double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
-    uint32_t near = 0;
+                             bool own_leaves, double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
+    uint32_t start_leaf = 0;
     for (size_t q = begin; q < end; ++q) {
         if (q % 16 == 0 && interrupt.requested()) return;
-        const Group group(queries[q]);
-        // The rows are scattered over the result: their lines arrive while the tree is walked.
+        const QueryGroup group(queries[q]);
+        // The rows are scattered over the result: prefetch them during the traversal.
         for (size_t row : group.row) __builtin_prefetch(distances + row, 1), __builtin_prefetch(indices + row, 1);
-        NearestOfGroup<kTies> found(tree, group, ties.slack);
-        if (own)
-            found.start_at_own(static_cast<uint32_t>(q));
+        GroupNearest<kTies> search(tree, group, ties.slack);
+        if (own_leaves)
+            search.start_in_own_leaf(static_cast<uint32_t>(q));
         else
-            found.start(near);
-        if (hints) found.suggest(hints);
-        walk(tree, found);
-        near = found.near();
+            search.start(start_leaf);
+        if (hints) search.apply_hints(hints);
+        traverse(tree, search);
+        start_leaf = search.best_leaf();
         for (int l = 0; l < group.count; ++l) {
-            distances[group.row[l]] = std::sqrt(found.squared(l));
-            indices[group.row[l]] = found.row(l);
-            if (kTies) ties.flags[group.row[l]] = found.tied(l);
+            distances[group.row[l]] = std::sqrt(search.squared(l));
+            indices[group.row[l]] = search.row(l);
+            if (kTies) ties.flags[group.row[l]] = search.tied(l);
         }
     }
 }
 
-// `queries` are leaves: sorted in space, each with its row. `own` says that they are the tree's own leaves. Ties are
-// only looked for where nothing is hinted at.
-inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own,
+// `queries` are leaves, sorted in space, with the row of each query. `own_leaves` means that they are the tree's
+// leaves. Ties are not supported together with hints.
+inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own_leaves,
                     double* distances, int64_t* indices, Ties ties, Interrupt& interrupt) {
     constexpr size_t kChunk = 256;
-    const auto search = ties.flags ? nearest_in_chunk<true> : nearest_in_chunk<false>;
+    const auto search_chunk = ties.flags ? nearest_in_chunk<true> : nearest_in_chunk<false>;
 #pragma omp parallel for schedule(dynamic) if (leaf_count > 4 * kChunk)
     for (size_t begin = 0; begin < leaf_count; begin += kChunk) {
         const size_t end = begin + kChunk < leaf_count ? begin + kChunk : leaf_count;
-        search(tree, queries, begin, end, hints, own, distances, indices, ties, interrupt);
+        search_chunk(tree, queries, begin, end, hints, own_leaves, distances, indices, ties, interrupt);
     }
 }
 

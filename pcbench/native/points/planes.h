@@ -1,6 +1,6 @@
 // Planes through the k nearest points of points of the tree, eight neighbouring queries at a time. The neighbours are
-// never listed: each query only gets the distance that separates its k nearest from the rest.
-// Included once for each instruction set, see kernels_isa.h.
+// not listed: each query only determines the distance that separates its k nearest points from the rest.
+// Included once per instruction set, see kernels_isa.h.
 #pragma once
 #include <omp.h>
 
@@ -10,14 +10,14 @@
 
 namespace pcbench::PCB_ISA {
 
-// Room for the candidates of one group; one for each thread, reused.
+// Memory for the candidates of one group, one per thread and reused.
 struct PlaneScratch {
-    // After tightening at most k points of each query remain.
-    static size_t points(size_t k) { return kLanes * k + 8 * kFan * kFan; }
+    // After tightening, at most k points remain for each query.
+    static size_t points(size_t k) { return kLanes * k + 8 * kFanout * kFanout; }
     static size_t bytes(size_t k) { return points(k) * (sizeof(double[kLanes]) + 2 * sizeof(uint64_t)); }
 };
 
-// Shell's method. Not std::sort, of which the linker would keep one copy for all instruction sets.
+// Shell sort with Knuth's gaps. Replaces std::sort, of which the linker would keep one copy for all instruction sets.
 inline void sort_ascending(uint64_t* keys, size_t count) {
     size_t gap = 1;
     while (gap < count / 9) gap = 3 * gap + 1;
@@ -30,56 +30,57 @@ inline void sort_ascending(uint64_t* keys, size_t count) {
         }
 }
 
-class PlanesOfGroup {
+class GroupPlanes {
 public:
-    PlanesOfGroup(const Tree& tree, const Group& group, size_t k, double* scratch)
+    GroupPlanes(const Tree& tree, const QueryGroup& group, size_t k, double* scratch)
         : tree_(tree),
           group_(group),
           k_(k),
-          room_(PlaneScratch::points(k)),
-          first_tightening_(2 * k + 4 * kFan),
+          capacity_(PlaneScratch::points(k)),
+          first_tightening_(2 * k + 4 * kFanout),
           squared_(scratch),
-          slots_(reinterpret_cast<uint64_t*>(scratch + room_ * kLanes)),
-          runs_(slots_ + room_) {
-        store(limit_, splat(kFarAway));
+          slots_(reinterpret_cast<uint64_t*>(scratch + capacity_ * kLanes)),
+          runs_(slots_ + capacity_) {
+        store(limit_, splat(kUnbounded));
         store(last_row_, splat(kNoRow));
     }
 
-    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, group_.box); }
+    Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, group_.box); }
     double bound() const { return bound_; }
     uint32_t last_tie() const { return UINT32_MAX; }
 
     void leaf(uint32_t id, const Node& parent, int child) {
-        if (!bits(group_.gaps_to(parent, child) <= load(limit_))) return;
-        if (count_ + kFan > room_) tighten(0);
+        if (!bits(group_.squared_gaps_to(parent, child) <= load(limit_))) return;
+        if (count_ + kFanout > capacity_) tighten(0);
         const Leaf& leaf = tree_.leaves[id];
         const Vector x = load(group_.x), y = load(group_.y), z = load(group_.z), limit = load(limit_);
-        for (size_t i = 0; i < kFan; ++i) {
+        for (size_t i = 0; i < kFanout; ++i) {
             const Vector squared = squared_length(x - splat(leaf.x[i]), y - splat(leaf.y[i]), z - splat(leaf.z[i]));
             store(squared_ + count_ * kLanes, squared);
-            slots_[count_] = kFan * id + i;
+            slots_[count_] = kFanout * id + i;
             count_ += bits(squared <= limit) != 0;
         }
-        if (first_tightening_ <= count_ && bound_ == kFarAway) tighten(k_ / 4);
+        if (first_tightening_ <= count_ && bound_ == kUnbounded) tighten(k_ / 4);
     }
 
-    // Writes the rows of the group. The neighbours of a query are summed in the order of the tree, whichever queries
-    // share its group and the way they came; a candidate that is not its neighbour adds zero, which changes no bit.
+    // Writes the results of the group. The neighbours of a query are summed in the order of the tree, whatever the
+    // other queries of the group and the traversal order. A candidate that is not a neighbour adds zero, which changes
+    // no bit.
     void fit(double* normals, double* variation, double* distances, int64_t* indices) {
         tighten(0);
         const Vector x = load(group_.x), y = load(group_.y), z = load(group_.z), zero = splat(0.0);
         Vector sx = zero, sy = zero, sz = zero, xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
-        alignas(64) double own[kLanes];
-        for (int l = 0; l < kLanes; ++l) own[l] = static_cast<double>(group_.point[l]);
+        alignas(64) double own_row[kLanes];
+        for (int l = 0; l < kLanes; ++l) own_row[l] = static_cast<double>(group_.point[l]);
         Vector nearest = splat(HUGE_VAL), nearest_row = splat(kNoRow);
         const size_t run_count = sort_runs();
         for (size_t run = 0; run < run_count; ++run) {
             const uint64_t id = runs_[run] >> 32;
             const Leaf& leaf = tree_.leaves[id];
-            for (size_t c = runs_[run] & UINT32_MAX; c < count_ && slots_[c] / kFan == id; ++c) {
+            for (size_t c = runs_[run] & UINT32_MAX; c < count_ && slots_[c] / kFanout == id; ++c) {
                 const Mask selected = is_selected(c);
-                const size_t i = slots_[c] % kFan;
-                // Differences to the query, which is one of the points: large coordinates cost no digits.
+                const size_t i = slots_[c] % kFanout;
+                // Differences to the query, which is one of the points: large coordinates lose no precision.
                 const Vector dx = select(selected, splat(leaf.x[i]) - x, zero);
                 const Vector dy = select(selected, splat(leaf.y[i]) - y, zero);
                 const Vector dz = select(selected, splat(leaf.z[i]) - z, zero);
@@ -87,8 +88,8 @@ public:
                 xx = xx + dx * dx, xy = xy + dx * dy, xz = xz + dx * dz;
                 yy = yy + dy * dy, yz = yz + dy * dz, zz = zz + dz * dz;
                 const Vector candidate = splat(leaf.row[i]);
-                const Vector other = select(candidate == load(own), splat(HUGE_VAL), squared(c));
-                // Its own row may stand here at infinity, until another one comes: there is one, as k >= 2.
+                const Vector other = select(candidate == load(own_row), splat(HUGE_VAL), squared(c));
+                // `nearest` may be the query itself, at infinity, until another point replaces it (k >= 2).
                 const Mask better = (other < nearest) | ((other == nearest) & (candidate < nearest_row));
                 nearest = min(nearest, other);
                 nearest_row = select(better, candidate, nearest_row);
@@ -98,7 +99,7 @@ public:
         Symmetric<Vector> covariance{xx - sx * sx * share, xy - sx * sy * share, xz - sx * sz * share,
                                      yy - sy * sy * share, yz - sy * sz * share, zz - sz * sz * share};
         const SmallestEigen smallest = smallest_eigen(covariance);
-        // Signs agree: z up, then y, then x where the others are zero.
+        // Orient upwards: z > 0; if z is 0, y > 0; if both are 0, x > 0.
         const Mask down = (smallest.z < zero) |
                           ((smallest.z == zero) & ((smallest.y < zero) | ((smallest.y == zero) & (smallest.x < zero))));
         alignas(64) double out[6][kLanes];
@@ -117,7 +118,7 @@ public:
 
 private:
     Vector squared(size_t c) const { return load(squared_ + c * kLanes); }
-    double row(size_t c) const { return tree_.leaves[slots_[c] / kFan].row[slots_[c] % kFan]; }
+    double row(size_t c) const { return tree_.leaves[slots_[c] / kFanout].row[slots_[c] % kFanout]; }
 
     Mask is_selected(size_t c) const {
         const Vector limit = load(limit_);
@@ -126,7 +127,7 @@ private:
 
     Vector count_up_to(Vector limit) const {
         const Vector zero = splat(0.0), one = splat(1.0);
-        Vector count[4] = {zero, zero, zero, zero};  // four sums at a time: an addition need not wait for the last
+        Vector count[4] = {zero, zero, zero, zero};  // four independent sums hide the latency of additions
         size_t c = 0;
         for (; c + 4 <= count_; c += 4)
             for (size_t i = 0; i < 4; ++i) count[i] = count[i] + select(squared(c + i) <= limit, one, zero);
@@ -134,11 +135,11 @@ private:
         return (count[0] + count[1]) + (count[2] + count[3]);
     }
 
-    // Lowers each query's limit until between k and k + surplus candidates are within it. Their number grows about
-    // linearly with the squared distance on a surface, so interpolation needs few rounds; ties need a look one by one.
+    // Lowers each query's limit until it contains k to k + surplus candidates. On a surface their number is about
+    // linear in the squared distance, so interpolation takes few rounds. Ties are resolved one query at a time.
     void tighten(size_t surplus) {
-        const Vector k = splat(static_cast<double>(k_)), enough = splat(static_cast<double>(k_ + surplus));
-        // Too few are within `low`, unless it is the answer already; enough are within `high`.
+        const Vector k = splat(static_cast<double>(k_)), max_within = splat(static_cast<double>(k_ + surplus));
+        // `low` contains too few candidates, unless it is the result already; `high` contains enough.
         const Vector zero = splat(0.0), one = splat(1.0), limit = load(limit_);
         Vector low = zero, below = zero, high = zero, within = zero;
         for (size_t c = 0; c < count_; ++c) {
@@ -149,11 +150,11 @@ private:
         }
         const Mask at_zero = k <= below;
         high = select(at_zero, low, high), within = select(at_zero, below, within);
-        for (int round = 0; round < 9 && bits(within <= enough) != 0xff; ++round) {
-            const Vector aim = splat(static_cast<double>(k_) + 0.5 * static_cast<double>(surplus + 1));
-            Vector part = (aim - below) / (within - below + splat(1.0));
-            if (round % 3 == 2) part = splat(0.5);
-            const Vector middle = select(within <= enough, high, low + (high - low) * part);
+        for (int round = 0; round < 9 && bits(within <= max_within) != 0xff; ++round) {
+            const Vector target = splat(static_cast<double>(k_) + 0.5 * static_cast<double>(surplus + 1));
+            Vector share = (target - below) / (within - below + splat(1.0));
+            if (round % 3 == 2) share = splat(0.5);
+            const Vector middle = select(within <= max_within, high, low + (high - low) * share);
             const Vector count = count_up_to(middle);
             const Mask over = k <= count;
             high = select(over, middle, high), within = select(over, count, within);
@@ -161,20 +162,20 @@ private:
         }
         store(limit_, high);
         store(last_row_, splat(kNoRow));
-        unsigned tied = surplus == 0 ? ~bits(within <= enough) & 0xff : 0;
-        for (; tied; tied &= tied - 1) settle_ties(__builtin_ctz(tied));
-        bound_ = largest(load(limit_));
+        unsigned tied = surplus == 0 ? ~bits(within <= max_within) & 0xff : 0;
+        for (; tied; tied &= tied - 1) resolve_ties(__builtin_ctz(tied));
+        bound_ = max_lane(load(limit_));
         drop_unselected();
     }
 
-    // The k-th of one query's candidates by (distance, row), one after the other.
-    void settle_ties(int lane) {
+    // Sets the limit of one query to its k-th candidate by (distance, row).
+    void resolve_ties(int lane) {
         double last = -1.0, last_row = -1.0;
-        for (size_t found = 0; found < k_; ++found) {
+        for (size_t rank = 0; rank < k_; ++rank) {
             double next = HUGE_VAL, next_row = kNoRow;
             for (size_t c = 0; c < count_; ++c) {
                 const double s = squared_[c * kLanes + lane], r = row(c);
-                if (comes_before(last, last_row, s, r) && comes_before(s, r, next, next_row)) next = s, next_row = r;
+                if (is_before(last, last_row, s, r) && is_before(s, r, next, next_row)) next = s, next_row = r;
             }
             last = next, last_row = next_row;
         }
@@ -182,52 +183,52 @@ private:
     }
 
     void drop_unselected() {
-        size_t kept = 0;
+        size_t kept_count = 0;
         for (size_t c = 0; c < count_; ++c) {
             const bool keep = bits(is_selected(c)) != 0;
-            store(squared_ + kept * kLanes, squared(c));
-            slots_[kept] = slots_[c];
-            kept += keep;
+            store(squared_ + kept_count * kLanes, squared(c));
+            slots_[kept_count] = slots_[c];
+            kept_count += keep;
         }
-        count_ = kept;
+        count_ = kept_count;
     }
 
-    // Candidates lie in runs, one for each leaf that was visited and ascending in itself. Sorts the leaves.
+    // Candidates form ascending runs, one per visited leaf. Sorts the runs by leaf.
     size_t sort_runs() {
         size_t count = 0;
         for (size_t c = 0; c < count_; ++c) {
-            runs_[count] = slots_[c] / kFan << 32 | c;
-            count += c == 0 || slots_[c] / kFan != slots_[c - 1] / kFan;
+            runs_[count] = slots_[c] / kFanout << 32 | c;
+            count += c == 0 || slots_[c] / kFanout != slots_[c - 1] / kFanout;
         }
         sort_ascending(runs_, count);
         return count;
     }
 
     const Tree& tree_;
-    const Group& group_;
-    const size_t k_, room_, first_tightening_;
+    const QueryGroup& group_;
+    const size_t k_, capacity_, first_tightening_;
     double* squared_;  // [candidate][query]
-    uint64_t* slots_;  // of the candidates: kFan * leaf + place in it
-    uint64_t* runs_;   // leaf << 32 | its first candidate
+    uint64_t* slots_;  // of the candidates: kFanout * leaf + position in the leaf
+    uint64_t* runs_;   // leaf << 32 | first candidate of the run
     size_t count_ = 0;
-    alignas(64) double limit_[kLanes];     // squared distance within which the k nearest lie
-    alignas(64) double last_row_[kLanes];  // of those at that very distance, the last one that is taken
-    double bound_ = kFarAway;
+    alignas(64) double limit_[kLanes];     // squared distance that contains the k nearest points
+    alignas(64) double last_row_[kLanes];  // highest row that is selected among the points at exactly that distance
+    double bound_ = kUnbounded;
 };
 
-// Queries are points of the tree, sorted into leaves; `rows` says which point each is, null that they are its own.
+// Queries are points of the tree, sorted into leaves. `rows` maps them to points; null means that rows are points.
 inline void planes(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* rows, size_t k,
                    double* normals, double* variation, double* distances, int64_t* indices, double* const* scratch,
                    Interrupt& interrupt) {
 #pragma omp parallel for schedule(dynamic, 64)
     for (size_t q = 0; q < leaf_count; ++q) {
         if (q % 16 == 0 && interrupt.requested()) continue;
-        Group group(queries[q]);
+        QueryGroup group(queries[q]);
         if (rows)
             for (size_t& point : group.point) point = static_cast<size_t>(rows[point]);
-        PlanesOfGroup found(tree, group, k, scratch[omp_get_thread_num()]);
-        walk(tree, found);
-        found.fit(normals, variation, distances, indices);
+        GroupPlanes planes_of_group(tree, group, k, scratch[omp_get_thread_num()]);
+        traverse(tree, planes_of_group);
+        planes_of_group.fit(normals, variation, distances, indices);
     }
 }
 

@@ -1,5 +1,5 @@
-// All points inside a ball or a cylinder.
-// Included once for each instruction set, see kernels_isa.h.
+// All points inside balls or cylinders.
+// Included once per instruction set, see kernels_isa.h.
 #pragma once
 #include "common/interrupt.h"
 #include "points/walk.h"
@@ -10,7 +10,7 @@ struct Ball {
     double centre[3];
     double squared_radius;
 
-    Vector gaps(const Node& node) const { return pcbench::PCB_ISA::gaps(node, point_box(centre)); }
+    Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, box_of_point(centre)); }
     double bound() const { return squared_radius; }
 
     unsigned inside(const Leaf& leaf) const {
@@ -20,44 +20,46 @@ struct Ball {
     }
 };
 
-// p is inside when |(p - origin) . axis| <= half_length and the rest of p - origin is no longer than the radius.
+// A point p is inside if |(p - origin) . axis| <= half_length and the rest of p - origin is at most as long as the
+// radius.
 struct Cylinder {
     double origin[3], axis[3];
     double radius, half_length;
 
     double bound() const { return 0.0; }
 
-    // 0 for a child that may hold a point inside. Its box is taken as the ball around it, and as its shadow on the
-    // axis.
-    Vector gaps(const Node& node) const {
-        Vector offset[3], along = splat(0.0), shadow = splat(0.0), magnitude = splat(radius + half_length), half[3];
+    // 0 for a child that may contain a point of the cylinder, else infinity. The box is replaced by its bounding ball
+    // in the radial direction, and by its projection in the axial direction.
+    Vector squared_gaps(const Node& node) const {
+        Vector offset[3], axial = splat(0.0), half_extent = splat(0.0), magnitude = splat(radius + half_length),
+                          half[3];
         for (int a = 0; a < 3; ++a) {
             const Vector low = load(node.low[a]), high = load(node.high[a]);
             offset[a] = (low + high) * splat(0.5) - splat(origin[a]);
             half[a] = (high - low) * splat(0.5);
-            along = along + offset[a] * splat(axis[a]);
-            shadow = shadow + half[a] * splat(std::fabs(axis[a]));
+            axial = axial + offset[a] * splat(axis[a]);
+            half_extent = half_extent + half[a] * splat(std::fabs(axis[a]));
             magnitude = magnitude + abs(low) + abs(high) + splat(std::fabs(origin[a]));
         }
-        // Some twenty roundings, each below 2^-53 of the magnitude.
+        // Bound of about twenty roundings, each below 2^-53 of the magnitude.
         const Vector slack = magnitude * splat(1e-13);
-        const Vector across =
-            sqrt(squared_length(offset[0] - along * splat(axis[0]), offset[1] - along * splat(axis[1]),
-                                offset[2] - along * splat(axis[2])));
-        const Vector reach = sqrt(squared_length(half[0], half[1], half[2]));
-        // Written so that the NaN of a missing child is outside.
-        const Mask maybe =
-            (abs(along) <= splat(half_length) + shadow + slack) & (across <= splat(radius) + reach + slack);
-        return select(maybe, splat(0.0), splat(HUGE_VAL));
+        const Vector radial_distance =
+            sqrt(squared_length(offset[0] - axial * splat(axis[0]), offset[1] - axial * splat(axis[1]),
+                                offset[2] - axial * splat(axis[2])));
+        const Vector box_radius = sqrt(squared_length(half[0], half[1], half[2]));
+        // A missing child gives NaN, for which the comparisons are false.
+        const Mask may_contain = (abs(axial) <= splat(half_length) + half_extent + slack) &
+                                 (radial_distance <= splat(radius) + box_radius + slack);
+        return select(may_contain, splat(0.0), splat(HUGE_VAL));
     }
 
     unsigned inside(const Leaf& leaf) const {
         const Vector x = load(leaf.x) - splat(origin[0]), y = load(leaf.y) - splat(origin[1]),
                      z = load(leaf.z) - splat(origin[2]);
-        const Vector along = (x * splat(axis[0]) + y * splat(axis[1])) + z * splat(axis[2]);
+        const Vector axial = (x * splat(axis[0]) + y * splat(axis[1])) + z * splat(axis[2]);
         const Vector squared =
-            squared_length(x - along * splat(axis[0]), y - along * splat(axis[1]), z - along * splat(axis[2]));
-        return bits((abs(along) <= splat(half_length)) & (squared <= splat(radius * radius)));
+            squared_length(x - axial * splat(axis[0]), y - axial * splat(axis[1]), z - axial * splat(axis[2]));
+        return bits((abs(axial) <= splat(half_length)) & (squared <= splat(radius * radius)));
     }
 };
 
@@ -66,7 +68,7 @@ class PointsInside {
 public:
     PointsInside(const Tree& tree, const Region& region, int64_t* rows) : tree_(tree), region_(region), rows_(rows) {}
 
-    Vector gaps(const Node& node) const { return region_.gaps(node); }
+    Vector squared_gaps(const Node& node) const { return region_.squared_gaps(node); }
     double bound() const { return region_.bound(); }
     uint32_t last_tie() const { return UINT32_MAX; }
 
@@ -75,37 +77,37 @@ public:
         if (rows_)
             for (unsigned rest = inside; rest; rest &= rest - 1)
                 *rows_++ = static_cast<int64_t>(tree_.leaves[id].row[__builtin_ctz(rest)]);
-        found_ += __builtin_popcount(inside);
+        count_ += __builtin_popcount(inside);
     }
 
-    int64_t found() const { return found_; }
+    int64_t count() const { return count_; }
 
 private:
     const Tree& tree_;
     const Region& region_;
     int64_t* rows_;
-    int64_t found_ = 0;
+    int64_t count_ = 0;
 };
 
 template <typename MakeRegion>
-inline void inside_regions(const Tree& tree, const Leaf* queries, size_t leaf_count, MakeRegion make, int64_t* offsets,
-                           int64_t* rows, Interrupt& interrupt) {
+inline void find_in_regions(const Tree& tree, const Leaf* queries, size_t leaf_count, MakeRegion make, int64_t* offsets,
+                            int64_t* rows, Interrupt& interrupt) {
 #pragma omp parallel for schedule(dynamic, 16)
     for (size_t q = 0; q < leaf_count; ++q)
-        for (size_t l = 0; l < kFan && queries[q].row[l] != kNoRow; ++l) {
+        for (size_t l = 0; l < kFanout && queries[q].row[l] != kNoRow; ++l) {
             if (interrupt.requested()) break;
             const size_t row = static_cast<size_t>(queries[q].row[l]);
             const auto region = make(queries[q].x[l], queries[q].y[l], queries[q].z[l], row);
-            PointsInside found(tree, region, rows ? rows + offsets[row] : nullptr);
-            walk(tree, found);
-            if (!rows) offsets[row + 1] = found.found();
+            PointsInside search(tree, region, rows ? rows + offsets[row] : nullptr);
+            traverse(tree, search);
+            if (!rows) offsets[row + 1] = search.count();
         }
 }
 
 inline void in_balls(const Tree& tree, const Leaf* centres, size_t leaf_count, double radius, int64_t* offsets,
                      int64_t* rows, Interrupt& interrupt) {
     const auto ball = [=](double x, double y, double z, size_t) { return Ball{{x, y, z}, radius * radius}; };
-    inside_regions(tree, centres, leaf_count, ball, offsets, rows, interrupt);
+    find_in_regions(tree, centres, leaf_count, ball, offsets, rows, interrupt);
 }
 
 inline void in_cylinders(const Tree& tree, const Leaf* origins, size_t leaf_count, const double* axes, double radius,
@@ -114,7 +116,7 @@ inline void in_cylinders(const Tree& tree, const Leaf* origins, size_t leaf_coun
         const double* axis = axes + 3 * row;
         return Cylinder{{x, y, z}, {axis[0], axis[1], axis[2]}, radius, half_length};
     };
-    inside_regions(tree, origins, leaf_count, cylinder, offsets, rows, interrupt);
+    find_in_regions(tree, origins, leaf_count, cylinder, offsets, rows, interrupt);
 }
 
 }  // namespace pcbench::PCB_ISA

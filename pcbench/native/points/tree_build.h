@@ -1,5 +1,5 @@
-// Building the tree: points are halved at the median of their widest axis until eight are left, all leaves full.
-// Included once for each instruction set, see kernels_isa.h.
+// Construction of the tree: points are split at the median of the widest axis until eight remain; all leaves are full.
+// Included once per instruction set, see kernels_isa.h.
 #pragma once
 #include "common/interrupt.h"
 #include "common/simd.h"
@@ -7,12 +7,12 @@
 
 namespace pcbench::PCB_ISA {
 
-constexpr size_t kBlock = 64;    // up to here ranks are counted instead of partitioning
-constexpr size_t kCounted = 16;  // ranks counted side by side
-constexpr size_t kTask = 16384;  // smaller parts are not worth a task
+constexpr size_t kMaxBlockPoints = 64;    // blocks up to this size are sorted by counting ranks, not by partitioning
+constexpr size_t kRanksPerPass = 16;      // ranks counted simultaneously
+constexpr size_t kMinTaskPoints = 16384;  // smaller parts are not worth an OpenMP task
 
 inline int widest_axis(const Item* items, size_t count) {
-    // A sample is enough: the axis decides how good the boxes are, never what is found.
+    // A sample is enough: the axis affects the quality of the boxes, never the results.
     const size_t step = count > 256 ? count / 128 : 1;
     double low[3], high[3];
     for (int a = 0; a < 3; ++a) low[a] = high[a] = items[0].p[a];
@@ -26,20 +26,20 @@ inline int widest_axis(const Item* items, size_t count) {
     return x >= y ? (x >= z ? 0 : 2) : (y >= z ? 1 : 2);
 }
 
-// Moves the items for which `first` holds to the front, without a branch on the data; returns how many.
+// Moves the items for which `first` is true to the front, without branches on the data, and returns their number.
 template <typename First>
 inline size_t partition(Item* items, size_t count, First first) {
     size_t front = 0;
     for (size_t i = 0; i < count; ++i) {
         const bool goes_first = first(items[i]);
-        exchange(items[i].p, items[front].p);
+        swap_four(items[i].p, items[front].p);
         front += goes_first;
     }
     return front;
 }
 
-// The `rank` lowest items along the axis come first.
-inline void select(Item* items, size_t count, size_t rank, int axis) {
+// Moves the `rank` lowest items along the axis to the front.
+inline void select_rank(Item* items, size_t count, size_t rank, int axis) {
     constexpr size_t kSamples = 127;
     while (rank > 0 && rank < count) {
         double sample[kSamples];
@@ -50,16 +50,16 @@ inline void select(Item* items, size_t count, size_t rank, int axis) {
             for (; at > 0 && value < sample[at - 1]; --at) sample[at] = sample[at - 1];
             sample[at] = value;
         }
-        // A little beyond the wanted rank, seen from the shorter side: that side, with the rank in it, is what remains.
+        // The pivot lies slightly beyond the rank, as seen from the shorter side, so that the shorter side remains.
         const size_t position = rank * samples / count, shift = samples > 31 ? 8 : samples > 7 ? 3 : 0;
-        const double pivot = sample[2 * rank < count ? smaller(position + shift, samples - 1)
+        const double pivot = sample[2 * rank < count ? min_size(position + shift, samples - 1)
                                                      : (position > shift ? position - shift : 0)];
         size_t below = partition(items, count, [=](const Item& item) { return item.p[axis] < pivot; });
         if (below >= rank) {
             count = below;
             continue;
         }
-        if (below == 0) {  // the pivot is the lowest: all that equal it leave together, so each round removes some
+        if (below == 0) {  // the pivot is the minimum: all items equal to it are removed, so that each round progresses
             below = partition(items, count, [=](const Item& item) { return item.p[axis] == pivot; });
             if (below >= rank) return;
         }
@@ -68,7 +68,7 @@ inline void select(Item* items, size_t count, size_t rank, int axis) {
 }
 
 inline void write_leaf(const Item* items, size_t count, Leaf& leaf) {
-    for (size_t i = 0; i < kFan; ++i) {
+    for (size_t i = 0; i < kFanout; ++i) {
         const bool real = i < count;
         leaf.x[i] = real ? items[i].p[0] : HUGE_VAL;
         leaf.y[i] = real ? items[i].p[1] : HUGE_VAL;
@@ -77,13 +77,13 @@ inline void write_leaf(const Item* items, size_t count, Leaf& leaf) {
     }
 }
 
-// The boxes of eight leaves.
-inline void bound_leaves(const Leaf* leaves, size_t count, Node& node) {
-    for (size_t c = 0; c < kFan; ++c) {
+// Computes the boxes of eight leaves.
+inline void compute_leaf_boxes(const Leaf* leaves, size_t count, Node& node) {
+    for (size_t c = 0; c < kFanout; ++c) {
         double low[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, high[3] = {-HUGE_VAL, -HUGE_VAL, -HUGE_VAL};
         double first = kNoRow;
         if (c < count)
-            for (size_t i = 0; i < kFan && leaves[c].row[i] != kNoRow; ++i) {
+            for (size_t i = 0; i < kFanout && leaves[c].row[i] != kNoRow; ++i) {
                 const double p[3] = {leaves[c].x[i], leaves[c].y[i], leaves[c].z[i]};
                 for (int a = 0; a < 3; ++a) {
                     low[a] = p[a] < low[a] ? p[a] : low[a];
@@ -96,15 +96,15 @@ inline void bound_leaves(const Leaf* leaves, size_t count, Node& node) {
     }
 }
 
-// At most kBlock items: each one's rank is counted, many comparisons at a time. The leaves may lie where the items
-// lie: they are written once nothing of the items is needed any more.
-inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
-    Item sorted[kBlock];
-    if (count <= kFan) {
+// Sorts at most kMaxBlockPoints items by counting the rank of each, with many comparisons at a time. The leaves may
+// share memory with the items: they are written when the items are no longer needed.
+inline void sort_block(const Item* items, size_t count, Leaf* leaves) {
+    Item sorted[kMaxBlockPoints];
+    if (count <= kFanout) {
         for (size_t i = 0; i < count; ++i) sorted[i] = items[i];
         return write_leaf(sorted, count, *leaves);
     }
-    // Quantised coordinates are enough to halve well; the position in the lowest bits makes them distinct.
+    // Quantised coordinates are enough for a good split; the index in the lowest bits makes them distinct.
     const int axis = widest_axis(items, count);
     double low = items[0].p[axis], high = low;
     for (size_t i = 1; i < count; ++i) {
@@ -112,88 +112,89 @@ inline void arrange_block(const Item* items, size_t count, Leaf* leaves) {
         high = items[i].p[axis] > high ? items[i].p[axis] : high;
     }
     const double scale = high - low > 1e-290 ? (1 << 24) / (high - low) : 0.0;
-    int32_t keys[kBlock] = {};
+    int32_t keys[kMaxBlockPoints] = {};
     for (size_t i = 0; i < count; ++i)
-        keys[i] = static_cast<int32_t>((items[i].p[axis] - low) * scale) * kBlock + static_cast<int32_t>(i);
-    for (size_t i = 0; i < count; i += kCounted) {
-        int32_t rank[kCounted] = {};
+        keys[i] = static_cast<int32_t>((items[i].p[axis] - low) * scale) * kMaxBlockPoints + static_cast<int32_t>(i);
+    for (size_t i = 0; i < count; i += kRanksPerPass) {
+        int32_t rank[kRanksPerPass] = {};
         for (size_t j = 0; j < count; ++j)
-            for (size_t c = 0; c < kCounted; ++c) rank[c] += keys[j] < keys[i + c];
-        for (size_t c = 0; c < kCounted && i + c < count; ++c) sorted[rank[c]] = items[i + c];
+            for (size_t c = 0; c < kRanksPerPass; ++c) rank[c] += keys[j] < keys[i + c];
+        for (size_t c = 0; c < kRanksPerPass && i + c < count; ++c) sorted[rank[c]] = items[i + c];
     }
-    const size_t left = (count + kFan - 1) / kFan / 2 * kFan;
-    arrange_block(sorted, left, leaves);
-    arrange_block(sorted + left, count - left, leaves + left / kFan);
+    const size_t left = (count + kFanout - 1) / kFanout / 2 * kFanout;
+    sort_block(sorted, left, leaves);
+    sort_block(sorted + left, count - left, leaves + left / kFanout);
 }
 
-// Halves are whole multiples of the largest full subtree, so that all leaves but the last are full. A block of leaves
-// gets its node while it is in the cache.
-inline void arrange_part(Item* items, size_t count, Node* nodes, Interrupt& interrupt) {
-    while (count > kBlock) {
-        if (count > kTask && interrupt.requested()) return;
-        size_t unit = kBlock;
-        while (unit * kFan < count) unit *= kFan;
+// Splits at multiples of the largest full subtree, so that all leaves but the last are full. The node of a block of
+// leaves is computed while the block is in the cache.
+inline void sort_range(Item* items, size_t count, Node* nodes, Interrupt& interrupt) {
+    while (count > kMaxBlockPoints) {
+        if (count > kMinTaskPoints && interrupt.requested()) return;
+        size_t unit = kMaxBlockPoints;
+        while (unit * kFanout < count) unit *= kFanout;
         const size_t left = (count + unit - 1) / unit / 2 * unit;
-        select(items, count, left, widest_axis(items, count));
-#pragma omp task if (left > kTask) firstprivate(items, left, nodes) shared(interrupt)
-        arrange_part(items, left, nodes, interrupt);
+        select_rank(items, count, left, widest_axis(items, count));
+#pragma omp task if (left > kMinTaskPoints) firstprivate(items, left, nodes) shared(interrupt)
+        sort_range(items, left, nodes, interrupt);
         items += left, count -= left;
-        if (nodes) nodes += left / kBlock;
+        if (nodes) nodes += left / kMaxBlockPoints;
     }
     Leaf* leaves = reinterpret_cast<Leaf*>(items);
-    arrange_block(items, count, leaves);
-    if (nodes) bound_leaves(leaves, (count + kFan - 1) / kFan, *nodes);
+    sort_block(items, count, leaves);
+    if (nodes) compute_leaf_boxes(leaves, (count + kFanout - 1) / kFanout, *nodes);
 }
 
-// Sorts points into leaves that are near each other in space, with their nodes unless null is given for them. False
-// when a coordinate is not finite or above `limit`.
-inline bool arrange(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt& interrupt) {
+// Sorts points into leaves of neighbouring points, and computes their nodes unless `nodes` is null. Returns false if a
+// coordinate is not finite or exceeds `limit`.
+inline bool sort_into_leaves(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes,
+                             Interrupt& interrupt) {
     Item* items = reinterpret_cast<Item*>(leaves);
     bool valid = true;
-#pragma omp parallel if (count > 2 * kTask)
+#pragma omp parallel if (count > 2 * kMinTaskPoints)
     {
 #pragma omp for schedule(static) reduction(&& : valid)
-        for (size_t start = 0; start < count; start += kTask) {
+        for (size_t start = 0; start < count; start += kMinTaskPoints) {
             if (interrupt.requested()) continue;
-            for (size_t i = start; i < smaller(start + kTask, count); ++i) {
+            for (size_t i = start; i < min_size(start + kMinTaskPoints, count); ++i) {
                 const double* p = points + 3 * i;
                 items[i] = {{p[0], p[1], p[2], static_cast<double>(i)}};
                 valid = valid && std::fabs(p[0]) <= limit && std::fabs(p[1]) <= limit && std::fabs(p[2]) <= limit;
             }
         }
 #pragma omp master
-        if (valid && !interrupt.stopped()) arrange_part(items, count, nodes, interrupt);
+        if (valid && !interrupt.stopped()) sort_range(items, count, nodes, interrupt);
     }
     return valid;
 }
 
-// The boxes of eight nodes.
-inline void bound_nodes(const Node* children, size_t count, Node& node) {
-    for (size_t c = 0; c < kFan; ++c) {
+// Computes the boxes of eight nodes.
+inline void compute_node_boxes(const Node* children, size_t count, Node& node) {
+    for (size_t c = 0; c < kFanout; ++c) {
         for (int a = 0; a < 3; ++a) {
             double low = HUGE_VAL, high = -HUGE_VAL;
-            for (size_t i = 0; c < count && i < kFan; ++i) {
+            for (size_t i = 0; c < count && i < kFanout; ++i) {
                 low = children[c].low[a][i] < low ? children[c].low[a][i] : low;
                 high = children[c].high[a][i] > high ? children[c].high[a][i] : high;
             }
             node.low[a][c] = low, node.high[a][c] = high;
         }
         node.first[c] = UINT32_MAX;
-        for (size_t i = 0; c < count && i < kFan; ++i)
+        for (size_t i = 0; c < count && i < kFanout; ++i)
             node.first[c] = children[c].first[i] < node.first[c] ? children[c].first[i] : node.first[c];
     }
 }
 
-// All levels above the nodes of the leaves.
-inline void bound(Tree& tree) {
+// Computes all levels above the nodes of the leaves.
+inline void build_upper_levels(Tree& tree) {
     for (size_t level = 1; level < tree.level_count; ++level) {
         Node* nodes = tree.levels[level];
         const Node* below = tree.levels[level - 1];
         const size_t count = tree.level_size[level], below_count = tree.level_size[level - 1];
-        // Waking threads costs more than a few hundred nodes, much more where the processor is shared.
+        // Waking threads costs more than a few hundred nodes, and much more if the processor is shared.
 #pragma omp parallel for schedule(static) if (count > 2048)
         for (size_t j = 0; j < count; ++j)
-            bound_nodes(below + kFan * j, smaller(kFan, below_count - kFan * j), nodes[j]);
+            compute_node_boxes(below + kFanout * j, min_size(kFanout, below_count - kFanout * j), nodes[j]);
     }
 }
 

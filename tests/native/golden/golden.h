@@ -1,5 +1,5 @@
-// Inputs made of whole numbers, and hashes of results: what the kernels give on one processor is compared with what
-// they give on another, bit by bit. No input is rounded in a way that a compiler or a C library could choose.
+// Integer-based inputs and hashes of results, to compare kernels bit by bit between processors. No input depends on the
+// rounding of a compiler or of a C library.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -9,16 +9,16 @@
 
 namespace golden {
 
-// Numerical Recipes' 64-bit generator; its upper bits are used.
+// The 64-bit linear congruential generator of Numerical Recipes; only its upper bits are used.
 class Random {
 public:
     explicit Random(uint64_t seed) : state_(seed) {}
-    // A whole number from 0 to below `limit`, which is at most 2^31.
+    // Returns an integer in [0, limit), with limit <= 2^31.
     int32_t below(uint32_t limit) {
         state_ = state_ * 6364136223846793005u + 1442695040888963407u;
         return static_cast<int32_t>((state_ >> 33) % limit);
     }
-    // A multiple of 2^-16 from `low` to below `low + width`, both whole.
+    // Returns a multiple of 2^-16 in [low, low + width).
     double number(int low, int width) { return low + below(static_cast<uint32_t>(width) << 16) * 0x1p-16; }
     float single(int low, int width) {
         return static_cast<float>(low + below(static_cast<uint32_t>(width) << 12) * 0x1p-12);
@@ -28,7 +28,8 @@ private:
     uint64_t state_;
 };
 
-// Prints the name and the FNV-1a hash of the bytes of arrays. NaN has another sign on each processor: it is an error.
+// Prints the name and the FNV-1a hash of the bytes of arrays. NaN counts as an error: its sign depends on the
+// processor.
 class Hash {
 public:
     explicit Hash(const char* name) : name_(name) {}

@@ -1,4 +1,4 @@
-// Runs every kernel on small inputs and prints a hash of each result: see test_golden.py.
+// Runs every kernel on small inputs and prints a hash of each result; see test_golden.py.
 #include "golden.h"
 
 int main() {

@@ -1,11 +1,11 @@
-// Distances to triangles, and rays.
+// Closest points on triangles, and ray casting.
 #include "mesh/mesh_index.h"
 
 #include "golden.h"
 
 namespace {
 
-bool never() { return false; }
+bool no_interrupt() { return false; }
 
 }  // namespace
 
@@ -23,7 +23,7 @@ void golden::mesh() {
             faces.insert(faces.end(), {corner, corner + 1, corner + kSide});
             faces.insert(faces.end(), {corner + 1, corner + kSide + 1, corner + kSide});
         }
-    pcbench::Interrupt interrupt(never);
+    pcbench::Interrupt interrupt(no_interrupt);
     const pcbench::mesh::MeshIndex index(vertices.data(), vertices.size() / 3, faces.data(), faces.size() / 3,
                                          interrupt);
     std::vector<double> points, directions;

@@ -9,32 +9,33 @@ void golden::pairs() {
     Random random(4);
     std::vector<double> moved, closest, normals, distances;
     for (size_t i = 0; i < kCount; ++i) {
-        const double lean = random.number(-1, 2) / 4, length = std::sqrt(1 + lean * lean);
+        const double slope = random.number(-1, 2) / 4, length = std::sqrt(1 + slope * slope);
         for (int axis = 0; axis < 3; ++axis) {
             closest.push_back(random.number(0, 16));
             moved.push_back(closest.back() + random.number(-1, 2) / 8);
         }
-        normals.insert(normals.end(), {lean / length, 0.0, 1 / length});
+        normals.insert(normals.end(), {slope / length, 0.0, 1 / length});
         distances.push_back(random.number(0, 2));
     }
-    const pcbench::Rows to{closest.data(), nullptr}, along{normals.data(), nullptr};
+    const pcbench::Rows closest_rows{closest.data(), nullptr}, normal_rows{normals.data(), nullptr};
     std::vector<double> residuals(kCount), weights(kCount), sums;
     for (const bool robust : {false, true}) {
-        const pcbench::Weighing found = pcbench::weigh(kCount, moved.data(), distances.data(), to, along, 1.5, robust,
-                                                       0.75, residuals.data(), weights.data());
-        sums = {static_cast<double>(found.near), found.sigma};
+        const pcbench::WeightSummary summary =
+            pcbench::weigh(kCount, moved.data(), distances.data(), closest_rows, normal_rows, 1.5, robust, 0.75,
+                           residuals.data(), weights.data());
+        sums = {static_cast<double>(summary.pairs_in_range), summary.sigma};
         Hash(robust ? "weigh_robust" : "weigh_trimmed").add(residuals).add(weights).add(sums);
     }
     const pcbench::PlaneSystem system =
-        pcbench::plane_system(kCount, moved.data(), along, residuals.data(), weights.data());
+        pcbench::plane_system(kCount, moved.data(), normal_rows, residuals.data(), weights.data());
     sums.assign(&system.hessian[0][0], &system.hessian[0][0] + 49);
     sums.insert(sums.end(), system.gradient, system.gradient + 7);
     sums.insert(sums.end(), system.center, system.center + 3);
     sums.push_back(system.radius);
     Hash("plane_system").add(sums);
-    pcbench::rounded_squares(kCount, {moved.data(), nullptr}, to, distances.data());
+    pcbench::rounded_squares(kCount, {moved.data(), nullptr}, closest_rows, distances.data());
     Hash("rounded_squares").add(distances);
-    std::vector<pcbench::Step> steps;
+    std::vector<pcbench::MonomialStep> steps;
     for (int64_t a = 0; a + 1 < static_cast<int64_t>(pcbench::kProducts); ++a) steps.push_back({a / 3, a % 3});
     std::vector<double> moments(pcbench::kProducts * 6), scores(pcbench::kMonomials * 3);
     pcbench::normal_equations(0, kCount, moved.data(), normals.data(), weights.data(), residuals.data(), steps.data(),

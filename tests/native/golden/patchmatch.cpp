@@ -1,4 +1,4 @@
-// The search for a depth map: three sweeps over a small picture of a plane, against two others.
+// PatchMatch depth map: three sweeps over a small image of a plane, with two source images.
 #include <algorithm>
 
 #include "common/choose_kernels.h"
@@ -22,7 +22,7 @@ const Kernels& chosen() {
         &baseline::kernels});
 }
 
-// Texture of whole numbers: noise of a few pixels.
+// Integer texture: noise with a scale of a few pixels.
 uint8_t gray(int x, int y) {
     uint32_t total = 0;
     for (int scale = 1; scale <= 4; scale *= 2) {

@@ -1,4 +1,4 @@
-// The search tree: closest points, neighbourhoods, planes through them, and cells.
+// The search tree: nearest points, neighbourhoods, planes through them, and cells.
 #include <omp.h>
 
 #include <algorithm>
@@ -10,9 +10,9 @@
 
 namespace {
 
-bool never() { return false; }
+bool no_interrupt() { return false; }
 
-// A rough plane far from the origin, with every fourth point a copy of an earlier one: ties are settled by row.
+// A rough plane far from the origin. Every fourth point duplicates an earlier one, so that ties are resolved by row.
 std::vector<double> make_cloud(size_t count, uint64_t seed) {
     golden::Random random(seed);
     std::vector<double> points(3 * count);
@@ -30,7 +30,7 @@ std::vector<double> make_cloud(size_t count, uint64_t seed) {
 void golden::points() {
     constexpr size_t kCount = 20000, kQueries = 3000, kNeighbors = 12;
     const std::vector<double> cloud = make_cloud(kCount, 1), queries = make_cloud(kQueries, 2);
-    pcbench::Interrupt interrupt(never);
+    pcbench::Interrupt interrupt(no_interrupt);
     const pcbench::Index index(cloud.data(), kCount, interrupt);
     const pcbench::Tree& tree = index.tree();
     const pcbench::SortedPoints sorted(queries.data(), kQueries, interrupt);
@@ -82,7 +82,7 @@ void golden::points() {
     Hash("planes").add(normals).add(variation).add(distances).add(rows);
 
     const double lower[3] = {400000, 400000, 400000};
-    const pcbench::Occupied occupied =
+    const pcbench::OccupiedCells occupied =
         pcbench::group_by_cell(cloud.data(), kCount, pcbench::Grid(0.7, lower), rows.data());
     Hash("group_by_cell").add(rows).add(occupied.first).add(occupied.counts);
 }

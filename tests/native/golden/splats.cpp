@@ -1,4 +1,4 @@
-// The rasterizer: pictures of Gaussians, the gradient of a loss with respect to them, and a step of Adam.
+// The rasterizer: rendered Gaussians, the gradient of a loss with respect to them, and one step of Adam.
 #include <cmath>
 
 #include "golden.h"
