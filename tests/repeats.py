@@ -1,4 +1,4 @@
-"""The same reconstruction several times: on few and many threads and CPUs, and beside busy processes."""
+"""Repeated reconstructions with different numbers of threads and CPUs, and next to busy processes."""
 
 import hashlib
 import os
@@ -12,8 +12,8 @@ from typing import NamedTuple
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.threads import cpus
 
-# Small settings of the reconstructors, by name: seconds each.
-SMALL = {
+# Settings with which each reconstructor takes seconds, by name.
+FAST_SETTINGS = {
     "sfm": {"poses": "solve", "features": "1500", "upsample": "no"},
     "mvs": {"backend": "bundled"},
     "splat": {"start": "sfm", "supervision": "none", "steps": "60", "gaussians": "1000", "device": "cpu"},
@@ -21,12 +21,12 @@ SMALL = {
 
 
 class Conditions(NamedTuple):
-    """How a reconstruction is run.
+    """Conditions of a run.
 
     Args:
-        cpus: how many it may use.
+        cpus: number of CPUs that it may use.
         threads: OMP_NUM_THREADS.
-        busy: processes beside it that do nothing but compute.
+        busy: number of other processes that keep CPUs busy.
     """
 
     cpus: int
@@ -34,28 +34,28 @@ class Conditions(NamedTuple):
     busy: int
 
 
-# As many CPUs as there are is at least one of these; more threads than CPUs are switched between at any place.
+# At least one condition uses all CPUs; with more threads than CPUs, threads are preempted anywhere.
 CONDITIONS = (Conditions(1, 1, 0), Conditions(cpus(), 2, 2), Conditions(cpus(), 7, 2))
 
 
 class Repeat(NamedTuple):
-    """What a run made: its number of points, and SHA-256 of the bytes of the cloud's file."""
+    """Result of a run: the number of points, and the SHA-256 of the cloud's file."""
 
     points: int
     sha256: str
 
 
 def repeat(method: str, scene: Path, workspace: Path, conditions: Conditions, **settings: str) -> Repeat:
-    """Run a reconstructor with small settings in a new workspace."""
+    """Run a reconstructor with fast settings in a new workspace."""
     with under(conditions):
-        made = run(ReconstructionJob(method, scene, SMALL[method] | settings), workspace)
+        made = run(ReconstructionJob(method, scene, FAST_SETTINGS[method] | settings), workspace)
     points = len(made.required().cloud)
     return Repeat(points, hashlib.sha256((workspace / "cloud.ply").read_bytes()).hexdigest())
 
 
 @contextmanager
 def under(conditions: Conditions) -> Iterator[None]:
-    """Child processes that are started meanwhile run under these conditions."""
+    """Run the child processes of the block under these conditions."""
     allowed = os.sched_getaffinity(0)
     threads = os.environ.get("OMP_NUM_THREADS")
     spin = [sys.executable, "-c", "while True: pass"]

@@ -8,13 +8,13 @@ import sys
 import numpy as np
 import pytest
 from repository import TESTS
-from textured_planes import Photographed, plane_scene
+from textured_planes import PlaneScene, plane_scene
 from wording import refused
 
 from reconstructors.mvs.patchmatch import MAX_SIDE_PX, MAX_SOURCES, _SearchState, match, noise_variance, refine
 
 
-def errors_px(scene: Photographed, depth):
+def errors_px(scene: PlaneScene, depth):
     """Return the errors of a depth map as displacements in the first source, in pixels."""
     return np.abs(1 / depth - 1 / scene.depths[0]) * scene.focal * scene.baseline
 
@@ -50,7 +50,7 @@ def test_contradicting_source_maps_cost(slanted):
     assert np.median(loss) == pytest.approx(0.6, abs=0.02)  # the cost is clamped at three pixels of 0.2 each
 
 
-def correlation(scene: Photographed, x, y, normal, source):
+def correlation(scene: PlaneScene, x, y, normal, source):
     """Compute the weighted correlation of Schonberger et al. (2016) in float64 with the exact homography."""
     reference, other = scene.views[0], scene.views[source]
     k = reference.camera.intrinsics
