@@ -27,29 +27,29 @@ class Plan:
     """Steps of an operation, announced one after another.
 
     Args:
-        tell: progress callback that receives each step.
+        report: progress callback that receives each step.
         expected: expected duration in seconds of each step.
     """
 
-    def __init__(self, tell: Callable[[str], None], expected: Sequence[float]) -> None:
-        self._tell, self._left = tell, list(expected)
+    def __init__(self, report: Callable[[str], None], expected: Sequence[float]) -> None:
+        self._report, self._remaining = report, list(expected)
 
     def __call__(self, text: str) -> None:
         """Start the next step."""
-        expected = self._left.pop(0) if self._left else None
-        self._tell(Step(text, expected, sum(self._left)))
+        expected = self._remaining.pop(0) if self._remaining else None
+        self._report(Step(text, expected, sum(self._remaining)))
 
     def within(self) -> Callable[[str], None]:
         """Return a progress callback for the substeps of the next step."""
-        if self._left:
-            self._left.pop(0)
-        after = sum(self._left)
+        if self._remaining:
+            self._remaining.pop(0)
+        after = sum(self._remaining)
 
-        def tell_substep(text: str) -> None:
+        def report_substep(text: str) -> None:
             substep = text if isinstance(text, Step) else Step(text)
-            self._tell(Step(text, substep.expected, substep.after + after))
+            self._report(Step(text, substep.expected, substep.after + after))
 
-        return tell_substep
+        return report_substep
 
 
 class TimeEstimate:

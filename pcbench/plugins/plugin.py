@@ -221,8 +221,8 @@ def _summarize_error(error: Exception) -> str:
 def _get_attribute(spec: str, module: types.ModuleType, name: str) -> Any:
     if not hasattr(module, name):
         classes = [n for n, v in vars(module).items() if inspect.isclass(v) and callable(getattr(v, "reconstruct", 0))]
-        hint = f": it has {', '.join(sorted(classes))}" if classes else ""
-        raise InputError(f"{spec}: it has no {name!r}{hint}")
+        hint = f"; it has {', '.join(sorted(classes))}" if classes else ""
+        raise InputError(f"{spec}: there is no {name!r} in the module{hint}")
     return getattr(module, name)
 
 

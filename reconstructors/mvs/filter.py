@@ -64,7 +64,7 @@ def filter_map(
 
     Args:
         camera: pinhole of the map's size.
-        made: depth map of the image.
+        depth_map: depth map of the image.
         sources: pinholes with their maps. Their depths below the minimum confidence confirm nothing.
         criteria: criteria that a depth must meet.
         valid: (H, W), False where the image's mask hides it.
@@ -130,10 +130,10 @@ def confirmed(
 
     Args:
         camera: pinhole of the map.
-        made: the map.
+        depth_map: the map.
         at: rows and columns of the queried pixels, (N,) each.
         other: pinhole of the other map.
-        theirs: the other map.
+        other_map: the other map.
         criteria: criteria for agreement.
     """
     height, width = other_map.depth.shape

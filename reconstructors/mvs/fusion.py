@@ -278,8 +278,8 @@ def write_mesh(fused: Path, out: Path, origin: FloatArray, unit: str | None) -> 
     """
     import pycolmap
 
-    # The octree depth matches the point density of evenly spread points. Trimming removes surface that was made up to
-    # close holes: surface is kept down to a density three levels below.
+    # The octree depth matches the point density of evenly spread points. Trimming removes surface that
+    # only closes holes: surface is kept down to a density three levels below.
     count = int(np.fromfile(_visibility_path(fused), dtype="<u8", count=1)[0])
     depth = int(np.clip(np.ceil(0.5 * np.log2(count)), 6, 13))
     options = pycolmap.PoissonMeshingOptions()
