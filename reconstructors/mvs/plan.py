@@ -93,7 +93,7 @@ def _choose_scale(survey: ImageSurvey, spacing: float | None) -> tuple[float, st
             return 1.0, "their full size"
         return (
             0.5**halvings,
-            f"1/{2**halvings} of their size, to have at most {_MAX_SIDE_PX} (set spacing for denser or sparser points)",
+            f"1/{2**halvings} of their size, at most {_MAX_SIDE_PX} pixels (set spacing for denser or sparser points)",
         )
     wanted = survey.footprint / spacing
     least = min(1.0, _MIN_SIDE_PX / survey.side_px)
