@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from pcbench.scenes import Scene as Scene
     from pcbench.scenes import read_scene as read_scene
 
-# Looked up on first use: a name costs the import of its own room only.
-_ROOMS = {
+# Looked up on first use, so that a name costs only the import of its own subpackage.
+_MODULES = {
     "Affine": "geometry.transform",
     "Box": "geometry.regions",
     "Cloud": "geometry.cloud",
@@ -64,15 +64,15 @@ _ROOMS = {
     "write_cloud": "io",
 }
 
-__all__ = ["__version__", *_ROOMS]
+__all__ = ["__version__", *_MODULES]
 
 
 def __getattr__(name: str) -> Any:
     value: Any
     if name == "__version__":
         value = _version()
-    elif name in _ROOMS:
-        module = import_module(f"pcbench.{_ROOMS[name]}")
+    elif name in _MODULES:
+        module = import_module(f"pcbench.{_MODULES[name]}")
         value = module if name == "metrics" else getattr(module, name)
     else:
         raise AttributeError(f"module 'pcbench' has no attribute {name!r}")
@@ -85,7 +85,7 @@ def __dir__() -> list[str]:
 
 
 def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version  # a quarter of the package's import time
+    from importlib.metadata import PackageNotFoundError, version  # slow: a quarter of the package's import time
 
     try:
         return version("pcbench")

@@ -1,6 +1,6 @@
-"""What pcbench raises when the user, not the program, has to act, and what it says of a result that it does give.
+"""Errors that a user can resolve, and notices that accompany a result.
 
-The command line prints either as one line.
+The command line prints each on one line.
 """
 
 import logging
@@ -8,28 +8,28 @@ from dataclasses import dataclass
 
 
 class PcbenchError(Exception):
-    """Base of every error a user can mend: the message says what was expected, what came, and what to do."""
+    """Base class of all errors that a user can resolve: the message says what was expected, what came, what to do."""
 
 
 class InputError(PcbenchError, ValueError):
-    """A file, an array or an option is not what it has to be."""
+    """A file, an array or an option is invalid."""
 
 
 class RegistrationError(PcbenchError):
-    """The candidate could not be brought onto the reference."""
+    """The candidate could not be registered to the reference."""
 
 
 class ReconstructionError(PcbenchError):
-    """A reconstructor gave no cloud: the images do not allow it, or it broke down."""
+    """A reconstructor computed no cloud: the images do not allow it, or it failed."""
 
 
 class MissingExtra(PcbenchError, ImportError):
-    """An optional library is not installed or does not load.
+    """An optional library is not installed or cannot be loaded.
 
     Args:
-        library: its name on the package index.
-        extra: the extra of pcbench that installs it.
-        reason: why it cannot be used, where it is installed.
+        library: name of the library on the package index.
+        extra: extra of pcbench that installs it.
+        reason: why an installed library cannot be used.
         remedy: what to do; by default, install the extra.
     """
 
@@ -41,11 +41,11 @@ class MissingExtra(PcbenchError, ImportError):
 
 @dataclass(frozen=True)
 class Notice:
-    """A warning that belongs to a result: what a reader should know before trusting it.
+    """A warning that accompanies a result: what a reader should know before relying on it.
 
     Attributes:
-        code: a short name in lower case with hyphens, such as `no-convergence`: what programs decide by.
-        text: one sentence for a reader.
+        code: identifier for programs, in lower case with hyphens, such as `no-convergence`.
+        text: one sentence for readers.
     """
 
     code: str
@@ -56,9 +56,9 @@ class Notice:
 
 
 def recorded(error: BaseException) -> str:
-    """The message of an error that becomes part of a result instead of ending the run.
+    """Log an error that becomes part of a result instead of ending the run, and return its message.
 
-    The traceback goes to the logger `pcbench`, at the level of debugging: `pcbench --log FILE` keeps it.
+    The traceback is logged by the logger `pcbench` at debug level: `pcbench --log FILE` records it.
     """
     logging.getLogger("pcbench").debug("recorded in the result: %s", error, exc_info=error)
     return str(error)

@@ -1,4 +1,4 @@
-"""Import optional libraries: one that is absent and one that does not load end in the same one line."""
+"""Import of optional libraries: a missing one and one that cannot be loaded raise the same one-line error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcbench.errors import MissingExtra
 
 class _Library(NamedTuple):
     name: str  # on the package index
-    extra: str  # of pcbench that installs it; empty: none
+    extra: str  # the extra of pcbench that installs it; empty without one
 
 
 LIBRARIES = {
@@ -33,7 +33,7 @@ LIBRARIES = {
 }
 
 _LOADER_ERROR = re.compile(r"(?:^|[\s/])(lib[^\s/:]+\.so(?:\.\d+)*): (?:cannot open shared|file too short|invalid ELF)")
-# Packages whose names do not follow from the library's.
+# Packages whose names do not follow from the file name of the library.
 _DEBIAN_PACKAGES = {
     "libGLU.so.1": "libglu1-mesa",
     "libOSMesa.so.6": "libosmesa6",
@@ -47,22 +47,22 @@ def require(module: str, extra: str | None = None) -> Any:
     """Import an optional library, or a module of one.
 
     Args:
-        module: its name in Python, such as `matplotlib.figure`.
-        extra: the extra of pcbench to name in the error; by default the smallest that installs the library.
+        module: name of the module in Python, such as `matplotlib.figure`.
+        extra: extra of pcbench to name in the error; by default the smallest that installs the library.
 
     Raises:
-        MissingExtra: the library is not installed, or it does not load on this machine.
+        MissingExtra: the library is not installed or cannot be loaded.
     """
     try:
         return import_module(module)
-    except Exception as error:  # a library may raise anything while it is imported
+    except Exception as error:  # importing a library may raise anything
         raise _missing(module, extra, error) from error
 
 
 def unavailable(*libraries: str, extra: str | None = None) -> str | None:
-    """One line on the first of these libraries that cannot be imported; None where all can.
+    """Return one line about the first of these libraries that cannot be imported; None if all can.
 
-    Libraries are loaded to find out: an installed one may need a system library that is absent.
+    The libraries are loaded, because an installed one may lack a system library.
     """
     for library in libraries:
         try:
@@ -73,7 +73,7 @@ def unavailable(*libraries: str, extra: str | None = None) -> str | None:
 
 
 def installed_versions(names: Iterable[str]) -> dict[str, str]:
-    """The versions of the distributions of these names, without those that are not installed."""
+    """Return the versions of these distributions, without those that are not installed."""
     from importlib.metadata import PackageNotFoundError, version
 
     found = {}
@@ -84,9 +84,9 @@ def installed_versions(names: Iterable[str]) -> dict[str, str]:
 
 
 def debian_package(library: str) -> str:
-    """The Debian package of a shared library such as `libusb-1.0.so.0`.
+    """Return the Debian package of a shared library such as `libusb-1.0.so.0`.
 
-    Its name is the library's with the version behind it, and a hyphen between two digits (Debian Policy, section 8.1).
+    The package name is the library's name and version, with a hyphen between two digits (Debian Policy, section 8.1).
     """
     if library in _DEBIAN_PACKAGES:
         return _DEBIAN_PACKAGES[library]
@@ -104,7 +104,7 @@ def _missing(module: str, extra: str | None, error: Exception) -> MissingExtra:
         return MissingExtra(name, extra, remedy=install)
     text = " ".join(str(error).split())[:300]
     kind = "" if isinstance(error, (ImportError, OSError)) and text else f"{type(error).__name__}: "
-    reason = f"it is installed but does not load: {kind}{text}"
+    reason = f"it is installed but cannot be loaded: {kind}{text}"
     if found := _LOADER_ERROR.search(text):
         return MissingExtra(name, extra, reason, f"on Debian, apt-get install {debian_package(found[1])}")
     return MissingExtra(name, extra, reason, f"reinstall it ({install})")

@@ -1,4 +1,4 @@
-"""Whether photographs of a scene can be taken here: VTK needs OpenGL, from a display or a library that does without."""
+"""Check for OpenGL, which VTK needs to render, from a display or from a library for off-screen rendering."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import sys
 
 from pcbench.errors import PcbenchError
 
-_LIBRARIES = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")  # any one of them will do
+_LIBRARIES = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")  # any one is sufficient
 
 OFF_SCREEN = {"MPLBACKEND": "agg", "PYVISTA_OFF_SCREEN": "true"}
-"""Environment variables of a process that draws into files, never into a window."""
+"""Environment variables of a process that renders into files only, never into a window."""
 
 
 class NoFiguresError(PcbenchError):
-    """Pictures cannot be drawn on this machine; the numbers are not concerned."""
+    """Figures cannot be rendered on this machine; the numbers are not affected."""
 
 
 def check_opengl() -> None:
-    """Say that VTK cannot draw here, before it is loaded: it does not raise, it crashes.
+    """Refuse to render without OpenGL before VTK is loaded, because VTK would crash.
 
     Raises:
-        NoFiguresError: neither a display nor EGL nor OSMesa is there.
+        NoFiguresError: there is no display, no EGL and no OSMesa.
     """
     if not sys.platform.startswith("linux") or os.environ.get("DISPLAY"):
         return
@@ -33,5 +33,5 @@ def check_opengl() -> None:
         except OSError:
             continue
     raise NoFiguresError(
-        "no pictures: neither a display nor EGL nor OSMesa is there; install Debian's libegl1 (or libosmesa6)"
+        "no pictures: this machine has no display, EGL or OSMesa; install Debian's libegl1 (or libosmesa6)"
     )

@@ -1,4 +1,4 @@
-"""How far a long work is: steps tell what is done next, and how long it and what follows may take."""
+"""Progress of long operations: steps with their expected durations, and an estimate of the time left."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 
 
 class Step(str):
-    """What is done next, in a few words.
+    """Name of the next step of an operation, with its expected duration.
 
     Attributes:
-        expected: seconds that it takes, roughly, on an ordinary machine; None where nobody knows. What counts is how
-            steps of one work compare: who shows them learns from those that are done how quick this machine is.
-        after: seconds that all following steps take.
+        expected: approximate duration in seconds on an ordinary machine; None if unknown. Only the ratios between the
+            steps of one operation matter: the speed of the machine is estimated from the steps that are done.
+        after: expected duration in seconds of all following steps.
     """
 
     expected: float | None
@@ -24,73 +24,74 @@ class Step(str):
 
 
 class Plan:
-    """The steps of one work, announced one after another.
+    """Steps of an operation, announced one after another.
 
     Args:
-        tell: gets each step.
-        expected: seconds of each step.
+        report: progress callback that receives each step.
+        expected: expected duration in seconds of each step.
     """
 
-    def __init__(self, tell: Callable[[str], None], expected: Sequence[float]) -> None:
-        self._tell, self._left = tell, list(expected)
+    def __init__(self, report: Callable[[str], None], expected: Sequence[float]) -> None:
+        self._report, self._remaining = report, list(expected)
 
     def __call__(self, text: str) -> None:
-        """Begin the next step."""
-        expected = self._left.pop(0) if self._left else None
-        self._tell(Step(text, expected, sum(self._left)))
+        """Start the next step."""
+        expected = self._remaining.pop(0) if self._remaining else None
+        self._report(Step(text, expected, sum(self._remaining)))
 
     def within(self) -> Callable[[str], None]:
-        """What gets the steps that the next step consists of."""
-        if self._left:
-            self._left.pop(0)
-        after = sum(self._left)
+        """Return a progress callback for the substeps of the next step."""
+        if self._remaining:
+            self._remaining.pop(0)
+        after = sum(self._remaining)
 
-        def tell(text: str) -> None:
-            of = text if isinstance(text, Step) else Step(text)
-            self._tell(Step(text, of.expected, of.after + after))
+        def report_substep(text: str) -> None:
+            substep = text if isinstance(text, Step) else Step(text)
+            self._report(Step(text, substep.expected, substep.after + after))
 
-        return tell
+        return report_substep
 
 
 class TimeEstimate:
-    """How far a work is, from its steps and a clock: `begin` each step, then ask at any time.
+    """Estimate of the progress and the time left of an operation, from its steps and a timer.
 
-    All times are in seconds on one clock.
+    Call `begin` at the start of each step; the estimates are available at any time. All times are in seconds of one
+    timer.
     """
 
-    _DOUBT = 3.0  # seconds: before so much was expected and done, the machine counts as an ordinary one
+    _PRIOR_S = 3.0  # weight of the assumption that the machine has ordinary speed, in seconds of expected work
 
     def __init__(self, now: float) -> None:
         self._start = self._step_start = now
         self._step = Step("")
-        self._expected_done = self._took = 0.0
+        self._expected_done_s = self._elapsed_done_s = 0.0
 
     def begin(self, text: str, now: float) -> None:
-        """A step begins, and with it the one before ends."""
+        """Start a step and end the one before."""
         if self._step.expected is not None:
-            self._expected_done += self._step.expected
-            self._took += now - self._step_start
+            self._expected_done_s += self._step.expected
+            self._elapsed_done_s += now - self._step_start
         self._step = text if isinstance(text, Step) else Step(text)
         self._step_start = now
 
     def left(self, now: float) -> float | None:
-        """Seconds; None where the step says nothing about it."""
+        """Return the estimated time left in seconds; None if the step has no expected duration."""
         if self._step.expected is None:
             return None
-        pace = (self._took + self._DOUBT) / (self._expected_done + self._DOUBT)
-        current, spent = pace * self._step.expected, now - self._step_start
-        # What takes longer than expected takes, as far as anybody knows, a quarter longer yet.
-        return max(current - spent, 0.25 * min(spent, 4 * current)) + pace * self._step.after
+        pace = (self._elapsed_done_s + self._PRIOR_S) / (self._expected_done_s + self._PRIOR_S)
+        current, elapsed = pace * self._step.expected, now - self._step_start
+        # A step that exceeds its expected duration is assumed to need another quarter of its elapsed time.
+        return max(current - elapsed, 0.25 * min(elapsed, 4 * current)) + pace * self._step.after
 
     def share(self, now: float) -> float | None:
-        """Of the work, from 0 to 1; None where nobody knows."""
+        """Return the finished share of the operation, from 0 to 1; None if it is unknown."""
         left = self.left(now)
-        spent = now - self._start
-        return None if left is None else spent / max(spent + left, 1e-9)
+        elapsed = now - self._start
+        return None if left is None else elapsed / max(elapsed + left, 1e-9)
 
 
 def duration(seconds: float) -> str:
-    """A duration in words, such as 40 s, 3 min or 2 h 10 min; at least one second."""
+    """Format a duration, such as 40 s, 3 min or 2 h 10 min; at least one second."""
     if seconds < 90:
         return f"{max(1.0, seconds):.0f} s"
     hours, minutes = divmod(round(seconds / 60), 60)

@@ -1,6 +1,6 @@
-"""Open the files that a user names: regular files only, and texts of a bounded size.
+"""Open files that a user names: regular files only, and text files of limited size.
 
-Opening a named pipe waits for its writer, and a device such as /dev/zero never ends. Both are refused in one line.
+Opening a named pipe blocks until it has a writer, and a device such as /dev/zero never ends. Both are refused.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 
-MAX_TEXT_BYTES = 64 << 20  # of a matrix, pairs of points, positions, settings: a million lines
+MAX_TEXT_BYTES = 64 << 20  # for matrices, point pairs, positions and settings: a million lines
 
-# Opening a pipe with this flag returns at once. Windows has neither the flag nor such files.
+# Opening a pipe with O_NONBLOCK returns at once. Windows has neither the flag nor named pipes in folders.
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
 
 
 def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
-    """A regular file, open for reading bytes; symbolic links are followed.
+    """Open a regular file for reading bytes; symbolic links are followed.
 
     Raises:
-        InputError: it is a folder, a pipe, a socket or a device; the message does not name the path.
-        OSError: it is missing, or cannot be opened.
+        InputError: it is a folder, a pipe, a socket or a device; the message does not contain the path.
+        OSError: it is missing or cannot be opened.
     """
     regular_status(path)
     descriptor = os.open(path, os.O_RDONLY | _NO_WAIT)
     try:
-        _check_mode(os.fstat(descriptor).st_mode)  # another file may have taken the name
+        _check_mode(os.fstat(descriptor).st_mode)  # the file may have been replaced since the first check
         return os.fdopen(descriptor, "rb")
     except BaseException:
         os.close(descriptor)
@@ -36,10 +36,10 @@ def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) -> bytes:
-    """All bytes of a small regular file.
+    """Read a small regular file.
 
     Raises:
-        InputError: as `open_regular`, or the file is larger than `max_bytes`; the message does not name the path.
+        InputError: as `open_regular`, or the file is larger than `max_bytes`; the message does not contain the path.
         OSError: it cannot be read.
     """
     with open_regular(path) as file:
@@ -49,24 +49,24 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) ->
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """The text of a small regular file in UTF-8, with or without a byte order mark.
+    """Read a small regular UTF-8 text file, with or without a byte order mark.
 
     Raises:
-        InputError: as `read_bytes`, or the file is not UTF-8 text; the message does not name the path.
+        InputError: as `read_bytes`, or the file is not UTF-8 text; the message does not contain the path.
         OSError: it cannot be read.
     """
     try:
         return read_bytes(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError("not a text file") from None
+        raise InputError("expected a UTF-8 text file") from None
 
 
 def regular_status(path: str | os.PathLike[str]) -> os.stat_result:
-    """The status of a regular file, which `path` may be a link to.
+    """Return the status of a regular file; symbolic links are followed.
 
     Raises:
         InputError: as `open_regular`.
-        OSError: it is missing, or cannot be looked at.
+        OSError: it is missing or not accessible.
     """
     try:
         status = Path(path).stat()
@@ -77,7 +77,7 @@ def regular_status(path: str | os.PathLike[str]) -> os.stat_result:
 
 
 def is_regular_file(path: str | os.PathLike[str]) -> bool:
-    """Whether there is a regular file of this name. A text that cannot be the name of one is none."""
+    """Whether a regular file of this name exists; False for text that cannot be a file name."""
     try:
         regular_status(path)
     except (InputError, OSError):
@@ -86,9 +86,9 @@ def is_regular_file(path: str | os.PathLike[str]) -> bool:
 
 
 def has_entry(path: Path) -> bool:
-    """Whether a folder has an entry of this name that is no folder: a file, or what is refused in its place.
+    """Whether a path exists and is no folder.
 
-    Unlike `Path.is_file` it counts pipes, devices and links that lead nowhere, so that they are not passed over.
+    Unlike `Path.is_file` this includes pipes, devices and broken links, so that they are refused, not ignored.
     """
     return os.path.lexists(path) and not path.is_dir()
 

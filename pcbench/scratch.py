@@ -1,8 +1,8 @@
-"""What a run has beside its results while it lives: temporary files and folders, and its claim to an output.
+"""Temporary files and output locks.
 
-Each is locked by its owner (flock), and the system takes a lock back when its process ends, however it ends. So the
-next run can tell what a killed one left from what a living one works on, and sweeps it; and of two runs with one output
-the second is refused.
+Each temporary file, temporary folder and lock file is locked by its owner (flock). The system releases a lock when its
+process ends, however it ends. So the next run can distinguish leftovers of a killed run from files in use, and removes
+them; and of two runs with the same output the second is refused.
 """
 
 from __future__ import annotations
@@ -22,52 +22,54 @@ from pathlib import Path
 from typing import BinaryIO
 
 from pcbench.errors import InputError
-from pcbench.systems import NO_FOLLOW, NO_WAIT, close_and_remove, is_own, lock, open_folder
+from pcbench.systems import NO_FOLLOW, NO_WAIT, close_and_remove, is_owned_by_user, lock, open_folder
 
 _PREFIX = ".pcbench-"
-_LOCK = ".lock"  # how the names of claims end
-# Names that are made here, and no other: what a user calls .pcbench-notes is the user's.
-_NAMES = re.compile(rf"{re.escape(_PREFIX)}([0-9a-f]{{16}}{re.escape(_LOCK)}|[0-9a-f]{{8}}-[0-9a-f]{{16}}(\.tmp)?)")
-_OURS = f"{_PREFIX}{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"  # of this machine
-# What another machine left on a shared disk, whose locks may not be seen here, is swept after this.
+_LOCK_SUFFIX = ".lock"
+# Exactly the names that this module creates: a user's own .pcbench-notes is never touched.
+_SCRATCH_NAME = re.compile(
+    rf"{re.escape(_PREFIX)}([0-9a-f]{{16}}{re.escape(_LOCK_SUFFIX)}|[0-9a-f]{{8}}-[0-9a-f]{{16}}(\.tmp)?)"
+)
+_OWN_PREFIX = f"{_PREFIX}{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"  # of this machine
+# Leftovers of other machines on a shared disk, whose locks may be invisible here, are removed after this time.
 _MAX_FOREIGN_AGE_S = 86_400.0
-_ATTEMPTS, _PAUSE_S = 5, 0.05  # to claim an output
+_MAX_LOCK_ATTEMPTS, _RETRY_INTERVAL_S = 5, 0.05
 _NO_LOCK = -1
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # writing an open file fails by these, and names no file
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of writes to an open file; they name no file
 
 
 @contextmanager
 def claim(output: Path) -> Iterator[None]:
-    """Keep an output to this run: a file or a folder, which need not exist, in an existing folder.
+    """Lock an output for this run: a file or folder, which need not exist, in an existing folder.
 
-    Where the folder cannot be written or its disk knows no locks nothing is claimed.
+    There is no lock if the folder cannot be written or its disk does not support locks.
 
     Raises:
-        InputError: another run has it.
+        InputError: another run has locked the output.
     """
     target = output.resolve()
-    sweep(target.parent)
-    path = target.with_name(f"{_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}{_LOCK}")
-    claimed = _claimed(path)
-    if claimed is None:
+    remove_leftovers(target.parent)
+    path = target.with_name(f"{_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}{_LOCK_SUFFIX}")
+    descriptor = _try_lock_output(path)
+    if descriptor is None:
         raise InputError(f"{output}: another run is writing there: wait for it, or choose another name")
     try:
         yield
     finally:
-        if claimed != _NO_LOCK:
-            close_and_remove(path, claimed)
+        if descriptor != _NO_LOCK:
+            close_and_remove(path, descriptor)
 
 
 @contextmanager
 def scratch_file(output: Path) -> Iterator[tuple[Path, BinaryIO]]:
-    """A new file beside an output, open for writing, that is gone afterwards, unless it was renamed to it.
+    """Create a temporary file beside an output, open for writing; it is removed at the end unless it was renamed.
 
     Raises:
-        OSError: it cannot be made or written; the error names the output.
+        OSError: it cannot be created or written; the error names the output.
     """
     folder = output.resolve().parent
-    sweep(folder)
-    path = folder / f"{_OURS}{secrets.token_hex(8)}.tmp"
+    remove_leftovers(folder)
+    path = folder / f"{_OWN_PREFIX}{secrets.token_hex(8)}.tmp"
     with naming(output, path):
         descriptor = _open_locked(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
         try:
@@ -79,18 +81,18 @@ def scratch_file(output: Path) -> Iterator[tuple[Path, BinaryIO]]:
 
 @contextmanager
 def scratch_folder(output: Path | None = None) -> Iterator[Path]:
-    """A new folder that is gone afterwards, unless it was renamed.
+    """Create a temporary folder; it is removed at the end unless it was renamed.
 
     Args:
-        output: what it may be renamed to; it is made beside. None: a private one where the system has its temporary
-            files.
+        output: path to which the folder may be renamed; it is created beside it. None: a private folder in the
+            system's temporary directory.
 
     Raises:
-        OSError: it cannot be made or written; the error names the output.
+        OSError: it cannot be created or written; the error names the output.
     """
     parent = Path(tempfile.gettempdir()) if output is None else output.absolute().parent
-    sweep(parent)
-    path = parent / f"{_OURS}{secrets.token_hex(8)}"
+    remove_leftovers(parent)
+    path = parent / f"{_OWN_PREFIX}{secrets.token_hex(8)}"
     with naming(output or path, path):
         descriptor = _make_locked_folder(path, 0o700 if output is None else 0o777)
         try:
@@ -101,17 +103,17 @@ def scratch_folder(output: Path | None = None) -> Iterator[Path]:
                 os.close(descriptor)
 
 
-def sweep(folder: Path) -> None:
-    """Remove what runs left in a folder that have not lived to remove it. What cannot be removed stays."""
+def remove_leftovers(folder: Path) -> None:
+    """Remove the leftovers of killed runs from a folder. Those that cannot be removed stay."""
     with suppress(OSError), os.scandir(folder) as entries:
-        for path in [Path(entry.path) for entry in entries if _NAMES.fullmatch(entry.name)]:
+        for path in [Path(entry.path) for entry in entries if _SCRATCH_NAME.fullmatch(entry.name)]:
             with suppress(OSError):
-                _sweep(path)
+                _remove_leftover(path)
 
 
 @contextmanager
 def naming(output: Path, scratch: Path) -> Iterator[None]:
-    """A full disk and the like are said of the output that the user named, not of the scratch it is written to."""
+    """Make errors such as a full disk name the output that the user chose instead of the temporary file."""
     try:
         yield
     except OSError as error:
@@ -121,26 +123,26 @@ def naming(output: Path, scratch: Path) -> Iterator[None]:
             if not file.is_relative_to(scratch):
                 raise
             named = output / file.relative_to(scratch)
-        elif error.errno is None and "requested and" in str(error):  # numpy's, of a file that it could not fill
+        elif error.errno is None and "requested and" in str(error):  # numpy wrote only a part of an array
             raise OSError(errno.ENOSPC, f"only a part could be written ({error})", str(output)) from error
-        elif error.errno not in _FULL:
+        elif error.errno not in _DISK_ERRORS:
             raise
         raise OSError(error.errno, error.strerror, str(named)) from error
 
 
-def _claimed(path: Path) -> int | None:
-    """A descriptor of a claim's file with its lock, `_NO_LOCK` where there can be none, None where another has it."""
-    for _ in range(_ATTEMPTS):
+def _try_lock_output(path: Path) -> int | None:
+    """Return the descriptor of a locked lock file, `_NO_LOCK` without locks, None if another process has the lock."""
+    for _ in range(_MAX_LOCK_ATTEMPTS):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | NO_FOLLOW, 0o666)
         except OSError:
             return _NO_LOCK
         try:
             lock(descriptor, wait=False)
-            if _is_at(path, descriptor):
+            if _is_still_at(path, descriptor):
                 return descriptor
-        except BlockingIOError:  # perhaps a sweep that is through with it in a moment
-            time.sleep(_PAUSE_S)
+        except BlockingIOError:  # perhaps only for a moment, by another run's `remove_leftovers`
+            time.sleep(_RETRY_INTERVAL_S)
         except OSError:
             os.close(descriptor)
             return _NO_LOCK
@@ -149,53 +151,53 @@ def _claimed(path: Path) -> int | None:
 
 
 def _open_locked(path: Path, flags: int) -> int:
-    """Descriptor of a new file, locked where the disk knows locks."""
+    """Create a file, locked if the disk supports locks, and return its descriptor."""
     while True:
         descriptor = os.open(path, flags, 0o666)
-        if _locked_at(path, descriptor):
+        if _lock_new(path, descriptor):
             return descriptor
 
 
 def _make_locked_folder(path: Path, mode: int) -> int | None:
-    """Descriptor of a new folder, locked where the disk knows locks; None where the system opens no folders."""
+    """Create a folder, locked if the disk supports locks; return its descriptor, None if folders cannot be opened."""
     while True:
         path.mkdir(mode)
         try:
             descriptor = open_folder(path)
-        except FileNotFoundError:  # a sweep came before it was opened
+        except FileNotFoundError:  # `remove_leftovers` of another run came before it was opened
             continue
-        if descriptor is None or _locked_at(path, descriptor):
+        if descriptor is None or _lock_new(path, descriptor):
             return descriptor
 
 
-def _locked_at(path: Path, descriptor: int) -> bool:
-    """Lock what was made at a path, if the disk knows locks; False, and closed, where a sweep came before the lock."""
+def _lock_new(path: Path, descriptor: int) -> bool:
+    """Lock a new file or folder if the disk supports locks; close it and return False if it has been removed."""
     with suppress(OSError):
         lock(descriptor, wait=True)
-    if _is_at(path, descriptor):
+    if _is_still_at(path, descriptor):
         return True
     os.close(descriptor)
     return False
 
 
-def _is_at(path: Path, descriptor: int) -> bool:
+def _is_still_at(path: Path, descriptor: int) -> bool:
     try:
         return os.path.samestat(path.lstat(), os.fstat(descriptor))
     except FileNotFoundError:
         return False
 
 
-def _sweep(path: Path) -> None:
+def _remove_leftover(path: Path) -> None:
     descriptor = os.open(path, os.O_RDONLY | NO_FOLLOW | NO_WAIT)
     try:
-        lock(descriptor, wait=False)  # a living run has it
+        lock(descriptor, wait=False)  # raises if a running process has locked it
         status = os.fstat(descriptor)
-        if not is_own(status):
+        if not is_owned_by_user(status):
             return
-        mine = path.name.startswith(_OURS) or path.name.endswith(_LOCK)
-        if not mine and time.time() - status.st_mtime < _MAX_FOREIGN_AGE_S:
+        own = path.name.startswith(_OWN_PREFIX) or path.name.endswith(_LOCK_SUFFIX)
+        if not own and time.time() - status.st_mtime < _MAX_FOREIGN_AGE_S:
             return
-        if _is_at(path, descriptor):
+        if _is_still_at(path, descriptor):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:

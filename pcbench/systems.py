@@ -1,7 +1,7 @@
-"""What differs between operating systems: file locks, memory and CPUs, and how processes are waited for and ended.
+"""Differences between operating systems: file locks, memory, CPUs, and waiting for and ending processes.
 
-No other module of the package imports `fcntl` or `resource`, or names what `os` and `signal` have on some systems only.
-The exception is `children/start.py`, which runs before anything of pcbench can be imported.
+No other module of the package imports `fcntl` or `resource`, or uses names of `os` and `signal` that only some systems
+have. The exception is `children/start.py`, which runs before anything of pcbench can be imported.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ NO_FOLLOW: int = getattr(os, "O_NOFOLLOW", 0)  # flags of os.open
 NO_WAIT: int = getattr(os, "O_NONBLOCK", 0)
 SIGKILL: int = getattr(signal, "SIGKILL", 9)
 
-# On Windows a lock covers bytes, which others then cannot read: one byte where no data are expected.
-_LOCKED_BYTE = (1 << 31) - 2
-_STEP_S = 0.01  # between two looks at a child that is to end
+# A Windows lock covers bytes that other processes then cannot read: lock one byte beyond all data.
+_LOCK_OFFSET = (1 << 31) - 2
+_POLL_INTERVAL_S = 0.01
 
 
 def lock(descriptor: int, *, wait: bool) -> None:
@@ -31,7 +31,7 @@ def lock(descriptor: int, *, wait: bool) -> None:
 
     Raises:
         BlockingIOError: another process holds the lock, and `wait` is False.
-        OSError: the disk or the system knows no locks.
+        OSError: the disk or the system does not support locks.
     """
     try:
         import fcntl
@@ -48,17 +48,17 @@ def _lock_byte(descriptor: int, wait: bool) -> None:
         raise OSError("this system has no file locks") from None
     position = os.lseek(descriptor, 0, os.SEEK_CUR)
     try:
-        os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
-        while not _is_locked(msvcrt, descriptor):  # LK_LOCK gives up after ten seconds
+        os.lseek(descriptor, _LOCK_OFFSET, os.SEEK_SET)
+        while not _try_lock_byte(msvcrt, descriptor):  # LK_LOCK gives up after ten seconds
             if not wait:
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-            time.sleep(_STEP_S)
+            time.sleep(_POLL_INTERVAL_S)
     finally:
         os.lseek(descriptor, position, os.SEEK_SET)
 
 
-def _is_locked(msvcrt: Any, descriptor: int) -> bool:
-    """Lock the byte at the position of a file, unless another process has it; whether that was done."""
+def _try_lock_byte(msvcrt: Any, descriptor: int) -> bool:
+    """Lock the byte at the position of a file; return False if another process has locked it."""
     try:
         msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
     except PermissionError:
@@ -67,22 +67,22 @@ def _is_locked(msvcrt: Any, descriptor: int) -> bool:
 
 
 def open_folder(path: Path) -> int | None:
-    """A descriptor of a folder, to lock it; None on Windows, which opens files only.
+    """Open a folder to lock it; None on Windows, which cannot open folders.
 
     Raises:
-        FileNotFoundError: the folder is not there.
+        FileNotFoundError: the folder does not exist.
     """
     folder: int | None = getattr(os, "O_DIRECTORY", None)
     return None if folder is None else os.open(path, os.O_RDONLY | folder)
 
 
-def is_own(status: os.stat_result) -> bool:
-    """Whether a file belongs to the user of this process, as far as the system knows users."""
+def is_owned_by_user(status: os.stat_result) -> bool:
+    """Whether a file belongs to the user of this process; True on systems without users."""
     return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()
 
 
 def close_and_remove(path: Path, descriptor: int) -> None:
-    """Remove a locked file. It keeps its lock until it is gone, except on Windows, which removes no open file."""
+    """Remove a locked file. It stays locked until it is gone, except on Windows, which cannot remove open files."""
     try:
         path.unlink(missing_ok=True)
     except PermissionError:
@@ -93,7 +93,7 @@ def close_and_remove(path: Path, descriptor: int) -> None:
 
 
 def rename_open(file: BinaryIO, path: Path, target: Path) -> None:
-    """Rename a written file over `target`, before it is closed where the system can do that."""
+    """Rename a written file to `target`, replacing it; before the file is closed if the system allows that."""
     file.flush()
     if sys.platform == "win32":
         file.close()
@@ -101,12 +101,12 @@ def rename_open(file: BinaryIO, path: Path, target: Path) -> None:
 
 
 def cpus() -> int:
-    """Number of CPUs that this process may use."""
+    """Return the number of CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def memory_limit() -> int | None:
-    """Bytes of address space that this process is limited to; None without a limit."""
+    """Return the limit of this process's address space in bytes; None without a limit."""
     try:
         import resource
     except ImportError:
@@ -116,7 +116,7 @@ def memory_limit() -> int | None:
 
 
 def peak_memory() -> int:
-    """Largest resident memory of this process so far, in bytes; 0 where the system does not tell."""
+    """Return the peak resident memory of this process in bytes; 0 if unknown."""
     try:
         import resource
     except ImportError:
@@ -125,9 +125,9 @@ def peak_memory() -> int:
 
 
 def peak_memory_with_children() -> int:
-    """Largest resident memory of this process or of one of its ended children, in bytes; 0 where it is not known.
+    """Return the peak resident memory of this process or of one of its ended children in bytes; 0 if unknown.
 
-    Linux counts the memory of the process that started this one in `getrusage`, but not in /proc.
+    On Linux `getrusage` includes the memory of the process that started this one, but /proc does not.
     """
     try:
         import resource
@@ -142,7 +142,7 @@ def peak_memory_with_children() -> int:
 
 
 def _rss_unit() -> int:
-    """Bytes in a unit of `ru_maxrss`, which is a kibibyte on all systems but macOS."""
+    """Return the unit of `ru_maxrss` in bytes: 1 on macOS, 1024 elsewhere."""
     return 1 if sys.platform == "darwin" else 1024
 
 
@@ -169,7 +169,7 @@ def _peak_working_set() -> int:
 
 
 def signal_name(number: int) -> str:
-    """Name of a signal, such as SIGSEGV; real-time signals and those of other systems have numbers only."""
+    """Return the name of a signal, such as SIGSEGV, or its number if it has no name on this system."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -177,10 +177,10 @@ def signal_name(number: int) -> str:
 
 
 def wait_until_ended(process: subprocess.Popen[bytes]) -> None:
-    """Wait for a child to end.
+    """Wait until a child ends.
 
-    It stays a zombie where the system can do that, so that its number, which is that of its session, is given to no
-    other process before `reap`.
+    If the system allows it, the child stays a zombie until `reap`, so that no other process gets its id, which is also
+    that of its session.
     """
     if hasattr(os, "waitid"):
         os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
@@ -189,30 +189,31 @@ def wait_until_ended(process: subprocess.Popen[bytes]) -> None:
 
 
 def end_tree(process: subprocess.Popen[bytes], grace_s: float) -> None:
-    """End a child that `children/start.py` runs in a session of its own, with all that it started.
+    """End a child that `children/start.py` runs in its own session, with all processes that it started.
 
     Args:
-        grace_s: seconds that the child has on Linux to end its descendants, before its session is killed.
+        process: the child.
+        grace_s: seconds that the child has on Linux to end its descendants before its session is killed.
     """
     if sys.platform.startswith("linux"):
         with suppress(ProcessLookupError):
             os.kill(process.pid, signal.SIGTERM)
-        for _ in range(round(grace_s / _STEP_S)):
+        for _ in range(round(grace_s / _POLL_INTERVAL_S)):
             if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None:
                 break
-            time.sleep(_STEP_S)
+            time.sleep(_POLL_INTERVAL_S)
     if hasattr(os, "killpg"):
-        with suppress(ProcessLookupError, PermissionError):  # all gone
+        with suppress(ProcessLookupError, PermissionError):  # all have ended
             os.killpg(process.pid, SIGKILL)
     elif process.poll() is None:
         subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], capture_output=True, check=False)
 
 
 def reap(process: subprocess.Popen[bytes]) -> tuple[int, float]:
-    """Exit code of an ended child, and the CPU seconds of it and of the children it waited for.
+    """Return the exit code of an ended child, and the CPU seconds of it and of the children it waited for.
 
-    The code is minus the signal's number where a signal ended the child. The CPU time is 0 where the system does not
-    tell, which is Windows, and macOS before Python 3.13.
+    The code is minus the signal number if a signal ended the child. The CPU time is 0 on systems that do not report it:
+    Windows, and macOS before Python 3.13.
     """
     if process.returncode is not None or not hasattr(os, "wait4"):
         return process.wait(), 0.0

@@ -1,1 +1,1 @@
-"""Guests of pcbench: adapters that each deliver a point cloud to be measured."""
+"""Reconstructors that come with pcbench; each computes a point cloud from images."""

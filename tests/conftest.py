@@ -1,4 +1,4 @@
-"""What several test files use."""
+"""Fixtures and hooks that several test files use."""
 
 import os
 import random
@@ -8,11 +8,11 @@ from functools import cache
 
 from data_folder import data_root
 
-# Before numpy is imported. Workers share the cores, and the matrices are small: threads would wait for each other.
+# Set before numpy is imported: test workers share the cores, and threads on small matrices would block each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-# A shell tells what it starts in the background to ignore Ctrl-C, and children inherit that: tests send it.
+# Shells make background jobs ignore Ctrl-C, and children inherit that; but some tests send Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -40,7 +40,7 @@ def pytest_report_header(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Tests of a file stay together: what they share is made once."""
+    """Shuffle files and the tests within each; tests of a file stay together because they share fixtures."""
     if config.option.shuffle is None:
         return
     rng = random.Random(config.option.shuffle)  # the same in every worker
@@ -53,10 +53,10 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """A file whose tests share a module's fixture goes to one worker, which builds it once; other tests go one by one.
+    """Send files with module-scoped fixtures to one worker, which builds them once; distribute other tests singly.
 
-    With `--dist loadscope` every file would stay whole, and the longest decide how long the suite takes; `loadgroup`
-    of pytest-xdist 3.8 does nothing under pytest 9.2.
+    `--dist loadscope` would keep all files together, so the longest would determine the duration of the suite;
+    `loadgroup` of pytest-xdist 3.8 has no effect under pytest 9.2.
     """
     from xdist.scheduler import LoadScopeScheduling
 
@@ -75,13 +75,13 @@ def pytest_configure(config):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
-    with wording.spoken_by(item.nodeid, item.config.stash[GOLDEN], item.config.stash[RENEWED]):
+    with wording.texts_of(item.nodeid, item.config.stash[GOLDEN], item.config.stash[RENEWED]):
         return (yield)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node):
-    """A worker of pytest-xdist has ended: its renewed texts are taken over."""
+    """Collect the renewed texts of a pytest-xdist worker that has ended."""
     if node.config.stash[RENEWED] is not None:
         node.config.stash[RENEWED] |= node.workeroutput.get("wording", {})
 
@@ -103,7 +103,7 @@ def _shares_fixtures(file):
 
 @pytest.fixture(scope="session")
 def renderer():
-    """Skips what takes photographs where none can be taken."""
+    """Skip tests that render photographs on machines without a renderer."""
     try:
         check_renderer()
     except (NoFiguresError, MissingExtra) as error:
@@ -112,13 +112,13 @@ def renderer():
 
 @pytest.fixture(autouse=True)
 def _no_progress(monkeypatch):
-    """Commands called in this process do not tell how far they are: what they print depends on no clock."""
+    """Suppress progress lines of commands in this process, so that their output does not depend on time."""
     monkeypatch.setattr(messages, "_MESSAGE_INTERVAL_S", 3600.0)
 
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Call the command line in this process: (exit code, stdout, stderr). Sentences are not broken into lines."""
+    """Return a function that calls the command line in this process: (exit code, stdout, stderr), not line-wrapped."""
     monkeypatch.delenv("COLUMNS", raising=False)
 
     def call(*arguments, figures=False):

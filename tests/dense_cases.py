@@ -1,5 +1,5 @@
-"""What a dense cloud of a synthetic city, and the maps that it was fused of, are held against: exact depths, normals,
-and the surface that enough images show, with texture or without.
+"""Scores of a dense cloud of a synthetic city and of its maps: errors against exact depths and normals, and coverage
+of the surface that enough images observe, with and without texture.
 """
 
 from pathlib import Path
@@ -22,24 +22,24 @@ from reconstructors.mvs.maps import read_map
 from reconstructors.mvs.mvs import MAPS
 from reconstructors.mvs.views import IMAGE, VIEWS
 
-WINDOW = 9  # pixels along a patch, as matchers compare them
-FLAT = 4.0  # standard deviation of its grey values without texture: the sensor's noise makes 1.5
-WRONG = 5  # footprints from the true surface
-SAMPLES = 200_000  # of the surface, at most
+WINDOW = 9  # pixels along a side of the patches that matchers compare
+FLAT = 4.0  # maximum standard deviation of grey values in an untextured patch; sensor noise alone causes 1.5
+WRONG = 5  # footprints from the true surface beyond which a point is wrong
+SAMPLES = 200_000  # maximum number of surface samples
 
 
 class City(NamedTuple):
-    """A scene of `pcbench synth city` and what is known of it.
+    """A scene of `pcbench synth city` with its ground truth.
 
     Args:
-        folder: of the scene.
-        truth: as `pcbench bench` has it.
-        index: of the true mesh.
-        seen: points (N, 3) evenly spread over what at least three images show.
-        textured: (N,) which of them are in a patch with texture in at least three of these images.
-        views: (N,) how many images show them.
-        slant: (N,) angles in degrees between normal and line of sight in the third-best of these images.
-        footprint: of a pixel: depth over focal length, the median over lines of sight, as in `pcbench bench`.
+        folder: folder of the scene.
+        truth: ground truth as in `pcbench bench`.
+        index: index of the true mesh.
+        seen: points (N, 3) evenly spread over the surface that at least three images observe.
+        textured: (N,), True for points in a textured patch in at least three of these images.
+        views: (N,), number of images that observe each point.
+        slant: (N,), angle in degrees between normal and line of sight in the third-best of these images.
+        footprint: size of a pixel: median of depth over focal length over the lines of sight, as in `pcbench bench`.
     """
 
     folder: Path
@@ -53,43 +53,46 @@ class City(NamedTuple):
 
 
 def deviations(gray: np.ndarray) -> np.ndarray:
-    """Standard deviations (H, W) of the grey values in the window around each pixel of an image (H, W)."""
+    """Return the standard deviations (H, W) of the grey values in the window around each pixel of an image (H, W)."""
     gray = gray.astype(np.float64)
     mean = uniform_filter(gray, WINDOW)
     return np.sqrt(np.maximum(uniform_filter(gray * gray, WINDOW) - mean * mean, 0))
 
 
 def read_city(folder: Path) -> City:
-    """A scene, the surface that its images show, and where that has texture."""
+    """Read a scene, the surface that its images observe, and where it has texture."""
     scene, reference = read_scene(folder), folder / "truth" / "cloud.ply"
     truth = read_truth(reference, mesh_of(folder, reference), scene.cameras, print)
     index, footprint = MeshIndex(truth.surface), truth.pixel
-    drawn = truth.surface.sample(min(SAMPLES, int(truth.surface.area / footprint**2)))
-    shown, textured = (np.zeros(len(drawn), dtype=int) for _ in range(2))
-    cosines = np.zeros((SEEN_BY, len(drawn)))  # the largest, in ascending order
+    samples = truth.surface.sample(min(SAMPLES, int(truth.surface.area / footprint**2)))
+    view_counts, textured = (np.zeros(len(samples), dtype=int) for _ in range(2))
+    cosines = np.zeros((SEEN_BY, len(samples)))  # the largest, in ascending order
     for name in scene.images:
         camera = scene.cameras[name]
-        here = np.flatnonzero(sees(index, camera, drawn.points, drawn.normals))
-        column, row = camera.project(drawn.points[here])[0].astype(int).T
-        lines = camera.position - drawn.points[here]
-        cosine = np.einsum("ni,ni->n", lines, drawn.normals[here]) / np.linalg.norm(lines, axis=1)
+        here = np.flatnonzero(sees(index, camera, samples.points, samples.normals))
+        column, row = camera.project(samples.points[here])[0].astype(int).T
+        lines = camera.position - samples.points[here]
+        cosine = np.einsum("ni,ni->n", lines, samples.normals[here]) / np.linalg.norm(lines, axis=1)
         cosines[:, here] = np.sort([*cosines[:, here], cosine], axis=0)[1:]
-        shown[here] += 1
+        view_counts[here] += 1
         textured[here] += deviations(np.asarray(Image.open(scene.folder / name).convert("L")))[row, column] > FLAT
-    seen = shown >= SEEN_BY
+    seen = view_counts >= SEEN_BY
     slant = np.degrees(np.arccos(np.clip(cosines[0, seen], 0, 1)))
-    return City(folder, truth, index, drawn.points[seen], textured[seen] >= SEEN_BY, shown[seen], slant, footprint)
+    return City(
+        folder, truth, index, samples.points[seen], textured[seen] >= SEEN_BY, view_counts[seen], slant, footprint
+    )
 
 
 class CloudScore(NamedTuple):
-    """Shares of a cloud's points and of the surface.
+    """Precision and recall of a cloud.
 
     Args:
-        points: how many there are.
-        precision: of the points within 1, 2 and 5 footprints of the surface.
-        recall: of the seen surface with a point within 1, 2 and 5 footprints.
-        textured, plain: the same of what has texture, and of what has none.
-        plain_share: of the seen surface without texture.
+        points: number of points.
+        precision: shares of the points within 1, 2 and 5 footprints of the surface.
+        recall: shares of the observed surface with a point within 1, 2 and 5 footprints.
+        textured: recall of textured surface.
+        plain: recall of untextured surface.
+        plain_share: share of the observed surface without texture.
     """
 
     points: int
@@ -101,22 +104,22 @@ class CloudScore(NamedTuple):
 
     @property
     def wrong(self) -> float:
-        """The share of the points that are nowhere near the surface."""
+        """The share of the points far from the surface."""
         return 1 - self.precision[-1]
 
     @property
     def empty(self) -> float:
-        """The share of the seen surface without a point anywhere near."""
+        """The share of the observed surface without a point nearby."""
         return 1 - self.recall[-1]
 
     @property
     def fscore(self) -> np.ndarray:
-        """Of precision and the recall over what was seen."""
+        """The F-scores of precision and recall."""
         return 2 * self.precision * self.recall / np.maximum(self.precision + self.recall, 1e-9)
 
 
 def score_cloud(city: City, points: np.ndarray) -> CloudScore:
-    """A cloud in the frame of the city's cameras, against its surface."""
+    """Score a cloud in the frame of the city's cameras against its surface."""
     limits = city.footprint * np.array([1, 2, WRONG])
 
     def shares(distances: np.ndarray) -> np.ndarray:
@@ -128,8 +131,12 @@ def score_cloud(city: City, points: np.ndarray) -> CloudScore:
 
 
 class Missed(NamedTuple):
-    """Of a part of the seen surface with texture: its share of that, its recall at two footprints, and its share of all
-    that is missed.
+    """Recall of a part of the observed textured surface.
+
+    Args:
+        share: its share of that surface.
+        recall: its recall at two footprints.
+        missed: its share of all missed surface.
     """
 
     share: float
@@ -138,7 +145,7 @@ class Missed(NamedTuple):
 
 
 def missed(city: City, points: np.ndarray) -> dict[str, Missed]:
-    """Where a cloud misses surface with texture: by how many images show it, and by how slanted it is in them."""
+    """Return where a cloud misses textured surface, by the number of images that observe it and by its slant."""
     away = Index(points).query(city.seen).distances > 2 * city.footprint
     parts = {
         "3 images": city.views == 3,
@@ -148,25 +155,25 @@ def missed(city: City, points: np.ndarray) -> dict[str, Missed]:
         "60 to 75": (city.slant >= 60) & (city.slant < 75),
         "above 75": city.slant >= 75,
     }
-    total, lost = np.count_nonzero(city.textured), np.count_nonzero(away & city.textured)
+    total, missing = np.count_nonzero(city.textured), np.count_nonzero(away & city.textured)
     found = {}
     for name, part in parts.items():
         whole, here = (np.count_nonzero(part & city.textured & which) for which in (True, away))
-        found[name] = Missed(whole / total, 1 - here / max(1, whole), here / max(1, lost))
+        found[name] = Missed(whole / total, 1 - here / max(1, whole), here / max(1, missing))
     return found
 
 
 class MapScore(NamedTuple):
-    """Errors of all depths and normals that the maps of a workspace hold.
+    """Errors of all depths and normals in the maps of a workspace.
 
     Args:
-        known: share of the pixels with a depth, of those that show the city.
-        depth: percentiles 50, 90, 95 and 99 of the errors along the pixels' rays, in their footprints.
-        normal: median angle between normals and those of the true faces in degrees.
-        plain: share of the pixels that show the city in a patch without texture, of those that show it.
-        plain_known: share of the pixels with a depth, of those that show the city in a patch without texture.
-        plain_wrong: share of these depths that lie nowhere near the surface.
-        sky_known: share of the pixels with a depth, of those whose patch shows nothing but sky.
+        known: share of the pixels on the city that have a depth.
+        depth: percentiles 50, 90, 95 and 99 of the depth errors along the rays, in footprints.
+        normal: median angle in degrees between the normals and those of the true faces.
+        plain: share of the pixels on the city that are in an untextured patch.
+        plain_known: share of these untextured pixels that have a depth.
+        plain_wrong: share of these depths that are far from the surface.
+        sky_known: share of the pixels in patches of sky that have a depth.
     """
 
     known: float
@@ -179,15 +186,16 @@ class MapScore(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """Of a map, each (H, W).
+    """Values of a map's pixels, (H, W) each.
 
     Args:
-        city, sky: what shows the city, and what shows nothing but sky in the window around it.
-        known: what has a depth.
-        plain: what has no texture around it.
-        errors: of the depths, in footprints; infinite where they are beside the city.
-        far: where the depth lies nowhere near the surface.
-        angles: between normal and the true one, in degrees.
+        city: True for pixels on the city.
+        sky: True for pixels whose patch contains only sky.
+        known: True for pixels with a depth.
+        plain: True for pixels in an untextured patch.
+        errors: depth errors in footprints; infinite for depths beside the city.
+        far: True for depths far from the surface.
+        angles: angles between the normals and the true ones, in degrees.
     """
 
     city: np.ndarray
@@ -200,9 +208,7 @@ class Pixels(NamedTuple):
 
 
 def score_maps(city: City, workspace: Path) -> MapScore:
-    """The maps that `mvs` leaves in its workspace, of undistorted photographs at any size, against rays through the
-    mesh.
-    """
+    """Score the maps in the workspace of `mvs`, at any image size, against rays through the mesh."""
     cameras = read_colmap_cameras(workspace / MAPS)
     each = [_pixels(city, camera, workspace) for camera in cameras]
     of = Pixels(*(np.concatenate([values.ravel() for values in column]) for column in zip(*each, strict=True)))
@@ -210,7 +216,7 @@ def score_maps(city: City, workspace: Path) -> MapScore:
     return MapScore(
         known=float(np.mean(of.known[of.city])),
         depth=np.percentile(of.errors[of.known], [50, 90, 95, 99], method="lower"),
-        # What is nowhere near a face has no normal to be held against.
+        # A depth far from all faces has no true normal.
         normal=float(np.median(of.angles[of.known & of.city & ~of.far])),
         plain=_share(of.plain, of.city),
         plain_known=_share(of.known, plain),
@@ -224,16 +230,16 @@ def _share(which: np.ndarray, among: np.ndarray) -> float:
 
 
 def _pixels(city: City, camera: Camera, workspace: Path) -> Pixels:
-    made, true, k = read_map(workspace / MAPS / camera.name), mesh_map(camera, city.index), camera.intrinsics
+    depth_map, true, k = read_map(workspace / MAPS / camera.name), mesh_map(camera, city.index), camera.intrinsics
     with Image.open(workspace / VIEWS / camera.name / IMAGE) as image:
         plain = deviations(np.asarray(image.convert("L"))) <= FLAT
-    row, column = np.nonzero(made.known)
-    depth = made.depth[row, column].astype(float)
+    row, column = np.nonzero(depth_map.known)
+    depth = depth_map.depth[row, column].astype(float)
     points = world_points(camera, np.stack([column + 0.5, row + 0.5], axis=1), depth)
-    far = np.zeros(made.depth.shape, dtype=bool)
+    far = np.zeros(depth_map.depth.shape, dtype=bool)
     far[row, column] = city.index.query(points).distances > WRONG * depth / k.fx
-    shown = true.depth > 0
-    errors = np.full(shown.shape, np.inf)
-    errors[shown] = np.abs(made.depth - true.depth)[shown] / (true.depth[shown] / k.fx)
-    angles = np.degrees(np.arccos(np.clip(np.einsum("hwi,hwi->hw", made.normal, true.normal), -1, 1)))
-    return Pixels(shown, ~maximum_filter(shown, WINDOW), made.known, plain, errors, far, angles)
+    on_city = true.depth > 0
+    errors = np.full(on_city.shape, np.inf)
+    errors[on_city] = np.abs(depth_map.depth - true.depth)[on_city] / (true.depth[on_city] / k.fx)
+    angles = np.degrees(np.arccos(np.clip(np.einsum("hwi,hwi->hw", depth_map.normal, true.normal), -1, 1)))
+    return Pixels(on_city, ~maximum_filter(on_city, WINDOW), depth_map.known, plain, errors, far, angles)

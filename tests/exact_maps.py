@@ -1,4 +1,4 @@
-"""Depth and normal maps that are exact: what a matcher without errors would return."""
+"""Exact depth and normal maps, as an ideal matcher would return them."""
 
 from dataclasses import replace
 
@@ -9,14 +9,14 @@ from reconstructors.mvs.maps import DepthMap
 
 
 def rays(camera):
-    """Directions (H, W, 3) in the world, of depth 1, through the centres of the pixels."""
+    """Return world directions (H, W, 3) of unit depth through the pixel centres."""
     k = camera.intrinsics
     x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
     return np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], axis=-1) @ camera.cam_from_world.rotation
 
 
 def plane_map(camera, normal, offset):
-    """Of the plane normal . x = offset (unit normal)."""
+    """Return the map of the plane normal . x = offset (unit normal)."""
     normal = np.asarray(normal, dtype=float)
     with np.errstate(divide="ignore"):
         depth = (offset - normal @ camera.position) / (rays(camera) @ normal)
@@ -24,7 +24,7 @@ def plane_map(camera, normal, offset):
 
 
 def corner_map(camera):
-    """Of the three planes of `textured_corner`."""
+    """Return the map of the three planes of `textured_corner`."""
     lines = rays(camera)
     nearest, normals = np.full(lines.shape[:2], np.inf), np.zeros(lines.shape)
     for axis in range(3):
@@ -38,7 +38,7 @@ def corner_map(camera):
 
 
 def mesh_map(camera, index):
-    """Of a mesh, by its index."""
+    """Return the map of a mesh from its index."""
     lines = rays(camera).reshape(-1, 3)
     hits = index.cast(camera.position, lines)
     shape = (camera.intrinsics.height, camera.intrinsics.width)
@@ -55,17 +55,17 @@ def _map(camera, depth, normals):
 
 
 class ExactMatcher:
-    """Stands in for the matcher: the maps of `made(camera)` by the true cameras, whatever the frame of the views."""
+    """Replaces the matcher by exact maps `make_map(camera)` of the true cameras, in any frame of the views."""
 
-    def __init__(self, cameras, made):
-        self.cameras, self.made, self.matched, self.refined = cameras, made, [], []
+    def __init__(self, cameras, make_map):
+        self.cameras, self.make_map, self.matched, self.refined = cameras, make_map, [], []
 
-    def _true(self, view):
-        return self.made(replace(self.cameras[view.camera.name], intrinsics=view.camera.intrinsics))
+    def _true_map(self, view):
+        return self.make_map(replace(self.cameras[view.camera.name], intrinsics=view.camera.intrinsics))
 
     def match(self, reference, sources, depth_range, *, levels=3, iterations=3, seed=0):
         self.matched.append((reference, list(sources), depth_range))
-        return self._true(reference)
+        return self._true_map(reference)
 
     def refine(self, reference, sources, source_depths, initial, depth_range, *, iterations=2, seed=0):
         assert len(sources) == len(source_depths)

@@ -1,6 +1,6 @@
-"""Optional libraries: tests skip where one cannot be used, and imitate machines on which one does not load.
+"""Optional libraries: skip tests without one, and simulate machines on which one cannot be loaded.
 
-Run as a program it names each library that pcbench or its tests can use and that cannot be imported here.
+As a program it lists the libraries of pcbench and its tests that cannot be imported here.
 """
 
 import os
@@ -15,11 +15,11 @@ from pcbench.extras import LIBRARIES, require, unavailable
 NO_LIBUSB = "OSError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')"
 _OPENGL = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 SYSTEM_LIBRARIES = ("libusb-1.0.so.0", "libGL.so.1", *_OPENGL)
-_OF_TESTS = ("laspy", "pymeshlab", "skimage.metrics", "nbclient")
+_TEST_LIBRARIES = ("laspy", "pymeshlab", "skimage.metrics", "nbclient")
 
 
 def import_or_skip(module):
-    """The module of an optional library; skips the test, or the file, where the library is absent or does not load."""
+    """Import a module of an optional library; skip the test or the file if that fails."""
     try:
         return require(module)
     except MissingExtra as error:
@@ -27,10 +27,10 @@ def import_or_skip(module):
 
 
 def break_library(monkeypatch, folder, name, error=NO_LIBUSB):
-    """Put a package of this name that raises `error` at import in front of the real one, here and in child processes.
+    """Shadow a package by one that raises `error` at import, here and in child processes.
 
     Args:
-        error: a Python expression; None imitates a library that is not installed.
+        error: a Python expression; None simulates a library that is not installed.
     """
     raised = error or f"ModuleNotFoundError({f'No module named {name!r}'!r}, name={name!r})"
     package = Path(folder) / name
@@ -45,7 +45,7 @@ def break_library(monkeypatch, folder, name, error=NO_LIBUSB):
 
 
 def break_system_libraries(folder, names=SYSTEM_LIBRARIES):
-    """Environment in which the dynamic loader finds empty files for these libraries, and gives up at them."""
+    """Return an environment in which the dynamic loader finds empty files for these libraries and fails."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
@@ -54,5 +54,5 @@ def break_system_libraries(folder, names=SYSTEM_LIBRARIES):
 
 
 if __name__ == "__main__":
-    problems = [line for library in (*LIBRARIES, *_OF_TESTS) if (line := unavailable(library))]
+    problems = [line for library in (*LIBRARIES, *_TEST_LIBRARIES) if (line := unavailable(library))]
     sys.exit("\n".join(problems) or 0)

@@ -1,4 +1,4 @@
-"""Processes that tests leave behind, or do not."""
+"""Checks that processes end."""
 
 import os
 import time
@@ -6,15 +6,15 @@ from pathlib import Path
 
 
 def ends(pid):
-    """Whether a process ends within ten seconds: once its parent has gone, its new one needs a moment."""
+    """Whether a process ends within ten seconds; an orphan is reaped with a short delay."""
     for _ in range(100):
-        if not _alive(pid):
+        if not _is_alive(pid):
             return True
         time.sleep(0.1)
     return False
 
 
-def _alive(pid):
+def _is_alive(pid):
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

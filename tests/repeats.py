@@ -1,4 +1,4 @@
-"""Repeat a reconstruction with few and many threads and CPUs, and with other processes running."""
+"""Repeated reconstructions with different numbers of threads and CPUs, and next to busy processes."""
 
 import hashlib
 import os
@@ -12,8 +12,8 @@ from typing import NamedTuple
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.threads import cpus
 
-# Small settings of each reconstructor, for runs of seconds.
-SMALL = {
+# Settings with which each reconstructor takes seconds, by name.
+FAST_SETTINGS = {
     "sfm": {"poses": "solve", "features": "1500", "upsample": "no"},
     "mvs": {"backend": "bundled"},
     "splat": {"start": "sfm", "supervision": "none", "steps": "60", "gaussians": "1000", "device": "cpu"},
@@ -21,12 +21,12 @@ SMALL = {
 
 
 class Conditions(NamedTuple):
-    """Conditions under which a reconstruction runs.
+    """Conditions of a run.
 
     Args:
         cpus: number of CPUs that it may use.
         threads: OMP_NUM_THREADS.
-        busy: number of other processes that only compute.
+        busy: number of other processes that keep CPUs busy.
     """
 
     cpus: int
@@ -34,7 +34,7 @@ class Conditions(NamedTuple):
     busy: int
 
 
-# Either one CPU or all. More threads than CPUs are preempted at arbitrary positions.
+# At least one condition uses all CPUs; with more threads than CPUs, threads are preempted anywhere.
 CONDITIONS = (Conditions(1, 1, 0), Conditions(cpus(), 2, 2), Conditions(cpus(), 7, 2))
 
 
@@ -46,26 +46,26 @@ class Repeat(NamedTuple):
 
 
 def repeat(method: str, scene: Path, workspace: Path, conditions: Conditions, **settings: str) -> Repeat:
-    """Run a reconstructor with small settings in a new workspace."""
+    """Run a reconstructor with fast settings in a new workspace."""
     with under(conditions):
-        result = run(ReconstructionJob(method, scene, SMALL[method] | settings), workspace)
-    points = len(result.required().cloud)
+        made = run(ReconstructionJob(method, scene, FAST_SETTINGS[method] | settings), workspace)
+    points = len(made.required().cloud)
     return Repeat(points, hashlib.sha256((workspace / "cloud.ply").read_bytes()).hexdigest())
 
 
 @contextmanager
 def under(conditions: Conditions) -> Iterator[None]:
-    """Apply the conditions to child processes that are started in the context."""
+    """Run the child processes of the block under these conditions."""
     allowed = os.sched_getaffinity(0)
     threads = os.environ.get("OMP_NUM_THREADS")
     spin = [sys.executable, "-c", "while True: pass"]
-    busy_processes = [subprocess.Popen(spin) for _ in range(conditions.busy)]
+    spinning = [subprocess.Popen(spin) for _ in range(conditions.busy)]
     try:
         os.sched_setaffinity(0, sorted(allowed)[: conditions.cpus])
         os.environ["OMP_NUM_THREADS"] = str(conditions.threads)
         yield
     finally:
-        for process in busy_processes:
+        for process in spinning:
             process.kill()
             process.wait()
         os.sched_setaffinity(0, allowed)

@@ -1,4 +1,4 @@
-"""Where things lie, for tests that look at files of the repository or start others of the tests."""
+"""Paths of the repository and its tests."""
 
 from pathlib import Path
 

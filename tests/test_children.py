@@ -1,4 +1,4 @@
-"""Child processes: what they find, what they may take, and that nothing of them is left."""
+"""Child processes: their start, their limits and their cleanup."""
 
 import errno
 import os
@@ -30,7 +30,7 @@ def script(tmp_path):
     return write
 
 
-def test_how_it_ended_and_what_it_said(script):
+def test_exit_code_and_output(script):
     ended = run_script(script("import sys", "print('one\\ntwo')", "sys.exit('first\\nlast\\n\\n')"))
     assert (ended.code, ended.timed_out, ended.output, ended.last_words) == (1, False, "one\ntwo\n", "last")
     ended = run_script(script("import os", "os.abort()"))
@@ -59,12 +59,12 @@ def test_limits(script):
     assert run_script(script("bytearray(1 << 31)"), limits=Limits(memory=1 << 30)).last_words == "MemoryError"
 
 
-def test_what_it_started_ends_with_it(script):
+def test_descendants_end_with_the_child(script):
     body = ("import subprocess, time", "print(subprocess.Popen(['sleep', '600']).pid)")
     ended = run_script(script(*body))
     assert (ended.code, ended.timed_out) == (0, False)
     assert ends(int(ended.output))
-    for seconds in (1, 10, 100):  # a busy machine may not have come to its first line after one
+    for seconds in (1, 10, 100):  # on a busy machine the first line may take longer than one second
         ended = run_script(script(*body, "time.sleep(600)"), limits=Limits(seconds=seconds))
         assert (ended.code, ended.timed_out) == (-signal.SIGKILL, True)
         if ended.output:
@@ -86,10 +86,10 @@ DAEMON = (
 )
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux knows subreapers")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has subreapers")
 @pytest.mark.parametrize("end", ["", "time.sleep(600)", "os.abort()", "os.killpg(0, 9)"])
-def test_a_daemon_of_its_ends_with_it(script, tmp_path, end):
-    """Left its session and its parent, and ignoring what it can ignore."""
+def test_daemons_end_with_the_child(script, tmp_path, end):
+    """The daemons have left their session and parent, and ignore SIGTERM."""
     pids = tmp_path / "pids"
     lines = (*DAEMON, "import signal", "signal.signal(signal.SIGTERM, signal.SIG_IGN)")
     lines += (f"file = open({str(pids)!r}, 'w')", "daemon(file)", "daemon(file)", end)
@@ -108,19 +108,19 @@ def test_a_daemon_of_its_ends_with_it(script, tmp_path, end):
     }[end]
 
 
-def test_what_others_started_is_left_alone(script):
-    mine = subprocess.Popen(["sleep", "600"])
+def test_other_processes_are_left_alone(script):
+    other = subprocess.Popen(["sleep", "600"])
     try:
         run_script(script("import os", "os.fork()"))
-        assert mine.poll() is None
+        assert other.poll() is None
     finally:
-        mine.kill()
-        mine.wait()
+        other.kill()
+        other.wait()
 
 
-def test_a_log_has_a_limit_which_is_said_in_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("pcbench.children.MAX_LOG", 1000)
-    monkeypatch.setattr("pcbench.children._MAX_TAIL", 100)
+def test_log_is_limited_and_notes_the_omission(tmp_path, monkeypatch):
+    monkeypatch.setattr("pcbench.children.MAX_LOG_BYTES", 1000)
+    monkeypatch.setattr("pcbench.children._MAX_TAIL_BYTES", 100)
     (tmp_path / "loud.py").write_text("for n in range(10**5): print(n)\nprint('the end')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with (tmp_path / "log").open("wb") as log:
@@ -130,18 +130,18 @@ def test_a_log_has_a_limit_which_is_said_in_it(tmp_path, monkeypatch):
     assert text.startswith("0\n1\n2\n")
     assert text.endswith("99999\nthe end\n")
     assert len(text) < 1400
-    left_out = int(re.search(r"\n\[(\d+) [^]]*\]\n", text)[1])
+    omitted = int(re.search(r"\n\[(\d+) [^]]*\]\n", text)[1])
     said(text[text.index("\n[") : text.index("]\n") + 2])
-    assert left_out + len(text) - len(text[text.index("\n[") : text.index("]\n") + 2]) == 588_890 + len("the end\n")
+    assert omitted + len(text) - len(text[text.index("\n[") : text.index("]\n") + 2]) == 588_890 + len("the end\n")
 
 
-def test_a_log_that_cannot_be_written_is_named():
+def test_unwritable_log_is_named():
     with Path("/dev/full").open("wb", buffering=0) as log, pytest.raises(OSError) as caught:
         run_module("pcbench.cli", "no-such-command", log=log)
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, "/dev/full")
 
 
-def test_it_ends_with_its_parent(script, tmp_path):
+def test_child_ends_with_its_parent(script, tmp_path):
     pid = tmp_path / "pid"
     lines = (*DAEMON, f"file = open({str(pid)!r}, 'w')", "daemon(file)", "file.write(f'{os.getpid()} ')")
     child = script(*lines, "file.flush()", "time.sleep(600)")
@@ -164,8 +164,8 @@ LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Li
 
 
 @LINUX
-def test_it_ends_with_a_parent_that_ends_at_once(script, tmp_path):
-    """Before the child has asked to be told of it."""
+def test_child_ends_if_its_parent_ends_at_once(script, tmp_path):
+    """The parent ends before the child has requested a signal for that."""
     started = tmp_path / "started"
     child = script("import time", f"open({str(started)!r}, 'w').close()", "time.sleep(600)")
     code = (
@@ -191,8 +191,8 @@ def test_it_ends_with_a_parent_that_ends_at_once(script, tmp_path):
 
 
 @LINUX
-def test_a_program_does_not_start_without_its_watch(script, tmp_path):
-    """The process that waits is killed before the program's own has asked to be told of it."""
+def test_program_does_not_start_without_its_waiting_process(script, tmp_path):
+    """The waiting process is killed before the program's process has requested a signal for that."""
     started = tmp_path / "started"
     program = script(f"open({str(started)!r}, 'w').close()")
     code = (
@@ -207,7 +207,7 @@ def test_a_program_does_not_start_without_its_watch(script, tmp_path):
         "    return 0",
         "os.fork = killed_after_fork",
         f"sys.argv = ['start.py', str(os.getppid()), '0', '0', '0', {str(program)!r}]",
-        f"runpy.run_path({children._START!r}, run_name='__main__')",
+        f"runpy.run_path({children._START_SCRIPT!r}, run_name='__main__')",
     )
     watch = subprocess.run([sys.executable, "-c", "\n".join(code)], stdout=subprocess.PIPE, text=True)
     assert watch.returncode == -signal.SIGKILL
@@ -215,8 +215,8 @@ def test_a_program_does_not_start_without_its_watch(script, tmp_path):
     assert not started.exists()
 
 
-def test_a_module_is_of_this_very_package_and_not_of_the_current_folder(tmp_path, monkeypatch):
-    # Were either of these imported, its line would be the last.
+def test_module_is_not_imported_from_the_current_folder(tmp_path, monkeypatch):
+    # If one of these were imported, the child would fail with its message.
     for name in ("pcbench", "numpy"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong module')")
     monkeypatch.chdir(tmp_path)
@@ -225,7 +225,7 @@ def test_a_module_is_of_this_very_package_and_not_of_the_current_folder(tmp_path
     assert pcbench.__version__ in ended.output
 
 
-def test_a_script_imports_what_this_program_would(script, tmp_path, monkeypatch):
+def test_script_imports_resolve_as_in_this_process(script, tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "module_of_mine.py").write_text("VALUE = 3")
     file = script("import module_of_mine", "print(module_of_mine.VALUE)")
@@ -234,7 +234,7 @@ def test_a_script_imports_what_this_program_would(script, tmp_path, monkeypatch)
     assert run_script(file).output == "3\n"
 
 
-def test_where_the_output_goes(script, tmp_path):
+def test_input_and_output_redirection(script, tmp_path):
     buffer = bytearray(4)
     ended = run_script(script("print('abcdefgh', end='')"), into=memoryview(buffer))
     assert (bytes(buffer), ended.received, ended.output) == (b"abcd", 4, "")

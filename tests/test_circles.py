@@ -1,4 +1,4 @@
-"""No circle of imports inside a room: files of one folder can be read, and tested, one after the other."""
+"""No circular imports inside a subpackage: its files can be read and tested one after another."""
 
 import ast
 from graphlib import CycleError, TopologicalSorter
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-ROOMS = sorted(
+SUBPACKAGES = sorted(
     folder.relative_to(ROOT).as_posix()
     for package in ("pcbench", "reconstructors")
     for folder in (ROOT / package).iterdir()
@@ -16,7 +16,7 @@ ROOMS = sorted(
 
 
 def imports(source: Path) -> set[Path]:
-    """The files of the repository that a file imports, inside functions and for types alone too."""
+    """Return the files of the repository that a file imports, including imports in functions and for types only."""
     found = set()
     for node in ast.walk(ast.parse(source.read_text())):
         if isinstance(node, ast.Import):
@@ -32,8 +32,8 @@ def file_of(module: str) -> Path | None:
     return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
 
 
-def circle(graph: dict[Path, set[Path]]) -> list[str]:
-    """The files of a circle, each imported by the next; none if there is none."""
+def find_circle(graph: dict[Path, set[Path]]) -> list[str]:
+    """Return the files of a circle, each imported by the next; an empty list without a circle."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -41,8 +41,8 @@ def circle(graph: dict[Path, set[Path]]) -> list[str]:
     return []
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_no_room_imports_in_a_circle(room):
-    files = set((ROOT / room).rglob("*.py"))
+@pytest.mark.parametrize("folder", SUBPACKAGES)
+def test_no_circular_imports(folder):
+    files = set((ROOT / folder).rglob("*.py"))
     graph = {file: imports(file) & files for file in files}
-    assert not circle(graph)
+    assert not find_circle(graph)

@@ -1,4 +1,4 @@
-"""Optional libraries that are absent, and those that are installed but do not load, end in one line; tests skip."""
+"""Missing optional libraries, and installed ones that cannot be loaded, give one line; tests are skipped."""
 
 import os
 import subprocess
@@ -28,26 +28,26 @@ from pcbench.scenes.synthetic.render import check_renderer
         None,
     ],
 )
-def test_whatever_a_library_raises_at_import_is_one_line(monkeypatch, tmp_path, error):
+def test_any_import_error_becomes_one_line(monkeypatch, tmp_path, error):
     break_library(monkeypatch, tmp_path, "open3d", error)
     with refused(MissingExtra) as raised:
         require("open3d")
     assert unavailable("json", "open3d") == str(raised.value)
 
 
-def test_a_module_inside_a_broken_library(monkeypatch, tmp_path):
+def test_submodule_of_a_broken_library(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "matplotlib", None)
     with refused(MissingExtra):
         require("matplotlib.figure")
 
 
-def test_interrupting_an_import_is_no_missing_library(monkeypatch, tmp_path):
+def test_interrupted_import_is_not_a_missing_library(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "open3d", "KeyboardInterrupt()")
     with pytest.raises(KeyboardInterrupt):
         require("open3d")
 
 
-def test_nothing_is_missing_of_what_loads():
+def test_loadable_libraries_are_available():
     assert unavailable("json", "importlib.util") is None
     assert require("importlib.util").find_spec("json")
 
@@ -64,12 +64,12 @@ def test_nothing_is_missing_of_what_loads():
         ("libOSMesa.so.8", "libosmesa6"),
     ],
 )
-def test_packages_of_debian(library, package):
-    """As `dpkg --search` names them on Debian 12."""
+def test_debian_packages(library, package):
+    """The package names are those of `dpkg --search` on Debian 12."""
     assert debian_package(library) == package
 
 
-def test_every_extra_that_is_named_exists():
+def test_named_extras_exist():
     import tomllib
 
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
@@ -78,7 +78,7 @@ def test_every_extra_that_is_named_exists():
 
 
 @pytest.mark.parametrize("library", ["pycolmap", "PIL"])
-def test_a_reconstructor_whose_library_does_not_load_is_refused(run, monkeypatch, tmp_path, library):
+def test_reconstructors_with_a_broken_library_cannot_run(run, monkeypatch, tmp_path, library):
     break_library(monkeypatch, tmp_path / "packages", library)
     code, out, _ = run("plugins", "sfm", "mvs", "splat")
     assert code == 0
@@ -86,7 +86,7 @@ def test_a_reconstructor_whose_library_does_not_load_is_refused(run, monkeypatch
     assert out.count("apt-get install libusb-1.0-0") == 3
 
 
-def test_commands_give_their_one_line(run, monkeypatch, tmp_path):
+def test_commands_report_a_broken_library_on_one_line(run, monkeypatch, tmp_path):
     cloud = Cloud(np.random.default_rng(0).normal(size=(200, 3)))
     write_cloud(tmp_path / "a.ply", cloud)
     for library in ("pymeshlab", "open3d"):
@@ -103,7 +103,7 @@ def run_tests(*tests):
     return done.returncode, done.stdout
 
 
-def test_tests_skip_where_a_library_does_not_load(monkeypatch, tmp_path):
+def test_tests_are_skipped_if_a_library_cannot_be_loaded(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "open3d")
     code, out = run_tests("io/test_io_pcd.py")
     assert code == 0
@@ -111,9 +111,9 @@ def test_tests_skip_where_a_library_does_not_load(monkeypatch, tmp_path):
     assert "apt-get install libusb-1.0-0" in out
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="LD_LIBRARY_PATH is the loader's of Linux")
-def test_the_demo_without_opengl_leaves_the_bench_out(tmp_path):
-    """The loader finds empty files for EGL and OSMesa: the probe's own `dlopen` fails."""
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has LD_LIBRARY_PATH")
+def test_demo_skips_the_bench_without_opengl(tmp_path):
+    """The loader finds empty files for EGL and OSMesa, so `dlopen` fails."""
     environment = os.environ | break_system_libraries(tmp_path / "libraries")
     command = [sys.executable, "-m", "pcbench.cli", "demo", "--points", "20000", "--out", str(tmp_path / "demo")]
     done = subprocess.run([*command, "--no-figures"], env=environment, capture_output=True, text=True)
@@ -124,8 +124,8 @@ def test_the_demo_without_opengl_leaves_the_bench_out(tmp_path):
     assert "libegl1" in skipped[0]
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there OpenGL is looked for")
-def test_a_broken_renderer_is_said_before_anything_is_drawn(monkeypatch, tmp_path):
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux is checked for OpenGL")
+def test_broken_renderer_is_reported_before_rendering(monkeypatch, tmp_path):
     monkeypatch.setenv("DISPLAY", "")
     monkeypatch.setattr("pcbench.opengl._LIBRARIES", SYSTEM_LIBRARIES[:0])
     with pytest.raises(NoFiguresError):

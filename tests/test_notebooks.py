@@ -1,4 +1,4 @@
-"""Notebooks run as they are stored, are stored without outputs, and show what they draw."""
+"""Notebooks are stored without outputs, run without errors, and display their figures."""
 
 import base64
 import io
@@ -12,7 +12,7 @@ from repository import ROOT
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-SLOW = ("gao",)  # it trains
+SLOW = ("gao",)  # trains a model
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ SLOW = ("gao",)  # it trains
 def test_notebook_runs(path, request):
     nbclient, nbformat = import_or_skip("nbclient"), import_or_skip("nbformat")
     import_or_skip("matplotlib")
-    if path.stem in ("reconstructor", "gao"):  # they take photographs
+    if path.stem in ("reconstructor", "gao"):  # render photographs
         import_or_skip("pycolmap")
         request.getfixturevalue("renderer")
     if path.stem == "gao":
@@ -34,11 +34,11 @@ def test_notebook_runs(path, request):
     drawing = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
     assert drawing
     for cell in drawing:
-        assert_shows_something(cell)
+        check_figure(cell)
 
 
-def assert_shows_something(cell):
-    """Its output is a picture of which at least 2 % is drawn on: titles and axes alone are about 1 %."""
+def check_figure(cell):
+    """Check that a cell displays one picture with at least 2 % of its area drawn; titles and axes cover about 1 %."""
     from matplotlib.image import imread
 
     pictures = [output.data["image/png"] for output in cell.outputs if "image/png" in output.get("data", {})]
@@ -48,5 +48,5 @@ def assert_shows_something(cell):
     assert (np.abs(image - background) > 0.05).any(axis=2).mean() > 0.02, cell.source
 
 
-def test_there_are_four():
+def test_list_of_notebooks():
     assert [path.stem for path in NOTEBOOKS] == ["bend", "compare", "gao", "reconstructor"]

@@ -1,4 +1,4 @@
-"""The package as installed: what its import costs, and what it must not pull in."""
+"""The package as installed: its import must be fast and must not load heavy libraries."""
 
 import ast
 import functools
@@ -32,7 +32,7 @@ def modules_after(code):
     return {name.partition(".")[0] for name in done.stdout.split()}
 
 
-def test_import_needs_numpy_alone():
+def test_import_loads_no_heavy_library():
     code = (
         "import pcbench\n"
         "pcbench.Cloud, pcbench.Settings, pcbench.compare, pcbench.metrics, pcbench.read_cloud, pcbench.register\n"
@@ -40,7 +40,7 @@ def test_import_needs_numpy_alone():
     assert not modules_after(code) & set(HEAVY)
 
 
-def test_names_are_listed_before_they_are_imported():
+def test_dir_imports_nothing():
     listed = modules_after("import pcbench\nassert {'Cloud', 'Mesh', 'read_scene'} <= set(dir(pcbench))")
     assert "numpy" not in listed
 
@@ -63,15 +63,15 @@ def test_public_names():
     assert callable(pcbench.compare)
 
 
-def test_dir_shows_the_public_names_and_no_others():
+def test_dir_lists_exactly_the_public_names():
     import pcbench
 
-    shown = [name for name in dir(pcbench) if not name.startswith("_")]
-    assert shown == sorted(name for name in pcbench.__all__ if not name.startswith("_"))
-    assert {"Index", "compare", "read_cloud"} <= set(shown)
+    listed = [name for name in dir(pcbench) if not name.startswith("_")]
+    assert listed == sorted(name for name in pcbench.__all__ if not name.startswith("_"))
+    assert {"Index", "compare", "read_cloud"} <= set(listed)
 
 
-def test_public_names_stand_in_the_reference():
+def test_public_names_are_documented():
     import pcbench
 
     page = (repository.ROOT / "docs" / "reference" / "index.md").read_text()
@@ -79,13 +79,13 @@ def test_public_names_stand_in_the_reference():
     assert set(documented) == set(pcbench.__all__) - {"__version__"}
 
 
-# What a distribution is imported as, where that is another name.
+# Module names of distributions that are imported under another name.
 IMPORTED_AS = {"pillow": "PIL", "kiss-matcher": "kiss_matcher", "cuda-core": "cuda", "nvidia-cuda-nvrtc": "cuda"}
 
 
 @functools.cache
 def imports(folder):
-    """Every module that the code in a folder imports, by a statement or by `pcbench.extras.require`."""
+    """Return all modules that the code in a folder imports, by a statement or by `pcbench.extras.require`."""
     found = set()
     for file in (repository.ROOT / folder).rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
@@ -99,17 +99,17 @@ def imports(folder):
 
 
 EXTRAS = tomllib.loads((repository.ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-OFFERED = [name for name in EXTRAS if name not in ("all", "docs", "dev")]
+PUBLIC_EXTRAS = [name for name in EXTRAS if name not in ("all", "docs", "dev")]
 
 
-@pytest.mark.parametrize("extra", OFFERED)
-def test_extras_bring_what_the_code_imports(extra):
+@pytest.mark.parametrize("extra", PUBLIC_EXTRAS)
+def test_extras_install_only_imported_libraries(extra):
     used = imports("pcbench") | imports("reconstructors")
     for requirement in EXTRAS[extra]:
         name = re.match(r"[\w-]+", requirement)[0]
         assert IMPORTED_AS.get(name, name) in used, f"no code imports {name}"
 
 
-def test_all_extras_are_in_all():
-    """But for the one that is of no use without a GPU."""
-    assert EXTRAS["all"] == [f"pcbench[{','.join(name for name in OFFERED if name != 'cuda')}]"]
+def test_extra_all_contains_the_others():
+    """The exception is `cuda`, which needs a GPU."""
+    assert EXTRAS["all"] == [f"pcbench[{','.join(name for name in PUBLIC_EXTRAS if name != 'cuda')}]"]

@@ -1,4 +1,4 @@
-"""How far a work is: what steps tell, and what is made of it."""
+"""Progress of operations: steps, time estimates, and their display."""
 
 import io
 import sys
@@ -10,24 +10,24 @@ from pcbench.cli import messages
 from pcbench.cli.messages import steps
 from pcbench.progress import Plan, Step, TimeEstimate, duration
 
-MAX_SILENCE_S = messages._MESSAGE_INTERVAL_S
+MESSAGE_INTERVAL_S = messages._MESSAGE_INTERVAL_S
 
 
-def test_a_plan_tells_what_each_step_and_the_rest_take():
-    told = []
-    plan = Plan(told.append, [1.0, 10.0, 3.0])
+def test_plan_announces_steps_with_durations():
+    announced = []
+    plan = Plan(announced.append, [1.0, 10.0, 3.0])
     plan("reading")
     inner = Plan(plan.within(), [4.0, 6.0])
     inner("registering")
     inner("measuring")
     plan("writing")
-    plan("more than was planned")
-    assert told == ["reading", "registering", "measuring", "writing", "more than was planned"]
-    assert [(step.expected, step.after) for step in told] == [(1, 13), (4, 9), (6, 3), (3, 0), (None, 0)]
+    plan("unplanned step")
+    assert announced == ["reading", "registering", "measuring", "writing", "unplanned step"]
+    assert [(step.expected, step.after) for step in announced] == [(1, 13), (4, 9), (6, 3), (3, 0), (None, 0)]
 
 
-def test_the_time_left_follows_the_machine():
-    """Of a work of 4 x 25 expected seconds on a machine that takes three times as long."""
+def test_time_left_adapts_to_the_machine():
+    """4 steps of 25 expected seconds on a machine that takes three times as long."""
     estimate = TimeEstimate(0.0)
     for number in range(4):
         now = 75.0 * number
@@ -38,7 +38,7 @@ def test_the_time_left_follows_the_machine():
     assert estimate.left(now + 40) < estimate.left(now + 10)
 
 
-def test_a_step_that_takes_too_long_never_ends_before_it_does():
+def test_slow_step_never_reaches_100_percent():
     estimate = TimeEstimate(0.0)
     estimate.begin(Step("long", 2.0, 1.0), 0.0)
     shares = [estimate.share(float(t)) for t in range(1, 100)]
@@ -46,9 +46,9 @@ def test_a_step_that_takes_too_long_never_ends_before_it_does():
     assert all(estimate.left(float(t)) > 1.0 for t in range(100))
 
 
-def test_words_alone_say_nothing_about_time():
+def test_step_without_duration_gives_no_estimate():
     estimate = TimeEstimate(0.0)
-    estimate.begin("somebody's own words", 1.0)
+    estimate.begin("a step without a duration", 1.0)
     assert estimate.left(5.0) is None
     assert estimate.share(5.0) is None
 
@@ -65,18 +65,18 @@ def test_words_alone_say_nothing_about_time():
         (7800, "2 h 10 min"),
     ],
 )
-def test_durations_are_short(seconds, text):
+def test_duration_format(seconds, text):
     assert duration(seconds) == text
 
 
-def test_what_is_done_at_once_says_nothing_where_no_terminal_is(capsys):
+def test_short_steps_print_nothing_without_a_terminal(capsys):
     with steps(False) as step:
         step("reading")
     assert capsys.readouterr() == ("", "")
 
 
-def _said(capsys, enough):
-    """What is written to standard error until there is enough of it, or half a minute has gone."""
+def _read_stderr_until(capsys, enough):
+    """Return what is written to standard error until `enough` accepts it, or for half a minute."""
     text, end = "", time.monotonic() + 30
     while not enough(text) and time.monotonic() < end:
         time.sleep(0.01)
@@ -84,14 +84,14 @@ def _said(capsys, enough):
     return text
 
 
-def test_long_steps_are_told_in_lines_where_no_terminal_is(capsys, monkeypatch):
-    assert MAX_SILENCE_S < 10
+def test_long_steps_print_lines_without_a_terminal(capsys, monkeypatch):
+    assert MESSAGE_INTERVAL_S < 10
     monkeypatch.setattr(messages, "_MESSAGE_INTERVAL_S", 0.01)
     with steps(False) as step:
         step(Step("reading a.ply", 30.0, 60.0))
-        lines = _said(capsys, lambda text: text.count("reading a.ply (") > 2).splitlines()
+        lines = _read_stderr_until(capsys, lambda text: text.count("reading a.ply (") > 2).splitlines()
         step("registering")
-        later = _said(capsys, lambda text: text.count("registering\n") > 1)
+        later = _read_stderr_until(capsys, lambda text: text.count("registering\n") > 1)
     assert lines[-1] == "[0:00] reading a.ply (about 90 s left)"
     assert "[0:00] registering" in later
     capsys.readouterr()
@@ -99,7 +99,7 @@ def test_long_steps_are_told_in_lines_where_no_terminal_is(capsys, monkeypatch):
     assert capsys.readouterr().err == ""
 
 
-def test_quiet_runs_say_nothing_however_long_they_take(capsys, monkeypatch):
+def test_quiet_runs_print_nothing(capsys, monkeypatch):
     monkeypatch.setattr(messages, "_MESSAGE_INTERVAL_S", 0.001)
     with steps(True) as step:
         step("reading")
@@ -107,7 +107,7 @@ def test_quiet_runs_say_nothing_however_long_they_take(capsys, monkeypatch):
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_terminal_shows_a_bar_with_the_time_left(monkeypatch):
+def test_terminal_shows_a_bar_with_the_time_left(monkeypatch):
     class Terminal(io.StringIO):
         def isatty(self):
             return True
@@ -117,7 +117,7 @@ def test_a_terminal_shows_a_bar_with_the_time_left(monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     with steps(False) as step:
         step(Step("registering [a]", 30.0, 60.0))
-        shown = sys.stderr
+        terminal = sys.stderr
         time.sleep(0.3)
-    assert "registering [a]" in shown.getvalue()
-    assert "90 s left" in shown.getvalue()
+    assert "registering [a]" in terminal.getvalue()
+    assert "90 s left" in terminal.getvalue()

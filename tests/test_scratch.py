@@ -1,4 +1,4 @@
-"""Temporary files, and claims to outputs: nobody's work is swept, and nothing of a killed run stays."""
+"""Temporary files and output locks: files in use are never removed, and leftovers of killed runs are."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ import pytest
 from wording import refused
 
 from pcbench.io.files import atomic_write
-from pcbench.scratch import claim, naming, scratch_file, scratch_folder, sweep
+from pcbench.scratch import claim, naming, remove_leftovers, scratch_file, scratch_folder
 
 BUSY = """
 import sys
@@ -43,7 +43,7 @@ with claim(out), scratch_folder(out) as folder, scratch_file(out.with_suffix(".p
 
 @pytest.fixture
 def other(tmp_path):
-    """Another process that claims and fills `tmp_path / "out"`."""
+    """Another process that locks and fills `tmp_path / "out"`."""
     process = subprocess.Popen([sys.executable, "-c", HOLD, tmp_path / "out"], stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "ready\n"
     yield process
@@ -52,58 +52,58 @@ def other(tmp_path):
     process.stdout.close()
 
 
-def test_what_a_living_run_has_is_left_and_what_a_killed_one_had_is_swept(tmp_path, other):
-    theirs = sorted(p.name for p in tmp_path.iterdir())
-    assert len(theirs) == 3
+def test_only_leftovers_of_killed_runs_are_removed(tmp_path, other):
+    other_files = sorted(p.name for p in tmp_path.iterdir())
+    assert len(other_files) == 3
     old = time.time() - 10**6
     for path in tmp_path.iterdir():
-        os.utime(path, (old, old))  # age alone is no proof
+        os.utime(path, (old, old))  # age alone does not make a leftover
     with refused(), claim(tmp_path / "out"):
         pass
     with atomic_write(tmp_path / "mine.txt") as file:
         file.write(b"mine")
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*theirs, "mine.txt"])
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*other_files, "mine.txt"])
     other.send_signal(signal.SIGKILL)
     other.wait()
     with claim(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
-        (folder / "whole").touch()
+        (folder / "complete").touch()
         folder.rename(tmp_path / "out")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt", "out"]
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["whole"]
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["complete"]
 
 
-def test_a_sweep_between_making_and_locking_is_survived(tmp_path, monkeypatch):
-    """Another run sweeps just before the folder is opened to be locked, three times: it is made again."""
-    real, sweeps = os.open, iter([True] * 3)
+def test_removal_between_creation_and_lock_is_retried(tmp_path, monkeypatch):
+    """Another run removes the folder three times before it can be locked; it is created again."""
+    real_open, removals = os.open, iter([True] * 3)
 
     def interrupted(path, *arguments, **options):
-        if Path(path).name.startswith(".pcbench-") and next(sweeps, False):
-            with monkeypatch.context() as undone:
-                undone.setattr(os, "open", real)
-                sweep(tmp_path)
-        return real(path, *arguments, **options)
+        if Path(path).name.startswith(".pcbench-") and next(removals, False):
+            with monkeypatch.context() as patch:
+                patch.setattr(os, "open", real_open)
+                remove_leftovers(tmp_path)
+        return real_open(path, *arguments, **options)
 
     monkeypatch.setattr(os, "open", interrupted)
     with scratch_folder(tmp_path / "out") as folder:
         assert folder.is_dir()
-    assert next(sweeps, None) is None
+    assert next(removals, None) is None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_not_there_is_still_an_error(tmp_path):
+def test_missing_parent_folder_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError), scratch_folder(tmp_path / "missing" / "out"):
         pass
 
 
-def test_two_processes_in_one_folder_do_not_lose_their_own(tmp_path):
-    """Neither process asks the other: each sweeps the folder 1,000 times."""
+def test_two_processes_in_one_folder_keep_their_files(tmp_path):
+    """Each process removes leftovers from the shared folder 1,000 times."""
     run = [sys.executable, "-c", BUSY, tmp_path / "out"]
     processes = [subprocess.Popen(run, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     assert [process.communicate()[0] for process in processes] == ["0\n", "0\n"]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_another_machine_left_is_swept_after_a_day(tmp_path):
+def test_leftovers_of_other_machines_are_removed_after_a_day(tmp_path):
     young, old = (f".pcbench-00000000-{letter * 16}" for letter in "ab")
     for name in (young, old):
         (tmp_path / name).mkdir()
@@ -111,11 +111,11 @@ def test_what_another_machine_left_is_swept_after_a_day(tmp_path):
     long_ago = time.time() - 2 * 86_400
     for path in tmp_path.glob(f"{old}*"):
         os.utime(path, (long_ago, long_ago))
-    sweep(tmp_path)
+    remove_leftovers(tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {young, f"{young}.tmp"}
 
 
-def test_what_a_user_has_named_alike_stays(tmp_path):
+def test_similar_names_of_users_stay(tmp_path):
     names = [
         ".pcbench.txt",
         ".pcbench-notes",
@@ -127,11 +127,11 @@ def test_what_a_user_has_named_alike_stays(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "kept").write_text("a user's own")
         os.utime(tmp_path / name, (0, 0))
-    sweep(tmp_path)
+    remove_leftovers(tmp_path)
     assert sorted(p.parent.name for p in tmp_path.glob("*/kept")) == sorted(names)
 
 
-def test_nothing_stays_after_an_error(tmp_path):
+def test_nothing_remains_after_an_error(tmp_path):
     with pytest.raises(ZeroDivisionError), claim(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
         (folder / "half").touch()
         raise ZeroDivisionError
@@ -141,7 +141,7 @@ def test_nothing_stays_after_an_error(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_said_of_the_output(tmp_path):
+def test_full_disk_error_names_the_output(tmp_path):
     with pytest.raises(OSError) as caught, naming(tmp_path / "out", tmp_path / "scratch"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(tmp_path / "out"))
@@ -153,7 +153,7 @@ def test_a_full_disk_is_said_of_the_output(tmp_path):
     assert caught.value.filename == str(tmp_path / "elsewhere")
 
 
-def test_a_limit_of_file_sizes_is_said_of_the_output(tmp_path):
+def test_file_size_error_names_the_output(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
     try:

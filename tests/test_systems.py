@@ -1,4 +1,4 @@
-"""Other operating systems, imitated: what Windows and macOS lack is removed before the package is imported."""
+"""Simulated operating systems: names that Windows and macOS lack are removed before the package is imported."""
 
 import json
 import os
@@ -24,18 +24,18 @@ _WINDOWS = (
     "win32",
 )
 
-# What the package uses is imported before, and subprocess keeps what it needs: only pcbench runs on that system.
-IMITATE = """
+# Libraries are imported first and subprocess keeps its own names: only pcbench runs on the simulated system.
+SIMULATION = """
 import ctypes.util, fcntl, importlib, json, multiprocessing, os, pkgutil, platform, shutil, signal, subprocess, sys
 import tempfile, types
 import numpy, scipy, scipy.optimize, scipy.sparse, scipy.spatial, scipy.special, scipy.stats, click, rich.console
 import rich.progress, rich.table
-shutil._use_fd_functions = False  # rmtree would ask for flags that are removed
+shutil._use_fd_functions = False  # rmtree would use flags that are removed
 subprocess.os, subprocess.signal = (types.SimpleNamespace(**vars(module)) for module in (os, signal))
 missing, sys.platform = sys.argv[1].split(), sys.argv[2]
 flock = fcntl.flock
 
-def locking(descriptor, mode, count):  # the C library of Windows answers by another error
+def locking(descriptor, mode, count):  # the C library of Windows raises a different error
     try:
         flock(descriptor, fcntl.LOCK_EX if mode == 1 else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -53,11 +53,11 @@ if sys.platform == "win32":
 
 
 @pytest.fixture(params=[_MACOS, _WINDOWS], ids=["macos", "windows"])
-def imitated(request):
-    """Runs lines of Python on a system that lacks what the other one has; what they print."""
+def simulated(request):
+    """Return a function that runs Python lines on the simulated system and returns their output."""
 
     def run(lines, *arguments, before=""):
-        code = [sys.executable, "-c", before + IMITATE + lines, *request.param, *map(str, arguments)]
+        code = [sys.executable, "-c", before + SIMULATION + lines, *request.param, *map(str, arguments)]
         ended = subprocess.run(code, capture_output=True, text=True, cwd=ROOT)
         assert ended.returncode == 0, ended.stderr
         return ended.stdout
@@ -65,7 +65,7 @@ def imitated(request):
     return run
 
 
-def test_every_module_imports(imitated):
+def test_every_module_imports(simulated):
     heavy = """
 import contextlib
 with contextlib.suppress(ImportError):
@@ -88,10 +88,10 @@ for package in ("pcbench", "reconstructors"):
 print(count)
 """
     sources = [p for package in ("pcbench", "reconstructors") for p in (ROOT / package).rglob("*.py")]
-    assert int(imitated(lines, before=heavy)) >= len(sources) - 3  # the two packages themselves and cli/__main__.py
+    assert int(simulated(lines, before=heavy)) >= len(sources) - 3  # the two packages themselves and cli/__main__.py
 
 
-def test_clouds_are_compared(imitated, tmp_path):
+def test_compare_gives_the_same_numbers(simulated, tmp_path):
     rng = np.random.default_rng(5)
     points = np.c_[rng.uniform(0, 4, (3000, 2)), rng.normal(0, 0.01, 3000)]
     for name, moved in (("reference", points), ("candidate", points + [0, 0, 0.02])):
@@ -102,7 +102,7 @@ sys.argv = ["pcbench", "compare", *sys.argv[3:], "--register", "none", "--no-fig
 cli.main()
 """
     clouds = [tmp_path / f"{name}.ply" for name in ("reference", "candidate")]
-    imitated(lines, *clouds, "--out", tmp_path / "there")
+    simulated(lines, *clouds, "--out", tmp_path / "there")
     code = "from pcbench import cli; cli.main()"
     arguments = [*clouds, "--register", "none", "--no-figures", "--quiet", "--out", tmp_path / "here"]
     subprocess.run([sys.executable, "-c", code, "compare", *arguments], check=True)
@@ -111,7 +111,7 @@ cli.main()
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".pcbench-")]
 
 
-def test_a_claimed_output_is_refused(imitated, tmp_path):
+def test_locked_output_is_refused(simulated, tmp_path):
     lines = """
 from pathlib import Path
 from pcbench.errors import InputError
@@ -120,18 +120,18 @@ out = Path(sys.argv[3])
 with claim(out):
     try:
         with claim(out):
-            print("claimed twice")
+            print("locked twice")
     except InputError:
         print("refused")
 with claim(out), scratch_folder(out) as folder:
     folder.rename(out)
 """
-    assert imitated(lines, tmp_path / "out") == "refused\n"
+    assert simulated(lines, tmp_path / "out") == "refused\n"
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_child_runs_and_is_ended(imitated, tmp_path):
-    """By a stand-in for Windows' own command where there are no process groups."""
+def test_child_runs_and_is_ended(simulated, tmp_path):
+    """Without process groups a fake `taskkill` ends the child."""
     (tmp_path / "taskkill").write_text('#!/bin/sh\nkill -15 "$4"\n')
     (tmp_path / "taskkill").chmod(0o755)
     (tmp_path / "sleeper.py").write_text("import os, time\nprint(os.getpid(), flush=True)\ntime.sleep(600)")
@@ -143,18 +143,18 @@ print(run_script(sys.argv[3] + "/quick.py", limits=Limits(cpu_seconds=60, memory
 ended = run_script(sys.argv[3] + "/sleeper.py", limits=Limits(seconds=5))
 print(ended.timed_out, ended.output.strip())
 """
-    quick, slow = imitated(lines, tmp_path).splitlines()
+    quick, slow = simulated(lines, tmp_path).splitlines()
     timed_out, pid = slow.split()
     assert (quick, timed_out) == ("3", "True")
     assert ends(int(pid))
 
 
-def test_memory_of_this_process():
+def test_memory_and_cpus():
     assert systems.peak_memory() > 1 << 20
     assert systems.peak_memory_with_children() > 1 << 20
     assert systems.cpus() <= (os.cpu_count() or 1)
 
 
 @pytest.mark.parametrize("number, name", [(2, "SIGINT"), (systems.SIGKILL, "SIGKILL"), (500, "signal 500")])
-def test_names_of_signals(number, name):
+def test_signal_names(number, name):
     assert systems.signal_name(number) == name

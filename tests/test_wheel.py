@@ -1,4 +1,4 @@
-"""What is in the wheel for other machines: `make wheel` builds one, repairs it and runs this."""
+"""Contents of the wheel for distribution; `make wheel` builds and repairs one, and runs these tests."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 from repository import ROOT
 
-# Of the sources, the wheel has no C++ but what the CUDA kernels are compiled from when they are first used.
+# The only C++ sources in the wheel: headers from which CUDA kernels are compiled at first use.
 READ_AT_RUN_TIME = {"reconstructors/splat/maths.h", "reconstructors/splat/pinhole.h"}
 MODULES = {
     "pcbench/native/_core",
@@ -28,14 +28,14 @@ def wheel():
 
 
 def test_name(wheel):
-    """It says with which C library it runs, and is for this Python."""
+    """The file name states the C library and this Python version."""
     _, _, python, abi, system = Path(wheel.filename).stem.split("-")
     assert python == abi == "cp" + sysconfig.get_config_var("py_version_nodot")
     assert all(tag.startswith("manylinux") for tag in system.split("."))
 
 
 def test_contents(wheel):
-    """Sources that are needed, compiled modules, the OpenMP library and what pip asks for: nothing else."""
+    """The wheel contains required sources, compiled modules, the OpenMP library and metadata, nothing else."""
     names = {name for name in wheel.namelist() if not name.endswith("/")}
     print("\n".join(sorted(names)))
     tracked = subprocess.run(

@@ -1,4 +1,4 @@
-"""Photographs whose geometry is known exactly: three textured planes that meet in a corner, ray cast in numpy."""
+"""Ray-cast photographs of known geometry: three textured planes that meet in a corner."""
 
 from functools import cache
 
@@ -12,7 +12,7 @@ SIDE = 4.0  # of each plane, from the corner at the origin
 
 @cache
 def texture(seed, size=512):
-    """Noise with structure at several scales, which SIFT finds features in."""
+    """Return noise with structure at several scales, in which SIFT finds features."""
     rng = np.random.default_rng(seed)
     image = np.zeros((size, size, 3))
     for step, weight in ((4, 1.0), (8, 1.0), (16, 0.8), (64, 0.6)):
@@ -31,7 +31,7 @@ def bilinear(image, x, y):
 
 
 def cameras(count, intrinsics):
-    """On a quarter circle around the corner, at changing heights, looking into it."""
+    """Return cameras on a quarter circle around the corner, at varying heights, looking into it."""
     angles = np.radians(np.linspace(20, 70, count))
     return [
         Camera(
@@ -44,7 +44,7 @@ def cameras(count, intrinsics):
 
 
 def photograph(camera, seed=0):
-    """(height, width, 3) uint8 of a camera without distortion; beside the planes it is grey."""
+    """Return the photograph (height, width, 3) uint8 of a camera without distortion; the background is grey."""
     k = camera.intrinsics
     x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
     rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], axis=-1) @ camera.cam_from_world.rotation
@@ -63,7 +63,7 @@ def photograph(camera, seed=0):
 
 
 def distances(points):
-    """From the three planes, the nearest one (N,)."""
+    """Return the distances (N,) of points to the nearest of the three planes."""
     return np.abs(points).min(axis=1)
 
 
@@ -72,7 +72,7 @@ def standard_intrinsics(width=480, height=360):
 
 
 def write_scene(folder, cameras):
-    """Photographs and their true cameras in a folder that exists; the folder."""
+    """Write photographs and their true cameras into an existing folder; return the folder."""
     from PIL import Image
 
     (folder / "images").mkdir()

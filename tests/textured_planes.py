@@ -1,4 +1,4 @@
-"""Photographs of a plane with a smooth random texture, with exact depths: everything in closed form."""
+"""Photographs of a plane with a smooth random texture and exact depths, in closed form."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from pcbench.geometry.transform import Similarity
 from reconstructors.mvs.patchmatch import GrayView
 
 
-class Photographed(NamedTuple):
+class PlaneScene(NamedTuple):
     views: list  # of View
     depths: list  # of (H, W) float32
     focal: float
@@ -17,8 +17,9 @@ class Photographed(NamedTuple):
 
 
 def plane_scene(normal=(0.0, 0.0, -1.0), *, distance=10.0, contrast=50.0, width=240, height=160, noise=1.0, sources=4):
-    """The first camera is that of the world; the others stand beside it, turned a little. The plane n.X = d lies
-    `distance` before the first.
+    """Return photographs of the plane n.X = d at a given distance in front of the first camera.
+
+    The first camera defines the world frame; the others are next to it, rotated slightly.
     """
     normal = np.asarray(normal, float) / np.linalg.norm(normal)
     focal, baseline = 1.2 * width, 1.2
@@ -42,4 +43,4 @@ def plane_scene(normal=(0.0, 0.0, -1.0), *, distance=10.0, contrast=50.0, width=
         gray = np.clip(np.rint(gray), 0, 255).astype(np.uint8).reshape(height, width)
         views.append(GrayView(gray, camera))
         depths.append(depth.reshape(height, width).astype(np.float32))
-    return Photographed(views, depths, focal, baseline)
+    return PlaneScene(views, depths, focal, baseline)

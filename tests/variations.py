@@ -1,6 +1,6 @@
-"""Run parts of the suite as other machines would: `python tests/variations.py [NAME ...]`, all variations by default.
+"""Run parts of the suite as on other machines: `python tests/variations.py [NAME ...]`, all variations by default.
 
-Each part is what depends on the thing that is varied, so that all of them take a few minutes on two cores.
+Each variation runs only the tests that depend on it, so all of them take a few minutes on two cores.
 """
 
 import os
@@ -45,7 +45,7 @@ OPTIONAL = (
     "tests/scenes/test_synthetic_files.py",
     "tests/studies/bench/test_demo.py",
 )
-# What numpy, torch, MKL and the C library choose by the processor, chosen as on one without AVX2 and FMA.
+# Make numpy, torch, MKL and the C library choose their kernels as on a processor without AVX2 and FMA.
 OLDER_PROCESSOR = {
     "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3",
     "ATEN_CPU_CAPABILITY": "default",
@@ -55,7 +55,7 @@ OLDER_PROCESSOR = {
 
 
 class Variation(NamedTuple):
-    """Environment variables beside those of this process, and the tests to run with them."""
+    """Additional environment variables, and the tests to run with them."""
 
     environment: dict[str, str]
     tests: tuple[str, ...]
@@ -71,7 +71,7 @@ def variations(folder: Path) -> dict[str, Variation]:
 
 
 def runs_here(environment: dict[str, str]) -> bool:
-    """Whether this processor has the instruction set of a variation; whatever else fails is for its tests to tell."""
+    """Whether this processor has the instruction set of a variation; other failures are left to the tests."""
     if environment.get("PCBENCH_ISA") not in ("avx2", "avx512"):
         return True
     command = [sys.executable, "-c", "import pcbench.native"]
@@ -93,7 +93,7 @@ def main(names: list[str], seed: int) -> int:
             if not runs_here(environment):
                 print("skipped: this processor lacks the instruction set")
                 continue
-            # A short report: only failures.
+            # Report failures only.
             command = [sys.executable, "-m", "pytest", "-n", "2", "-q", "-r", "fE", f"--shuffle={seed}", *tests]
             if subprocess.run(command, cwd=ROOT, env=os.environ | environment).returncode:
                 failed.append(name)

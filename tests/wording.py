@@ -1,8 +1,8 @@
-"""What users read, compared with one golden file.
+"""Texts for users, compared with one golden file.
 
-Tests assert values, codes and verdicts. Where a test makes the program speak, it hands the text to `said`, or expects
-an error with `refused`: the texts of each test stand in `wording.txt` beside this module. A change of wording is one
-command, `make wording`, and a diff to read.
+Tests assert values, codes and verdicts. Texts of the program are passed to `said`, and error messages are checked with
+`refused`. The texts of each test are in `wording.txt` next to this module. After a change of wording run
+`make wording` and read the diff.
 """
 
 import re
@@ -24,17 +24,17 @@ _HEADING = "== "
 Texts = dict[str, list[str]]
 """The texts of each test, by its node id."""
 
-_spoken: list[str] | None = None
+_texts: list[str] | None = None
 
 
 def said(text: object, *, masked: bool = True) -> str:
-    """Compare a text with the golden file once the running test has passed, and return it.
+    """Compare a text with the golden file after the running test has passed, and return the text.
 
-    Its numbers are masked: they depend on the processor, and tests assert them as values. So are runs of spaces, which
-    depend on the widths of numbers. The folders of the test and of the repository are masked in any case.
+    Numbers are masked, because they depend on the processor and tests assert them as values. So are runs of spaces,
+    which depend on the widths of numbers. The folders of the test and of the repository are always masked.
     """
-    spoken = _without_folders(str(text))
-    _hand_in(re.sub(r" {2,}", "  ", _NUMBER.sub("#", spoken)) if masked else spoken)
+    unmasked = _without_folders(str(text))
+    _record(re.sub(r" {2,}", "  ", _NUMBER.sub("#", unmasked)) if masked else unmasked)
     return str(text)
 
 
@@ -42,9 +42,9 @@ def said(text: object, *, masked: bool = True) -> str:
 def refused(
     error: type[BaseException] = InputError, *, masked: bool = False
 ) -> Iterator[pytest.ExceptionInfo[BaseException]]:
-    """Expect an error, and compare its message with the golden file. The message is one line.
+    """Expect an error with a one-line message, and compare the message with the golden file.
 
-    Its numbers are compared too, unless they are `masked` because they are measured.
+    Its numbers are compared too; measured numbers can be `masked`.
     """
     with pytest.raises(error) as caught:
         yield caught
@@ -53,17 +53,17 @@ def refused(
     if masked:
         said(message)
     else:
-        _hand_in(_without_folders(message))
+        _record(_without_folders(message))
 
 
-def _hand_in(text: str) -> None:
-    assert _spoken is not None, "said() and refused() belong into the body of a test"
-    text = text.replace("\0", "\\0")  # the file is a text
-    _spoken.append("\n".join(line.rstrip() for line in text.strip().splitlines()))
+def _record(text: str) -> None:
+    assert _texts is not None, "said() and refused() must be called inside a test"
+    text = text.replace("\0", "\\0")  # the golden file is a text file
+    _texts.append("\n".join(line.rstrip() for line in text.strip().splitlines()))
 
 
 def _without_folders(text: str) -> str:
-    # pytest's folder of this run is something like /tmp/pytest-of-user/pytest-0/popen-gw0/test_name0.
+    # The folder of a test is similar to /tmp/pytest-of-user/pytest-0/popen-gw0/test_name0.
     temporary = re.escape(tempfile.gettempdir())
     text = re.sub(rf"{temporary}/pytest-of-[^/\s]+/pytest-[^/\s]+(/popen-gw\d+)?(/[^/\s:,'\"]+)?", "TMP", text)
     for folder, name in ((data_root(), "DATA"), (ROOT, "ROOT")):
@@ -73,23 +73,25 @@ def _without_folders(text: str) -> str:
 
 
 @contextmanager
-def spoken_by(test: str, golden: Texts, renewed: Texts | None) -> Iterator[None]:
-    """Collect the texts of a test, and compare them with the golden file, or put them among the renewed ones."""
-    global _spoken
-    before, _spoken = _spoken, (texts := [])
+def texts_of(test: str, golden: Texts, renewed: Texts | None) -> Iterator[None]:
+    """Collect the texts of a test and compare them with the golden file, or add them to the renewed texts."""
+    global _texts
+    before, _texts = _texts, (texts := [])
     try:
         yield
     finally:
-        _spoken = before
+        _texts = before
     if renewed is not None:
         renewed[test] = texts
     elif texts != golden.get(test, []):
-        lines = unified_diff(_lines(golden.get(test, [])), _lines(texts), "wording.txt", "said now", lineterm="", n=9)
+        lines = unified_diff(
+            _lines(golden.get(test, [])), _lines(texts), "wording.txt", "current text", lineterm="", n=9
+        )
         pytest.fail("\n".join(["the wording has changed (`make wording` renews it):", *lines]), pytrace=False)
 
 
 def read() -> Texts:
-    """The golden file."""
+    """Read the golden file."""
     found: Texts = {}
     lines = GOLDEN.read_text(encoding="utf-8").splitlines() if GOLDEN.exists() else []
     texts: list[str] = []
@@ -104,14 +106,14 @@ def read() -> Texts:
 
 
 def renew(renewed: Texts) -> None:
-    """Write the golden file: texts of tests that did not run stay, those of tests that are no more go."""
+    """Write the golden file; texts of tests that did not run stay, texts of deleted tests are removed."""
     texts = {test: texts for test, texts in {**read(), **renewed}.items() if texts and not is_stale(test)}
     blocks = ["\n".join([_HEADING + test, *_lines(texts[test])]) for test in sorted(texts)]
     GOLDEN.write_text("\n\n".join(blocks) + "\n", encoding="utf-8")
 
 
 def is_stale(test: str) -> bool:
-    """Whether a test of this node id is no longer in its file."""
+    """Whether the test of a node id no longer exists in its file."""
     file, _, name = test.partition("::")
     function = name.rpartition("::")[2].partition("[")[0]
     path = ROOT / file

@@ -1,8 +1,8 @@
-"""Child processes: what they find, what they may take, and that nothing of them is left.
+"""Start, limit and clean up child processes.
 
-Libraries that crash, hang or print, and reconstructors that anybody wrote, run in Python processes of their own. A
-child never reads the terminal, ends with its parent, and when it ends everything that it started is ended too (on
-Linux daemons as well). What it prints is kept as far as there is a limit.
+Libraries that crash, hang or print, and third-party reconstructors, run in Python processes of their own. A child does
+not read the terminal and ends with its parent. When it ends, all processes that it started are ended too (on Linux also
+daemons). Its output is kept up to a limit.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from typing import IO, BinaryIO
 
 from pcbench.systems import end_tree, reap, wait_until_ended
 
-_START = str(Path(__file__).with_name("start.py"))
-# The folder that this very package is imported from. Looked up, not imported: pcbench gives names of rooms above.
-_PACKAGES = str(Path(sys.modules["pcbench"].__path__[0]).parent)
-MAX_LOG = 16 << 20  # bytes of a log, before its end
-_MAX_TAIL = 1 << 20  # bytes of the end of a child's output that are kept
-_GRACE_S = 10.0  # for what a child started to be ended with it
+_START_SCRIPT = str(Path(__file__).with_name("start.py"))
+# The folder from which this package is imported. It is not imported: `pcbench` exports names of higher layers.
+_IMPORT_ROOT = str(Path(sys.modules["pcbench"].__path__[0]).parent)
+MAX_LOG_BYTES = 16 << 20  # of a log, before its tail
+_MAX_TAIL_BYTES = 1 << 20  # of the end of a child's output
+_GRACE_S = 10.0  # time for a child's own processes to be ended with it
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a child may take; None: as much as its parent.
+    """Resource limits of a child; None means the limits of its parent.
 
     Args:
-        seconds: from its start until it and all that it started are killed.
-        cpu_seconds: of all its threads, until the system kills it.
-        memory: bytes of address space. A child with this limit leaves no core file either.
-        one_cpu: whether it runs on one CPU: libraries that count CPUs then start one thread.
+        seconds: wall time after which the child and all processes that it started are killed.
+        cpu_seconds: CPU time of all its threads, after which the system kills it.
+        memory: bytes of address space. A child with this limit writes no core file.
+        one_cpu: whether it runs on one CPU, so that libraries that count CPUs start one thread.
     """
 
     seconds: float | None = None
@@ -46,14 +46,15 @@ class Limits:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a child ended.
+    """Exit status and output of a child.
 
     Args:
-        code: its exit code; minus the signal's number where a signal ended it.
-        timed_out: whether it was killed for taking too long.
-        cpu_s: seconds of CPU time that it and the children it waited for took.
-        output, errors: the last part of its standard output and error; empty where they went elsewhere.
-        received: bytes of its standard output that were written into the buffer given for them.
+        code: exit code; minus the signal number if a signal ended it.
+        timed_out: whether it was killed at its time limit.
+        cpu_s: CPU seconds of the child and of the children it waited for.
+        output: last part of its standard output; empty if that went elsewhere.
+        errors: last part of its standard error; empty if that went elsewhere.
+        received: bytes of its standard output written into the caller's buffer.
     """
 
     code: int
@@ -65,12 +66,12 @@ class Ended:
 
     @property
     def last_words(self) -> str:
-        """The last line of its standard error that is not blank; empty where there is none."""
+        """The last line of its standard error that is not blank; empty if there is none."""
         return last_line(self.errors)
 
 
 def last_line(text: str) -> str:
-    """The last line that is not blank; empty where there is none."""
+    """Return the last line that is not blank; empty if there is none."""
     return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
 
 
@@ -81,12 +82,15 @@ def run_module(
     environment: Mapping[str, str] | None = None,
     log: BinaryIO | None = None,
 ) -> Ended:
-    """Run a module of pcbench as a program, and wait for it. It finds this very package, wherever it is run from.
+    """Run a module of this pcbench package as a program and wait for it.
 
     Args:
-        environment: variables beside those of this process.
-        log: an open file that gets standard output and error. Of more than `MAX_LOG` bytes the middle is left out,
-            which is said there.
+        name: name of the module.
+        arguments: command-line arguments.
+        limits: resource limits.
+        environment: variables to add to those of this process.
+        log: open file for standard output and error. If there are more than `MAX_LOG_BYTES`, a note in the log replaces
+            the middle part.
 
     Raises:
         OSError: the log cannot be written.
@@ -95,13 +99,14 @@ def run_module(
 
 
 def _import_path() -> list[str]:
-    """Return the folders that a child imports from first: the folder of this very package, and those of PYTHONPATH.
+    """Return the folders that a child imports from first: this package's folder and those of PYTHONPATH.
 
     They have the order of this process. The current folder is not among them.
     """
-    named = os.environ.get("PYTHONPATH", "")
-    before = sys.path[: sys.path.index(_PACKAGES)] if _PACKAGES in sys.path else []
-    return [named, _PACKAGES] if set(named.split(os.pathsep)) & set(before) else [_PACKAGES, named]
+    python_path = os.environ.get("PYTHONPATH", "")
+    before = sys.path[: sys.path.index(_IMPORT_ROOT)] if _IMPORT_ROOT in sys.path else []
+    overrides = set(python_path.split(os.pathsep)) & set(before)
+    return [python_path, _IMPORT_ROOT] if overrides else [_IMPORT_ROOT, python_path]
 
 
 def run_script(
@@ -112,13 +117,15 @@ def run_script(
     stdin: BinaryIO | None = None,
     into: memoryview | None = None,
 ) -> Ended:
-    """Run a Python file that imports nothing of pcbench, and wait for it. It imports what this program would import.
+    """Run a Python file that imports nothing of pcbench and wait for it; its imports resolve as in this process.
 
     Args:
         file: a .py file.
-        environment: variables beside those of this process.
-        stdin: an open file that it reads as standard input.
-        into: bytes that its standard output is written into, until they are full.
+        arguments: command-line arguments.
+        limits: resource limits.
+        environment: variables to add to those of this process.
+        stdin: open file for standard input.
+        into: buffer for standard output, written until it is full.
     """
     return _run([str(file), *arguments], sys.path, limits, environment, stdin=stdin, into=into)
 
@@ -135,34 +142,39 @@ def _run(
 ) -> Ended:
     limits = limits or Limits()
     own = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "PYTHONUNBUFFERED": "1"}
-    obeyed = [str(os.getpid()), str(limits.cpu_seconds or 0), str(limits.memory or 0), str(int(limits.one_cpu))]
+    start_arguments = [
+        str(os.getpid()),
+        str(limits.cpu_seconds or 0),
+        str(limits.memory or 0),
+        str(int(limits.one_cpu)),
+    ]
     process = subprocess.Popen(
-        [sys.executable, "-P", _START, *obeyed, *program],
+        [sys.executable, "-P", _START_SCRIPT, *start_arguments, *program],
         stdin=subprocess.DEVNULL if stdin is None else stdin,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE if log is None else subprocess.STDOUT,
         bufsize=0,
         env={**os.environ, **own, **(environment or {})},
-        start_new_session=True,  # all that it starts can be ended with it
+        start_new_session=True,  # its processes can be ended together
     )
-    output = _Drain(process.stdout if into is None else None, log)
-    errors = _Drain(process.stderr)
+    output = _PipeReader(process.stdout if into is None else None, log)
+    errors = _PipeReader(process.stderr)
     code, timed_out, cpu_s, received = _wait(process, limits.seconds, into)
-    if (failed := output.finish()) is not None:
-        raise OSError(failed.errno, failed.strerror, getattr(log, "name", None)) from failed
+    if (error := output.finish()) is not None:
+        raise OSError(error.errno, error.strerror, getattr(log, "name", None)) from error
     errors.finish()
     return Ended(code, timed_out, cpu_s, output.text(), errors.text(), received)
 
 
-class _Drain(Thread):
-    """Takes what comes out of a pipe, so that the child never waits: into a log up to its limit, and its end."""
+class _PipeReader(Thread):
+    """Reads a pipe, so that the child never blocks, into a log up to its limit; keeps the end of the output."""
 
     def __init__(self, pipe: IO[bytes] | None, log: BinaryIO | None = None) -> None:
         super().__init__(daemon=True)
         self.error: OSError | None = None
         self._pipe, self._log = pipe, log
-        self._room = MAX_LOG if log is not None else 0
-        self._end, self._left_out = bytearray(), 0
+        self._log_bytes_left = MAX_LOG_BYTES if log is not None else 0
+        self._tail, self._skipped_bytes = bytearray(), 0
         self.start()
 
     def run(self) -> None:
@@ -170,35 +182,35 @@ class _Drain(Thread):
             return
         with self._pipe as pipe:
             while chunk := os.read(pipe.fileno(), 1 << 16):
-                written, rest = chunk[: self._room], chunk[self._room :]
-                self._room -= len(written)
+                written, rest = chunk[: self._log_bytes_left], chunk[self._log_bytes_left :]
+                self._log_bytes_left -= len(written)
                 self._write(written)
-                self._end += rest
-                if len(self._end) > 2 * _MAX_TAIL:
-                    self._left_out += len(self._end) - _MAX_TAIL
-                    del self._end[:-_MAX_TAIL]
+                self._tail += rest
+                if len(self._tail) > 2 * _MAX_TAIL_BYTES:
+                    self._skipped_bytes += len(self._tail) - _MAX_TAIL_BYTES
+                    del self._tail[:-_MAX_TAIL_BYTES]
 
     def finish(self) -> OSError | None:
-        """Once the child has ended: the rest of the log, and why it could not be written."""
+        """Write the rest of the log after the child has ended; return the error if it could not be written."""
         self.join(_GRACE_S)
-        if self._log is not None and self._end:
-            if self._left_out:
-                note = f"\n[{self._left_out} bytes are left out here: a log has {MAX_LOG} bytes and its end]\n"
+        if self._log is not None and self._tail:
+            if self._skipped_bytes:
+                note = f"\n[{self._skipped_bytes} bytes omitted: a log keeps {MAX_LOG_BYTES} bytes and its end]\n"
                 self._write(note.encode())
-            self._write(bytes(self._end))
+            self._write(bytes(self._tail))
         return self.error
 
     def text(self) -> str:
-        """The last part of what went into no log."""
+        """Return the last part of the output that was not logged."""
         if self._log is not None:
             return ""
-        return self._end[-_MAX_TAIL:].decode(locale.getpreferredencoding(False), errors="replace")
+        return self._tail[-_MAX_TAIL_BYTES:].decode(locale.getpreferredencoding(False), errors="replace")
 
     def _write(self, data: bytes) -> None:
         if self._log is None or self.error is not None:
             return
         try:
-            while data:  # a file without a buffer may take a part
+            while data:  # an unbuffered file may write only a part
                 data = data[self._log.write(data) :]
             self._log.flush()
         except OSError as error:
@@ -208,36 +220,36 @@ class _Drain(Thread):
 def _wait(
     process: subprocess.Popen[bytes], seconds: float | None, into: memoryview | None
 ) -> tuple[int, bool, float, int]:
-    """Exit code, whether it was killed at the limit, CPU seconds, and the bytes received. Nothing of it is left."""
+    """Wait for a child and end its processes; return exit code, timeout flag, CPU seconds and received bytes."""
     expired: list[bool] = []
 
     def expire() -> None:
         expired.append(True)
         end_tree(process, _GRACE_S)
 
-    watch = Timer(seconds, expire) if seconds is not None else None
+    timer = Timer(seconds, expire) if seconds is not None else None
     received = 0
     try:
-        if watch is not None:
-            watch.daemon = True
-            watch.start()
+        if timer is not None:
+            timer.daemon = True
+            timer.start()
         if into is not None:
             received = _receive(process, into)
         wait_until_ended(process)
     finally:
-        if watch is not None:
-            watch.cancel()
-            watch.join()
-        end_tree(process, _GRACE_S)  # what it started may outlive it
+        if timer is not None:
+            timer.cancel()
+            timer.join()
+        end_tree(process, _GRACE_S)  # its processes may outlive it
         code, cpu_s = reap(process)
     return code, bool(expired), cpu_s, received
 
 
 def _receive(process: subprocess.Popen[bytes], into: memoryview) -> int:
-    """Fills the buffer from the child's standard output; how many bytes came."""
+    """Fill a buffer from the child's standard output; return the number of bytes."""
     assert process.stdout is not None
-    got = 0
+    received = 0
     with process.stdout as pipe:
-        while got < len(into) and (more := pipe.readinto(into[got:])):  # type: ignore[attr-defined]
-            got += more
-    return got
+        while received < len(into) and (count := pipe.readinto(into[received:])):  # type: ignore[attr-defined]
+            received += count
+    return received

@@ -1,7 +1,7 @@
-"""Reconstructors as plugins: what one is, how it is found, and how it is run."""
+"""Reconstructors as plugins: how they are defined, found and run."""
 
 from pcbench.plugins.plugin import (
-    GROUP,
+    ENTRY_POINT_GROUP,
     Gauge,
     Plugin,
     Reconstruction,
@@ -11,4 +11,13 @@ from pcbench.plugins.plugin import (
     installed,
 )
 
-__all__ = ["GROUP", "Gauge", "Plugin", "Reconstruction", "Reconstructor", "Setting", "find_plugin", "installed"]
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "Gauge",
+    "Plugin",
+    "Reconstruction",
+    "Reconstructor",
+    "Setting",
+    "find_plugin",
+    "installed",
+]

@@ -1,4 +1,4 @@
-"""The describing process: `describe_child SPEC FILE` writes what a reconstructor is, as JSON."""
+"""Child process `describe_child SPEC FILE`: writes a reconstructor's description as JSON."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pcbench.plugins.code import digest_files, plugin_files
 
 
 def main(spec: str, file: Path) -> None:
+    """Write the description of a reconstructor, or the problem with it."""
     outcome: dict[str, Any]
     try:
         plugin = find_plugin(spec)

@@ -1,7 +1,7 @@
-"""Reconstructors: what they are, where they are looked up, and how their settings are read.
+"""Reconstructors: their interface, how they are found, and how their settings are parsed.
 
 A reconstructor is a frozen dataclass with one method, `reconstruct`. Its fields are its settings, its docstring is its
-help. It may have a class method `missing() -> str | None` that says what keeps it from running on this machine.
+help. A class method `missing() -> str | None` may return why it cannot run on this machine.
 """
 
 from __future__ import annotations
@@ -25,27 +25,28 @@ from pcbench.registration import SurveyResiduals
 from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
 
-GROUP = "pcbench.reconstructors"
-_INTEGERS = range(-(2**31), 2**31)  # that settings may be: those of C++ libraries have 32 bits
+ENTRY_POINT_GROUP = "pcbench.reconstructors"
+_INT32_RANGE = range(-(2**31), 2**31)  # of integer settings, because C++ libraries use 32 bits
 
 Gauge = Literal["arbitrary", "metric", "georeferenced"]
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """What a reconstructor returns.
+    """Result of a reconstructor.
 
     Args:
-        cloud: its points.
-        gauge: what its coordinates mean: "arbitrary" (frame and scale of its own), "metric" (true scale, frame of its
-            own) or "georeferenced" (the world of the scene: that of its cameras, its control points or its GPS).
-        cameras: by image name, in the cloud's frame, as far as it has found or used them; None, kept as an empty
-            mapping, for none.
-        notes: lines on what a reader should know, such as images that were left out. One that begins with "warning: "
-            says that the result may be wrong, and is shown as a warning.
+        cloud: the point cloud.
+        gauge: meaning of the coordinates: "arbitrary" (arbitrary frame and scale), "metric" (true scale, arbitrary
+            frame) or "georeferenced" (the scene's frame, from its cameras, control points or GPS).
+        cameras: the cameras that were solved or used, by image name, in the cloud's frame; None for no cameras, stored
+            as an empty mapping.
+        notes: remarks for the user, such as images that were left out, one line each. A note that starts with
+            "warning: " means that the result may be wrong, and is displayed as a warning.
+        residuals: residuals at surveyed points.
 
     Raises:
-        InputError: one of them is something else.
+        InputError: a value has the wrong type, or the gauge is unknown.
     """
 
     cloud: Cloud
@@ -67,16 +68,21 @@ class Reconstruction:
 
 @runtime_checkable
 class Reconstructor(Protocol):
-    """Makes a cloud of a scene. The workspace is a folder of its own, which keeps what it left there for the next run:
-    see `pcbench.plugins.stages`.
-    """
+    """Interface of a reconstructor."""
 
-    def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction: ...
+    def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
+        """Compute a cloud from a scene.
+
+        Args:
+            scene: the images, with cameras and masks if there are any.
+            workspace: a folder for the reconstructor's files, kept for the next run (see `pcbench.plugins.stages`).
+        """
+        ...
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A field of a reconstructor: its name, its type as written, and its default as text (None: it must be given)."""
+    """A reconstructor's setting: its name, its type as written, and its default as text (None if it is required)."""
 
     name: str
     type: str
@@ -85,7 +91,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Plugin:
-    """A reconstructor's class, and where it came from: a package with its version, or a file."""
+    """A reconstructor's class and its origin: a package with its version, or a file."""
 
     name: str
     origin: str
@@ -93,43 +99,45 @@ class Plugin:
 
     @property
     def help(self) -> str:
-        """The first paragraph of its docstring, on one line."""
+        """The first paragraph of the class's docstring, on one line."""
         return " ".join(self.docstring.split("\n\n")[0].split())
 
     @property
     def docstring(self) -> str:
-        # A dataclass without a docstring gets its signature for one.
+        """The class's docstring; empty without one."""
+        # Python generates the signature as the docstring of a dataclass without one.
         text = inspect.getdoc(self.cls) or ""
         return "" if text.startswith(f"{self.cls.__name__}(") else text
 
     @property
     def settings(self) -> tuple[Setting, ...]:
+        """The settings of the reconstructor, in the order of its fields."""
         hints = get_type_hints(self.cls)
-        return tuple(Setting(f.name, _type_name(hints[f.name]), _default(f)) for f in fields(self.cls) if f.init)
+        return tuple(Setting(f.name, _type_name(hints[f.name]), _default_text(f)) for f in fields(self.cls) if f.init)
 
     @property
     def missing(self) -> str | None:
-        """What keeps it from running here, by its own account."""
+        """Why the reconstructor cannot run here, as it reports; None if it can."""
         check = getattr(self.cls, "missing", None)
         return check() if callable(check) else None
 
     def configure(self, settings: Mapping[str, str]) -> Reconstructor:
-        """A reconstructor with the given settings, which are converted to the types of its fields.
+        """Create a reconstructor from settings as text, converted to the types of its fields.
 
         Raises:
-            InputError: a setting does not exist, is not of its type, is refused by the reconstructor, or is missing.
+            InputError: a setting is unknown, missing, of the wrong type, or rejected by the reconstructor.
         """
         known = {f.name: f for f in fields(self.cls) if f.init}
         if unknown := [name for name in settings if name not in known]:
-            there = ", ".join(known) or "none"
-            raise InputError(f"{self.name} has no setting {unknown[0]!r}: there are {there}")
-        if lacking := [n for n, f in known.items() if _default(f) is None and n not in settings]:
-            raise InputError(f"{self.name} needs the setting {lacking[0]!r}: give --set {lacking[0]}=VALUE")
+            names = ", ".join(known) or "none"
+            raise InputError(f"{self.name} has no setting {unknown[0]!r}: there are {names}")
+        if required := [n for n, f in known.items() if _default_text(f) is None and n not in settings]:
+            raise InputError(f"{self.name} needs the setting {required[0]!r}: give --set {required[0]}=VALUE")
         hints = get_type_hints(self.cls)
         values = {name: _convert(name, text, hints[name]) for name, text in settings.items()}
         try:
             reconstructor: Reconstructor = self.cls(**values)
-        except InputError:  # a ValueError too, but it says all already
+        except InputError:  # is a ValueError too, but has a complete message
             raise
         except (TypeError, ValueError) as error:
             raise InputError(f"{self.name}: {error}") from error
@@ -137,33 +145,33 @@ class Plugin:
 
 
 def find_plugin(spec: str) -> Plugin:
-    """The reconstructor that a spec names. Only this one is loaded.
+    """Find the reconstructor that a spec names. No other reconstructor is imported.
 
     Args:
-        spec: the name of an installed one (an entry point of the group `pcbench.reconstructors`), `module:Class`, or
-            `path/to/file.py:Class`.
+        spec: the name of an installed reconstructor (an entry point of the group `pcbench.reconstructors`),
+            `module:Class`, or `path/to/file.py:Class`.
 
     Raises:
-        InputError: there is none, or two of that name; it cannot be imported; or it is no reconstructor.
+        InputError: there is none or there are several of that name, it cannot be imported, or it is no reconstructor.
     """
     left, colon, name = spec.rpartition(":")
     if colon and left.endswith(".py"):
-        return _checked(spec, str(Path(left)), _attribute(spec, _load_file(Path(left)), name))
+        return _check_plugin(spec, str(Path(left)), _get_attribute(spec, _load_file(Path(left)), name))
     if colon:
-        return _checked(spec, left, _attribute(spec, _import(spec, left), name))
-    found = [point for point in entry_points(group=GROUP) if point.name == spec]
+        return _check_plugin(spec, left, _get_attribute(spec, _import(spec, left), name))
+    found = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == spec]
     if not found:
-        names = ", ".join(sorted({point.name for point in entry_points(group=GROUP)})) or "none"
+        names = ", ".join(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)})) or "none"
         raise InputError(f"no reconstructor {spec!r} is installed: there are {names}; or give FILE.py:CLASS")
     if len(found) > 1:
         packages = " and ".join(sorted(_origin(point) for point in found))
-        raise InputError(f"two reconstructors are named {spec!r}, of {packages}: give MODULE:CLASS instead")
-    return _checked(spec, _origin(found[0]), _attribute(spec, _import(spec, found[0].module), found[0].attr))
+        raise InputError(f"two reconstructors are named {spec!r}, in {packages}: give MODULE:CLASS instead")
+    return _check_plugin(spec, _origin(found[0]), _get_attribute(spec, _import(spec, found[0].module), found[0].attr))
 
 
 def installed() -> tuple[str, ...]:
-    """The names of the installed reconstructors, sorted."""
-    return tuple(sorted({point.name for point in entry_points(group=GROUP)}))
+    """Return the names of the installed reconstructors, sorted."""
+    return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
 
 
 def _origin(point: EntryPoint) -> str:
@@ -173,8 +181,8 @@ def _origin(point: EntryPoint) -> str:
 def _import(spec: str, module: str) -> types.ModuleType:
     try:
         return importlib.import_module(module)
-    except Exception as error:  # whatever a stranger's module raises
-        raise InputError(f"{spec}: {module} cannot be imported: {_one_line(error)}") from error
+    except Exception as error:  # a plugin may raise anything while it is imported
+        raise InputError(f"{spec}: {module} cannot be imported: {_summarize_error(error)}") from error
 
 
 def _load_file(path: Path) -> types.ModuleType:
@@ -184,39 +192,41 @@ def _load_file(path: Path) -> types.ModuleType:
         raise InputError(f"{path}: {error}") from error
     except OSError:
         raise InputError(
-            f"{path}: no such file: expected a Python file with a reconstructor, as FILE.py:CLASS"
+            f"{path}: no such file; expected a Python file with a reconstructor, as FILE.py:CLASS"
         ) from None
     name = f"pcbench_plugin_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
+    sys.modules[name] = module  # dataclasses look up their module by name
     try:
         spec.loader.exec_module(module)
     except Exception as error:
         del sys.modules[name]
-        raise InputError(f"{path}: cannot be imported: {_one_line(error)}") from error
+        raise InputError(f"{path}: cannot be imported: {_summarize_error(error)}") from error
     return module
 
 
-def _one_line(error: Exception) -> str:
-    at = error.__traceback__
-    while at is not None and at.tb_next is not None:
-        at = at.tb_next
-    place = f" ({at.tb_frame.f_code.co_filename}, line {at.tb_lineno})" if at is not None else ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
+def _summarize_error(error: Exception) -> str:
+    traceback = error.__traceback__
+    while traceback is not None and traceback.tb_next is not None:
+        traceback = traceback.tb_next
+    location = (
+        f" ({traceback.tb_frame.f_code.co_filename}, line {traceback.tb_lineno})" if traceback is not None else ""
+    )
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{location}"
 
 
-def _attribute(spec: str, module: types.ModuleType, name: str) -> Any:
+def _get_attribute(spec: str, module: types.ModuleType, name: str) -> Any:
     if not hasattr(module, name):
         classes = [n for n, v in vars(module).items() if inspect.isclass(v) and callable(getattr(v, "reconstruct", 0))]
-        there = f": it has {', '.join(sorted(classes))}" if classes else ""
-        raise InputError(f"{spec}: there is no {name!r} in it{there}")
+        hint = f"; it has {', '.join(sorted(classes))}" if classes else ""
+        raise InputError(f"{spec}: there is no {name!r} in the module{hint}")
     return getattr(module, name)
 
 
-def _checked(spec: str, origin: str, cls: Any) -> Plugin:
+def _check_plugin(spec: str, origin: str, cls: Any) -> Plugin:
     if not (inspect.isclass(cls) and is_dataclass(cls) and callable(getattr(cls, "reconstruct", None))):
         raise InputError(
             f"{spec}: expected a dataclass with a method reconstruct(self, scene, workspace), got {_describe(cls)}"
@@ -224,7 +234,7 @@ def _checked(spec: str, origin: str, cls: Any) -> Plugin:
     try:
         get_type_hints(cls)
     except NameError as error:
-        raise InputError(f"{spec}: the type of a setting is not known: {error}") from error
+        raise InputError(f"{spec}: the type of a setting is unknown: {error}") from error
     return Plugin(spec, origin, cls)
 
 
@@ -232,7 +242,7 @@ def _describe(value: Any) -> str:
     return f"the class {value.__name__}" if inspect.isclass(value) else f"a {type(value).__name__}"
 
 
-def _default(f: Field[Any]) -> str | None:
+def _default_text(f: Field[Any]) -> str | None:
     if f.default is not MISSING:
         return str(f.default)
     return str(f.default_factory()) if f.default_factory is not MISSING else None
@@ -247,7 +257,7 @@ def _type_name(kind: Any) -> str:
 
 
 def _convert(name: str, text: str, kind: Any) -> Any:
-    """The value that `text` means for a field of type `kind`: bool, int, float, str, Path, choices, or X | None."""
+    """Convert text to the type of a field: bool, int, float, str, Path, choices, or X | None."""
     if get_origin(kind) in (Union, types.UnionType):
         parts = get_args(kind)
         if type(None) in parts and text.lower() == "none":
@@ -266,9 +276,9 @@ def _convert(name: str, text: str, kind: Any) -> Any:
         if text.lower() in ("true", "yes", "on", "1", "false", "no", "off", "0"):
             return text.lower() in ("true", "yes", "on", "1")
     elif kind is int:
-        if (number := _whole(text)) is not None:
-            if number not in _INTEGERS:
-                raise InputError(f"expected {name} from {_INTEGERS[0]} to {_INTEGERS[-1]}, got {text[:40]!r}")
+        if (number := _parse_integer(text)) is not None:
+            if number not in _INT32_RANGE:
+                raise InputError(f"expected {name} from {_INT32_RANGE[0]} to {_INT32_RANGE[-1]}, got {text[:40]!r}")
             return number
     elif kind in (float, str, Path):
         try:
@@ -276,14 +286,14 @@ def _convert(name: str, text: str, kind: Any) -> Any:
         except ValueError:
             pass
     else:
-        raise InputError(f"the setting {name!r} is a {_type_name(kind)}, which --set cannot give")
+        raise InputError(f"the setting {name!r} is of type {_type_name(kind)}, which --set does not support")
     raise InputError(f"expected {name} as {_type_name(kind)}, got {text[:60]!r}")
 
 
-def _whole(text: str) -> int | None:
-    """The whole number that a text is, however long; None where it is none."""
+def _parse_integer(text: str) -> int | None:
+    """Parse an integer of any length; None if the text is not one."""
     if re.fullmatch(r"\s*[+-]?\d[\d_]{20,}\s*", text):
-        return _INTEGERS[-1] + 1  # of any length: Python converts no more than 4,300 digits
+        return _INT32_RANGE[-1] + 1  # Python converts at most 4,300 digits
     try:
         return int(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""How far a reconstruction is: lines that a plugin prints, and that whoever runs it may show."""
+"""Progress of a reconstruction: lines that a plugin prints, and that the parent process may display."""
 
 from __future__ import annotations
 
@@ -12,21 +12,25 @@ from typing import TypeVar
 
 from pcbench.progress import duration
 
-MARK = "progress: "  # what the lines begin with
-_PERIOD_S = 0.5  # between looks into the log
+LINE_PREFIX = "progress: "
+_POLL_INTERVAL_S = 0.5  # between reads of the log
 
 T = TypeVar("T")
 
 
 def progress(text: str) -> None:
-    """Say how far a reconstruction is; from within a plugin."""
-    print(f"{MARK}{text}", file=sys.stderr, flush=True)
+    """Report the progress of a reconstruction from within a plugin."""
+    print(f"{LINE_PREFIX}{text}", file=sys.stderr, flush=True)
 
 
 def with_time_left(items: Sequence[T], what: str) -> Iterator[T]:
-    """The items, with a line after each on how many are done and how much time is left.
+    """Yield the items; report after each how many are done and the estimated time left.
 
-    What was kept from an earlier run takes no time: the rate is that of the items that took a tenth of a second.
+    Results of an earlier run take no time: the rate is that of the items that took more than a tenth of a second.
+
+    Args:
+        items: the items to process.
+        what: name of the work, for the reports.
     """
     worked, slow = 0.0, 0
     for k, item in enumerate(items, start=1):
@@ -40,8 +44,8 @@ def with_time_left(items: Sequence[T], what: str) -> Iterator[T]:
 
 
 @contextmanager
-def followed(log: Path, show: Callable[[str], None] | None) -> Iterator[None]:
-    """While the block runs, call `show` with each text that `progress` adds to a log."""
+def follow_log(log: Path, show: Callable[[str], None] | None) -> Iterator[None]:
+    """Call `show` with each text that `progress` adds to a log while the block runs."""
     if show is None:
         yield
         return
@@ -51,11 +55,11 @@ def followed(log: Path, show: Callable[[str], None] | None) -> Iterator[None]:
         rest = ""
         with log.open(errors="replace") as file:
             while True:
-                last = ended.wait(_PERIOD_S)
+                last = ended.wait(_POLL_INTERVAL_S)
                 *lines, rest = (rest + file.read()).split("\n")
                 for line in lines:
-                    if line.startswith(MARK):
-                        show(line.removeprefix(MARK))
+                    if line.startswith(LINE_PREFIX):
+                        show(line.removeprefix(LINE_PREFIX))
                 if last:
                     return
 

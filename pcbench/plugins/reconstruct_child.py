@@ -1,5 +1,6 @@
-"""The reconstructing process: `reconstruct_child WORKSPACE` reads the job there and writes what came of it:
-outcome.json, and where it went well cloud.ply and cameras.
+"""Child process `reconstruct_child WORKSPACE`: runs the job in a workspace.
+
+It writes outcome.json and, after a success, cloud.ply and the cameras.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.files import atomic_write
 from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
-from pcbench.plugins.code import running
+from pcbench.plugins.code import register_plugin_code
 from pcbench.plugins.run import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
 from pcbench.scenes import Scene, read_scene
 from pcbench.systems import peak_memory_with_children
 
 
 def main(workspace: Path) -> None:
+    """Run the job of a workspace and write its outcome."""
     job = json.loads((workspace / JOB).read_text(encoding="utf-8"))
     warnings: list[str] = []
     outcome: dict[str, Any] = {"warnings": warnings}
@@ -41,7 +43,7 @@ def main(workspace: Path) -> None:
 
 def _prepare(job: dict[str, Any], warnings: list[str]) -> tuple[Plugin, Reconstructor, Scene]:
     plugin = find_plugin(job["plugin"])
-    running(plugin.cls.__module__)
+    register_plugin_code(plugin.cls.__module__)
     reconstructor = plugin.configure(job["settings"])
     if missing := plugin.missing:
         raise InputError(f"{plugin.name} cannot run here: {missing}")
@@ -58,7 +60,7 @@ def _prepare(job: dict[str, Any], warnings: list[str]) -> tuple[Plugin, Reconstr
 def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, workspace: Path) -> dict[str, Any]:
     try:
         result: Any = reconstructor.reconstruct(scene, workspace / PLUGIN)
-    except MissingExtra as error:  # as if the plugin had said so before
+    except MissingExtra as error:  # as if the plugin had reported it as missing
         return {"status": "refused", "message": str(error)}
     except PcbenchError as error:
         traceback.print_exc()
@@ -83,7 +85,7 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
 
 
 def _peak_gpu_bytes() -> int | None:
-    """The most that torch's allocator held at a time on each device, added up; None where CUDA was not used by it."""
+    """Return the peak memory of torch's allocator, summed over the devices; None if it did not use CUDA."""
     torch: Any = sys.modules.get("torch")
     if torch is None or not torch.cuda.is_available() or not torch.cuda.is_initialized():
         return None

@@ -1,4 +1,4 @@
-"""Runs a reconstructor in a process of its own: whatever it does there, it ends as a recorded result."""
+"""Run a reconstructor in a child process; every outcome, including a crash, becomes a recorded result."""
 
 from __future__ import annotations
 
@@ -17,28 +17,38 @@ from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.io.files import atomic_write, digest, read_json
 from pcbench.native import _core
 from pcbench.plugins import Reconstruction
-from pcbench.plugins.progress import followed
+from pcbench.plugins.progress import follow_log
 from pcbench.registration import SurveyResiduals
 from pcbench.scratch import claim, scratch_folder
 from pcbench.systems import SIGKILL, signal_name
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
-# In the workspace. The plugin has a folder of its own in it, which is kept between runs.
+# In the workspace. The plugin has its own folder there, which is kept between runs.
 JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
-_MADE = "made.txt"  # the digest of the file that the cloud was written to
+_OUTPUT_DIGEST_FILE = "made.txt"  # digest of the file to which the cloud was written
 
-# How BLAS divides a product among threads, and its kernels for a processor, decide last bits: those of COLMAP's global
-# mapping were seen to differ. One thread, and the kernels that every processor with AVX2 has, give the same ones.
-_SAME_BITS = {"OPENBLAS_NUM_THREADS": "1"} | ({} if _core.isa() == "baseline" else {"OPENBLAS_CORETYPE": "Haswell"})
+# The rounding of BLAS products depends on the number of threads and on the processor's kernels; it was observed to
+# change results of COLMAP's global mapping. One thread and the kernels of all AVX2 processors give the same bits.
+_REPRODUCIBLE_BLAS = {"OPENBLAS_NUM_THREADS": "1"} | (
+    {} if _core.isa() == "baseline" else {"OPENBLAS_CORETYPE": "Haswell"}
+)
 
-_MAX_TAIL = 4000  # bytes of a log that its last line is looked for in
+_MAX_TAIL_BYTES = 4000  # of a log in which its last line is searched
 
 
 @dataclass(frozen=True)
 class ReconstructionJob:
-    """A reconstructor, its settings as text, and the scene it gets: the arguments of `read_scene`, and which images of
-    it (None: all).
+    """A reconstructor with its settings as text, and its scene: arguments of `read_scene` and selected images.
+
+    Args:
+        plugin: spec of the reconstructor, see `find_plugin`.
+        scene: folder of the scene.
+        settings: settings as text.
+        cameras: "auto", "none" or a path, as for `read_scene`.
+        masks: folder of the masks.
+        image_scale: scale at which images are read.
+        images: names of the images to use; None for all.
     """
 
     plugin: str
@@ -50,7 +60,7 @@ class ReconstructionJob:
     images: tuple[str, ...] | None = None
 
     def to_json(self) -> str:
-        # The process runs elsewhere: every path is made absolute.
+        """Return the job as JSON, with absolute paths, because the child runs in another folder."""
         cameras = self.cameras if self.cameras in ("auto", "none") else str(Path(self.cameras).absolute())
         values = {
             "plugin": absolute(self.plugin),
@@ -66,18 +76,20 @@ class ReconstructionJob:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """How a reconstruction went.
+    """Outcome of a reconstruction.
 
     Args:
-        status: "ok"; "failed" (the plugin said why it cannot), "crashed", "timeout", "garbage" (what it returned is no
-            reconstruction), "refused" (the plugin, its settings or the scene are not as they have to be).
-        message: one line for every status but "ok".
-        wall_s, cpu_s: seconds of the process and its children, from its start to its end.
-        peak_rss_bytes: the most memory it had at a time; None where it did not live to say so.
-        gpu_bytes: the most memory that torch held on CUDA devices; None where it used none, or did not live to say so.
-        log: what it printed.
-        settings: all of the reconstructor's settings as text, defaults included; empty if it was refused.
-        warnings: what was left out of the scene.
+        status: "ok", "failed" (the plugin reported why it cannot), "crashed", "timeout", "garbage" (the returned value
+            is not a reconstruction), or "refused" (the plugin, its settings or the scene are invalid).
+        message: one line for each status but "ok".
+        wall_s: wall time of the process and its children in seconds.
+        cpu_s: CPU time of the process and its children in seconds.
+        peak_rss_bytes: peak memory; None if the process ended before it reported it.
+        gpu_bytes: peak memory of torch on CUDA devices; None if it used none or was not reported.
+        log: file with its output.
+        settings: all settings of the reconstructor as text, including defaults; empty if it was refused.
+        warnings: parts of the scene that were left out.
+        reconstruction: the result; None unless the status is "ok".
     """
 
     status: Status
@@ -92,11 +104,11 @@ class Run:
     reconstruction: Reconstruction | None
 
     def required(self) -> Reconstruction:
-        """The reconstruction.
+        """Return the reconstruction.
 
         Raises:
-            InputError: it was refused.
-            ReconstructionError: there is none for another reason.
+            InputError: the run was refused.
+            ReconstructionError: the run ended without a reconstruction.
         """
         if self.reconstruction is not None:
             return self.reconstruction
@@ -114,14 +126,14 @@ def run(
     """Run a reconstructor. Its failure is a result, not an exception.
 
     Args:
-        workspace: a folder that is made if it is missing; a later run of the same reconstructor goes on from what this
-            one has finished. Two runs at a time need two.
-        time_limit_s: after it the process and its children are killed.
-        on_progress: called with what the reconstructor says of how far it is (`pcbench.plugins.progress`), by another
-            thread.
+        job: the reconstructor and its scene.
+        workspace: folder, created if missing. A later run of the same reconstructor resumes from its finished steps.
+            Simultaneous runs need different workspaces.
+        time_limit_s: seconds after which the process and its children are killed.
+        on_progress: called from another thread with each progress report (`pcbench.plugins.progress`).
 
     Raises:
-        InputError: another run is at work in the workspace.
+        InputError: another run uses the workspace.
         OSError: the workspace cannot be written.
     """
     (workspace / PLUGIN).mkdir(parents=True, exist_ok=True)
@@ -136,29 +148,29 @@ def _run(
     with atomic_write(workspace / JOB) as file:
         file.write(job.to_json().encode())
     start = time.perf_counter()
-    with (workspace / LOG).open("wb", buffering=0) as log, followed(workspace / LOG, on_progress):
+    with (workspace / LOG).open("wb", buffering=0) as log, follow_log(workspace / LOG, on_progress):
         ended = run_module(
             "pcbench.plugins.reconstruct_child",
             str(workspace.absolute()),
             limits=Limits(seconds=time_limit_s),
-            environment={name: os.environ.get(name, value) for name, value in _SAME_BITS.items()},
+            environment={name: os.environ.get(name, value) for name, value in _REPRODUCIBLE_BLAS.items()},
             log=log,
         )
     wall_s = time.perf_counter() - start
     try:
         outcome = _read_outcome(workspace)
-    except (OSError, ValueError):  # none, or what the plugin left in its place
-        outcome = {"status": "crashed", "message": _how_it_ended(ended.code, workspace / LOG)}
+    except (OSError, ValueError):  # missing, or overwritten by the plugin
+        outcome = {"status": "crashed", "message": _describe_exit(ended.code, workspace / LOG)}
     if ended.timed_out:
-        outcome |= {"status": "timeout", "message": f"it took longer than the limit of {time_limit_s:g} s"}
-    made = None
+        outcome |= {"status": "timeout", "message": f"it exceeded the time limit of {time_limit_s:g} s"}
+    reconstruction = None
     if outcome["status"] == "ok":
         try:
-            made = read_reconstruction(workspace)
-        except (PcbenchError, OSError, ValueError) as error:  # written, but nothing that can be read
+            reconstruction = read_reconstruction(workspace)
+        except (PcbenchError, OSError, ValueError) as error:  # the result is unreadable
             outcome |= {"status": "garbage", "message": str(error)}
     status: Status = outcome["status"]
-    message = "".join(c if c.isprintable() else "?" for c in outcome.get("message", ""))  # no plugin paints terminals
+    message = "".join(c if c.isprintable() else "?" for c in outcome.get("message", ""))  # no terminal control codes
     return Run(
         status=status,
         message=message,
@@ -169,31 +181,31 @@ def _run(
         log=workspace / LOG,
         settings=outcome.get("settings", {}),
         warnings=tuple(outcome.get("warnings", ())),
-        reconstruction=made,
+        reconstruction=reconstruction,
     )
 
 
 def check_workspace(folder: Path) -> None:
-    """Say before `run` that a folder is no place to run in.
+    """Refuse a folder that cannot be a workspace, before `run`.
 
     Raises:
-        InputError: it holds something, and no reconstruction ran there: what one leaves may be replaced.
+        InputError: the folder has files that no reconstruction wrote.
     """
     ours = (folder / JOB).is_file() and (folder / PLUGIN).is_dir()
     if folder.is_dir() and any(folder.iterdir()) and not ours:
-        raise InputError(f"{folder}: the workspace is not empty and no reconstruction's: choose another, or empty it")
+        raise InputError(f"{folder}: expected an empty folder or an earlier workspace: choose another, or empty it")
 
 
 def note_made(workspace: Path, out: Path) -> None:
-    """Keep in a workspace what its cloud was written to, so that `was_made` knows it again."""
-    with atomic_write(workspace / _MADE) as file:
+    """Record in a workspace the digest of the file to which its cloud was written, for `was_made`."""
+    with atomic_write(workspace / _OUTPUT_DIGEST_FILE) as file:
         file.write(digest(out).encode())
 
 
 def was_made(workspace: Path, out: Path) -> bool:
-    """Whether a file is what an earlier run in the workspace wrote, unchanged: it may be replaced."""
+    """Whether a file is the unchanged output of an earlier run in the workspace, which may be replaced."""
     try:
-        return (workspace / _MADE).read_text(encoding="utf-8") == digest(out)
+        return (workspace / _OUTPUT_DIGEST_FILE).read_text(encoding="utf-8") == digest(out)
     except (OSError, ValueError):
         return False
 
@@ -208,25 +220,25 @@ def _read_outcome(workspace: Path) -> dict[str, Any]:
     return outcome
 
 
-def _how_it_ended(code: int, log: Path) -> str:
+def _describe_exit(code: int, log: Path) -> str:
     try:
         with log.open("rb") as file:
-            file.seek(max(0, file.seek(0, os.SEEK_END) - _MAX_TAIL))
+            file.seek(max(0, file.seek(0, os.SEEK_END) - _MAX_TAIL_BYTES))
             text = file.read().decode(errors="replace")
     except OSError as error:
-        return f"the process ended with code {code} and without its log: {error.strerror}"
+        return f"the process ended with exit code {code}, and its log cannot be read: {error.strerror}"
     last = last_line(text) or "it printed nothing"
     if code < 0:
-        hint = ", perhaps for want of memory" if code == -SIGKILL else ""
+        hint = ", perhaps because memory ran out" if code == -SIGKILL else ""
         return f"the process was ended by {signal_name(-code)}{hint}; its last line: {last[:200]}"
-    return f"the process ended with code {code} and without a result; its last line: {last[:200]}"
+    return f"the process ended with exit code {code} and without a result; its last line: {last[:200]}"
 
 
 def read_reconstruction(workspace: Path) -> Reconstruction:
-    """What the last run in a workspace made, if it went well.
+    """Read the reconstruction of the last successful run in a workspace.
 
     Raises:
-        InputError, OSError, ValueError: its files are not there, or damaged.
+        InputError, OSError, ValueError: its files are missing or damaged.
     """
     outcome = _read_outcome(workspace)
     cameras = read_colmap_cameras(workspace / CAMERAS) if outcome["cameras"] else ()
@@ -240,17 +252,19 @@ def read_reconstruction(workspace: Path) -> Reconstruction:
 
 @dataclass(frozen=True)
 class Description:
-    """What a reconstructor is, before it runs.
+    """Description of a reconstructor that has not run.
 
     Args:
-        settings: the names of its settings.
+        settings: names of its settings.
         origin: its package with version, or its file.
-        sha256: digest of its code, sources and compiled modules: of its package, or of its file and what lies beside
-            it (`pcbench.plugins.code.plugin_files`); None where nothing is known of it.
-        problem: why nothing is known of it; None where all is well.
-        help, more: the first paragraph of its docstring, and the rest.
-        missing: what keeps it from running here, by its own account.
-        types, defaults: of its settings, as text; a default of None must be given.
+        sha256: digest of its code, sources and compiled modules (`pcbench.plugins.code.plugin_files`); None if it could
+            not be imported.
+        problem: why it could not be imported; None if it could.
+        help: first paragraph of its docstring.
+        more: rest of its docstring.
+        missing: why it cannot run here, as it reports.
+        types: types of its settings as text.
+        defaults: defaults of its settings as text; None for required settings.
     """
 
     settings: tuple[str, ...] = ()
@@ -265,26 +279,27 @@ class Description:
 
 
 def describe(plugin: str, time_limit_s: float = 60.0) -> Description:
-    """Look at a reconstructor in a process of its own, which is ended after the limit: importing one can do anything.
+    """Describe a reconstructor. A child process with a time limit imports it, because importing may do anything.
 
     Args:
-        plugin: a spec as `pcbench.plugins.find_plugin` takes it.
+        plugin: a spec as for `pcbench.plugins.find_plugin`.
+        time_limit_s: seconds after which the child process is ended.
     """
     with scratch_folder() as folder:
         file = folder / "description.json"
         limits = Limits(seconds=time_limit_s)
         ended = run_module("pcbench.plugins.describe_child", plugin, str(file), limits=limits)
         if ended.timed_out:
-            return Description(problem=f"importing it takes longer than {time_limit_s:g} s")
+            return Description(problem=f"importing it took longer than {time_limit_s:g} s")
         try:
             outcome: dict[str, Any] = read_json(file)
             values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in outcome.items()}
             return Description(**values)
-        except (OSError, InputError, AttributeError, TypeError):  # none, or what its import left in its place
-            return Description(problem="the process ends when it is imported")
+        except (OSError, InputError, AttributeError, TypeError):  # missing, or overwritten during its import
+            return Description(problem="its import ended the process")
 
 
 def absolute(plugin: str) -> str:
-    """A spec that means the same from any folder."""
+    """Return a spec with an absolute path, valid from any folder."""
     left, colon, name = plugin.rpartition(":")
     return f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else plugin

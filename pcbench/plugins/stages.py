@@ -1,4 +1,4 @@
-"""Stages: steps of a reconstruction whose results are kept, so that a run that was killed goes on where it stopped."""
+"""Stages: steps of a reconstruction whose results are kept, so that a killed run resumes where it stopped."""
 
 from __future__ import annotations
 
@@ -14,34 +14,32 @@ from pcbench.extras import installed_versions
 from pcbench.plugins.code import code_digest
 from pcbench.scratch import naming
 
-_KEY = "stage.json"
-# COLMAP adds one to these counters in the header of a database whenever it opens it, though it changes nothing.
+_RECORD_FILE = "stage.json"
+# COLMAP increments these counters in the header of a database at each opening, even without changes.
 _SQLITE, _SQLITE_COUNTERS = b"SQLite format 3\0", (slice(24, 28), slice(92, 96))
 _LIBRARIES = ("pcbench", "numpy", "scipy", "pillow", "pycolmap", "torch", "open3d", "pyvista")
 
 
 def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Path], None]) -> Path:
-    """The folder `workspace/name` as `make` fills it; `make` is called only if it was not yet, for other inputs or by
-    other code, or if the files are no longer as it left them.
+    """Return the folder `workspace/name`, filled by `make` if it is missing or outdated.
 
-    The sizes and digests of the files are kept in the folder and compared whenever it is used again: a file that was
-    cut short, changed or removed makes the stage anew.
+    A stage is outdated if its inputs or the code differ, or if a file was truncated, changed or removed: the folder
+    records the sizes and digests of its files, which are compared at each use.
 
     Args:
         workspace: an existing folder.
-        name: of the stage.
-        inputs: all that its result depends on, as JSON holds it: settings, `Scene.fingerprint()`, and `stage_key` of
-            the stages before it; `library_versions` is always one of them. A result is never used again for other
-            inputs.
-        make: fills the empty folder that it is given. It becomes `workspace/name` once it has returned: a stage that
-            was killed half-way is made again from the beginning.
+        name: name of the stage.
+        inputs: everything that the result depends on, as JSON values: settings, `Scene.fingerprint()`, and `stage_key`
+            of earlier stages. `library_versions` is added.
+        make: function that fills an empty folder. The folder becomes `workspace/name` when it returns, so a stage that
+            was killed is made again from the start.
 
     Returns:
         The folder.
     """
     folder, temporary = workspace / name, workspace / f".{name}.partial"
     recorded = json.loads(json.dumps({**inputs, "versions": library_versions()}))
-    if _is_whole(folder, recorded):
+    if _is_complete(folder, recorded):
         return folder
     for old in (folder, temporary):
         if old.exists():
@@ -49,59 +47,60 @@ def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[
     temporary.mkdir()
     with naming(folder, temporary):
         make(temporary)
-        record = {"inputs": recorded, "files": _files(temporary)}
-        (temporary / _KEY).write_text(json.dumps(record, sort_keys=True, indent=1), encoding="utf-8")
+        record = {"inputs": recorded, "files": _record_files(temporary)}
+        (temporary / _RECORD_FILE).write_text(json.dumps(record, sort_keys=True, indent=1), encoding="utf-8")
     temporary.replace(folder)
     return folder
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of the libraries that decide what reconstructors do, and the digest of our own code and the plugin's:
-    an input of every stage.
+    """Return versions of the libraries that influence results, and the digest of pcbench's and the plugin's code.
+
+    They are an input of each stage.
     """
-    return {"code": code_digest(), **_installed()}
+    return {"code": code_digest(), **_library_versions()}
 
 
 @cache
-def _installed() -> dict[str, str]:
+def _library_versions() -> dict[str, str]:
     return installed_versions(_LIBRARIES)
 
 
 def stage_key(folder: Path) -> str | None:
-    """SHA-256 of a stage's inputs and files; None where there is no complete stage."""
+    """Return the SHA-256 of a stage's inputs and files; None if there is no complete stage."""
     try:
-        return hashlib.sha256((folder / _KEY).read_bytes()).hexdigest()
+        return hashlib.sha256((folder / _RECORD_FILE).read_bytes()).hexdigest()
     except FileNotFoundError:
         return None
 
 
-def _is_whole(folder: Path, inputs: Mapping[str, Any]) -> bool:
-    """Whether a stage's folder was made of the inputs and holds the files that were made then."""
+def _is_complete(folder: Path, inputs: Mapping[str, Any]) -> bool:
+    """Whether a stage was made from these inputs and its files are unchanged."""
     try:
-        record = json.loads((folder / _KEY).read_text(encoding="utf-8"))
+        record = json.loads((folder / _RECORD_FILE).read_text(encoding="utf-8"))
         files = [(folder / name, size, known) for name, (size, known) in record["files"].items()]
-        # As text, in which NaN equals itself. Sizes cost nothing and give away a file that was cut short.
+        # Compared as text, in which NaN equals itself. Sizes come first because they are cheap and show truncation.
         return (
             json.dumps(record["inputs"], sort_keys=True) == json.dumps(inputs, sort_keys=True)
             and all(path.stat().st_size == size for path, size, _ in files)
             and all(_digest(path) == known for path, _, known in files)
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # no stage, or what is left of one
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # missing or damaged record
         return False
 
 
-def _files(folder: Path) -> dict[str, tuple[int, str]]:
-    """Sizes and digests of a folder's files by name; a link's file belongs to another stage."""
+def _record_files(folder: Path) -> dict[str, tuple[int, str]]:
+    """Return sizes and digests of a folder's files by name, without links, which point into other stages."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     return {path.relative_to(folder).as_posix(): (path.stat().st_size, _digest(path)) for path in files}
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a file; of a database as if nobody had opened it."""
+    """Return the SHA-256 of a file; of a database without its change counters."""
     with path.open("rb") as file:
         head = bytearray(file.read(_SQLITE_COUNTERS[-1].stop))
         if head.startswith(_SQLITE):
             for counter in _SQLITE_COUNTERS:
                 head[counter] = bytes(len(head[counter]))
-        whole = hashlib.sha256(head)
-        return hashlib.file_digest(file, lambda: whole).hexdigest()
+        total = hashlib.sha256(head)
+        return hashlib.file_digest(file, lambda: total).hexdigest()

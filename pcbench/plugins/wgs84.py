@@ -1,4 +1,4 @@
-"""A reconstruction in metres of Earth Studio's sphere, brought to those of WGS84."""
+"""Conversion of a reconstruction from Earth Studio's sphere to WGS84."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pcbench.plugins.plugin import Reconstruction
 from pcbench.scenes.scene import cameras_in_wgs84
 
 
-def in_wgs84(made: Reconstruction, origin: Gps) -> Reconstruction:
-    """A reconstruction in the world of Earth Studio's cameras, with its points and cameras in metres of WGS84 about the
-    same origin. Normals stay as they are: they turn by less than 0.2 degrees.
+def in_wgs84(reconstruction: Reconstruction, origin: Gps) -> Reconstruction:
+    """Convert a reconstruction in the frame of Earth Studio's cameras to metres in WGS84 about the same origin.
+
+    Normals are not converted: they would turn by less than 0.2 degrees.
     """
-    cloud = replace(made.cloud, points=wgs84_from_sphere(made.cloud.points, origin), unit="m")
-    return replace(made, cloud=cloud, cameras=cameras_in_wgs84(made.cameras, origin))
+    cloud = replace(reconstruction.cloud, points=wgs84_from_sphere(reconstruction.cloud.points, origin), unit="m")
+    return replace(reconstruction, cloud=cloud, cameras=cameras_in_wgs84(reconstruction.cameras, origin))

@@ -1,1 +1,1 @@
-"""Dense multi-view stereo: depth and normal maps of the images, fused to a cloud."""
+"""Dense multi-view stereo: depth and normal maps of the images, fused into a point cloud."""

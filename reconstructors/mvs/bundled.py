@@ -1,7 +1,7 @@
-"""The maps of all images by the bundled matcher: a stage for each image and pass, so that a killed run loses one image.
+"""Depth maps by the bundled matcher: one stage per image and pass, so that a killed run loses at most one image.
 
-An image's stage depends on its own photograph and those of its sources, on nothing else: a further image elsewhere
-leaves the maps of the others as they are.
+The stage of an image depends on its own photograph and those of its sources only: adding an image elsewhere leaves the
+other maps valid.
 """
 
 from __future__ import annotations
@@ -17,86 +17,94 @@ from reconstructors.mvs import patchmatch
 from reconstructors.mvs.maps import write_map
 from reconstructors.mvs.plan import MatchingPlan
 from reconstructors.mvs.sources import MatchedImage
-from reconstructors.mvs.views import Photographs, in_folder
+from reconstructors.mvs.views import ViewCache, stage_location
 
-PHOTOMETRIC, GEOMETRIC = "photometric", "geometric"  # in the workspace, with a folder for each image
+PHOTOMETRIC_FOLDER, GEOMETRIC_FOLDER = "photometric", "geometric"  # in the workspace, with one folder per image
 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """The images to match, and how.
+    """The images to match, and the plan.
 
     Args:
-        views: the stages of the views by image name.
+        photographs: views and maps of the images.
+        views: stages of the views by image name.
+        plan: matching effort.
+        seed: seed of the random perturbations.
     """
 
-    photographs: Photographs
+    photographs: ViewCache
     views: Mapping[str, Path]
     plan: MatchingPlan
     seed: int
 
-    def photometric(self, reference: MatchedImage, workspace: Path) -> Path:
-        """The stage of an image's map by the photographs alone."""
+    def match_photometric(self, reference: MatchedImage, workspace: Path) -> Path:
+        """Return the stage of an image's map from the photographs alone."""
         plan, photographs = self.plan, self.photographs
         names = (reference.name, *reference.sources)
         inputs = {
-            "views": {name: digest_of(self.views[name]) for name in names},
+            "views": {name: stage_digest(self.views[name]) for name in names},
             "poses": {name: photographs.cameras[name].cam_from_world.matrix.tolist() for name in names},
             "depths": reference.depths,
             "levels": plan.levels,
-            "iterations": plan.iterations,
+            "iterations": plan.photometric_iterations,
             "seed": self.seed,
         }
 
         def make(folder: Path) -> None:
-            own, *others = (photographs.view(name) for name in names)
-            made = patchmatch.match(
-                own, others, reference.depths, levels=plan.levels, iterations=plan.iterations, seed=self.seed
+            reference_view, *source_views = (photographs.view(name) for name in names)
+            depth_map = patchmatch.match(
+                reference_view,
+                source_views,
+                reference.depths,
+                levels=plan.levels,
+                iterations=plan.photometric_iterations,
+                seed=self.seed,
             )
-            write_map(folder, made)
+            write_map(folder, depth_map)
 
-        return stage(*in_folder(workspace / PHOTOMETRIC, reference.name), inputs, make)
+        return stage(*stage_location(workspace / PHOTOMETRIC_FOLDER, reference.name), inputs, make)
 
-    def geometric(self, reference: MatchedImage, photometric: Mapping[str, Path], workspace: Path) -> Path:
-        """The stage of an image's map with the depths of its sources, as far as these have some."""
+    def refine_geometric(self, reference: MatchedImage, photometric: Mapping[str, Path], workspace: Path) -> Path:
+        """Return the stage of an image's map that is refined with the depths of its sources, if these have maps."""
         photographs = self.photographs
         sources = [name for name in reference.sources if name in photometric]
         names = (reference.name, *sources)
         inputs = {
-            "photometric": {name: digest_of(photometric[name]) for name in names},
-            "iterations": self.plan.geometric,
+            "photometric": {name: stage_digest(photometric[name]) for name in names},
+            "iterations": self.plan.geometric_iterations,
         }
 
         def make(folder: Path) -> None:
-            own, *others = (photographs.view(name) for name in names)
-            made = patchmatch.refine(
-                own,
-                others,
+            reference_view, *source_views = (photographs.view(name) for name in names)
+            depth_map = patchmatch.refine(
+                reference_view,
+                source_views,
                 [photographs.depth(photometric[name]) for name in sources],
                 photographs.map(photometric[reference.name]),
                 reference.depths,
-                iterations=self.plan.geometric,
+                iterations=self.plan.geometric_iterations,
                 seed=self.seed,
             )
-            write_map(folder, made)
+            write_map(folder, depth_map)
 
-        return stage(*in_folder(workspace / GEOMETRIC, reference.name), inputs, make)
+        return stage(*stage_location(workspace / GEOMETRIC_FOLDER, reference.name), inputs, make)
 
 
-def bundled_maps(matching: Matching, references: Sequence[MatchedImage], workspace: Path) -> dict[str, Path]:
-    """The stages of the maps by image name; says how far it is."""
+def compute_bundled_maps(matching: Matching, references: Sequence[MatchedImage], workspace: Path) -> dict[str, Path]:
+    """Compute the maps of all images and report progress; return their stages by image name."""
     photometric = {
-        reference.name: matching.photometric(reference, workspace)
-        for reference in with_time_left(references, "depths from photographs")
+        reference.name: matching.match_photometric(reference, workspace)
+        for reference in with_time_left(references, "photometric depths")
     }
     return {
-        reference.name: matching.geometric(reference, photometric, workspace)
-        for reference in with_time_left(references, "depths that agree")
+        reference.name: matching.refine_geometric(reference, photometric, workspace)
+        for reference in with_time_left(references, "geometric depths")
     }
 
 
-def digest_of(stage_folder: Path) -> str:
-    """What a stage was made of, in few characters."""
+def stage_digest(stage_folder: Path) -> str:
+    """Return a short digest of a stage's inputs and files."""
     key = stage_key(stage_folder)
     assert key is not None, stage_folder
     return sha256(key.encode()).hexdigest()

@@ -1,5 +1,7 @@
-"""COLMAP's dense stereo in a process of its own: `colmap_child probe` ends with code 0 where it can run, else it says
-why not; `colmap_child match WORKSPACE ITERATIONS` makes the maps of a dense workspace.
+"""COLMAP's dense stereo in a separate process.
+
+`colmap_child probe` exits with code 0 if it can run, otherwise it prints why not. `colmap_child match WORKSPACE
+ITERATIONS` computes the maps of a dense workspace.
 """
 
 from __future__ import annotations
@@ -9,8 +11,11 @@ import sys
 from pathlib import Path
 
 
-def lacking() -> str | None:
-    """What is not there. The driver is asked first: importing pycolmap does no harm, its CUDA code may."""
+def missing_requirement() -> str | None:
+    """Return what is missing to run on a GPU, None if nothing is.
+
+    The driver is queried first: importing pycolmap is safe, but its CUDA code may crash without a GPU.
+    """
     import pycolmap
 
     if not pycolmap.has_cuda:
@@ -26,6 +31,7 @@ def lacking() -> str | None:
 
 
 def match(workspace: Path, iterations: int) -> None:
+    """Run COLMAP's dense stereo in a workspace."""
     import pycolmap
 
     options = pycolmap.PatchMatchOptions()
@@ -36,8 +42,9 @@ def match(workspace: Path, iterations: int) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    if (why := lacking()) is not None:
-        print(why, file=sys.stderr)
+    """Run a subcommand; return the exit code."""
+    if (problem := missing_requirement()) is not None:
+        print(problem, file=sys.stderr)
         return 1
     if arguments[0] == "match":
         match(Path(arguments[1]), int(arguments[2]))

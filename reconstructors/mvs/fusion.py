@@ -1,7 +1,7 @@
-"""Filtered maps become one cloud: COLMAP's fusion in a workspace made for it, and Poisson's mesh of what it gives.
+"""Fusion of filtered maps into one cloud by COLMAP, and Poisson meshing of the cloud.
 
-Fusion takes the centres of pixels for whole numbers, and COLMAP's models have them at halves: the model of the
-workspace has its principal points shifted by half a pixel, and is for nobody else.
+Fusion expects pixel centres at integer coordinates, while COLMAP's models have them at +0.5. The workspace's model
+therefore has its principal points shifted by half a pixel and serves fusion only.
 """
 
 from __future__ import annotations
@@ -29,165 +29,181 @@ from reconstructors.sfm.model import check_written, not_written
 
 FUSED = "fused.ply"  # in the folder of the stage, with the images of each point in fused.ply.vis
 
-_LINKS = 24  # samples along the longer side of a map that tell which images show the same
-# Images that a pixel is looked for in, from the reference and from nowhere else. With room for these in the cache the
-# memory does not depend on the number of images; and pixels side by side stay points side by side, where going on from
-# what was found merges them within the reprojection error.
-_NEIGHBOURS = 30
-_FROM_REFERENCE = 2  # COLMAP's depth of traversal, which counts the reference
-_BYTES = 19  # a pixel of a map in the cache: depth, normal and colour
-_MIN_CACHE = 0.05  # GiB
+_OVERLAP_SAMPLES_PER_SIDE = 24  # samples along the longer side of a map that show which images overlap
+# Each pixel is looked up in this many images, starting from the reference only. The cache holds these images, so memory
+# does not grow with the number of images. Adjacent pixels also stay separate points; traversing further from found
+# pixels would merge them within the reprojection error.
+_MAX_NEIGHBOR_IMAGES = 30
+_MAX_TRAVERSAL_DEPTH = 2  # COLMAP's traversal depth, which includes the reference
+_BYTES_PER_PIXEL = 19  # of a map in the cache: depth, normal and colour
+_MIN_CACHE_GIB = 0.05
 
 
 class Track(NamedTuple):
-    """A point (3,), and the numbers (N,), from 1, of the images that show it."""
+    """A point (3,), and the ids (N,), starting at 1, of the images that observe it."""
 
     point: FloatArray
-    images: IntArray
+    image_ids: IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class Links:
-    """Points of one map and the images that agree on them: they tell fusion which images overlap.
+class OverlapSamples:
+    """Points of one map and the images that agree on them, from which fusion derives which images overlap.
 
     Args:
-        points: (N, 3), in the world.
-        agree: (sources, N).
+        points: (N, 3), in world coordinates.
+        agreement: (sources, N), True if a source agrees on a point.
         sources: names of the sources.
     """
 
     points: FloatArray
-    agree: NDArray[np.bool_]
+    agreement: NDArray[np.bool_]
     sources: Sequence[str]
 
 
-def links(camera: Camera, made: DepthMap, agree: NDArray[np.bool_], sources: Sequence[str]) -> Links:
-    """A map's points on a grid, of what is known there."""
-    height, width = made.depth.shape
-    step = max(1, max(height, width) // _LINKS)
-    rows, columns = np.nonzero(made.known[step // 2 :: step, step // 2 :: step])
+def sample_overlap(
+    camera: Camera, depth_map: DepthMap, agree: NDArray[np.bool_], sources: Sequence[str]
+) -> OverlapSamples:
+    """Sample a map's points on a regular pixel grid, with the sources that agree on them."""
+    height, width = depth_map.depth.shape
+    step = max(1, max(height, width) // _OVERLAP_SAMPLES_PER_SIDE)
+    rows, columns = np.nonzero(depth_map.known[step // 2 :: step, step // 2 :: step])
     rows, columns = step // 2 + step * rows, step // 2 + step * columns
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
-    return Links(world_points(camera, pixels, made.depth[rows, columns]), agree[:, rows, columns], tuple(sources))
+    points = world_points(camera, pixels, depth_map.depth[rows, columns])
+    return OverlapSamples(points, agree[:, rows, columns], tuple(sources))
 
 
 def write_workspace(
     folder: Path, cameras: Mapping[str, Camera], images: Mapping[str, Path], tracks: Sequence[Track]
 ) -> None:
-    """A dense workspace of COLMAP without maps; its images are links to where they lie, named by their numbers.
+    """Write a dense COLMAP workspace without maps; its images are links to the originals, named by their ids.
 
     Args:
-        folder: exists and is empty.
-        cameras, images: by image name: the pinhole, the undistorted photograph.
-        tracks: points that tell which images overlap.
+        folder: an existing, empty folder.
+        cameras: pinholes by image name.
+        images: paths of the undistorted photographs by image name.
+        tracks: points that show which images overlap.
     """
     for part in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps"):
         (folder / part).mkdir(parents=True)
     for short, name in zip(short_names(cameras), cameras, strict=True):
         _link(folder / "images" / short, images[name])
     (folder / "stereo/fusion.cfg").write_text("".join(f"{short}\n" for short in short_names(cameras)))
-    workspace_model(cameras, tracks).write(folder / "sparse")
+    build_workspace_model(cameras, tracks).write(folder / "sparse")
     check_written(folder / "sparse")
 
 
 def link_maps(folder: Path, maps: Mapping[str, Path]) -> None:
-    """Put maps into a workspace: links to the files in their folders, by image name in the order of its cameras."""
-    for short, made in zip(short_names(maps), maps.values(), strict=True):
-        _link(folder / f"stereo/depth_maps/{short}.geometric.bin", made / DEPTH)
-        _link(folder / f"stereo/normal_maps/{short}.geometric.bin", made / NORMAL)
+    """Link maps into a workspace.
+
+    Args:
+        folder: the workspace.
+        maps: folders of the maps by image name, in the order of the workspace's cameras.
+    """
+    for short, source in zip(short_names(maps), maps.values(), strict=True):
+        _link(folder / f"stereo/depth_maps/{short}.geometric.bin", source / DEPTH)
+        _link(folder / f"stereo/normal_maps/{short}.geometric.bin", source / NORMAL)
 
 
 def short_names(names: Collection[str]) -> list[str]:
-    """The names of images in a workspace, in order: COLMAP's lists know no spaces and folders."""
-    return [_short(number) for number in range(1, len(names) + 1)]
+    """Return the file names of images in a workspace, in order; COLMAP's lists allow no spaces and folders in names."""
+    return [_short_name(number) for number in range(1, len(names) + 1)]
 
 
-def workspace_model(cameras: Mapping[str, Camera], tracks: Sequence[Track]) -> Any:
-    """COLMAP's model of a workspace, with principal points shifted by half a pixel; images have the numbers 1, 2, ... .
+def build_workspace_model(cameras: Mapping[str, Camera], tracks: Sequence[Track]) -> Any:
+    """Build COLMAP's model of a workspace, with principal points shifted by half a pixel and image ids 1, 2, ... .
 
     Args:
-        tracks: points that the images show.
+        cameras: pinholes by image name.
+        tracks: points that the images observe.
     """
     import pycolmap
 
-    model, at = pycolmap.Reconstruction(), {k: list[FloatArray]() for k in range(1, len(cameras) + 1)}
+    model, observed = pycolmap.Reconstruction(), {k: list[FloatArray]() for k in range(1, len(cameras) + 1)}
     elements = []
-    for point, seen in tracks:
-        elements.append([(k, len(at[k])) for k in seen.tolist()])
-        for k in seen.tolist():
-            at[k].append(point)
+    for point, image_ids in tracks:
+        elements.append([(k, len(observed[k])) for k in image_ids.tolist()])
+        for k in image_ids.tolist():
+            observed[k].append(point)
     for k, camera in enumerate(cameras.values(), start=1):
         i = camera.intrinsics
         parameters = [i.fx, i.fy, i.cx - 0.5, i.cy - 0.5]
         model.add_camera_with_trivial_rig(
             pycolmap.Camera(camera_id=k, model="PINHOLE", width=i.width, height=i.height, params=parameters)
         )
-        pixels = camera.project(np.array(at[k]).reshape(-1, 3))[0]
+        pixels = camera.project(np.array(observed[k]).reshape(-1, 3))[0]
         image = pycolmap.Image(
-            name=_short(k), camera_id=k, image_id=k, points2D=[pycolmap.Point2D(pixel) for pixel in pixels]
+            name=_short_name(k), camera_id=k, image_id=k, points2D=[pycolmap.Point2D(pixel) for pixel in pixels]
         )
         pose = camera.cam_from_world
         rigid = pycolmap.Rigid3d(pycolmap.Rotation3d(pose.rotation), pose.translation)
         model.add_image_with_trivial_frame(image, rigid)
-    for (point, _), places in zip(tracks, elements, strict=True):
+    for (point, _), observations in zip(tracks, elements, strict=True):
         track = pycolmap.Track()
-        for k, place in places:
-            track.add_element(k, place)
+        for k, point2d_index in observations:
+            track.add_element(k, point2d_index)
         model.add_point3D(point, track)
     return model
 
 
 def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], normal_deg: float) -> None:
-    """Write COLMAP's fused cloud and its .vis file. Every depth of a filtered map becomes part of a point: those that
-    are one are merged, and none has to be confirmed again by pixels that are no part of another point yet.
+    """Write COLMAP's fused cloud and its .vis file.
+
+    The maps are filtered already: each depth becomes part of a point, and depths of one point are merged. A point may
+    consist of a single pixel, because its other pixels may be part of earlier points.
 
     Args:
-        workspace: as `write_workspace` and `link_maps` make it.
-        normal_deg: between the normals of pixels that are merged, at most.
+        workspace: a folder that `write_workspace` and `link_maps` have filled.
+        out: the .ply file to write.
+        cameras: pinholes by image name.
+        normal_deg: maximum angle between the normals of merged pixels.
 
     Raises:
-        ReconstructionError: a file could not be written whole, which COLMAP does not say.
+        ReconstructionError: a file was not written completely, which COLMAP does not report.
     """
     import pycolmap
 
     options = pycolmap.StereoFusionOptions()
-    options.num_threads = 1  # the same cloud again
+    options.num_threads = 1  # for repeatable results
     options.min_num_pixels = 1
     options.max_normal_error = normal_deg
-    options.check_num_images = _NEIGHBOURS
-    options.max_traversal_depth = _FROM_REFERENCE
+    options.check_num_images = _MAX_NEIGHBOR_IMAGES
+    options.max_traversal_depth = _MAX_TRAVERSAL_DEPTH
     options.use_cache = True
     pixels = max(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
-    options.cache_size = max(_MIN_CACHE, (_NEIGHBOURS + 4) * pixels * _BYTES / 2**30)
+    options.cache_size = max(_MIN_CACHE_GIB, (_MAX_NEIGHBOR_IMAGES + 4) * pixels * _BYTES_PER_PIXEL / 2**30)
     pycolmap.stereo_fusion(out, workspace, input_type="geometric", options=options, output_type="PLY")
     try:
-        if len(visibility(_visibility_file(out))[0]):  # a cloud without points is said later
+        if len(read_visibility(_visibility_path(out))[0]):  # `read_fused` reports a cloud without points
             read_cloud(out, on_warning=lambda _: None)
     except (InputError, OSError) as error:
         raise not_written(out) from error
 
 
-def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, Path], least: int) -> Cloud:
-    """The fused cloud in the frame that it was fused in, with normals, colours and the attribute `views`: the number of
-    images that agree on a point, as the filter counted it at that of its pixels where it is largest.
+def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, Path], min_views: int) -> Cloud:
+    """Read the fused cloud in the workspace's frame, with normals, colours and the attribute `views`.
+
+    `views` is the number of images that agree on a point: the largest count of the filter at the point's pixels.
 
     Args:
-        cameras: by image name, in the order of the workspace.
-        counts: by image name: an .npy file with the number (H, W) of images that agree at each pixel.
-        least: images that agree on every point, by the filter.
+        path: the fused .ply file.
+        cameras: pinholes by image name, in the order of the workspace.
+        counts: .npy files by image name with the number (H, W) of images that agree at each pixel.
+        min_views: minimum number of images that agree on a point, by the filter's criteria.
 
     Raises:
-        ReconstructionError: nothing was fused.
+        ReconstructionError: the cloud is empty.
     """
-    point, image = visibility(_visibility_file(path))
+    point, image = read_visibility(_visibility_path(path))
     if not len(point):
         raise ReconstructionError(
-            "nothing is fused: no depth is confirmed by enough images; take more images with more overlap, check the"
-            " cameras, or ask for less (--set confidence, --set views)"
+            "fusion produced no points: no depth is confirmed by enough images. Take more images with more overlap,"
+            " check the cameras, or lower --set confidence or --set views"
         )
     cloud = read_cloud(path, on_warning=lambda _: None)
-    # The median of merged pixels may lie in the next pixel, of which nothing is known.
-    views = np.full(len(cloud), least, dtype=np.int32)
+    # The median of merged pixels may fall into a neighbouring pixel without a depth.
+    views = np.full(len(cloud), min_views, dtype=np.int32)
     for k, (name, camera) in enumerate(cameras.items()):
         here, count = point[image == k], np.load(counts[name])
         u, v = camera.project(cloud.points[here])[0].T
@@ -197,66 +213,74 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
     return replace(cloud, attributes={"views": views})
 
 
-def visibility(path: Path) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Numbers of points and of images (M,), a pair for each image that a point comes from, of a .vis file of COLMAP:
-    the uint64 number of points, then each point's uint32 count and so many uint32 numbers of images, from 0.
+def read_visibility(path: Path) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Read COLMAP's .vis file: indices of points and of images, (M,) each, one pair for each image of a point.
+
+    The file holds the uint64 number of points, then for each point a uint32 count and as many uint32 image indices,
+    starting at 0.
 
     Raises:
-        InputError: the file was cut short.
+        InputError: the file is truncated.
     """
     words = np.fromfile(path, dtype="<u4")
     if len(words) < 2 or len(words) < 2 + (count := int(words[:2].view("<u8")[0])):
         raise InputError(f"{path}: truncated")
-    # A view, and no list: that would take ten times the memory of the file.
-    numbers, starts, place = words.data, np.empty(count, dtype=np.int64), 2
+    # A memoryview instead of a list, which would need ten times the memory of the file.
+    numbers, starts, position = words.data, np.empty(count, dtype=np.int64), 2
     for point in range(count):
-        if place >= len(words):
+        if position >= len(words):
             raise InputError(f"{path}: truncated")
-        starts[point] = place
-        place += 1 + numbers[place]
-    if place > len(words):
+        starts[point] = position
+        position += 1 + numbers[position]
+    if position > len(words):
         raise InputError(f"{path}: truncated")
     lengths = words[starts]
-    is_image = np.ones(place, dtype=np.bool_)
+    is_image = np.ones(position, dtype=np.bool_)
     is_image[:2] = is_image[starts] = False
-    return np.repeat(np.arange(count, dtype=np.int32), lengths), words[:place][is_image].view(np.int32)
+    return np.repeat(np.arange(count, dtype=np.int32), lengths), words[:position][is_image].view(np.int32)
 
 
-def _visibility_file(fused: Path) -> Path:
+def _visibility_path(fused: Path) -> Path:
     return fused.with_name(fused.name + ".vis")
 
 
-def tracks_of(found: Mapping[str, Links], cameras: Collection[str]) -> list[Track]:
-    """The tracks that the links of images, by name, make among the cameras."""
-    number = {name: k for k, name in enumerate(cameras, start=1)}
+def build_tracks(overlaps: Mapping[str, OverlapSamples], cameras: Collection[str]) -> list[Track]:
+    """Build tracks from the overlap samples of images, by image name; image ids follow the order of the cameras."""
+    ids = {name: k for k, name in enumerate(cameras, start=1)}
     tracks = []
-    for name, link in found.items():
-        others = np.array([number[source] for source in link.sources], dtype=np.int64)
-        for point, agree in zip(link.points, link.agree.T, strict=True):
-            tracks.append(Track(point, np.append(number[name], others[agree])))
+    for name, overlap in overlaps.items():
+        others = np.array([ids[source] for source in overlap.sources], dtype=np.int64)
+        for point, agree in zip(overlap.points, overlap.agreement.T, strict=True):
+            tracks.append(Track(point, np.append(ids[name], others[agree])))
     return tracks
 
 
-def _short(number: int) -> str:
-    return f"{number:06d}.png"
+def _short_name(image_id: int) -> str:
+    return f"{image_id:06d}.png"
 
 
 def _link(path: Path, target: Path) -> None:
-    """A relative one, to a place beside the folder of the stage: that is renamed once it is complete."""
+    """Create a relative link to a file outside the stage's folder, which is renamed once it is complete."""
     path.symlink_to(os.path.relpath(target.absolute(), path.parent.absolute()))
 
 
 def write_mesh(fused: Path, out: Path, origin: FloatArray, unit: str | None) -> int:
-    """Write Poisson's mesh (Kazhdan and Hoppe 2013) of a fused cloud as PLY, in the world; the number of its faces.
+    """Write a Poisson mesh (Kazhdan and Hoppe 2013) of a fused cloud, in world coordinates; return its face count.
+
+    Args:
+        fused: the fused .ply file.
+        out: the .ply file to write.
+        origin: world coordinates (3,) of the fused cloud's origin.
+        unit: unit of the coordinates.
 
     Raises:
-        ReconstructionError: there is none.
+        ReconstructionError: meshing failed.
     """
     import pycolmap
 
-    # An octree as deep as the points are dense, were they spread evenly; and surface is left where they are this dense
-    # but for three levels, not where it was made up to close holes.
-    count = int(np.fromfile(_visibility_file(fused), dtype="<u8", count=1)[0])
+    # The octree depth matches the point density of evenly spread points. Trimming removes surface that
+    # only closes holes: surface is kept down to a density three levels below.
+    count = int(np.fromfile(_visibility_path(fused), dtype="<u8", count=1)[0])
     depth = int(np.clip(np.ceil(0.5 * np.log2(count)), 6, 13))
     options = pycolmap.PoissonMeshingOptions()
     options.depth, options.trim = depth, float(depth - 3)

@@ -1,8 +1,8 @@
-"""Depth and normal maps, in memory and as COLMAP writes them.
+"""Depth and normal maps, in memory and in COLMAP's file format.
 
 A map's folder holds `depth.bin`, `normal.bin` and `confidence.bin`. Each file is WIDTH&HEIGHT&CHANNELS& in ASCII, then
-float32 in little-endian order, channel after channel, each of them row after row (COLMAP's mvs/mat.h). The first two
-are what COLMAP reads and writes; the third is in the form of its depth maps.
+float32 in little-endian order, channel by channel, each in row-major order (COLMAP's mvs/mat.h). COLMAP reads and
+writes the first two; the third has the format of its depth maps.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from pcbench.io.files import atomic_write
 
 DEPTH, NORMAL, CONFIDENCE = "depth.bin", "normal.bin", "confidence.bin"
 
-_MOST_HEADER = 64  # bytes: three numbers
+_MAX_HEADER_BYTES = 64  # three integers
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """What an image's pixels show of the surface.
+    """Depths, normals and confidences of an image's pixels.
 
     Args:
-        depth: (H, W) float32, the z coordinates in the camera's frame; 0 where nothing is known.
-        normal: (H, W, 3) float32, unit vectors in the camera's frame that face the camera; 0 where nothing is known.
+        depth: (H, W) float32, z coordinates in the camera's frame; 0 without a depth.
+        normal: (H, W, 3) float32, unit vectors in the camera's frame that face the camera; 0 without a depth.
         confidence: (H, W) float32, from 0 to 1.
 
     Raises:
-        InputError: the shapes do not fit.
+        InputError: the shapes do not match.
     """
 
     depth: NDArray[np.float32]
@@ -48,40 +48,40 @@ class DepthMap:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(H, W), where there is a depth."""
+        """Mask (H, W) of the pixels with a depth."""
         return np.asarray(self.depth > 0)
 
-    def where(self, kept: NDArray[np.bool_]) -> DepthMap:
-        """The same map with nothing known outside `kept` (H, W)."""
+    def where(self, mask: NDArray[np.bool_]) -> DepthMap:
+        """Return the map with depths only inside a mask (H, W)."""
         zero = np.float32(0)
         return DepthMap(
-            np.where(kept, self.depth, zero),
-            np.where(kept[..., None], self.normal, zero),
-            np.where(kept, self.confidence, zero),
+            np.where(mask, self.depth, zero),
+            np.where(mask[..., None], self.normal, zero),
+            np.where(mask, self.confidence, zero),
         )
 
 
-def write_map(folder: Path, made: DepthMap) -> None:
+def write_map(folder: Path, depth_map: DepthMap) -> None:
     """Write the three files of a map into an existing folder.
 
     Raises:
         OSError: a file cannot be written.
     """
-    write_raster(folder / DEPTH, made.depth)
-    write_raster(folder / NORMAL, made.normal)
-    write_raster(folder / CONFIDENCE, made.confidence)
+    write_raster(folder / DEPTH, depth_map.depth)
+    write_raster(folder / NORMAL, depth_map.normal)
+    write_raster(folder / CONFIDENCE, depth_map.confidence)
 
 
 def read_map(folder: Path) -> DepthMap:
-    """The map that `write_map` wrote, or that COLMAP wrote under these names; without a file of confidences they are 1
-    wherever there is a depth.
+    """Read a map that `write_map` wrote, or COLMAP under these names. Without a confidence file, confidence is 1 for
+    all depths.
 
     Raises:
-        InputError: a file is not there, damaged, or of another size; the message starts with the path.
+        InputError: a file is missing, damaged, or of another size; the message starts with the path.
     """
     depth, normal = read_raster(folder / DEPTH), read_raster(folder / NORMAL)
-    given = (folder / CONFIDENCE).is_file()
-    confidence = read_raster(folder / CONFIDENCE) if given else (depth > 0).astype(np.float32)
+    has_confidence = (folder / CONFIDENCE).is_file()
+    confidence = read_raster(folder / CONFIDENCE) if has_confidence else (depth > 0).astype(np.float32)
     try:
         return DepthMap(depth, normal, confidence)
     except InputError as error:
@@ -89,7 +89,7 @@ def read_map(folder: Path) -> DepthMap:
 
 
 def read_depth(folder: Path) -> NDArray[np.float32]:
-    """The depths (H, W) alone of a map.
+    """Read only the depths (H, W) of a map.
 
     Raises:
         InputError: as `read_map`.
@@ -114,23 +114,23 @@ def write_raster(path: Path, values: NDArray[np.float32]) -> None:
 
 
 def read_raster(path: Path) -> NDArray[np.float32]:
-    """An array (H, W), or (H, W, C) where there are more channels than one, in COLMAP's format.
+    """Read an array (H, W), or (H, W, C) with several channels, in COLMAP's format.
 
     Raises:
-        InputError: the file is not there or damaged; the message starts with the path.
+        InputError: the file is missing or damaged; the message starts with the path.
     """
     try:
         with path.open("rb") as file:
-            words = file.read(_MOST_HEADER).split(b"&", 3)
+            words = file.read(_MAX_HEADER_BYTES).split(b"&", 3)
             if len(words) < 4 or not all(word.isdigit() and len(word) < 10 for word in words[:3]):
-                raise InputError(f"{path}: expected a map of COLMAP, which begins with WIDTH&HEIGHT&CHANNELS&")
+                raise InputError(f"{path}: expected a COLMAP map, which starts with WIDTH&HEIGHT&CHANNELS&")
             width, height, channels = map(int, words[:3])
             start = sum(len(word) + 1 for word in words[:3])
             size = file.seek(0, 2) - start
             if not size or size != 4 * width * height * channels:
                 raise InputError(
                     f"{path}: expected {4 * width * height * channels} bytes for {width} x {height} x {channels}"
-                    f" numbers, got {size}: truncated, or no map"
+                    f" values, got {size}: the file is truncated or not a map"
                 )
             file.seek(start)
             values = np.fromfile(file, dtype="<f4").astype(np.float32, copy=False)

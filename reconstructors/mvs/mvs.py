@@ -1,7 +1,7 @@
-"""Dense multi-view stereo: depth and normal maps by PatchMatch, confirmed by each other, fused by COLMAP.
+"""Dense multi-view stereo: PatchMatch depth and normal maps, filtered against each other and fused by COLMAP.
 
-Schonberger et al. 2016 (COLMAP's dense stereo and its fusion), as Gao et al. make their reference with it; the bundled
-matcher is of the same family and runs on any CPU.
+The method is COLMAP's dense stereo and fusion (Schonberger et al. 2016), which Gao et al. use for their reference. The
+bundled matcher is of the same family and runs on any CPU.
 """
 
 from __future__ import annotations
@@ -25,44 +25,44 @@ from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image
-from reconstructors.mvs.backend import Backend, choose_backend, colmap_maps
-from reconstructors.mvs.bundled import Matching, bundled_maps, digest_of
+from reconstructors.mvs.backend import Backend, choose_backend, compute_colmap_maps
+from reconstructors.mvs.bundled import Matching, compute_bundled_maps, stage_digest
 from reconstructors.mvs.filter import Criteria, filter_map
 from reconstructors.mvs.fusion import (
     FUSED,
-    Links,
+    OverlapSamples,
+    build_tracks,
     fuse,
     link_maps,
-    links,
     read_fused,
-    tracks_of,
+    sample_overlap,
     write_mesh,
     write_workspace,
 )
 from reconstructors.mvs.maps import read_map, write_map
-from reconstructors.mvs.plan import MOST_SOURCES, ImageSurvey, MatchingPlan, make_plan, textured_share
+from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, MatchingPlan, make_plan, measure_textured_share
 from reconstructors.mvs.sources import MatchedImage, choose_references
-from reconstructors.mvs.sparse import Sparse, shifted, sparse_of
-from reconstructors.mvs.views import IMAGE, Photographs, in_folder, luminance, pinhole, view_stage
+from reconstructors.mvs.sparse import Sparse, recentered_camera, sparse_from_colmap
+from reconstructors.mvs.views import IMAGE, ViewCache, luminance, pinhole, stage_location, view_stage
 from reconstructors.sfm.features import some
 from reconstructors.sfm.sfm import ColmapSfm
 
-MAPS = "maps"  # in the workspace: a folder for each image, and the model of their cameras
+MAPS = "maps"  # in the workspace: one folder per image, and the model of their cameras
 MESH = "mesh.ply"  # in the workspace
 
-COUNTS = "views.npy"  # in the folder of a map: the number (H, W) of images that agree at each pixel
-_LINKS = "links.npz"
-_SFM = "sfm"  # in the workspace: what `sfm` keeps
-_FEWEST = 3  # images: sparse points are of three
-_CONFIRMING = 12  # images whose maps may confirm a depth
-_SAMPLED = 8  # images that tell how much texture there is
-_SAMPLE_SIDE = 1000  # pixels of their longer side
-_BYTES = 3 * 20 + 4 + 26  # a pixel: depth, normal and confidence three times, the photograph, its part of the cloud
-_KEEP = 3  # views and maps that are kept beside those of a reference and its sources
+COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
+_OVERLAP_FILE = "links.npz"
+_SFM = "sfm"  # in the workspace: the files of `sfm`
+_MIN_IMAGES = 3  # each sparse point is observed by at least three images
+_MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
+_MAX_TEXTURE_SAMPLES = 8  # images from which the share of texture is estimated
+_MAX_SAMPLE_SIDE_PX = 1000  # longer side of these images
+_BYTES_PER_PIXEL = 3 * 20 + 4 + 26  # depth, normal and confidence three times, the photograph, the cloud
+_EXTRA_CACHED_VIEWS = 3  # cached views and maps beyond those of a reference and its sources
 
 
-class _Filtered(NamedTuple):
-    """The stages of the filtered maps that are not empty, and the names of those that are."""
+class _FilteredStages(NamedTuple):
+    """Stages of the filtered maps that have depths, and the names of the images whose maps are empty."""
 
     folders: dict[str, Path]
     empty: list[str]
@@ -70,17 +70,17 @@ class _Filtered(NamedTuple):
 
 @dataclass(frozen=True)
 class DenseMvs:
-    """Dense points with normals and colours by multi-view stereo: PatchMatch on the CPU, or COLMAP's where there is a
-    GPU with CUDA, and COLMAP's fusion.
+    """Dense points with normals and colours by multi-view stereo: PatchMatch on the CPU, or COLMAP's on a GPU with
+    CUDA, then COLMAP's fusion.
 
-    poses: `given` takes the scene's cameras as they are, `solve` finds them, as `sfm` does; `auto` is given where there
-    are some.
-    spacing: of the points that are wanted, in the unit of the cameras: no more is done than it needs; by default what
-    images of up to 2000 pixels give. sources: images that each image is matched with; by default 8, as far as they
-    overlap.
-    backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` takes COLMAP's where it can.
-    confidence: of a depth, from 0 to 1, at least. views: images that have to agree on a point.
-    mesh: leave Poisson's mesh in the workspace too. The workspace keeps the depth and normal maps.
+    poses: `given` uses the scene's cameras as they are, `solve` computes them as `sfm` does; `auto` uses the scene's
+    cameras if it has some.
+    spacing: desired distance between points, in the unit of the cameras; images are matched at the size that it needs.
+    By default they are matched at up to 2000 pixels.
+    sources: images that each image is matched with; by default up to 8, if as many overlap.
+    backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
+    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point.
+    mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
     """
 
     poses: Literal["auto", "given", "solve"] = "auto"
@@ -95,8 +95,8 @@ class DenseMvs:
     def __post_init__(self) -> None:
         if self.spacing is not None and not (np.isfinite(self.spacing) and self.spacing > 0):
             raise ValueError(f"expected a positive spacing, got {self.spacing}")
-        if self.sources is not None and not 1 <= self.sources <= MOST_SOURCES:
-            raise ValueError(f"expected 1 to {MOST_SOURCES} sources, got {self.sources}")
+        if self.sources is not None and not 1 <= self.sources <= MAX_SOURCES_PER_IMAGE:
+            raise ValueError(f"expected 1 to {MAX_SOURCES_PER_IMAGE} sources, got {self.sources}")
         if not 0 <= self.confidence <= 1:
             raise ValueError(f"expected a confidence from 0 to 1, got {self.confidence}")
         if self.views < 2:
@@ -106,185 +106,201 @@ class DenseMvs:
 
     @classmethod
     def missing(cls) -> str | None:
+        """Return why the reconstructor cannot run here; None if it can."""
         return unavailable("pycolmap", "PIL", extra="mvs")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
+        """Compute the cloud; stages in the workspace that are complete are used again.
+
+        Raises:
+            InputError: there are too few images, or the backend cannot run.
+            ReconstructionError: the images do not overlap, no depth is confirmed, or the disk is full.
+        """
         try:
             return self._reconstruct(scene, workspace)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise ReconstructionError(
-                    f"the disk of {workspace} is full: make room and run it again; what is finished is kept"
+                    f"the disk of {workspace} is full: free some space and run it again; finished steps are kept"
                 ) from error
             raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
-        least = max(_FEWEST, self.views)
-        if len(scene) < least:
-            raise InputError(f"expected at least {least} images (three, and {self.views} that agree), got {len(scene)}")
+        min_images = max(_MIN_IMAGES, self.views)
+        if len(scene) < min_images:
+            raise InputError(
+                f"expected at least {min_images} images (three, and {self.views} that agree), got {len(scene)}"
+            )
         backend, why = choose_backend(self.backend)
-        solved = self._solved(scene, workspace)
-        sparse, origin = _local(workspace, solved.cameras)
-        references, plan, notes = self._planned(scene, sparse)
+        solved = self._solve_cameras(scene, workspace)
+        sparse, origin = _local_sparse_model(workspace, solved.cameras)
+        references, plan, notes = self._plan_matching(scene, sparse)
         notes += [f"backend {backend}: {why}", *plan.reasons]
 
-        cameras = {name: pinhole(sparse.cameras[name], plan.scale) for name in _taking_part(references)}
+        cameras = {name: pinhole(sparse.cameras[name], plan.scale) for name in _matched_names(references)}
         _check_disk(workspace, cameras)
         views = {
             name: view_stage(scene, sparse.cameras[name], camera, workspace)
             for name, camera in with_time_left(list(cameras.items()), "undistorting")
         }
-        photographs = Photographs(cameras, views, _CONFIRMING + _KEEP)
+        photographs = ViewCache(cameras, views, _MAX_CONFIRMING_VIEWS + _EXTRA_CACHED_VIEWS)
         matching = Matching(photographs, views, plan, self.seed)
-        # Sources were chosen one after the other: the first of them are those that would be chosen if they were fewer.
-        # The maps of all of them confirm depths, which costs little.
+        # Sources are chosen greedily, so the first N of them are the choice for at most N. Only these are matched; the
+        # maps of all confirm depths, which is cheap.
         matched = [r._replace(sources=r.sources[: plan.sources]) for r in references]
         if backend == "colmap":
-            made = colmap_maps(matching, matched, sparse, workspace)
+            maps = compute_colmap_maps(matching, matched, sparse, workspace)
         else:
-            made = bundled_maps(matching, matched, workspace)
+            maps = compute_bundled_maps(matching, matched, workspace)
 
-        kept = self._filtered(photographs, references, made, workspace)
-        notes += _empties(kept, references)
-        write_colmap_model(workspace / MAPS, [shifted(cameras[name], -origin) for name in kept.folders])
-        fused = self._fused(cameras, views, kept.folders, workspace)
-        counts = {name: folder / COUNTS for name, folder in kept.folders.items()}
+        filtered = self._filter_maps(photographs, references, maps, workspace)
+        notes += _describe_missing_maps(filtered, references)
+        write_colmap_model(workspace / MAPS, [recentered_camera(cameras[name], -origin) for name in filtered.folders])
+        fused = self._fuse_maps(cameras, views, filtered.folders, workspace)
+        counts = {name: folder / COUNTS for name, folder in filtered.folders.items()}
         cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
         cloud = replace(cloud, points=cloud.points + origin, unit=solved.cloud.unit)
         notes.append(
-            f"{len(kept.folders)} depth maps fused; points of {np.median(cloud.attributes['views']):.0f} images"
+            f"{len(filtered.folders)} depth maps fused; median of {np.median(cloud.attributes['views']):.0f} images"
+            " per point"
         )
         if self.mesh:
             progress("meshing")
             faces = write_mesh(fused / FUSED, workspace / MESH, origin, cloud.unit)
-            notes.append(f"Poisson's mesh of {faces} faces: {workspace / MESH}")
+            notes.append(f"Poisson mesh with {faces} faces: {workspace / MESH}")
         return Reconstruction(cloud, solved.gauge, solved.cameras, [*solved.notes, *notes], solved.residuals)
 
-    def _solved(self, scene: Scene, workspace: Path) -> Reconstruction:
-        """Cameras and sparse points. Given cameras need fewer of these: features are found at one size only."""
+    def _solve_cameras(self, scene: Scene, workspace: Path) -> Reconstruction:
+        """Compute cameras and sparse points with `sfm`. With given cameras, one feature scale yields enough points."""
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         progress("sparse points" if given else "cameras and sparse points")
         (workspace / _SFM).mkdir(exist_ok=True)
-        # Of its cloud only the model is used: how many images have to show a point is decided there.
+        # Only the model of this result is used: the minimum number of images per point is applied later.
         sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
         return sfm.reconstruct(scene, workspace / _SFM)
 
-    def _planned(self, scene: Scene, sparse: Sparse) -> tuple[list[MatchedImage], MatchingPlan, list[str]]:
-        """What each image is matched with and how much is done, and a note on the images that are left out."""
-        references, alone = choose_references(sparse, _CONFIRMING)
-        plan = make_plan(_survey(scene, sparse, references), self.spacing, self.sources)
+    def _plan_matching(self, scene: Scene, sparse: Sparse) -> tuple[list[MatchedImage], MatchingPlan, list[str]]:
+        """Choose the sources of each image and the matching plan; the notes name the images that are left out."""
+        references, isolated = choose_references(sparse, _MAX_CONFIRMING_VIEWS)
+        plan = make_plan(_survey_images(scene, sparse, references), self.spacing, self.sources)
         if not any(len(r.sources) >= self.views - 1 for r in references):
             raise ReconstructionError(
-                f"no overlap: no image has {self.views - 1} others that show the same: take more images, or --set"
+                f"no overlap: no image shares its view with {self.views - 1} others: take more images, or --set"
                 f" views={max(2, max(len(r.sources) for r in references) + 1)}"
             )
-        notes = [f"{len(alone)} images share too little with others for depths: {some(alone)}"] if alone else []
+        notes = []
+        if isolated:
+            notes.append(f"{len(isolated)} images overlap too little with others to compute depths: {some(isolated)}")
         return references, plan, notes
 
-    def _filtered(
-        self, photographs: Photographs, references: Sequence[MatchedImage], made: Mapping[str, Path], workspace: Path
-    ) -> _Filtered:
-        """What of the maps other maps confirm, a stage for each image.
+    def _filter_maps(
+        self, photographs: ViewCache, references: Sequence[MatchedImage], maps: Mapping[str, Path], workspace: Path
+    ) -> _FilteredStages:
+        """Keep the depths that other maps confirm, in one stage per image.
 
         Raises:
-            ReconstructionError: nothing is left of any.
+            ReconstructionError: no map has a confirmed depth.
         """
         criteria = Criteria(confidence=self.confidence, views=self.views)
         folders, empty = {}, []
-        for reference in with_time_left([r for r in references if r.name in made], "filtering"):
-            sources = [name for name in reference.sources if name in made]
+        for reference in with_time_left([r for r in references if r.name in maps], "filtering"):
+            sources = [name for name in reference.sources if name in maps]
 
             def make(folder: Path, name: str = reference.name, sources: Sequence[str] = sources) -> None:
                 camera, view = photographs.cameras[name], photographs.view(name)
-                others = [(photographs.cameras[source], photographs.map(made[source])) for source in sources]
-                kept, agree = filter_map(camera, photographs.map(made[name]), others, criteria, view.valid)
+                others = [(photographs.cameras[source], photographs.map(maps[source])) for source in sources]
+                kept, agree = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
                 write_map(folder, kept)
                 np.save(folder / COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
-                found = links(camera, kept, agree, sources)
-                np.savez(folder / _LINKS, points=found.points, agree=found.agree, sources=np.array(sources, dtype=str))
+                overlap = sample_overlap(camera, kept, agree, sources)
+                names = np.array(sources, dtype=str)
+                np.savez(folder / _OVERLAP_FILE, points=overlap.points, agree=overlap.agreement, sources=names)
 
             inputs = {
-                "maps": {name: digest_of(made[name]) for name in (reference.name, *sources)},
+                "maps": {name: stage_digest(maps[name]) for name in (reference.name, *sources)},
                 "criteria": repr(criteria),
-                "files": [COUNTS, _LINKS],
+                "files": [COUNTS, _OVERLAP_FILE],
             }
-            folder = stage(*in_folder(workspace / MAPS, reference.name), inputs, make)
+            folder = stage(*stage_location(workspace / MAPS, reference.name), inputs, make)
             if read_map(folder).known.any():
                 folders[reference.name] = folder
             else:
                 empty.append(reference.name)
         if not folders:
             raise ReconstructionError(
-                f"no map is made: of {len(empty)} images no depth is confident (confidence={self.confidence}) and"
-                f" confirmed by {self.views} images: they have no texture, are blurred or masked, or the cameras are"
-                " wrong"
+                f"no depth map has confirmed depths: in {len(empty)} images no depth is confident"
+                f" (confidence={self.confidence}) and confirmed by {self.views} images. The images lack texture, are"
+                " blurred or masked, or the cameras are wrong"
             )
-        return _Filtered(folders, empty)
+        return _FilteredStages(folders, empty)
 
-    def _fused(
+    def _fuse_maps(
         self, cameras: Mapping[str, Camera], views: Mapping[str, Path], maps: Mapping[str, Path], workspace: Path
     ) -> Path:
-        """The stage with the fused cloud and the workspace it comes from."""
-        inputs = {"maps": {name: digest_of(folder) for name, folder in maps.items()}}
+        """Fuse the filtered maps; return the stage with the fused cloud and COLMAP's workspace."""
+        inputs = {"maps": {name: stage_digest(folder) for name, folder in maps.items()}}
 
         def make(folder: Path) -> None:
             progress(f"fusing {len(maps)} maps")
             used = {name: cameras[name] for name in maps}
-            found = {name: _read_links(path) for name, path in maps.items()}
-            found = {name: _among(link, used) for name, link in found.items()}
-            write_workspace(folder, used, {name: views[name] / IMAGE for name in maps}, tracks_of(found, used))
+            overlaps = {name: _restrict_sources(_read_overlap(path), used) for name, path in maps.items()}
+            write_workspace(folder, used, {name: views[name] / IMAGE for name in maps}, build_tracks(overlaps, used))
             link_maps(folder, maps)
             fuse(folder, folder / FUSED, used, Criteria.normal_deg)
 
         return stage(workspace, "fused", inputs, make)
 
 
-def _local(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[Sparse, FloatArray]:
-    """Cameras and sparse points of `sfm` about the first camera's place, and that place: fusion counts in float32."""
+def _local_sparse_model(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[Sparse, FloatArray]:
+    """Return the cameras and sparse points of `sfm`, recentred at the first camera, and that origin.
+
+    Fusion computes in float32, which needs small coordinates.
+    """
     import pycolmap
 
     model = pycolmap.Reconstruction(workspace / _SFM / "model")
     origin = next(iter(cameras.values())).position.round()
-    return sparse_of(model, cameras).about(origin), origin
+    return sparse_from_colmap(model, cameras).recentered(origin), origin
 
 
-def _taking_part(references: Sequence[MatchedImage]) -> list[str]:
-    """The names of references and their sources."""
+def _matched_names(references: Sequence[MatchedImage]) -> list[str]:
+    """Return the names of the references and their sources, each once."""
     return list(dict.fromkeys(name for r in references for name in (r.name, *r.sources)))
 
 
-def _survey(scene: Scene, sparse: Sparse, references: Sequence[MatchedImage]) -> ImageSurvey:
+def _survey_images(scene: Scene, sparse: Sparse, references: Sequence[MatchedImage]) -> ImageSurvey:
+    """Measure image size, footprint, angles, overlap and texture for the matching plan."""
     cameras = [sparse.cameras[r.name].intrinsics for r in references]
-    names = [r.name for r in references][:: max(1, len(references) // _SAMPLED)]
+    names = [r.name for r in references][:: max(1, len(references) // _MAX_TEXTURE_SAMPLES)]
     samples = []
-    for name in names[:_SAMPLED]:
+    for name in names[:_MAX_TEXTURE_SAMPLES]:
         width, height = scene.size(name)
-        part = min(1.0, _SAMPLE_SIDE / max(width, height))
+        part = min(1.0, _MAX_SAMPLE_SIDE_PX / max(width, height))
         size = (max(1, round(part * width)), max(1, round(part * height)))
         samples.append(luminance(decode_image(scene.folder / name, size)))
     return ImageSurvey(
-        side=round(float(np.median([max(k.width, k.height) for k in cameras]))),
+        side_px=round(float(np.median([max(k.width, k.height) for k in cameras]))),
         footprint=float(np.median([r.median_depth / k.fx for r, k in zip(references, cameras, strict=True)])),
         angle_deg=float(np.median([r.angle_deg for r in references])),
         overlap=float(np.median([len(r.sources) for r in references])),
-        textured=textured_share(samples),
+        textured_share=measure_textured_share(samples),
     )
 
 
 def _check_disk(workspace: Path, cameras: Mapping[str, Camera]) -> None:
-    """Say before an hour of work that its maps do not fit.
+    """Refuse to start if the maps do not fit on the disk.
 
     Raises:
-        ReconstructionError: they do not.
+        ReconstructionError: the disk has too little free space.
     """
     pixels = sum(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
-    kept = [path for folder in workspace.iterdir() if folder.name != _SFM for path in folder.rglob("*")]
-    held = sum(path.stat().st_size for path in kept if path.is_file() and not path.is_symlink())
-    needed, free = _BYTES * pixels - held, shutil.disk_usage(workspace).free
+    present = [path for folder in workspace.iterdir() if folder.name != _SFM for path in folder.rglob("*")]
+    present_bytes = sum(path.stat().st_size for path in present if path.is_file() and not path.is_symlink())
+    needed, free = _BYTES_PER_PIXEL * pixels - present_bytes, shutil.disk_usage(workspace).free
     if needed > free:
         raise ReconstructionError(
-            f"the disk of {workspace} is too full: the maps of {len(cameras)} images take {_mebibytes(needed)} more,"
-            f" and {_mebibytes(free)} are free; make room, or ask for less (--set spacing)"
+            f"the disk of {workspace} is too full: the maps of {len(cameras)} images need {_mebibytes(needed)} more,"
+            f" and {_mebibytes(free)} are free; free some space, or ask for fewer points (--set spacing)"
         )
 
 
@@ -292,18 +308,20 @@ def _mebibytes(size: int) -> str:
     return f"{size / 2**20:,.0f} MiB"
 
 
-def _empties(kept: _Filtered, references: Sequence[MatchedImage]) -> list[str]:
-    """A note on images without a map, or whose map is empty."""
-    lost = [r.name for r in references if r.name not in kept.folders]
-    return [f"{len(lost)} of {len(references)} images have no depth that others confirm: {some(lost)}"] if lost else []
+def _describe_missing_maps(filtered: _FilteredStages, references: Sequence[MatchedImage]) -> list[str]:
+    """Return a note on the images without a confirmed depth, if there are any."""
+    missing = [r.name for r in references if r.name not in filtered.folders]
+    if not missing:
+        return []
+    return [f"{len(missing)} of {len(references)} images have no depth that others confirm: {some(missing)}"]
 
 
-def _read_links(folder: Path) -> Links:
-    with np.load(folder / _LINKS) as file:
-        return Links(file["points"], file["agree"], tuple(str(name) for name in file["sources"]))
+def _read_overlap(folder: Path) -> OverlapSamples:
+    with np.load(folder / _OVERLAP_FILE) as file:
+        return OverlapSamples(file["points"], file["agree"], tuple(str(name) for name in file["sources"]))
 
 
-def _among(link: Links, cameras: Mapping[str, Camera]) -> Links:
-    """What a map's points link among the images that are fused."""
-    used = [k for k, name in enumerate(link.sources) if name in cameras]
-    return Links(link.points, link.agree[used], tuple(link.sources[k] for k in used))
+def _restrict_sources(overlap: OverlapSamples, cameras: Mapping[str, Camera]) -> OverlapSamples:
+    """Return the overlap samples with only those sources that are fused."""
+    used = [k for k, name in enumerate(overlap.sources) if name in cameras]
+    return OverlapSamples(overlap.points, overlap.agreement[used], tuple(overlap.sources[k] for k in used))

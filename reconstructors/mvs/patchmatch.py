@@ -1,8 +1,9 @@
-"""PatchMatch stereo: a depth map of one photograph by comparison with others (Galliani et al. 2015; Schonberger et al.
-2016; Xu and Tao 2019), on any CPU.
+"""PatchMatch stereo on the CPU: the depth map of one photograph by comparison with others (Galliani et al. 2015;
+Schonberger et al. 2016; Xu and Tao 2019).
 
-Every pixel holds a plane. Two coarser levels come first; at each level planes pass from pixel to pixel and are varied
-at random. The same input gives the same maps, on each instruction set and with any number of threads.
+Each pixel has a plane. The search is coarse to fine, over three levels: at each level planes propagate to neighbouring
+pixels and are perturbed at random. The same input gives the same maps, bit for bit, on all instruction sets and with
+any number of threads.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ from reconstructors.mvs.maps import DepthMap
 from reconstructors.mvs.native import _patchmatch
 
 MAX_SOURCES = 16
-MAX_SIDE = 32_000  # pixels, as coordinates in a source are held in fixed point
-_LEAST_SIDE = 32  # pixels: no coarser level has a shorter one
-_BLOCK = 16  # pixels along a side of the parts in which noise is looked for
-_TEXTURE = 2.5  # times the noise's variance: 1 patch of noise alone in 1000 has more
-_VARIED = 3  # sweeps after which the steps of the variation are those of refinement
+MAX_SIDE_PX = 32_000  # coordinates in a source are 16.16 fixed-point numbers
+_MIN_LEVEL_SIDE_PX = 32  # of the shorter side at the coarsest level
+_NOISE_BLOCK_PX = 16  # side of the blocks in which noise is measured
+_MIN_TEXTURE_TO_NOISE = 2.5  # ratio of variances; 1 in 1000 patches of pure noise exceeds it
+_REFINEMENT_SWEEP = 3  # sweep number from which perturbations are small enough for refinement
 
 
 class GrayView(NamedTuple):
-    """An undistorted photograph.
+    """An undistorted grey photograph.
 
     Args:
         gray: (H, W) uint8.
-        camera: a pinhole of that size.
-        valid: (H, W), False where a mask hides the picture; None for nowhere.
+        camera: pinhole of that size.
+        valid: (H, W), False where a mask hides the image; None if all pixels are valid.
     """
 
     gray: NDArray[np.uint8]
@@ -50,39 +51,41 @@ def match(
     iterations: int = 3,
     seed: int = 0,
 ) -> DepthMap:
-    """The depth map that explains the sources best, by their pictures alone.
+    """Compute the depth map that best explains the sources, from the photographs alone.
 
     Args:
-        sources: 1 to 16.
-        depth_range: of the z coordinates in the reference camera's frame, both positive.
-        levels: of the image pyramid, each half as large as the one before.
-        iterations: at each level, one less at full size where coarser levels came first.
+        reference: photograph whose depths are searched.
+        sources: 1 to 16 photographs to compare with.
+        depth_range: smallest and largest z coordinate in the reference camera's frame, both positive.
+        levels: levels of the image pyramid, each half as large as the one before.
+        iterations: sweeps per level; one less at full size after coarser levels.
+        seed: seed of the random perturbations.
 
     Returns:
-        A depth wherever the reference is valid; where nothing is found the confidence says so. The confidence is the
-        mean correlation with the sources that count at a pixel, 0 where it is negative.
+        A depth at each valid pixel of the reference. The confidence is the mean correlation with the sources that
+        count at a pixel, clamped at 0; it is low where no depth explains the sources.
 
     Raises:
-        InputError: there are no sources or too many, a photograph is too large, or the range is empty.
+        InputError: there are no sources or too many, a photograph is too large, or the depth range is empty.
     """
     views = [reference, *sources]
     pyramid = [views]
     for _ in range(levels - 1):
-        if min(min(view.gray.shape) for view in views) < 2 * _LEAST_SIDE:
+        if min(min(view.gray.shape) for view in views) < 2 * _MIN_LEVEL_SIDE_PX:
             break
-        views = [_halved(view) for view in views]
+        views = [_halve(view) for view in views]
         pyramid.append(views)
     state = None
-    for level, (small, *others) in reversed(list(enumerate(pyramid))):
+    for level, (scaled, *others) in reversed(list(enumerate(pyramid))):
         if state is None:
-            state = _State.of(np.zeros((*small.gray.shape, 4), np.float32), len(others))
+            state = _SearchState.initial(np.zeros((*scaled.gray.shape, 4), np.float32), len(others))
         else:
-            state = state.doubled(small.gray.shape)
+            state = state.upsampled(scaled.gray.shape)
         coarsest = level == len(pyramid) - 1
-        # What comes from a coarser level is near enough: a last iteration at full size moved 0.4 % of the depths to
+        # Depths from a coarser level are close already: one more sweep at full size brought 0.4 % of the depths to
         # within a pixel's footprint of the truth, for a third of the time.
         count = iterations if level or coarsest else max(1, iterations - 1)
-        state.improve(small, others, None, depth_range, count, 0 if coarsest else _VARIED - 1, seed + level)
+        state.improve(scaled, others, None, depth_range, count, 0 if coarsest else _REFINEMENT_SWEEP - 1, seed + level)
     assert state is not None
     return state.map()
 
@@ -97,37 +100,44 @@ def refine(
     iterations: int = 2,
     seed: int = 0,
 ) -> DepthMap:
-    """A map that also agrees with the sources' own maps (Xu and Tao 2019, sec. 4.2).
+    """Refine a depth map so that it also agrees with the maps of its sources (Xu and Tao 2019, sec. 4.2).
 
     Args:
-        source_depths: of each source the depth map that `match` found, of its size.
-        initial: what `match` found for the reference.
+        reference: photograph whose depths are refined.
+        sources: 1 to 16 photographs to compare with.
+        source_depths: for each source the depth map from `match`, of the source's size.
+        initial: depth map of the reference from `match`.
+        depth_range: smallest and largest z coordinate in the reference camera's frame, both positive.
+        iterations: sweeps.
+        seed: seed of the random perturbations.
 
     Raises:
         InputError: as `match`.
     """
     planes = np.concatenate([initial.depth[..., None], initial.normal], axis=2, dtype=np.float32)
-    state = _State.of(planes, len(sources))
-    state.improve(reference, sources, source_depths, depth_range, iterations, _VARIED, seed)
+    state = _SearchState.initial(planes, len(sources))
+    state.improve(reference, sources, source_depths, depth_range, iterations, _REFINEMENT_SWEEP, seed)
     return state.map()
 
 
-class _State(NamedTuple):
+class _SearchState(NamedTuple):
+    """Plane and costs of each pixel during the search."""
+
     planes: NDArray[np.float32]  # (H, W, 4), depth and normal
-    cost: NDArray[np.float32]
-    view_costs: NDArray[np.float32]
+    cost: NDArray[np.float32]  # (H, W)
+    view_costs: NDArray[np.float32]  # (H, W, sources)
 
     @classmethod
-    def of(cls, planes: NDArray[np.float32], sources: int) -> _State:
+    def initial(cls, planes: NDArray[np.float32], sources: int) -> _SearchState:
         shape = planes.shape[:2]
         return cls(planes, np.zeros(shape, np.float32), np.zeros((*shape, sources), np.float32))
 
-    def doubled(self, shape: tuple[int, ...]) -> _State:
-        """The planes at the next finer level: pixels there get the plane of the pixel that they were part of."""
+    def upsampled(self, shape: tuple[int, ...]) -> _SearchState:
+        """Return the state at the next finer level: each pixel gets the plane of its coarser pixel."""
         rows, columns = (
             np.minimum(np.arange(n) // 2, m - 1) for n, m in zip(shape, self.planes.shape[:2], strict=True)
         )
-        return _State.of(self.planes[np.ix_(rows, columns)], self.view_costs.shape[2])
+        return _SearchState.initial(self.planes[np.ix_(rows, columns)], self.view_costs.shape[2])
 
     def improve(
         self,
@@ -136,52 +146,58 @@ class _State(NamedTuple):
         depths: Sequence[NDArray[np.float32]] | None,
         depth_range: tuple[float, float],
         iterations: int,
-        first: int,
+        first_sweep: int,
         seed: int,
     ) -> None:
+        """Run sweeps of the compiled search in place; perturbations shrink with the sweep number."""
         nearest, farthest = depth_range
         if not 1 <= len(sources) <= MAX_SOURCES:
             raise InputError(f"expected 1 to {MAX_SOURCES} sources, got {len(sources)}")
         longest = max(max(view.gray.shape) for view in (reference, *sources))
-        if longest > MAX_SIDE:
-            raise InputError(f"expected photographs of at most {MAX_SIDE} pixels a side, got {longest}: halve them")
+        if longest > MAX_SIDE_PX:
+            raise InputError(
+                f"expected photographs of at most {MAX_SIDE_PX} pixels along each side, got {longest}; halve their size"
+            )
         if not 0 < nearest < farthest:
-            raise InputError(f"expected a range of positive depths, got {nearest:g} to {farthest:g}")
-        k = _matrix(reference.camera)
+            raise InputError(f"expected 0 < smallest < largest depth, got {nearest:g} to {farthest:g}")
+        k = _zero_based_matrix(reference.camera)
         pinhole = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]], np.float32)
         valid = None if reference.valid is None else np.ascontiguousarray(reference.valid, dtype=np.uint8)
-        moves = [_pixels_per_depth(reference.camera, source.camera, depth_range) for source in sources]
-        least = max(1.0, _TEXTURE * noise_variance(reference.gray))
+        motions = [_pixels_per_depth(reference.camera, source.camera, depth_range) for source in sources]
+        min_variance = max(1.0, _MIN_TEXTURE_TO_NOISE * noise_variance(reference.gray))
         matcher = _patchmatch.Matcher(
-            reference.gray, pinhole, valid, nearest, farthest, float(np.median(moves)), least, seed
+            reference.gray, pinhole, valid, nearest, farthest, float(np.median(motions)), min_variance, seed
         )
         for i, source in enumerate(sources):
-            there, back = _motion(reference.camera, source.camera), _motion(source.camera, reference.camera)
-            shown = None if source.valid is None else source.valid.astype(np.float32)
-            matcher.add_source(source.gray, there, None if depths is None else depths[i], back, shown)
-        matcher.run(self.planes, self.cost, self.view_costs, iterations, first)
+            forward = _projection_between(reference.camera, source.camera)
+            backward = _projection_between(source.camera, reference.camera)
+            visible = None if source.valid is None else source.valid.astype(np.float32)
+            matcher.add_source(source.gray, forward, None if depths is None else depths[i], backward, visible)
+        matcher.run(self.planes, self.cost, self.view_costs, iterations, first_sweep)
 
     def map(self) -> DepthMap:
+        """Return the depth map; the confidence is one minus the cost, clamped to 0 to 1."""
         depth, normal = self.planes[..., 0], self.planes[..., 1:]
         return DepthMap(np.ascontiguousarray(depth), np.ascontiguousarray(normal), np.clip(1 - self.cost, 0, 1))
 
 
 def noise_variance(gray: NDArray[np.uint8]) -> float:
-    """Of a picture (H, W), in grey levels squared: what is left of its flattest parts after Immerkaer's operator
-    (1996), which takes planes and second derivatives away. 0 for a picture too small to tell.
+    """Estimate the noise variance of an image (H, W), in squared grey levels; 0 for an image that is too small.
+
+    It is measured in the flattest blocks after Immerkaer's operator (1996), which removes planes and most structure.
     """
-    rows, columns = ((n - 2) // _BLOCK for n in gray.shape)
+    rows, columns = ((n - 2) // _NOISE_BLOCK_PX for n in gray.shape)
     if rows < 1 or columns < 1:
         return 0.0
     values = gray.astype(np.int16)
     down = values[:-2] - 2 * values[1:-1] + values[2:]
-    left = np.abs(down[:, :-2] - 2 * down[:, 1:-1] + down[:, 2:])[: rows * _BLOCK, : columns * _BLOCK]
-    blocks = left.reshape(rows, _BLOCK, columns, _BLOCK).mean(axis=(1, 3))
+    left = np.abs(down[:, :-2] - 2 * down[:, 1:-1] + down[:, 2:])[: rows * _NOISE_BLOCK_PX, : columns * _NOISE_BLOCK_PX]
+    blocks = left.reshape(rows, _NOISE_BLOCK_PX, columns, _NOISE_BLOCK_PX).mean(axis=(1, 3))
     return float(0.5 * np.pi * (np.percentile(blocks, 5) / 6) ** 2)
 
 
-def _halved(view: GrayView) -> GrayView:
-    """Means over 2 x 2 pixels; an odd last row or column is left out."""
+def _halve(view: GrayView) -> GrayView:
+    """Average blocks of 2 x 2 pixels; an odd last row or column is dropped."""
     height, width = view.gray.shape[0] // 2, view.gray.shape[1] // 2
     cut = view.gray[: 2 * height, : 2 * width].astype(np.uint16).reshape(height, 2, width, 2)
     gray = ((cut.sum(axis=(1, 3)) + 2) // 4).astype(np.uint8)
@@ -193,26 +209,27 @@ def _halved(view: GrayView) -> GrayView:
     return GrayView(gray, Camera(view.camera.name, half, view.camera.cam_from_world), valid)
 
 
-def _matrix(camera: Camera) -> FloatArray:
-    """K for pixel coordinates in which the first pixel's centre is (0, 0)."""
+def _zero_based_matrix(camera: Camera) -> FloatArray:
+    """Return K for pixel coordinates in which the first pixel's centre is (0, 0)."""
     matrix = camera.intrinsics.matrix
     matrix[:2, 2] -= 0.5
     return matrix
 
 
-def _motion(one: Camera, other: Camera) -> NDArray[np.float32]:
-    """(3, 4), from homogeneous pixels times depth of one camera to those of the other."""
+def _projection_between(one: Camera, other: Camera) -> NDArray[np.float32]:
+    """Return the (3, 4) map from homogeneous pixels times depth of one camera to those of the other."""
     relative = other.cam_from_world @ one.cam_from_world.inverse()
-    turn = _matrix(other) @ relative.rotation @ np.linalg.inv(_matrix(one))
-    return np.column_stack([turn, _matrix(other) @ relative.translation]).astype(np.float32)
+    rotation = _zero_based_matrix(other) @ relative.rotation @ np.linalg.inv(_zero_based_matrix(one))
+    translation = _zero_based_matrix(other) @ relative.translation
+    return np.column_stack([rotation, translation]).astype(np.float32)
 
 
 def _pixels_per_depth(one: Camera, other: Camera, depth_range: tuple[float, float]) -> float:
-    """How far, in pixels, what `one` shows in its middle moves in the other while its inverse depth changes by one."""
-    motion = _motion(one, other).astype(np.float64)
-    middle = np.array([one.intrinsics.cx, one.intrinsics.cy, 1.0])
+    """Return how many pixels the centre of `one` moves in `other` per unit of inverse depth."""
+    projection = _projection_between(one, other).astype(np.float64)
+    centre = np.array([one.intrinsics.cx, one.intrinsics.cy, 1.0])
     inverse = 0.5 * (1 / depth_range[0] + 1 / depth_range[1])
-    at = motion[:, :3] @ middle + motion[:, 3] * inverse
+    at = projection[:, :3] @ centre + projection[:, 3] * inverse
     x, y = at[:2] / at[2]
-    moved = (motion[:2, 3] - np.array([x, y]) * motion[2, 3]) / at[2]
+    moved = (projection[:2, 3] - np.array([x, y]) * projection[2, 3]) / at[2]
     return max(float(np.hypot(*moved)), 1e-9)

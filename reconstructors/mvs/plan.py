@@ -1,6 +1,4 @@
-"""How much is done: the size of the images, the number of sources and of iterations, from the spacing of points that is
-wanted and from what the images can give.
-"""
+"""Matching effort: image size, sources and iterations, chosen from the desired point spacing and the images."""
 
 from __future__ import annotations
 
@@ -11,114 +9,118 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_MOST_SIDE = 2000  # pixels of the images that are matched, where no spacing is asked for: half of larger ones, or less
-_LEAST_SIDE = 240  # a shorter image shows patches of nothing but edges
-_LEAST_LEVEL = 60  # pixels of the shorter side at the coarsest level
-# What few images show is missed where most of these are no sources of each other: in a city 0.43 of what three show was
-# there with half as many sources, 0.57 with these. Half as many again added nothing.
-MOST_SOURCES = 8
-_POOR = 0.5  # share of textured patches: with less, depths have further to go from where they are found
-_PATCH, _FLAT = 9, 4.0  # pixels along a patch; standard deviation of grey values in a patch without texture
+_MAX_SIDE_PX = 2000  # of the matched images if no spacing is given; larger ones are halved until they fit
+_MIN_SIDE_PX = 240  # in smaller images most patches contain edges
+_MIN_LEVEL_SIDE_PX = 60  # shorter side at the coarsest level
+# Surface that few images observe is missed if these images are not sources of each other. In a city, the recall of
+# surface in exactly three images was 0.43 with half as many sources and 0.57 with these; 50 % more added nothing.
+MAX_SOURCES_PER_IMAGE = 8
+_LOW_TEXTURE_SHARE = 0.5  # below this share of textured patches, depths must propagate further: one more iteration
+_PATCH_SIDE_PX = 9
+_MIN_TEXTURE_DEVIATION = 4.0  # standard deviation of the grey values in a textured patch
 
 
 @dataclass(frozen=True)
 class ImageSurvey:
-    """What the images can give.
+    """Measurements of the images from which the matching plan is made.
 
     Args:
-        side: pixels of the longer side of the images, median.
-        footprint: of a pixel at the sparse points, median, in the units of the cameras.
-        angle_deg: at which sources and references see points, median.
-        overlap: images that could be sources of an image, median.
-        textured: share of the patches that are not flat.
+        side_px: median of the longer sides of the images.
+        footprint: median size of a pixel at the sparse points, in the unit of the cameras.
+        angle_deg: median triangulation angle between references and sources.
+        overlap: median number of images that could be sources of an image.
+        textured_share: share of the patches with texture.
     """
 
-    side: int
+    side_px: int
     footprint: float
     angle_deg: float
     overlap: float
-    textured: float
+    textured_share: float
 
 
 @dataclass(frozen=True)
 class MatchingPlan:
-    """How much is done.
+    """Matching effort.
 
     Args:
-        scale: of the images that are matched.
-        sources: of each image, at most.
-        levels: sizes at which depths are looked for, each half of the next.
-        iterations: by the photographs alone.
-        geometric: with the depths of the sources.
-        spacing: of the points that are expected.
-        reasons: of the choice, a line each.
+        scale: scale of the matched images relative to the photographs.
+        sources: maximum number of sources per image.
+        levels: number of image sizes at which depths are searched, each half of the next.
+        photometric_iterations: sweeps that compare photographs only.
+        geometric_iterations: sweeps that also compare the depths of the sources.
+        spacing: expected distance between points.
+        reasons: explanations of the choices, one line each.
     """
 
     scale: float
     sources: int
     levels: int
-    iterations: int
-    geometric: int
+    photometric_iterations: int
+    geometric_iterations: int
     spacing: float
     reasons: tuple[str, ...]
 
 
 def make_plan(survey: ImageSurvey, spacing: float | None, sources: int | None) -> MatchingPlan:
-    """How much is done for points so far apart.
+    """Plan the matching for a desired point spacing.
 
     Args:
-        spacing: in the units of the cameras; None for what images of up to 2000 pixels give.
-        sources: None for as many as are of use, as far as images overlap.
+        survey: measurements of the images.
+        spacing: desired distance between points, in the unit of the cameras; None for images of up to 2000 pixels.
+        sources: maximum number of sources per image; None for 8, or fewer if fewer overlap.
     """
-    scale, why_scale = _scale(survey, spacing)
+    scale, why_scale = _choose_scale(survey, spacing)
     expected = survey.footprint / scale
-    count, why_sources = (sources, "as asked for") if sources else _sources(survey)
-    iterations, why_iterations = 3, f"{survey.textured:.0%} of the patches have texture"
-    if survey.textured < _POOR:
+    count, why_sources = (sources, "as requested") if sources else _choose_source_count(survey)
+    iterations, why_iterations = 3, f"{survey.textured_share:.0%} of the patches have texture"
+    if survey.textured_share < _LOW_TEXTURE_SHARE:
         iterations = 4
-    side = max(1, round(scale * survey.side))
-    levels = max(1, min(3, 1 + int(math.log2(max(1.0, 0.6 * side / _LEAST_LEVEL)))))
+    side = max(1, round(scale * survey.side_px))
+    levels = max(1, min(3, 1 + int(math.log2(max(1.0, 0.6 * side / _MIN_LEVEL_SIDE_PX)))))
     reasons = (
         f"images of {side} pixels along the longer side, {why_scale}: points about {expected:.3g} apart",
-        f"up to {count} sources an image, {why_sources}",
+        f"up to {count} sources per image, {why_sources}",
         f"{iterations} + 2 iterations over {levels} levels: {why_iterations}",
     )
     return MatchingPlan(scale, count, levels, iterations, 2, expected, reasons)
 
 
-def _scale(survey: ImageSurvey, spacing: float | None) -> tuple[float, str]:
+def _choose_scale(survey: ImageSurvey, spacing: float | None) -> tuple[float, str]:
     if spacing is None:
-        halvings = max(0, math.ceil(math.log2(survey.side / _MOST_SIDE)))
+        halvings = max(0, math.ceil(math.log2(survey.side_px / _MAX_SIDE_PX)))
         if not halvings:
             return 1.0, "their full size"
         return (
             0.5**halvings,
-            f"1/{2**halvings} of their size, to be at most {_MOST_SIDE} (spacing asks for more or less)",
+            f"1/{2**halvings} of their size, at most {_MAX_SIDE_PX} pixels (set spacing for denser or sparser points)",
         )
     wanted = survey.footprint / spacing
-    least = min(1.0, _LEAST_SIDE / survey.side)
+    least = min(1.0, _MIN_SIDE_PX / survey.side_px)
     if wanted > 1:
-        return 1.0, f"their full size (a spacing of {spacing:.3g} is finer)"
+        return 1.0, f"their full size (the requested spacing of {spacing:.3g} is finer than the images allow)"
     if wanted < least:
-        return least, f"the smallest that can be matched (a spacing of {spacing:.3g} is coarser)"
-    return wanted, f"{wanted:.2f} of their size, as a spacing of {spacing:.3g} asks for"
+        return least, f"the smallest size that can be matched (the requested spacing of {spacing:.3g} is coarser)"
+    return wanted, f"{wanted:.2f} of their size, for the requested spacing of {spacing:.3g}"
 
 
-def _sources(survey: ImageSurvey) -> tuple[int, str]:
-    """So many that what few images show is matched with those that show it, as far as images overlap."""
-    seen = f"they see points at {survey.angle_deg:.0f} degrees (median)"
-    if survey.overlap < MOST_SOURCES:
-        return max(1, math.floor(survey.overlap)), f"{seen}, and no more overlap"
-    return MOST_SOURCES, seen
+def _choose_source_count(survey: ImageSurvey) -> tuple[int, str]:
+    """Choose the number of sources: the maximum, or as many images as typically overlap."""
+    angles = f"with a median triangulation angle of {survey.angle_deg:.0f} degrees"
+    if survey.overlap < MAX_SOURCES_PER_IMAGE:
+        return max(1, math.floor(survey.overlap)), f"{angles}; no more images overlap"
+    return MAX_SOURCES_PER_IMAGE, angles
 
 
-def textured_share(images: Sequence[NDArray[np.uint8]]) -> float:
-    """The share of the patches of grey images (H, W) that are not flat."""
+def measure_textured_share(images: Sequence[NDArray[np.uint8]]) -> float:
+    """Return the share of the patches with texture in grey images (H, W)."""
     textured = total = 0
     for image in images:
-        rows, columns = (size // _PATCH for size in image.shape)
-        patches = image[: rows * _PATCH, : columns * _PATCH].reshape(rows, _PATCH, columns, _PATCH)
+        rows, columns = (size // _PATCH_SIDE_PX for size in image.shape)
+        patches = image[: rows * _PATCH_SIDE_PX, : columns * _PATCH_SIDE_PX].reshape(
+            rows, _PATCH_SIDE_PX, columns, _PATCH_SIDE_PX
+        )
         deviations = patches.std(axis=(1, 3), dtype=np.float32)
-        textured += int((deviations > _FLAT).sum())
+        textured += int((deviations > _MIN_TEXTURE_DEVIATION).sum())
         total += deviations.size
     return textured / max(1, total)

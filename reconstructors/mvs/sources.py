@@ -1,4 +1,4 @@
-"""Which images a reference is matched with, and between which depths."""
+"""Choice of the source images and the depth range of each reference image."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.visibility import in_frame
 from reconstructors.mvs.sparse import Sparse
 
-_MIN_POINTS = 30  # of an image; with fewer, those count too that lie in its frame and other images show
-_MIN_SHARED = 5  # points that two images have to share at an angle that tells depths
-# Degrees between the lines of sight. Below the first depths are uncertain, below the least a map would be noise; above
-# the last the images look too different to be matched.
-_LEAST_DEG, _GOOD_DEG, _WIDE_DEG, _FALL_DEG = 1.0, 10.0, 30.0, 15.0
-_BEST = 4  # sources whose angles are told
-_MARGIN = 0.25  # of the nearest and the farthest depth, as COLMAP's
-_TAIL = 0.01  # of the points at each end: some are wrong
+_MIN_POINTS = 30  # observed by an image; with fewer, all points in its frame count
+_MIN_SHARED_POINTS = 5  # that two images must share at a useful angle
+# Triangulation angles. Below the full-weight angle depths become uncertain, below the minimum they would be noise. The
+# images look too different to be matched above the wide angle.
+_MIN_ANGLE_DEG, _FULL_WEIGHT_DEG, _WIDE_ANGLE_DEG, _WIDE_FALLOFF_DEG = 1.0, 10.0, 30.0, 15.0
+_MAX_ANGLE_SOURCES = 4  # sources whose angles are reported
+_DEPTH_MARGIN = 0.25  # share added beyond the nearest and the farthest depth, as COLMAP does
+_DEPTH_TAIL_SHARE = 0.01  # of the points ignored at each end: some are wrong
 
 
 class MatchedImage(NamedTuple):
-    """What one image is matched with.
+    """A reference image with its sources and its depth range.
 
     Args:
-        name: of the image.
-        sources: names of the others, the best first.
-        depths: nearest and farthest.
-        median_depth: of its points.
-        angle_deg: median over its points of the angle at which the best four sources see them.
+        name: name of the reference image.
+        sources: names of the source images, the best first.
+        depths: smallest and largest depth.
+        median_depth: median depth of its points.
+        angle_deg: median triangulation angle of its points with the best four sources.
     """
 
     name: str
@@ -41,66 +41,70 @@ class MatchedImage(NamedTuple):
     angle_deg: float
 
 
-def choose_references(sparse: Sparse, most: int) -> tuple[list[MatchedImage], list[str]]:
-    """What each image is matched with, at most `most` sources; and the names of the images that share too little.
+def choose_references(sparse: Sparse, max_sources: int) -> tuple[list[MatchedImage], list[str]]:
+    """Choose the sources of each image; return the references and the names of the images without sources.
 
-    The sources are chosen one after the other, each for the points that it shows at a good angle and that those before
-    it leave uncertain: from one side alone, what is hidden there would be hidden from all. Those that share features
-    come first, those whose frames alone have the points after them.
+    Sources are chosen greedily: each gains most for points that it observes at a good angle and that the sources before
+    it leave uncertain. Otherwise all sources could lie on one side, where the same surface is hidden from all of them.
+    Images that share features come first, then images whose frames only contain the points.
+
+    Args:
+        sparse: cameras and sparse points.
+        max_sources: maximum number of sources per image.
 
     Raises:
         ReconstructionError: no image has a source.
     """
-    found, alone = [], []
+    references, isolated = [], []
     for name in sparse.names:
-        reference = _choose(sparse, name, most)
+        reference = _choose_sources(sparse, name, max_sources)
         if reference is None:
-            alone.append(name)
+            isolated.append(name)
         else:
-            found.append(reference)
-    if not found:
-        raise ReconstructionError(_why_alone(sparse))
-    return found, alone
+            references.append(reference)
+    if not references:
+        raise ReconstructionError(_explain_no_sources(sparse))
+    return references, isolated
 
 
-def _choose(sparse: Sparse, name: str, most: int) -> MatchedImage | None:
+def _choose_sources(sparse: Sparse, name: str, max_sources: int) -> MatchedImage | None:
     camera = sparse.cameras[name]
-    numbers = sparse.shown(name)
-    by_frame = len(numbers) < _MIN_POINTS
+    indices = sparse.observed_points(name)
+    by_frame = len(indices) < _MIN_POINTS
     if by_frame:
-        numbers = np.flatnonzero(in_frame(camera, sparse.points)).astype(np.int64)
-    points = sparse.points[numbers]
+        indices = np.flatnonzero(in_frame(camera, sparse.points)).astype(np.int64)
+    points = sparse.points[indices]
     depths = camera.cam_from_world.apply(points)[:, 2]
-    numbers, points, depths = numbers[depths > 0], points[depths > 0], depths[depths > 0]
+    indices, points, depths = indices[depths > 0], points[depths > 0], depths[depths > 0]
     others = [other for other in sparse.names if other != name]
     if not len(points) or not others:
         return None
     angles = np.stack([angles_deg(camera, sparse.cameras[other], points) for other in others])
-    weights = angle_weights(angles) * _sharpness(camera, [sparse.cameras[other] for other in others], points)
+    weights = angle_weights(angles) * _relative_resolution(camera, [sparse.cameras[other] for other in others], points)
     chosen = list[int]()
     if not by_frame:
-        chosen = _greedy(weights * _shown_by(sparse, others, numbers), most, chosen)
-    # Features are not found again from everywhere a surface is seen from.
+        chosen = _choose_greedily(weights * _observations(sparse, others, indices), max_sources, chosen)
+    # A surface is visible from more images than those in which its features are matched.
     weights *= np.stack([in_frame(sparse.cameras[other], points) for other in others])
-    chosen = _greedy(weights, most, chosen)
+    chosen = _choose_greedily(weights, max_sources, chosen)
     if not chosen:
         return None
-    best = chosen[:_BEST]
-    seen = np.where(weights[best] > 0, angles[best], np.nan)
-    # One point at each end at least is left out.
-    near = np.quantile(depths, _TAIL, method="higher")
-    far = np.quantile(depths, 1 - _TAIL, method="lower")
+    best = chosen[:_MAX_ANGLE_SOURCES]
+    source_angles = np.where(weights[best] > 0, angles[best], np.nan)
+    # "higher" and "lower" ignore at least one point at each end.
+    near = np.quantile(depths, _DEPTH_TAIL_SHARE, method="higher")
+    far = np.quantile(depths, 1 - _DEPTH_TAIL_SHARE, method="lower")
     return MatchedImage(
         name,
         tuple(others[k] for k in chosen),
-        (float((1 - _MARGIN) * near), float((1 + _MARGIN) * far)),
+        (float((1 - _DEPTH_MARGIN) * near), float((1 + _DEPTH_MARGIN) * far)),
         float(np.median(depths)),
-        float(np.nanmedian(seen)),
+        float(np.nanmedian(source_angles)),
     )
 
 
 def angles_deg(a: Camera, b: Camera, points: FloatArray) -> FloatArray:
-    """Between the lines of sight of two cameras at points (N, 3), in degrees (N,)."""
+    """Return the triangulation angles in degrees (N,) of two cameras at points (N, 3)."""
     u, v = a.position - points, b.position - points
     across = np.linalg.norm(np.cross(u, v), axis=1)
     angles: FloatArray = np.degrees(np.arctan2(across, np.einsum("ni,ni->n", u, v)))
@@ -108,39 +112,38 @@ def angles_deg(a: Camera, b: Camera, points: FloatArray) -> FloatArray:
 
 
 def angle_weights(degrees: FloatArray) -> FloatArray:
-    """From 0 to 1, how well images at such angles tell depths and can still be matched."""
-    narrow = np.clip(degrees / _GOOD_DEG, 0, 1) ** 2
-    wide = np.exp(-0.5 * (np.maximum(degrees - _WIDE_DEG, 0) / _FALL_DEG) ** 2)
-    weights: FloatArray = np.where(degrees < _LEAST_DEG, 0.0, narrow * wide)
+    """Return weights from 0 to 1 for triangulation angles: high if depths are well determined and images match."""
+    narrow = np.clip(degrees / _FULL_WEIGHT_DEG, 0, 1) ** 2
+    wide = np.exp(-0.5 * (np.maximum(degrees - _WIDE_ANGLE_DEG, 0) / _WIDE_FALLOFF_DEG) ** 2)
+    weights: FloatArray = np.where(degrees < _MIN_ANGLE_DEG, 0.0, narrow * wide)
     return weights
 
 
-def _sharpness(camera: Camera, others: Sequence[Camera], points: FloatArray) -> FloatArray:
-    """(others, N): the pixel of the reference over that of another at points, at most 1: one that stands further off
-    shows less.
-    """
+def _relative_resolution(camera: Camera, others: Sequence[Camera], points: FloatArray) -> FloatArray:
+    """Return (others, N), at most 1: the reference's pixel size at the points over the other image's."""
     sizes = [c.cam_from_world.apply(points)[:, 2] / c.intrinsics.fx for c in (camera, *others)]
-    own = np.stack(sizes[1:])
+    other_sizes = np.stack(sizes[1:])
     with np.errstate(divide="ignore"):
-        ratio: FloatArray = np.where(own > 0, np.minimum(1.0, sizes[0] / own), 0.0)
+        ratio: FloatArray = np.where(other_sizes > 0, np.minimum(1.0, sizes[0] / other_sizes), 0.0)
     return ratio
 
 
-def _shown_by(sparse: Sparse, others: Sequence[str], numbers: IntArray) -> FloatArray:
-    """(others, N): 1 where a feature of another image is of the point."""
+def _observations(sparse: Sparse, others: Sequence[str], indices: IntArray) -> FloatArray:
+    """Return (others, N): 1 if another image has a feature of the point."""
     columns = [sparse.names.index(other) for other in others]
-    shown: FloatArray = sparse.shows[numbers][:, columns].toarray().T.astype(np.float64)
-    return shown
+    observed: FloatArray = sparse.visibility[indices][:, columns].toarray().T.astype(np.float64)
+    return observed
 
 
-def _greedy(weights: FloatArray, most: int, before: Sequence[int]) -> list[int]:
-    """Rows of `weights` (others, N) after those `before`, one after the other: each gains a point's weight over what
-    the rows before it gave to that point.
+def _choose_greedily(weights: FloatArray, max_count: int, initial: Sequence[int]) -> list[int]:
+    """Extend the `initial` rows of `weights` (others, N) one by one, up to `max_count` rows.
+
+    A row's gain is the sum over the points of its weight, divided by one plus the weights of the rows before it.
     """
-    chosen = list(before)
+    chosen = list(initial)
     covered = 1 + weights[chosen].sum(axis=0)
-    enough = (weights > 0).sum(axis=1) >= min(_MIN_SHARED, weights.shape[1])
-    while len(chosen) < most:
+    enough = (weights > 0).sum(axis=1) >= min(_MIN_SHARED_POINTS, weights.shape[1])
+    while len(chosen) < max_count:
         gains = (weights / covered).sum(axis=1)
         gains[~enough] = 0
         gains[chosen] = 0
@@ -152,16 +155,18 @@ def _greedy(weights: FloatArray, most: int, before: Sequence[int]) -> list[int]:
     return chosen
 
 
-def _why_alone(sparse: Sparse) -> str:
-    """Why no image has a source."""
+def _explain_no_sources(sparse: Sparse) -> str:
+    """Explain why no image has a source."""
     if not len(sparse.points):
-        return "no overlap: no point is shown by three images: take more images with more overlap, or give cameras"
+        return (
+            "no overlap: no point is observed by three images; take more images with more overlap, or provide cameras"
+        )
     positions = np.stack([camera.position for camera in sparse.cameras.values()])
     spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
     distance = float(np.median(np.linalg.norm(sparse.points - positions.mean(axis=0), axis=1)))
-    if spread < np.radians(_LEAST_DEG) * distance:
+    if spread < np.radians(_MIN_ANGLE_DEG) * distance:
         return (
-            f"degenerate baselines: the cameras stand within {spread:.3g} of one place, and what they look at is"
-            f" {distance:.3g} away: depths need images from different places"
+            f"degenerate baselines: the cameras lie within {spread:.3g} of one position, and the scene is"
+            f" {distance:.3g} away; take images from more distant positions"
         )
-    return "no overlap: no two images share points at an angle that tells depths: take images closer to each other"
+    return "no overlap: no two images share points at a sufficient angle; take images with more overlap"

@@ -1,4 +1,4 @@
-"""Photographs as pinholes take them: undistorted, at the size that is matched, with their masks."""
+"""Undistorted photographs as pinhole cameras take them, at the size that is matched, with their masks."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ from pcbench.scenes.decode import decode_image, decode_mask
 from reconstructors.mvs.maps import read_depth, read_map
 from reconstructors.mvs.patchmatch import GrayView
 
-VIEWS = "views"  # in the workspace: image.png and perhaps mask.png in a folder for each image
+VIEWS = "views"  # in the workspace: one folder per image with image.png and, for a masked image, mask.png
 IMAGE, MASK = "image.png", "mask.png"
-_MOST_WIDER = 1.25  # a pinhole's image may be than the photograph: what a wide lens has in its corners is left out
+_MAX_WIDENING = 1.25  # size of the pinhole's image relative to the photograph; a wide lens's corners are cropped
 
 
-class Photographs:
-    """The views and maps of the images, read when they are asked for; the last few are kept.
+class ViewCache:
+    """Views and maps of the images, read on demand; the most recent ones are cached.
 
     Args:
         cameras: pinholes by image name.
         views: folders of the views by image name.
-        keep: how many views and maps are kept.
+        cache_size: number of views, and of maps, to cache.
     """
 
-    def __init__(self, cameras: Mapping[str, Camera], views: Mapping[str, Path], keep: int) -> None:
+    def __init__(self, cameras: Mapping[str, Camera], views: Mapping[str, Path], cache_size: int) -> None:
         self.cameras = cameras
         self._views = views
-        self.view = lru_cache(keep)(self._view)
-        self.map = lru_cache(keep)(read_map)
-        self.depth = lru_cache(keep)(read_depth)
+        self.view = lru_cache(cache_size)(self._view)
+        self.map = lru_cache(cache_size)(read_map)
+        self.depth = lru_cache(cache_size)(read_depth)
 
     def _view(self, name: str) -> GrayView:
         return read_view(self._views[name], self.cameras[name])
 
 
-def in_folder(root: Path, name: str) -> tuple[Path, str]:
-    """Where the stage of an image is: images may lie in folders of their own, and their stages then do too."""
+def stage_location(root: Path, name: str) -> tuple[Path, str]:
+    """Return the parent folder and the name of an image's stage; subfolders in image names become subfolders here."""
     path = root / name
     path.parent.mkdir(parents=True, exist_ok=True)
     return path.parent, path.name
 
 
 def view_stage(scene: Scene, camera: Camera, target: Camera, workspace: Path) -> Path:
-    """The stage with the photograph of `camera` as the pinhole `target` of the same place takes it."""
+    """Return the stage with the photograph of `camera` resampled to the pinhole `target` of the same pose."""
     inputs = {
         "photograph": scene.select([camera.name]).fingerprint(cameras=False),
         "camera": repr(camera.intrinsics),
@@ -62,19 +62,19 @@ def view_stage(scene: Scene, camera: Camera, target: Camera, workspace: Path) ->
     def make(folder: Path) -> None:
         from PIL import Image
 
-        image, valid = rectified(scene, camera, target.intrinsics)
+        image, valid = undistort(scene, camera, target.intrinsics)
         Image.fromarray(image).save(folder / IMAGE, compress_level=1)
         if valid is not None:
             Image.fromarray(np.where(valid, np.uint8(255), np.uint8(0))).save(folder / MASK)
 
-    return stage(*in_folder(workspace / VIEWS, camera.name), inputs, make)
+    return stage(*stage_location(workspace / VIEWS, camera.name), inputs, make)
 
 
 def read_view(folder: Path, camera: Camera) -> GrayView:
-    """What the stage of a view holds, as it is matched.
+    """Read a view from its stage, in grey, with its mask.
 
     Raises:
-        InputError: it cannot be decoded.
+        InputError: the image cannot be decoded.
     """
     size = (camera.intrinsics.width, camera.intrinsics.height)
     rgb = decode_image(folder / IMAGE, size)
@@ -83,13 +83,16 @@ def read_view(folder: Path, camera: Camera) -> GrayView:
 
 
 def luminance(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Grey values (H, W) of colours (H, W, 3), weighted as ITU-R BT.601 does."""
+    """Return grey values (H, W) of colours (H, W, 3), with the weights of ITU-R BT.601."""
     return np.asarray((rgb @ np.array([0.299, 0.587, 0.114], np.float32)).round(), dtype=np.uint8)
 
 
 def pinhole(camera: Camera, scale: float) -> Camera:
-    """A camera without distortion at the same place, of the same focal length times `scale`, whose image holds the
-    undistorted photograph.
+    """Return a camera without distortion of the same pose, whose image contains the undistorted photograph.
+
+    Args:
+        camera: the camera of the photograph.
+        scale: ratio of the focal lengths.
 
     Raises:
         InputError: the distortion folds the image over.
@@ -97,18 +100,18 @@ def pinhole(camera: Camera, scale: float) -> Camera:
     k = camera.intrinsics.scaled(scale)
     if k.is_pinhole:
         return replace(camera, intrinsics=k)
-    left, right, upper, lower = _border(k)
+    left, right, upper, lower = _undistorted_bounds(k)
     width, height = round(right - left), round(lower - upper)
-    most_x, most_y = round(_MOST_WIDER * k.width), round(_MOST_WIDER * k.height)
-    if width > most_x:
-        left, width = max(left, k.cx - most_x / 2), most_x
-    if height > most_y:
-        upper, height = max(upper, k.cy - most_y / 2), most_y
+    max_width, max_height = round(_MAX_WIDENING * k.width), round(_MAX_WIDENING * k.height)
+    if width > max_width:
+        left, width = max(left, k.cx - max_width / 2), max_width
+    if height > max_height:
+        upper, height = max(upper, k.cy - max_height / 2), max_height
     return replace(camera, intrinsics=Intrinsics(width, height, k.fx, k.fy, k.cx - left, k.cy - upper))
 
 
-def _border(k: Intrinsics) -> tuple[float, float, float, float]:
-    """Left, right, upper and lower end, in pixels of the same intrinsics without distortion, of an image's border."""
+def _undistorted_bounds(k: Intrinsics) -> tuple[float, float, float, float]:
+    """Return the left, right, upper and lower bounds of an image's border after undistortion, in pixels."""
     u, v = np.linspace(0, k.width, 65), np.linspace(0, k.height, 65)
     ends = [np.column_stack([u, np.full(65, y)]) for y in (0.0, k.height)]
     ends += [np.column_stack([np.full(65, x), v]) for x in (0.0, k.width)]
@@ -117,15 +120,17 @@ def _border(k: Intrinsics) -> tuple[float, float, float, float]:
     return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 
 
-def rectified(scene: Scene, camera: Camera, target: Intrinsics) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
-    """The photograph (H, W, 3) of a pinhole at a camera's place, and where it shows something that counts (H, W); None
-    where all does.
+def undistort(scene: Scene, camera: Camera, target: Intrinsics) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+    """Resample the photograph of a camera to a pinhole of the same pose.
 
-    The photograph is resized to the pinhole's focal length first, with a filter that keeps what is finer from aliasing,
-    and bent straight with cubic interpolation then.
+    The photograph is first resized to the pinhole's focal length with an antialiasing filter, then undistorted with
+    cubic interpolation.
+
+    Returns:
+        The image (H, W, 3), and a mask (H, W) of its valid pixels; None if all are valid.
 
     Raises:
-        InputError: it cannot be decoded.
+        InputError: the photograph or its mask cannot be decoded.
     """
     scale = target.fx / camera.intrinsics.fx
     source = camera.intrinsics.scaled(scale)
@@ -134,27 +139,29 @@ def rectified(scene: Scene, camera: Camera, target: Intrinsics) -> tuple[NDArray
     mask = decode_mask(scene.masks[name], size) if name in scene.masks else None
     if source.is_pinhole:
         return image, mask
-    at = _distorted(source, target)
+    at = _distorted_coordinates(source, target)
     inside: NDArray[np.bool_] = np.asarray((at >= 0).all(axis=2) & (at < size).all(axis=2))
-    shown = _sampled(image, at)
+    resampled = _resample(image, at)
     if mask is not None:
         column, row = np.floor(np.where(inside[..., None], at, 0)).astype(np.int64).transpose(2, 0, 1)
         inside &= mask[row, column]
-    return shown, None if inside.all() else inside
+    return resampled, None if inside.all() else inside
 
 
-def _distorted(source: Intrinsics, target: Intrinsics) -> FloatArray:
-    """Where the pixels of a pinhole are in the photograph: (H, W, 2) of its coordinates."""
+def _distorted_coordinates(source: Intrinsics, target: Intrinsics) -> FloatArray:
+    """Return the coordinates (H, W, 2) in the photograph of a pinhole's pixels."""
     u, v = np.meshgrid(np.arange(target.width) + 0.5, np.arange(target.height) + 0.5)
     rays = target.directions(np.stack([u.ravel(), v.ravel()], axis=1))
     pixels, _ = Camera("", source, Similarity.identity()).project(rays)
     return pixels.reshape(target.height, target.width, 2)
 
 
-def _sampled(image: NDArray[np.uint8], at: FloatArray) -> NDArray[np.uint8]:
-    """An image (H, W, 3) at coordinates (h, w, 2); beyond its border its last pixels."""
+def _resample(image: NDArray[np.uint8], at: FloatArray) -> NDArray[np.uint8]:
+    """Interpolate an image (H, W, 3) at coordinates (h, w, 2); beyond its border the border pixels repeat."""
     from scipy.ndimage import map_coordinates
 
-    places = [at[..., 1] - 0.5, at[..., 0] - 0.5]
-    made = [map_coordinates(image[..., c].astype(np.float32), places, order=3, mode="nearest") for c in range(3)]
-    return np.stack(made, axis=-1).clip(0, 255).round().astype(np.uint8)
+    rows_columns = [at[..., 1] - 0.5, at[..., 0] - 0.5]
+    channels = [
+        map_coordinates(image[..., c].astype(np.float32), rows_columns, order=3, mode="nearest") for c in range(3)
+    ]
+    return np.stack(channels, axis=-1).clip(0, 255).round().astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The digest of code: every source and compiled module that decides a result is in it, of bundled and other plugins."""
+"""The code digest covers all sources and compiled modules that determine results, of bundled and other plugins."""
 
 import importlib
 import sys
@@ -31,7 +31,7 @@ class Mine:
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package on the path, with sources, a kernel, a header, a compiled module and what is none of these."""
+    """A package with sources, a kernel, a header, a compiled module and a file that is no code."""
     folder = tmp_path / "path" / "some_plugin"
     (folder / "cuda").mkdir(parents=True)
     (folder / "__init__.py").write_text("")
@@ -41,7 +41,7 @@ def package(tmp_path, monkeypatch):
     (folder / "cuda/maths.h").write_text("// 1")
     (folder / "_core.cpython-311-x86_64-linux-gnu.so").write_bytes(b"1")
     (folder / "README.md").write_text("1")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "path"))  # of the processes that run it
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "path"))  # for the child processes
     monkeypatch.syspath_prepend(tmp_path / "path")
     yield folder
     for name in [name for name in sys.modules if name.partition(".")[0] == "some_plugin"]:
@@ -61,7 +61,7 @@ def package(tmp_path, monkeypatch):
         ("beside.pyc", False),
     ],
 )
-def test_edits_of_a_plugins_package(package, edited, counts):
+def test_digest_covers_a_plugins_package(package, edited, counts):
     importlib.import_module("some_plugin.mine")
     before = digest_files(plugin_files("some_plugin.mine"))
     assert digest_files(plugin_files("some_plugin.mine")) == before
@@ -70,7 +70,7 @@ def test_edits_of_a_plugins_package(package, edited, counts):
     assert (digest_files(plugin_files("some_plugin.mine")) != before) == counts
 
 
-def test_all_code_of_ours_counts():
+def test_digest_covers_pcbench_and_its_reconstructors():
     files = dict(_files_of_packages(["pcbench", "reconstructors"]))
     compiled = {name.partition(".")[0] for name, file in files.items() if file.suffix == ".so"}
     assert {
@@ -83,7 +83,7 @@ def test_all_code_of_ours_counts():
     assert len(library_versions()["code"]) == 64
 
 
-def test_a_bundled_plugin_is_described_by_its_whole_package():
+def test_bundled_plugin_digest_covers_its_package():
     assert describe("splat").sha256 == describe("reconstructors.mvs.mvs:DenseMvs").sha256
 
 
@@ -95,25 +95,25 @@ def photographs(tmp_path):
     return tmp_path / "photos"
 
 
-def test_a_stage_is_made_again_after_an_edit_beside_the_plugin(package, photographs, tmp_path):
+def test_editing_a_plugins_package_outdates_its_stage(package, photographs, tmp_path):
     job = ReconstructionJob("some_plugin.mine:Mine", photographs)
 
-    def once():
+    def log_and_point():
         result = run(job, tmp_path / "work")
         return result.log.read_text(), result.required().cloud.points[0, 0]
 
-    assert once() == ("made\n", 1.0)
-    assert once() == ("", 1.0)
+    assert log_and_point() == ("made\n", 1.0)
+    assert log_and_point() == ("", 1.0)
     before = describe(job.plugin).sha256
     (package / "beside.py").write_text("def value(): return 2.0\n")
-    assert once() == ("made\n", 2.0)
+    assert log_and_point() == ("made\n", 2.0)
     (package / "cuda/kernel.cu").write_text("// 2")
-    assert once() == ("made\n", 2.0)
+    assert log_and_point() == ("made\n", 2.0)
     assert describe(job.plugin).sha256 != before
 
 
-def test_a_stage_of_a_file_is_made_again_after_an_edit_beside_it(photographs, tmp_path):
-    """A plugin that is one file may import from beside it, in the function that needs it too."""
+def test_editing_next_to_a_plugin_file_outdates_its_stage(photographs, tmp_path):
+    """A plugin in one file may import modules next to it, also inside a function."""
     folder = tmp_path / "loose"
     (folder / "below").mkdir(parents=True)
     head = "import sys, pathlib; sys.path.insert(0, str(pathlib.Path(__file__).parent)); import below.deep\n"

@@ -1,4 +1,4 @@
-"""The plugin door: lookup, settings, a process of its own, and failures that are results."""
+"""Plugins: lookup, settings, the child process, and failures as results."""
 
 import re
 import subprocess
@@ -54,7 +54,7 @@ def scene(tmp_path):
 
 @pytest.fixture
 def plugin(tmp_path):
-    """A file with one reconstructor whose method has the given body: its spec."""
+    """Return a function that writes a reconstructor with a given method body and returns its spec."""
 
     def write(body, fields="pass"):
         method = textwrap.indent("def reconstruct(self, scene, workspace):\n" + textwrap.indent(body, "    "), "    ")
@@ -68,8 +68,8 @@ def plugin(tmp_path):
 GOOD = 'return Reconstruction(scene.points, "georeferenced", scene.cameras, ["all well"])'
 
 
-def test_the_documented_plugin_runs_as_it_is_written(scene, tmp_path):
-    """From a folder that is not the repository, by the command that stands below it."""
+def test_documented_plugin_runs(scene, tmp_path):
+    """Run the documented command in a folder outside of the repository."""
     page = (ROOT / "docs" / "reconstructors.md").read_text()
     code = re.search(
         r'```python title="mine.py"\n(.*?)```\n.*?\n\$ (pcbench reconstruct mine[^\n]*)\n', page, re.DOTALL
@@ -85,7 +85,7 @@ def test_the_documented_plugin_runs_as_it_is_written(scene, tmp_path):
     np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.ply").points, POINTS[::3])
 
 
-def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
+def test_run_returns_the_complete_reconstruction(scene, plugin, tmp_path):
     spec = plugin("print('hello'); print(self.n, self.how, file=sys.stderr);" + GOOD, "n: int = 2\nhow: str = 'x'")
     result = run(
         ReconstructionJob(spec, scene, {"n": "5"}, image_scale=0.5, images=("0.png", "2.png")), tmp_path / "work"
@@ -103,7 +103,7 @@ def test_a_run_brings_back_all_of_it(scene, plugin, tmp_path):
     assert 10e6 < result.peak_rss_bytes < 10e9  # an interpreter with numpy is some 40 MB
 
 
-def test_blas_has_one_thread_unless_the_user_says_otherwise(scene, plugin, tmp_path, monkeypatch):
+def test_blas_uses_one_thread_unless_the_user_sets_it(scene, plugin, tmp_path, monkeypatch):
     job = ReconstructionJob(plugin("print(os.environ['OPENBLAS_NUM_THREADS']);" + GOOD), scene)
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     assert run(job, tmp_path / "work").log.read_text() == "1\n"
@@ -131,7 +131,7 @@ def test_blas_has_one_thread_unless_the_user_says_otherwise(scene, plugin, tmp_p
             "return Reconstruction(scene.points, 'metric', {'a\\nb': replace(scene.cameras['0.png'], name='a\\nb')})",
             "garbage",
         ),
-        (  # the name inside counts too: it is what the camera is written under
+        (  # the camera's own name is checked too, because the camera is written under it
             "return Reconstruction(scene.points, 'metric', {'0.png': replace(scene.cameras['0.png'], name='9.png')})",
             "garbage",
         ),
@@ -151,7 +151,7 @@ def test_failures_are_results(scene, plugin, tmp_path, body, status):
     assert "log.txt" in str(raised.value)
 
 
-def test_a_hanging_plugin_ends_with_its_children(scene, plugin, tmp_path):
+def test_hanging_plugin_is_ended_with_its_children(scene, plugin, tmp_path):
     body = "import subprocess; p = subprocess.Popen(['sleep', '600']); print(p.pid); time.sleep(600)"
     result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work", time_limit_s=3)
     assert result.status == "timeout"
@@ -161,7 +161,7 @@ def test_a_hanging_plugin_ends_with_its_children(scene, plugin, tmp_path):
     assert ends(child)
 
 
-def test_an_old_result_is_not_taken_for_a_new_one(scene, plugin, tmp_path):
+def test_old_result_is_not_used_after_a_crash(scene, plugin, tmp_path):
     assert run(ReconstructionJob(plugin(GOOD), scene), tmp_path / "work").status == "ok"
     result = run(ReconstructionJob(plugin("os.abort()"), scene), tmp_path / "work")
     assert (result.status, result.reconstruction) == ("crashed", None)
@@ -180,7 +180,7 @@ def test_user_mistakes_are_refused(scene, plugin, tmp_path):
     check_refusal(ReconstructionJob(spec, scene, {"n": "two"}))
     check_refusal(ReconstructionJob(spec, scene, {"how": "c"}))
     check_refusal(ReconstructionJob(spec.replace(":Mine", ":Yours"), scene))
-    with pytest.raises(InputError, match="'nobody'"):  # and those that are installed
+    with pytest.raises(InputError, match="'nobody'"):  # followed by the installed names
         run(ReconstructionJob("nobody", scene), tmp_path / "work").required()
     check_refusal(ReconstructionJob(spec, tmp_path / "nowhere"))
     (tmp_path / "broken.py").write_text("import numpy\n1 / 0\n")
@@ -205,8 +205,8 @@ def test_settings_are_converted(plugin):
 
 
 @pytest.mark.parametrize("text", ["99999999999999999999", "2147483648", "-2147483649", "9" * 5000, "1_" + "0" * 30])
-def test_whole_numbers_of_settings_have_a_range(plugin, text):
-    """Libraries in C++ refuse others with the signatures of all their functions."""
+def test_integer_settings_have_32_bits(plugin, text):
+    """C++ libraries refuse larger ones with unreadable messages."""
     found = find_plugin(plugin(GOOD, "n: int = 2\nmaybe: int | None = None"))
     assert found.configure({"n": "2147483647"}).n == 2**31 - 1
     for name in ("n", "maybe"):
@@ -216,23 +216,23 @@ def test_whole_numbers_of_settings_have_a_range(plugin, text):
 
 
 def test_help_is_the_docstring(plugin):
-    assert find_plugin(plugin(GOOD)).help == ""  # not the signature that dataclasses put there
+    assert find_plugin(plugin(GOOD)).help == ""  # not the signature that Python generates for dataclasses
     assert find_plugin(plugin(GOOD, '"""What it\n    does.\n\n    More."""')).help == "What it does."
 
 
-def test_what_must_be_given_is_said(plugin):
+def test_required_settings_are_named(plugin):
     found = find_plugin(plugin(GOOD, "n: int"))
     assert found.settings[0].default is None
     with refused():
         found.configure({})
 
 
-def test_no_reconstructors(tmp_path):
+def test_invalid_reconstructors_are_refused(tmp_path):
     (tmp_path / "a.py").write_text("class A:\n    def reconstruct(self, scene, workspace): ...\nB = 3\n")
     for file, name in (("a", "A"), ("a", "B"), ("a", "C"), ("b", "A")):
         with refused():
             find_plugin(f"{tmp_path}/{file}.py:{name}")
-    with pytest.raises(InputError, match="nowhere"):  # Python says why
+    with pytest.raises(InputError, match="nowhere"):  # Python's reason follows
         find_plugin("nowhere:A")
 
 
@@ -246,7 +246,7 @@ def test_entry_points(monkeypatch):
         find_plugin("three")
 
 
-def test_a_killed_run_goes_on_where_it_stopped(scene, plugin, tmp_path):
+def test_killed_run_resumes(scene, plugin, tmp_path):
     body = """
 def slow(folder):
     print("slow stage")
@@ -265,7 +265,7 @@ return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
     np.testing.assert_array_equal(second.required().cloud.points, POINTS)
 
 
-def test_residuals_of_surveyed_points_come_back(scene, plugin, tmp_path):
+def test_survey_residuals_are_returned(scene, plugin, tmp_path):
     body = """
     from pcbench.registration import SurveyResiduals
     found = SurveyResiduals.of(["a", "b"], np.array([[0.1, 0.2, 0.3], [1, 2, 3]]), [False, True], z_is_up=True)
@@ -281,21 +281,21 @@ def test_residuals_of_surveyed_points_come_back(scene, plugin, tmp_path):
         read_reconstruction(tmp_path / "work")
 
 
-def test_reconstruction_is_checked():
+def test_invalid_reconstruction_is_refused():
     cloud = Cloud(POINTS)
     with refused():
         Reconstruction(cloud, "metric", ["a"])
     assert Reconstruction(cloud, "metric").cameras == Reconstruction(cloud, "metric", cameras=None).cameras == {}
 
 
-def test_the_scene_in_the_child_has_its_images(scene, plugin, tmp_path):
+def test_child_can_read_the_images(scene, plugin, tmp_path):
     result = run(ReconstructionJob(plugin("print(scene.read_image('2.png')[0, 0]);" + GOOD), scene), tmp_path / "work")
     assert result.log.read_text() == "[2 0 0]\n"
     assert read_image_header(scene / "images/2.png").width == 40
 
 
-def test_a_workspace_that_is_none_is_left_alone(scene, plugin, tmp_path, request):
-    run_cli = request.getfixturevalue("run")  # `run` is another one here
+def test_foreign_folder_is_refused_as_workspace(scene, plugin, tmp_path, request):
+    run_cli = request.getfixturevalue("run")  # the fixture, not pcbench.plugins.run.run
     work = tmp_path / "work"
     (work / "cameras").mkdir(parents=True)
     (work / "cameras" / "mine.txt").write_text("mine")
@@ -309,5 +309,5 @@ def test_a_workspace_that_is_none_is_left_alone(scene, plugin, tmp_path, request
     code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--write-cameras", scene / "sparse")
     assert (code, sorted((scene / "sparse").iterdir())) == (2, before)
     said(err)
-    for _ in range(2):  # its own may be used again
+    for _ in range(2):  # a reconstruction's workspace may be used again
         assert run_cli("reconstruct", spec, scene, "-o", out, "--workspace", tmp_path / "new")[0] == 0

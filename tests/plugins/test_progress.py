@@ -1,7 +1,7 @@
-"""How far a reconstruction is, from its log to whoever waits."""
+"""Progress of a reconstruction, from its log to the progress callback."""
 
 from pcbench.plugins import progress as module
-from pcbench.plugins.progress import followed, progress, with_time_left
+from pcbench.plugins.progress import follow_log, progress, with_time_left
 from pcbench.plugins.run import ReconstructionJob, run
 
 PLUGIN = """
@@ -22,8 +22,8 @@ class Slow:
 """
 
 
-def test_time_left_is_that_of_what_takes_time(capsys, monkeypatch):
-    """The first two were kept from an earlier run: of the four that were worked on each took 10 s."""
+def test_time_left_ignores_instant_items(capsys, monkeypatch):
+    """The first two results exist from an earlier run; each of the other four takes 10 s."""
     clock = iter([0, 0.01, 0.02, 0.03, 1, 11, 11, 21, 21, 31, 31, 41])
     monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
     assert list(with_time_left("abcdef", "matching")) == list("abcdef")
@@ -37,32 +37,32 @@ def test_time_left_is_that_of_what_takes_time(capsys, monkeypatch):
     ]
 
 
-def test_a_log_is_followed_to_its_end(tmp_path):
-    log, shown = tmp_path / "log.txt", []
-    with log.open("w") as file, followed(log, shown.append):
+def test_log_is_followed_to_its_end(tmp_path):
+    log, reports = tmp_path / "log.txt", []
+    with log.open("w") as file, follow_log(log, reports.append):
         print("noise", file=file)
         print("progress: 1 of 2", file=file)
         print("progress: 2 of 2", file=file, flush=True)
-        file.write("progress: no whole line")
+        file.write("progress: incomplete line")
         file.flush()
-    assert shown == ["1 of 2", "2 of 2"]
-    with followed(tmp_path / "nothing.txt", None):
+    assert reports == ["1 of 2", "2 of 2"]
+    with follow_log(tmp_path / "nothing.txt", None):
         pass
 
 
-def test_a_line_of_progress_is_marked(capsys):
+def test_progress_lines_have_a_prefix(capsys):
     progress("meshing")
     assert capsys.readouterr().err == "progress: meshing\n"
 
 
-def test_a_run_tells_how_far_its_reconstructor_is(tmp_path):
+def test_run_reports_progress(tmp_path):
     (tmp_path / "slow.py").write_text(PLUGIN)
     (tmp_path / "images").mkdir()
     from PIL import Image
 
     Image.new("RGB", (8, 8)).save(tmp_path / "images/a.png")
-    shown = []
+    reports = []
     job = ReconstructionJob(f"{tmp_path / 'slow.py'}:Slow", tmp_path)
-    ended = run(job, tmp_path / "work", on_progress=shown.append)
-    assert ended.status == "ok", ended.message
-    assert shown == [f"working: {k} of 3 images" for k in (1, 2, 3)]
+    result = run(job, tmp_path / "work", on_progress=reports.append)
+    assert result.status == "ok", result.message
+    assert reports == [f"working: {k} of 3 images" for k in (1, 2, 3)]

@@ -1,4 +1,4 @@
-"""Stages: made once for the same inputs and code, and made again where their files are no longer what was made."""
+"""Stages are made once for the same inputs and code, and again if their files have changed."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from pcbench.plugins.stages import library_versions, stage, stage_key
 
 
 class Maker:
-    """Fills a folder and counts how often it had to."""
+    """Fills a folder and counts its calls."""
 
     def __init__(self):
         self.calls = 0
@@ -25,7 +25,7 @@ class Maker:
         (folder / "inner/b.txt").write_text("b")
 
 
-def test_stages_are_made_once_for_each_input(tmp_path):
+def test_stages_are_made_once_per_input(tmp_path):
     made = []
 
     def make(folder):
@@ -48,23 +48,23 @@ def test_stages_are_made_once_for_each_input(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         stage(tmp_path, "features", {"n": 3}, killed)
-    assert stage_key(first) is None  # neither the old result nor half a new one
+    assert stage_key(first) is None  # neither the old result nor an incomplete new one
     stage(tmp_path, "features", {"n": 3}, make)
     assert sorted(p.name for p in first.iterdir()) == ["a.txt", "stage.json"]
 
 
 @pytest.fixture
 def made(tmp_path):
-    """A stage, how it is asked for again, and its maker."""
+    """Return a stage, a function that requests it again, and its maker."""
     maker = Maker()
 
-    def ask():
+    def request():
         return stage(tmp_path, "maps", {"n": 1, "among": {1: 0, 10: 0, 2: 0}}, maker)
 
-    return ask(), ask, maker
+    return request(), request, maker
 
 
-def cut(folder):
+def truncate(folder):
     os.truncate(folder / "a.bin", 100)
 
 
@@ -84,28 +84,28 @@ def forge_record(folder):
     (folder / "stage.json").write_text('{"inputs": 3}')
 
 
-@pytest.mark.parametrize("damage", [cut, change, remove, spoil_record, forge_record])
-def test_damaged_files_make_a_stage_again(made, damage):
-    folder, ask, maker = made
+@pytest.mark.parametrize("damage", [truncate, change, remove, spoil_record, forge_record])
+def test_damaged_files_outdate_a_stage(made, damage):
+    folder, request, maker = made
     key = stage_key(folder)
-    assert ask() == folder
+    assert request() == folder
     assert maker.calls == 1
     damage(folder)
-    assert ask() == folder
+    assert request() == folder
     assert maker.calls == 2
     assert (folder / "a.bin").read_bytes() == bytes(range(200))
     assert (folder / "inner/b.txt").read_text() == "b"
-    assert stage_key(folder) == key  # the same content again: what was made of it stays
+    assert stage_key(folder) == key  # the content is the same again: later stages stay valid
 
 
-def test_files_beside_those_that_were_made_do_not_matter(made):
-    folder, ask, maker = made
+def test_additional_files_do_not_outdate_a_stage(made):
+    folder, request, maker = made
     (folder / "journal").write_text("of a reader")
-    ask()
+    request()
     assert maker.calls == 1
 
 
-def test_a_database_that_was_opened_is_the_same_and_one_with_other_rows_is_not(tmp_path):
+def test_opening_a_database_does_not_outdate_a_stage_but_changing_it_does(tmp_path):
     def fill(folder):
         calls.append(1)
         execute(folder / "d.db", "PRAGMA journal_mode=wal; CREATE TABLE t (x); INSERT INTO t VALUES (1)")
@@ -118,7 +118,7 @@ def test_a_database_that_was_opened_is_the_same_and_one_with_other_rows_is_not(t
     calls = []
     folder = stage(tmp_path, "features", {}, fill)
     before = (folder / "d.db").read_bytes()
-    execute(folder / "d.db", "PRAGMA user_version = 0")  # as COLMAP does when it opens one
+    execute(folder / "d.db", "PRAGMA user_version = 0")  # changes the header as COLMAP does at each opening
     assert (folder / "d.db").read_bytes() != before
     stage(tmp_path, "features", {}, fill)
     assert len(calls) == 1
@@ -127,7 +127,7 @@ def test_a_database_that_was_opened_is_the_same_and_one_with_other_rows_is_not(t
     assert len(calls) == 2
 
 
-def test_a_linked_file_belongs_to_another_stage(tmp_path):
+def test_linked_files_are_ignored(tmp_path):
     (tmp_path / "other").write_text("1")
 
     def link(folder):
@@ -141,7 +141,7 @@ def test_a_linked_file_belongs_to_another_stage(tmp_path):
     assert len(calls) == 1
 
 
-def test_what_follows_a_stage_depends_on_its_content(tmp_path):
+def test_stage_key_depends_on_content(tmp_path):
     def key(text):
         (tmp_path / text).mkdir()
         return stage_key(stage(tmp_path / text, "first", {}, lambda folder: (folder / "x").write_text(text)))
@@ -149,16 +149,16 @@ def test_what_follows_a_stage_depends_on_its_content(tmp_path):
     assert key("one") != key("other")
 
 
-def test_other_code_makes_a_stage_again(made, monkeypatch):
-    folder, ask, maker = made
+def test_other_code_outdates_a_stage(made, monkeypatch):
+    folder, request, maker = made
     assert json.loads((folder / "stage.json").read_text())["inputs"]["versions"] == library_versions()
     monkeypatch.setattr(stages, "code_digest", lambda: "edited")
-    ask()
+    request()
     assert maker.calls == 2
 
 
-def test_a_file_that_cannot_be_written_leaves_no_stage(tmp_path):
-    """A limit on the size of files, as a full disk would be."""
+def test_failed_write_leaves_no_stage(tmp_path):
+    """A limit on file sizes simulates a full disk."""
     code = """
 import resource, sys
 from pathlib import Path

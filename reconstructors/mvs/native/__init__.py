@@ -1,4 +1,4 @@
-"""The compiled search for depth maps."""
+"""Compiled PatchMatch search for depth maps."""
 
 from reconstructors.mvs.native import _patchmatch
 

@@ -12,16 +12,30 @@ def isa() -> str:
     """The instruction set in use: baseline, avx2 or avx512."""
 
 class Matcher:
-    """The search for one photograph's depth map."""
+    """Search for one photograph's depth map."""
 
-    def __init__(self, gray: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], pinhole: Annotated[NDArray[numpy.float32], dict(shape=(4), order='C', device='cpu', writable=False)], valid: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, nearest: float, farthest: float, pixels_per_depth: float, least_variance: float, seed: int) -> None: ...
+    def __init__(self, gray: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], pinhole: Annotated[NDArray[numpy.float32], dict(shape=(4), order='C', device='cpu', writable=False)], valid: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, nearest: float, farthest: float, pixels_per_depth: float, min_variance: float, seed: int) -> None: ...
 
-    def add_source(self, gray: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], motion: Annotated[NDArray[numpy.float32], dict(shape=(3, 4), order='C', device='cpu', writable=False)], depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, back: Annotated[NDArray[numpy.float32], dict(shape=(3, 4), order='C', device='cpu', writable=False)], shown: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None) -> None:
+    def add_source(self, gray: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], motion: Annotated[NDArray[numpy.float32], dict(shape=(3, 4), order='C', device='cpu', writable=False)], depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, back: Annotated[NDArray[numpy.float32], dict(shape=(3, 4), order='C', device='cpu', writable=False)], visible: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None) -> None:
         """
-        motion: from homogeneous pixels times depth of the reference to those of the source (3, 4); back: the other way. With a depth map, agreement with it is part of the cost; shown: 0 where a mask hides it.
+        Add a source image.
+
+        Args:
+            gray: grey levels (H, W) of the source.
+            motion: (3, 4), from homogeneous pixels times depth of the reference to those of the source.
+            depth: depth map of the source, None without one; agreement with it is part of the cost.
+            back: (3, 4), from homogeneous pixels times depth of the source to those of the reference.
+            visible: (H, W), 0 where a mask hides the source; None without a mask.
         """
 
     def run(self, planes: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 4), order='C', device='cpu')], cost: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], view_costs: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu')], sweeps: int, first: int = 0) -> None:
         """
-        Improves the planes (depth and normal of each pixel) in place; one whose depth is outside the range is begun at random.
+        Improve planes in place.
+
+        Args:
+            planes: (H, W, 4), depth and normal of each pixel. A plane whose depth is outside the range is replaced by a random one.
+            cost: (H, W), written.
+            view_costs: (H, W, sources), written.
+            sweeps: number of sweeps.
+            first: index of the first sweep; perturbations shrink with it.
         """

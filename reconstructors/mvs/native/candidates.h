@@ -1,12 +1,12 @@
-// Planes at sixteen pixels that are compared with the sources, several at each: as many of them at a time as there are
-// lanes, whatever pixel they are of. Included once for each instruction set, see kernels_isa.h.
+// Candidate planes at sixteen pixels, several per pixel, scored against the sources. Candidates are compacted: each
+// vector of lanes is filled with candidates of any pixel. Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include "score.h"
 
 namespace pcbench::mvs::PCB_ISA {
 
-// The numbers that an array holds for some pixels, `width` for each. Pixels times width may exceed 2^31; the distance
-// of these pixels from the group, a few rows at most, does not.
+// Gathers records of an array, `width` floats per pixel, at sixteen pixels. Pixel index times width may exceed 2^31,
+// but the offset from the group's first pixel, a few rows at most, does not.
 class Records {
 public:
     Records(const float* array, int width, const Group& group, Ints pixels)
@@ -24,29 +24,29 @@ inline Planes planes_at(const State& state, const Group& group, Ints pixels) {
     return {planes[0], planes[1], planes[2], planes[3]};
 }
 
-inline Planes chosen(Mask which, const Planes& yes, const Planes& no) {
+inline Planes select_planes(Mask which, const Planes& yes, const Planes& no) {
     return {select(which, yes.depth, no.depth), select(which, yes.nx, no.nx), select(which, yes.ny, no.ny),
             select(which, yes.nz, no.nz)};
 }
 
-// Falls from 1 at no cost to 0.
-inline Floats trust(Floats cost) {
+// Weight of a view or plane: falls from 1 at zero cost towards 0.
+inline Floats cost_weight(Floats cost) {
     const Floats one = Floats(1.0f), d = one + cost * cost * Floats(1.0f / (2 * 0.3f * 0.3f));
-    return select(cost < Floats(kWorst), one / (d * d), Floats(0.0f));
+    return select(cost < Floats(kMaxCost), one / (d * d), Floats(0.0f));
 }
 
 class Candidates {
 public:
-    static constexpr int kParts = 8, kMost = kParts * kLanes;
+    static constexpr int kParts = 8, kMaxPlanes = kParts * kLanes;
 
     explicit Candidates(int sources) : sources_(sources) {}
 
-    // A part: planes of the sixteen pixels, of which those count that are asked for.
+    // Add one plane for each of the sixteen pixels as the next part; only those in the mask are scored.
     void add(const Planes& planes, Mask which) {
         const int from = parts_++ * kLanes;
         store(depth_ + from, planes.depth), store(nx_ + from, planes.nx);
         store(ny_ + from, planes.ny), store(nz_ + from, planes.nz);
-        for (int s = 0; s < sources_; ++s) store(cost_[s] + from, Floats(kWorst));
+        for (int s = 0; s < sources_; ++s) store(cost_[s] + from, Floats(kMaxCost));
         for (uint32_t left = bits(which); left; left &= left - 1) at_[count_++] = from + __builtin_ctz(left);
     }
 
@@ -57,7 +57,7 @@ public:
             for (int l = count; l < kLanes; ++l) at[l] = at[count - 1];
             const Ints from = load(at);
             const Planes planes = {gather(depth_, from), gather(nx_, from), gather(ny_, from), gather(nz_, from)};
-            const Patches here = patches.permuted(from & Ints(kLanes - 1));
+            const Patches here = patches.permute(from & Ints(kLanes - 1));
             for (int s = 0; s < sources_; ++s) {
                 float cost[kLanes];
                 store(cost, PCB_ISA::score(problem, problem.sources[s], here, planes));
@@ -66,14 +66,14 @@ public:
         }
     }
 
-    // Of a part's planes in a source; the worst for those that were not asked for.
+    // The costs of a part's planes in a source; the maximum for planes outside the part's mask.
     Floats cost(int part, int source) const { return load(cost_[source] + part * kLanes); }
 
 private:
     int sources_, parts_ = 0, count_ = 0;
-    int32_t at_[kMost + kLanes];  // of those that were asked for: number of the part times the lanes, and the lane
-    float depth_[kMost], nx_[kMost], ny_[kMost], nz_[kMost];
-    float cost_[kMaxSources][kMost];
+    int32_t at_[kMaxPlanes + kLanes];  // position of each scored plane: part * kLanes + lane
+    float depth_[kMaxPlanes], nx_[kMaxPlanes], ny_[kMaxPlanes], nz_[kMaxPlanes];
+    float cost_[kMaxSources][kMaxPlanes];
 };
 
 }  // namespace pcbench::mvs::PCB_ISA

@@ -1,6 +1,6 @@
-// Sixteen integers beside the sixteen floats of common/floats.h, what passes between the two, and samples of an image
-// in whole numbers. Every operation is exact, so each instruction set gives the same bits. Included once for each
-// instruction set, inside its own namespace PCB_ISA: see kernels_isa.h.
+// Sixteen integers, matching the sixteen floats of common/floats.h; conversions between the two; and integer image
+// sampling. All operations are exact, so each instruction set gives the same bits. Included once for each instruction
+// set, inside its own namespace PCB_ISA, see kernels_isa.h.
 #pragma once
 #include "common/floats.h"
 
@@ -14,9 +14,9 @@ struct Ints {
     Ints(__m512i registers) : v(registers) {}
     explicit Ints(int32_t s) : v(_mm512_set1_epi32(s)) {}
 };
-inline Floats permuted(Floats a, Ints lanes) { return {_mm512_permutexvar_ps(lanes.v, a.v)}; }
-inline Ints truncated(Floats a) { return {_mm512_cvttps_epi32(a.v)}; }
-inline Floats floats(Ints a) { return {_mm512_cvtepi32_ps(a.v)}; }
+inline Floats permute(Floats a, Ints lanes) { return {_mm512_permutexvar_ps(lanes.v, a.v)}; }
+inline Ints truncate(Floats a) { return {_mm512_cvttps_epi32(a.v)}; }
+inline Floats to_floats(Ints a) { return {_mm512_cvtepi32_ps(a.v)}; }
 inline Ints load(const int32_t* p) { return {_mm512_loadu_si512(p)}; }
 inline void store(int32_t* p, Ints a) { _mm512_storeu_si512(p, a.v); }
 inline Ints operator+(Ints a, Ints b) { return {_mm512_add_epi32(a.v, b.v)}; }
@@ -27,16 +27,16 @@ inline Ints operator^(Ints a, Ints b) { return {_mm512_xor_si512(a.v, b.v)}; }
 inline Ints lesser(Ints a, Ints b) { return {_mm512_min_epi32(a.v, b.v)}; }
 inline Ints greater(Ints a, Ints b) { return {_mm512_max_epi32(a.v, b.v)}; }
 template <int kBits>
-inline Ints shifted_right(Ints a) {
+inline Ints shift_right(Ints a) {
     return {_mm512_srli_epi32(a.v, kBits)};
 }
 inline Ints gather(const int32_t* from, Ints at) { return {_mm512_i32gather_epi32(at.v, from, 4)}; }
 inline Floats gather(const float* from, Ints at) { return {_mm512_i32gather_ps(at.v, from, 4)}; }
-inline Ints element(Ints x, Ints y, int32_t width) {
+inline Ints pixel_index(Ints x, Ints y, int32_t width) {
     const __m512i both = _mm512_mask_blend_epi16(0xaaaaaaaa, _mm512_srli_epi32(x.v, 16), y.v);
     return {_mm512_madd_epi16(both, _mm512_set1_epi32(width << 16 | 1))};
 }
-inline Ints between(Ints quad, Ints x, Ints y) {
+inline Ints interpolate(Ints quad, Ints x, Ints y) {
     const __m512i across =
         _mm512_xor_si512(_mm512_shuffle_epi8(x.v, _mm512_set4_epi32(0x0d0d0d0d, 0x09090909, 0x05050505, 0x01010101)),
                          _mm512_set1_epi32(0x00ff00ff));
@@ -55,13 +55,13 @@ struct Ints {
     Ints(__m256i low, __m256i high) : a(low), b(high) {}
     explicit Ints(int32_t s) : a(_mm256_set1_epi32(s)), b(_mm256_set1_epi32(s)) {}
 };
-inline __m256 permuted_half(Floats x, __m256i lanes) {
+inline __m256 permute_half(Floats x, __m256i lanes) {
     const __m256 upper = _mm256_castsi256_ps(_mm256_slli_epi32(lanes, 28));
     return _mm256_blendv_ps(_mm256_permutevar8x32_ps(x.a, lanes), _mm256_permutevar8x32_ps(x.b, lanes), upper);
 }
-inline Floats permuted(Floats x, Ints lanes) { return {permuted_half(x, lanes.a), permuted_half(x, lanes.b)}; }
-inline Ints truncated(Floats x) { return {_mm256_cvttps_epi32(x.a), _mm256_cvttps_epi32(x.b)}; }
-inline Floats floats(Ints x) { return {_mm256_cvtepi32_ps(x.a), _mm256_cvtepi32_ps(x.b)}; }
+inline Floats permute(Floats x, Ints lanes) { return {permute_half(x, lanes.a), permute_half(x, lanes.b)}; }
+inline Ints truncate(Floats x) { return {_mm256_cvttps_epi32(x.a), _mm256_cvttps_epi32(x.b)}; }
+inline Floats to_floats(Ints x) { return {_mm256_cvtepi32_ps(x.a), _mm256_cvtepi32_ps(x.b)}; }
 inline Ints load(const int32_t* p) {
     const auto* q = reinterpret_cast<const __m256i*>(p);
     return {_mm256_loadu_si256(q), _mm256_loadu_si256(q + 1)};
@@ -78,7 +78,7 @@ inline Ints operator^(Ints x, Ints y) { return {_mm256_xor_si256(x.a, y.a), _mm2
 inline Ints lesser(Ints x, Ints y) { return {_mm256_min_epi32(x.a, y.a), _mm256_min_epi32(x.b, y.b)}; }
 inline Ints greater(Ints x, Ints y) { return {_mm256_max_epi32(x.a, y.a), _mm256_max_epi32(x.b, y.b)}; }
 template <int kBits>
-inline Ints shifted_right(Ints x) {
+inline Ints shift_right(Ints x) {
     return {_mm256_srli_epi32(x.a, kBits), _mm256_srli_epi32(x.b, kBits)};
 }
 inline Ints gather(const int32_t* from, Ints at) {
@@ -87,14 +87,14 @@ inline Ints gather(const int32_t* from, Ints at) {
 inline Floats gather(const float* from, Ints at) {
     return {_mm256_i32gather_ps(from, at.a, 4), _mm256_i32gather_ps(from, at.b, 4)};
 }
-inline __m256i element_half(__m256i x, __m256i y, int32_t width) {
+inline __m256i pixel_index_half(__m256i x, __m256i y, int32_t width) {
     const __m256i both = _mm256_blend_epi16(_mm256_srli_epi32(x, 16), y, 0xaa);
     return _mm256_madd_epi16(both, _mm256_set1_epi32(width << 16 | 1));
 }
-inline Ints element(Ints x, Ints y, int32_t width) {
-    return {element_half(x.a, y.a, width), element_half(x.b, y.b, width)};
+inline Ints pixel_index(Ints x, Ints y, int32_t width) {
+    return {pixel_index_half(x.a, y.a, width), pixel_index_half(x.b, y.b, width)};
 }
-inline __m256i between_half(__m256i quad, __m256i x, __m256i y) {
+inline __m256i interpolate_half(__m256i quad, __m256i x, __m256i y) {
     const __m256i second = _mm256_setr_epi8(1, 1, 1, 1, 5, 5, 5, 5, 9, 9, 9, 9, 13, 13, 13, 13, 1, 1, 1, 1, 5, 5, 5, 5,
                                             9, 9, 9, 9, 13, 13, 13, 13);
     const __m256i words = _mm256_set1_epi16(0xff);
@@ -103,8 +103,8 @@ inline __m256i between_half(__m256i quad, __m256i x, __m256i y) {
         _mm256_xor_si256(_mm256_and_si256(_mm256_shuffle_epi8(y, second), words), _mm256_set1_epi32(0xff));
     return _mm256_madd_epi16(_mm256_maddubs_epi16(across, quad), down);
 }
-inline Ints between(Ints quad, Ints x, Ints y) {
-    return {between_half(quad.a, x.a, y.a), between_half(quad.b, x.b, y.b)};
+inline Ints interpolate(Ints quad, Ints x, Ints y) {
+    return {interpolate_half(quad.a, x.a, y.a), interpolate_half(quad.b, x.b, y.b)};
 }
 
 #else
@@ -120,14 +120,14 @@ struct Ints {
     type out;                                                 \
     for (int i = 0; i < kLanes; ++i) out.v[i] = (expression); \
     return out
-inline Floats permuted(Floats a, Ints lanes) { PCB_EACH(Floats, a.v[lanes.v[i]]); }
-inline Ints truncated(Floats a) { PCB_EACH(Ints, static_cast<int32_t>(a.v[i])); }
-inline Floats floats(Ints a) { PCB_EACH(Floats, static_cast<float>(a.v[i])); }
+inline Floats permute(Floats a, Ints lanes) { PCB_EACH(Floats, a.v[lanes.v[i]]); }
+inline Ints truncate(Floats a) { PCB_EACH(Ints, static_cast<int32_t>(a.v[i])); }
+inline Floats to_floats(Ints a) { PCB_EACH(Floats, static_cast<float>(a.v[i])); }
 inline Ints load(const int32_t* p) { PCB_EACH(Ints, p[i]); }
 inline void store(int32_t* p, Ints a) {
     for (int i = 0; i < kLanes; ++i) p[i] = a.v[i];
 }
-// Sums and products of integers are taken modulo 2^32.
+// Integer sums and products are modulo 2^32.
 inline Ints operator+(Ints a, Ints b) {
     PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) + static_cast<uint32_t>(b.v[i])));
 }
@@ -142,16 +142,16 @@ inline Ints operator^(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] ^ b.v[i]); }
 inline Ints lesser(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
 inline Ints greater(Ints a, Ints b) { PCB_EACH(Ints, a.v[i] > b.v[i] ? a.v[i] : b.v[i]); }
 template <int kBits>
-inline Ints shifted_right(Ints a) {
+inline Ints shift_right(Ints a) {
     PCB_EACH(Ints, static_cast<int32_t>(static_cast<uint32_t>(a.v[i]) >> kBits));
 }
 inline Ints gather(const int32_t* from, Ints at) { PCB_EACH(Ints, from[at.v[i]]); }
 inline Floats gather(const float* from, Ints at) { PCB_EACH(Floats, from[at.v[i]]); }
-// Of 16.16 fixed-point coordinates, neither negative: which element of an image of that width they are in.
-inline Ints element(Ints x, Ints y, int32_t width) { PCB_EACH(Ints, (y.v[i] >> 16) * width + (x.v[i] >> 16)); }
-// 65025 times the value at such coordinates between the four signed bytes of a quad, of which each is that much of 255
-// further than the one before it as the first byte of the coordinate's fraction says.
-inline Ints between(Ints quad, Ints x, Ints y) {
+// Index of the pixel that contains 16.16 fixed-point coordinates (not negative) in an image of the given width.
+inline Ints pixel_index(Ints x, Ints y, int32_t width) { PCB_EACH(Ints, (y.v[i] >> 16) * width + (x.v[i] >> 16)); }
+// Bilinear interpolation times 65025 (255 squared) at 16.16 coordinates, between the four signed bytes of a quad. The
+// weights are the upper eight bits of the coordinates' fractions, over 255.
+inline Ints interpolate(Ints quad, Ints x, Ints y) {
     const auto byte = [&](int i, int k) {
         return static_cast<int32_t>(static_cast<int8_t>(static_cast<uint32_t>(quad.v[i]) >> 8 * k));
     };

@@ -1,4 +1,4 @@
-// The loops that exist once for each instruction set, and the choice between them.
+// Function table of the loops that are compiled once for each instruction set.
 #pragma once
 #include "problem.h"
 
@@ -6,8 +6,8 @@ namespace pcbench::mvs {
 
 struct Kernels {
     const char* name;
-    bool (*begin)(const Problem&, State&, Interrupt&);
-    bool (*sweep)(const Problem&, State&, int number, Interrupt&);
+    bool (*initialize)(const Problem&, State&, Interrupt&);
+    bool (*sweep)(const Problem&, State&, int sweep_index, Interrupt&);
 };
 
 namespace baseline {

@@ -1,5 +1,5 @@
-// Compiled once for each instruction set with its own flags (CMakeLists.txt) and its own namespace PCB_ISA, as the
-// search loops of pcbench/native/points are, and for the same reasons.
+// Compiled once for each instruction set with its own flags (CMakeLists.txt) and namespace PCB_ISA, like the search
+// loops of pcbench/native/points and for the same reasons.
 #pragma once
 #include "kernels.h"
 
@@ -10,6 +10,6 @@ namespace pcbench::mvs::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), begin, sweep};
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), initialize, sweep};
 
 }  // namespace pcbench::mvs::PCB_ISA

@@ -1,4 +1,4 @@
-// Python's view of the search for depth maps.
+// Python bindings of the search for depth maps.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
@@ -42,24 +42,24 @@ std::vector<int32_t> quads(Gray image) {
             const size_t right = std::min(x + 1, width - 1);
             const uint32_t quad = static_cast<uint32_t>(line[x]) | static_cast<uint32_t>(line[right]) << 8 |
                                   static_cast<uint32_t>(below[x]) << 16 | static_cast<uint32_t>(below[right]) << 24;
-            out[y * width + x] = static_cast<int32_t>(quad ^ 0x80808080u);  // 128 less of each, with a sign
+            out[y * width + x] = static_cast<int32_t>(quad ^ 0x80808080u);  // minus 128 each, as signed bytes
         }
     }
     return out;
 }
 
-void split(Matrix motion, float* turn, float* shift) {
+void split(Matrix motion, float* linear, float* shift) {
     for (int r = 0; r < 3; ++r) {
-        std::copy_n(motion.data() + 4 * r, 3, turn + 3 * r);
+        std::copy_n(motion.data() + 4 * r, 3, linear + 3 * r);
         shift[r] = motion.data()[4 * r + 3];
     }
 }
 
-// One photograph, what it is compared with, and the search for its depth map.
+// One photograph, its sources, and the search for its depth map.
 class Matcher {
 public:
     Matcher(Gray gray, In<float, nb::shape<4>> pinhole, std::optional<Gray> valid, double nearest, double farthest,
-            double pixels_per_depth, double least_variance, uint32_t seed)
+            double pixels_per_depth, double min_variance, uint32_t seed)
         : gray_(gray), valid_(valid) {
         problem_.gray = gray_.data();
         problem_.height = static_cast<int>(gray_.shape(0));
@@ -67,7 +67,7 @@ public:
         check_size(gray);
         if (valid_) {
             check(valid_->shape(0) == gray_.shape(0) && valid_->shape(1) == gray_.shape(1),
-                  "expected a mask of the picture's size");
+                  "expected a mask of the image's size");
             problem_.valid = valid_->data();
         }
         check(nearest > 0 && farthest > nearest, "expected 0 < nearest < farthest");
@@ -76,8 +76,8 @@ public:
         problem_.cx = pinhole.data()[2], problem_.cy = pinhole.data()[3];
         problem_.nearest = static_cast<float>(nearest), problem_.farthest = static_cast<float>(farthest);
         problem_.pixels_per_depth = static_cast<float>(pixels_per_depth);
-        check(least_variance > 0, "expected least_variance > 0");
-        problem_.least_variance = static_cast<float>(least_variance);
+        check(min_variance > 0, "expected min_variance > 0");
+        problem_.min_variance = static_cast<float>(min_variance);
         problem_.seed = seed;
         for (int k = 0; k < 25; ++k) {
             const double i = k % 5 - 2, j = k / 5 - 2;
@@ -88,7 +88,7 @@ public:
             problem_.gray_weights[step] = static_cast<float>(std::exp(-step * step / (2 * kGraySigma * kGraySigma)));
     }
 
-    void add_source(Gray gray, Matrix motion, std::optional<Map> depth, Matrix back, std::optional<Map> shown) {
+    void add_source(Gray gray, Matrix motion, std::optional<Map> depth, Matrix back, std::optional<Map> visible) {
         check(problem_.source_count < pcbench::mvs::kMaxSources, "expected at most 16 sources");
         Source& source = problem_.sources[problem_.source_count++];
         source.height = static_cast<int>(gray.shape(0));
@@ -96,19 +96,19 @@ public:
         check_size(gray);
         quads_.push_back(quads(gray));
         source.quads = quads_.back().data();
-        split(motion, source.turn, source.shift);
-        split(back, source.back_turn, source.back_shift);
+        split(motion, source.linear, source.shift);
+        split(back, source.back_linear, source.back_shift);
         if (depth) {
             check(depth->shape(0) == gray.shape(0) && depth->shape(1) == gray.shape(1),
                   "expected a depth map of the source's size");
             depths_.push_back(*depth);
             source.depth = depths_.back().data();
         }
-        if (shown) {
-            check(shown->shape(0) == gray.shape(0) && shown->shape(1) == gray.shape(1),
+        if (visible) {
+            check(visible->shape(0) == gray.shape(0) && visible->shape(1) == gray.shape(1),
                   "expected a mask of the source's size");
-            shown_.push_back(*shown);
-            source.shown = shown_.back().data();
+            visible_.push_back(*visible);
+            source.visible = visible_.back().data();
         }
     }
 
@@ -117,14 +117,14 @@ public:
         const auto sized = [&](const auto& array) {
             return array.shape(0) == gray_.shape(0) && array.shape(1) == gray_.shape(1);
         };
-        check(sized(planes) && sized(cost) && sized(view_costs), "expected maps of the picture's size");
-        check(view_costs.shape(2) == static_cast<size_t>(problem_.source_count), "expected a cost for each source");
+        check(sized(planes) && sized(cost) && sized(view_costs), "expected maps of the image's size");
+        check(view_costs.shape(2) == static_cast<size_t>(problem_.source_count), "expected one cost per source");
         check(problem_.source_count > 0, "expected at least one source");
-        const int64_t columns = (problem_.width + 1) / 2 + pcbench::mvs::kBesideLeft + pcbench::mvs::kBesideRight;
-        std::vector<float> beside(columns * (problem_.height + 2 * pcbench::mvs::kBesideAbove));
-        State state{planes.data(), cost.data(), view_costs.data(), beside.data(), columns};
+        const int64_t columns = (problem_.width + 1) / 2 + pcbench::mvs::kPackedLeft + pcbench::mvs::kPackedRight;
+        std::vector<float> packed_costs(columns * (problem_.height + 2 * pcbench::mvs::kPackedAbove));
+        State state{planes.data(), cost.data(), view_costs.data(), packed_costs.data(), columns};
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
-            if (!kernels().begin(problem_, state, interrupt)) return;
+            if (!kernels().initialize(problem_, state, interrupt)) return;
             for (int i = 0; i < sweeps; ++i)
                 if (!kernels().sweep(problem_, state, first + i, interrupt)) return;
         });
@@ -132,8 +132,8 @@ public:
 
 private:
     static void check_size(Gray gray) {
-        const auto fits = [](size_t side) { return side > 0 && side <= pcbench::mvs::kMostSide; };
-        check(fits(gray.shape(0)) && fits(gray.shape(1)), "expected a picture of 1 to 32,000 pixels along each side");
+        const auto fits = [](size_t side) { return side > 0 && side <= pcbench::mvs::kMaxSide; };
+        check(fits(gray.shape(0)) && fits(gray.shape(1)), "expected an image of 1 to 32,000 pixels along each side");
     }
 
     static constexpr double kSpaceSigma = 4.0, kGraySigma = 25.0;
@@ -142,7 +142,7 @@ private:
     Gray gray_;
     std::optional<Gray> valid_;
     std::vector<std::vector<int32_t>> quads_;
-    std::vector<Map> depths_, shown_;
+    std::vector<Map> depths_, visible_;
 };
 
 }  // namespace
@@ -153,18 +153,28 @@ NB_MODULE(_patchmatch, m) {
 
     m.def("isa", [] { return kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
 
-    nb::class_<Matcher>(m, "Matcher", "The search for one photograph's depth map.")
+    nb::class_<Matcher>(m, "Matcher", "Search for one photograph's depth map.")
         .def(nb::init<Gray, In<float, nb::shape<4>>, std::optional<Gray>, double, double, double, double, uint32_t>(),
              nb::arg("gray").noconvert(), nb::arg("pinhole").noconvert(), nb::arg("valid").noconvert().none(),
-             nb::arg("nearest"), nb::arg("farthest"), nb::arg("pixels_per_depth"), nb::arg("least_variance"),
+             nb::arg("nearest"), nb::arg("farthest"), nb::arg("pixels_per_depth"), nb::arg("min_variance"),
              nb::arg("seed"))
         .def("add_source", &Matcher::add_source, nb::arg("gray").noconvert(), nb::arg("motion").noconvert(),
-             nb::arg("depth").noconvert().none(), nb::arg("back").noconvert(), nb::arg("shown").noconvert().none(),
-             "motion: from homogeneous pixels times depth of the reference to those of the source (3, 4); back: the"
-             " other way. With a depth map, agreement with it is part of the cost; shown: 0 where a mask hides it.")
+             nb::arg("depth").noconvert().none(), nb::arg("back").noconvert(), nb::arg("visible").noconvert().none(),
+             "Add a source image.\n\n"
+             "Args:\n"
+             "    gray: grey levels (H, W) of the source.\n"
+             "    motion: (3, 4), from homogeneous pixels times depth of the reference to those of the source.\n"
+             "    depth: depth map of the source, None without one; agreement with it is part of the cost.\n"
+             "    back: (3, 4), from homogeneous pixels times depth of the source to those of the reference.\n"
+             "    visible: (H, W), 0 where a mask hides the source; None without a mask.")
         .def("run", &Matcher::run, nb::arg("planes").noconvert(), nb::arg("cost").noconvert(),
              nb::arg("view_costs").noconvert(), nb::arg("sweeps"), nb::arg("first") = 0,
-             "Improves the planes (depth and normal of each pixel) in place; one whose depth is outside the range is "
-             "begun at"
-             " random.");
+             "Improve planes in place.\n\n"
+             "Args:\n"
+             "    planes: (H, W, 4), depth and normal of each pixel. A plane whose depth is outside the range is"
+             " replaced by a random one.\n"
+             "    cost: (H, W), written.\n"
+             "    view_costs: (H, W, sources), written.\n"
+             "    sweeps: number of sweeps.\n"
+             "    first: index of the first sweep; perturbations shrink with it.");
 }

@@ -1,4 +1,4 @@
-// What one image's depth map is searched for from, and the state of the search. Pixel (0, 0) has its centre at (0, 0).
+// Input of the search for one image's depth map, and its state. Pixel (0, 0) has its centre at (0, 0).
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -8,50 +8,48 @@
 namespace pcbench::mvs {
 
 constexpr int kMaxSources = 16;
-constexpr int kMostSide = 32000;  // pixels: coordinates in a source are 16.16 fixed-point numbers
-static_assert(int64_t{kMostSide} * kMostSide <= INT32_MAX,
-              "pixels are numbered in 32 bits, what is stored of them in 64");
-constexpr float kWorst = 2.0f;  // the cost of what cannot be compared: one less the smallest correlation
+constexpr int kMaxSide = 32000;  // pixels: coordinates in a source are 16.16 fixed-point numbers
+static_assert(int64_t{kMaxSide} * kMaxSide <= INT32_MAX,
+              "pixel indices have 32 bits, offsets of stored values have 64");
+constexpr float kMaxCost = 2.0f;  // one minus the smallest correlation; also the cost of planes that cannot be compared
 
 struct Source {
-    const int32_t* quads = nullptr;  // of each pixel: itself, that to its right, that below, that below right, a signed
-                                     // byte each: its grey level less 128
+    const int32_t* quads = nullptr;  // per pixel four signed bytes, grey level minus 128: the pixel itself, the next
+                                     // to the right, the next below, and the one below right
     int width = 0, height = 0;
-    float turn[9] = {};            // K' R K^-1, from the reference's pixels to those of the source, of what is far away
-    float shift[3] = {};           // K' t
-    const float* shown = nullptr;  // 0 where a mask hides its picture; null: nowhere
-    const float* depth = nullptr;  // its depth map where there is one: agreement with it then is part of the cost
-    float back_turn[9] = {}, back_shift[3] = {};  // from its pixels to the reference's, as above
+    float linear[9] = {};            // K' R K^-1: from pixels of the reference to pixels of the source at infinity
+    float shift[3] = {};             // K' t
+    const float* visible = nullptr;  // 0 where a mask hides the source; null without a mask
+    const float* depth = nullptr;    // depth map of the source, null without one; agreement with it is part of the cost
+    float back_linear[9] = {}, back_shift[3] = {};  // from pixels of the source to pixels of the reference
 };
 
 struct Problem {
     const uint8_t* gray = nullptr;
-    const uint8_t* valid = nullptr;  // null: every pixel
+    const uint8_t* valid = nullptr;  // null if all pixels are valid
     int width = 0, height = 0;
     float fx = 1, fy = 1, cx = 0, cy = 0;
     int source_count = 0;
     Source sources[kMaxSources];
-    float nearest = 0, farthest = 0;  // of the depths that are looked for
-    float pixels_per_depth = 0;  // how far the image of a point moves in a source, in pixels, while its inverse depth
-                                 // changes by one
-    float least_variance = 1;    // in grey levels squared: of a patch that shows texture, not noise
+    float nearest = 0, farthest = 0;  // depth range of the search
+    float pixels_per_depth = 0;       // displacement of a point in a source, in pixels per unit of inverse depth
+    float min_variance = 1;           // variance of a patch with texture, in squared grey levels
     uint32_t seed = 0;
-    float space_weights[25] = {};  // of the patch's texels
-    float gray_weights[256] = {};  // of texels that differ so much in grey level from the patch's middle
+    float space_weights[25] = {};  // per texel of a patch
+    float gray_weights[256] = {};  // per absolute grey level difference from the patch's centre
 };
 
-// A row for each pixel, row by row. A depth of 0 is none.
+// Arrays with one record per pixel, row by row. A depth of 0 means no plane.
 struct State {
-    float* plane = nullptr;  // of each the depth and the normal's x, y, z
+    float* plane = nullptr;  // depth and normal x, y, z
     float* cost = nullptr;
-    float* view_costs = nullptr;  // source_count of each
-    float* beside = nullptr;      // room for the costs of one colour
-    int64_t beside_columns = 0;   // of that
+    float* view_costs = nullptr;    // source_count values per pixel
+    float* packed_costs = nullptr;  // buffer for the costs of one colour
+    int64_t packed_columns = 0;     // row length of that buffer
 };
 
-// Beside: of the pixels of one colour of a chessboard, in each row those of every second column next to each other,
-// with a border as wide as pixels and groups of them reach. What lies at the same distance from pixels of the other
-// colour is then side by side too.
-constexpr int kBesideAbove = 25, kBesideLeft = 13, kBesideRight = 29;
+// Packed costs: the pixels of one chessboard colour, every second column of each row, stored contiguously. Neighbours
+// at one offset from sixteen pixels of the other colour are then contiguous too. The border is as wide as the offsets.
+constexpr int kPackedAbove = 25, kPackedLeft = 13, kPackedRight = 29;
 
 }  // namespace pcbench::mvs

@@ -1,20 +1,20 @@
-// The neighbours whose planes a pixel may take over: the one of least cost in each of eight regions, four wedges nearby
-// and four lines further away (Xu and Tao 2019, sec. 3.1). Included once for each instruction set, see kernels_isa.h.
+// Candidates for propagation: the neighbour of least cost in each of eight regions, four nearby wedges and four lines
+// further away (Xu and Tao 2019, sec. 3.1). Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include "candidates.h"
 
 namespace pcbench::mvs::PCB_ISA {
 
 constexpr int kRegions = 8;
-constexpr float kNothing = 10.0f;  // the cost of what lies beyond the image or is not valid
+constexpr float kNoNeighborCost = 10.0f;  // for neighbours outside the image or not valid
 
 struct Region {
     int count;
     int32_t dx[11], dy[11];
 };
 
-// Of a side (down, up, right, left) the wedge or the line; all lead to pixels of the other colour.
-constexpr Region region(int number) {
+// Regions 0 to 3 are the wedges below, above, right and left, 4 to 7 the lines; all contain pixels of the other colour.
+constexpr Region make_region(int number) {
     constexpr int kAcross[7] = {0, -1, 1, -2, 2, -3, 3}, kAlong[7] = {1, 2, 2, 3, 3, 4, 4};
     const int side = number % 4;
     const bool wedge = number < 4;
@@ -27,48 +27,49 @@ constexpr Region region(int number) {
     return out;
 }
 
-constexpr Region kRegion[kRegions] = {region(0), region(1), region(2), region(3),
-                                      region(4), region(5), region(6), region(7)};
+constexpr Region kRegionOffsets[kRegions] = {make_region(0), make_region(1), make_region(2), make_region(3),
+                                             make_region(4), make_region(5), make_region(6), make_region(7)};
 
-// The costs of the pixels of one colour into the room for them.
-inline void lay_beside(const Problem& problem, State& state, int colour) {
+// Copy the costs of the pixels of one colour into the packed buffer.
+inline void pack_costs_by_colour(const Problem& problem, State& state, int colour) {
 #pragma omp parallel for
-    for (int64_t row = 0; row < problem.height + 2 * kBesideAbove; ++row) {
-        float* line = state.beside + row * state.beside_columns;
-        for (int64_t i = 0; i < state.beside_columns; ++i) line[i] = kNothing;
-        const int64_t y = row - kBesideAbove;
+    for (int64_t row = 0; row < problem.height + 2 * kPackedAbove; ++row) {
+        float* line = state.packed_costs + row * state.packed_columns;
+        for (int64_t i = 0; i < state.packed_columns; ++i) line[i] = kNoNeighborCost;
+        const int64_t y = row - kPackedAbove;
         if (y < 0 || y >= problem.height) continue;
         for (int64_t x = (y + colour) & 1; x < problem.width; x += 2) {
             const int64_t at = y * problem.width + x;
-            if (problem.valid == nullptr || problem.valid[at] != 0) line[kBesideLeft + x / 2] = state.cost[at];
+            if (problem.valid == nullptr || problem.valid[at] != 0) line[kPackedLeft + x / 2] = state.cost[at];
         }
     }
 }
 
-// A pixel for each of the group's, and how far away; where none is found, or asked for, the same one.
+// The best neighbour of each pixel of a group and its offset; the pixel itself if none exists or the pixel is not
+// valid.
 struct Neighbor {
-    Mask found;
+    Mask exists;
     Ints pixel;
     Floats dx, dy;
 };
 
 inline Neighbor best_of_region(const Problem& problem, const State& state, const Group& group, int number) {
-    const Region& steps = kRegion[number];
-    Floats least = Floats(kNothing), best = Floats(-1.0f);
+    const Region& steps = kRegionOffsets[number];
+    Floats least = Floats(kNoNeighborCost), best = Floats(-1.0f);
     for (int k = 0; k < steps.count; ++k) {
-        const int64_t row = group.y + steps.dy[k] + kBesideAbove;
-        const int64_t column = ((group.first + steps.dx[k]) >> 1) + kBesideLeft;
-        const Floats cost = load(state.beside + row * state.beside_columns + column);
+        const int64_t row = group.y + steps.dy[k] + kPackedAbove;
+        const int64_t column = ((group.first + steps.dx[k]) >> 1) + kPackedLeft;
+        const Floats cost = load(state.packed_costs + row * state.packed_columns + column);
         best = select(cost < least, Floats(static_cast<float>(k)), best);
         least = lesser(cost, least);
     }
-    const Mask found = group.valid & (Floats(-0.5f) < best);
-    const Ints step = truncated(greater(best, Floats(0.0f)));
+    const Mask exists = group.valid & (Floats(-0.5f) < best);
+    const Ints step = truncate(greater(best, Floats(0.0f)));
     const Floats none = Floats(0.0f);
-    const Floats dx = select(found, floats(gather(steps.dx, step)), none);
-    const Floats dy = select(found, floats(gather(steps.dy, step)), none);
-    const Ints away = truncated(dy) * Ints(problem.width) + truncated(dx);
-    return {found, load(group.pixel) + away, dx, dy};
+    const Floats dx = select(exists, to_floats(gather(steps.dx, step)), none);
+    const Floats dy = select(exists, to_floats(gather(steps.dy, step)), none);
+    const Ints away = truncate(dy) * Ints(problem.width) + truncate(dx);
+    return {exists, load(group.pixel) + away, dx, dy};
 }
 
 }  // namespace pcbench::mvs::PCB_ISA

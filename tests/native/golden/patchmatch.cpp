@@ -69,7 +69,7 @@ void golden::patchmatch() {
         Source& source = problem.sources[s];
         source.quads = s == 0 ? left.data() : right.data();
         source.width = kWidth, source.height = kHeight;
-        for (int i = 0; i < 9; i += 4) source.turn[i] = source.back_turn[i] = 1;
+        for (int i = 0; i < 9; i += 4) source.linear[i] = source.back_linear[i] = 1;
         source.shift[0] = (s == 0 ? -1 : 1) * kFocal * kBase, source.back_shift[0] = -source.shift[0];
         source.depth = s == 0 ? nullptr : depth.data();
     }
@@ -79,11 +79,11 @@ void golden::patchmatch() {
     for (int step = 0; step < 256; ++step) problem.gray_weights[step] = 16.0f / static_cast<float>(16 + step);
 
     std::vector<float> planes(4 * kWidth * kHeight), cost(kWidth * kHeight), view_costs(2 * kWidth * kHeight);
-    const int64_t columns = (kWidth + 1) / 2 + kBesideLeft + kBesideRight;
-    std::vector<float> beside(static_cast<size_t>(columns) * (kHeight + 2 * kBesideAbove));
-    State state{planes.data(), cost.data(), view_costs.data(), beside.data(), columns};
+    const int64_t columns = (kWidth + 1) / 2 + kPackedLeft + kPackedRight;
+    std::vector<float> packed_costs(static_cast<size_t>(columns) * (kHeight + 2 * kPackedAbove));
+    State state{planes.data(), cost.data(), view_costs.data(), packed_costs.data(), columns};
     pcbench::Interrupt interrupt(never);
-    chosen().begin(problem, state, interrupt);
+    chosen().initialize(problem, state, interrupt);
     Hash("patchmatch_begin").add(planes).add(cost).add(view_costs);
     for (int number = 0; number < 3; ++number) chosen().sweep(problem, state, number, interrupt);
     Hash("patchmatch_sweeps").add(planes).add(cost).add(view_costs);

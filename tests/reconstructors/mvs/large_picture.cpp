@@ -1,5 +1,5 @@
-// The search at the last pixels of the largest picture with the most sources. Memory is reserved, not taken: pages that
-// nothing touches cost none. Prints what it found, for test_large_pictures.py.
+// Search at the last pixels of the largest image with the most sources. Memory is reserved only: pages that are never
+// touched cost nothing. Prints its findings for test_large_pictures.py.
 #include <sys/mman.h>
 
 #include <cmath>
@@ -16,10 +16,10 @@ using namespace pcbench::mvs::baseline;
 
 namespace {
 
-constexpr int kShift = 4;  // pixels from the picture to each source
+constexpr int kShift = 4;  // displacement in pixels from the image to each source
 constexpr float kTrueDepth = 2.0f;
-constexpr int kFrom = 4, kTo = 100;     // pixels from the last row and column: the textured corner
-constexpr int kColumn = 79, kRow = 40;  // of the group that is searched, from the last ones: of even colour
+constexpr int kFrom = 4, kTo = 100;     // distance in pixels from the last row and column: the textured corner
+constexpr int kColumn = 79, kRow = 40;  // the searched group, counted from the last column and row: of even colour
 
 template <typename T>
 T* reserved(int64_t count) {
@@ -32,7 +32,7 @@ T* reserved(int64_t count) {
     return static_cast<T*>(memory);
 }
 
-// The same texture at the same distance from the last pixel, whatever the picture's size.
+// The texture depends on the distance from the last pixel only, not on the size of the image.
 int gray_at(int x, int y) {
     uint32_t value = static_cast<uint32_t>(x) * 0x9E3779B1u ^ static_cast<uint32_t>(y) * 0x85EBCA77u;
     value = (value ^ value >> 15) * 0x2C1B3C6Du;
@@ -52,7 +52,7 @@ int main(int, char** arguments) {
     for (int y = 0; y < kTo; ++y)
         for (int x = 0; x < kTo; ++x) gray[number(x, y)] = static_cast<uint8_t>(gray_at(x, y));
     for (int y = 1; y < kTo; ++y)
-        for (int x = 1; x < kTo; ++x) {  // what is at x in the picture is at x + kShift in a source
+        for (int x = 1; x < kTo; ++x) {  // the grey level at x in the image is at x + kShift in a source
             const auto byte = [&](int right, int down) {
                 return static_cast<uint32_t>(gray_at(x + kShift - right, y - down)) ^ 0x80u;
             };
@@ -74,7 +74,7 @@ int main(int, char** arguments) {
         Source& source = problem.sources[s];
         source.quads = quads;
         source.width = source.height = side;
-        source.turn[0] = source.turn[4] = source.turn[8] = 1.0f;
+        source.linear[0] = source.linear[4] = source.linear[8] = 1.0f;
         source.shift[0] = kShift * kTrueDepth;
     }
 
@@ -82,15 +82,15 @@ int main(int, char** arguments) {
     state.plane = reserved<float>(4 * pixels);
     state.cost = reserved<float>(pixels);
     state.view_costs = reserved<float>(sources * pixels);
-    state.beside_columns = (side + 1) / 2 + kBesideLeft + kBesideRight;
-    state.beside = reserved<float>(state.beside_columns * (side + 2 * kBesideAbove));  // every neighbour costs nothing
+    state.packed_columns = (side + 1) / 2 + kPackedLeft + kPackedRight;
+    state.packed_costs = reserved<float>(state.packed_columns * (side + 2 * kPackedAbove));  // all costs are zero
     for (int y = kFrom; y < kTo; ++y)
         for (int x = 0; x < kTo; ++x) {
             float* plane = state.plane + 4 * number(x, y);
             plane[0] = kTrueDepth, plane[1] = plane[2] = 0.0f, plane[3] = -1.0f;
         }
 
-    // What the search reads of its own pixels: planes and costs that no neighbour betters.
+    // First its own planes have lower costs than all neighbours and are kept.
     const int y = side - 1 - kRow, first = side - 1 - kColumn;
     int kept = 0;
     for (int l = 0; l < kLanes; ++l)
@@ -103,10 +103,10 @@ int main(int, char** arguments) {
             kept += state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] ==
                     -0.001f * static_cast<float>(s * kLanes + l + 1);
 
-    // What it takes over: its own planes are wrong now, its neighbours' are right.
+    // Then its own planes are wrong, and those of its neighbours are right.
     for (int l = 0; l < kLanes; ++l) {
         state.plane[4 * number(kColumn - 2 * l, kRow)] = 1.5f * kTrueDepth;
-        for (int s = 0; s < sources; ++s) state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] = kWorst;
+        for (int s = 0; s < sources; ++s) state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] = kMaxCost;
     }
     Search(problem, state, y, first).improve(0);
     int taken = 0;

@@ -1,4 +1,4 @@
-"""Which matcher runs; and COLMAP's, whose child stands in for a GPU where there is none."""
+"""Choice of the matcher, and COLMAP's maps, which a fake child process writes on machines without a GPU."""
 
 import json
 import shutil
@@ -16,35 +16,35 @@ from pcbench.errors import ReconstructionError
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
 from pcbench.scenes import read_scene
 from reconstructors.mvs import backend
-from reconstructors.mvs.backend import choose_backend, why_no_colmap
+from reconstructors.mvs.backend import choose_backend, colmap_problem
 from reconstructors.mvs.maps import read_map, write_raster
 from reconstructors.mvs.mvs import DenseMvs
 
 pycolmap = import_or_skip("pycolmap")
 
 
-def ended(code, words=""):
+def fake_run(code, words=""):
     return lambda *_, **__: SimpleNamespace(code=code, last_words=words)
 
 
 @pytest.mark.skipif(pycolmap.has_cuda, reason="this pycolmap has CUDA")
-def test_without_cuda_the_bundled_one_runs():
-    said(why_no_colmap())
-    assert choose_backend("auto") == ("bundled", why_no_colmap())
+def test_bundled_matcher_runs_without_cuda():
+    said(colmap_problem())
+    assert choose_backend("auto") == ("bundled", colmap_problem())
     with refused():
         choose_backend("colmap")
 
 
-def test_a_child_that_dies_is_no_gpu(monkeypatch):
-    monkeypatch.setattr(backend, "run_module", ended(-6))
-    assert "-6" in why_no_colmap()
-    said(why_no_colmap())
+def test_crashing_probe_means_no_gpu(monkeypatch):
+    monkeypatch.setattr(backend, "run_module", fake_run(-6))
+    assert "-6" in colmap_problem()
+    said(colmap_problem())
     assert choose_backend("auto")[0] == "bundled"
-    assert choose_backend("bundled") == ("bundled", "asked for")
-    monkeypatch.setattr(backend, "run_module", ended(0))
-    name, why = choose_backend("auto")
+    assert choose_backend("bundled") == ("bundled", "as requested")
+    monkeypatch.setattr(backend, "run_module", fake_run(0))
+    name, reason = choose_backend("auto")
     assert name == "colmap"
-    said(why)
+    said(reason)
     assert choose_backend("colmap")[0] == "colmap"
 
 
@@ -60,12 +60,13 @@ def photographs(tmp_path_factory):
 
 
 class FakeColmap:
-    """Reads a workspace as COLMAP's dense stereo does and writes exact maps for the references of its list that have
-    none yet; what its model says of the cameras is kept.
+    """Reads a workspace as COLMAP's dense stereo does and writes exact maps for the listed references without a map.
+
+    It records the cameras of the workspace's model.
     """
 
-    def __init__(self, true):
-        self.true, self.made, self.sources, self.cameras, self.points = true, [], {}, {}, 0
+    def __init__(self, true_cameras):
+        self.true_cameras, self.matched, self.sources, self.cameras, self.points = true_cameras, [], {}, {}, 0
 
     def __call__(self, module, command, *arguments, **_):
         if command == "match":
@@ -85,48 +86,48 @@ class FakeColmap:
             assert (folder / "images" / short).resolve().is_file()
             out = folder / f"stereo/depth_maps/{short}.geometric.bin"
             if not out.is_file():
-                made = corner_map(self.true[int(short[:6]) - 1])
-                depth = made.depth.copy()
-                depth[:5] = -1  # COLMAP has these where it filters
+                depth_map = corner_map(self.true_cameras[int(short[:6]) - 1])
+                depth = depth_map.depth.copy()
+                depth[:5] = -1  # COLMAP writes this for filtered depths
                 write_raster(out, depth)
-                write_raster(folder / f"stereo/normal_maps/{short}.geometric.bin", made.normal)
-                self.made.append(short)
+                write_raster(folder / f"stereo/normal_maps/{short}.geometric.bin", depth_map.normal)
+                self.matched.append(short)
 
 
-def test_maps_of_colmap_are_taken(photographs, tmp_path, monkeypatch):
+def test_colmap_maps_are_used(photographs, tmp_path, monkeypatch):
     scene = read_scene(photographs)
     fake = FakeColmap(list(scene.cameras.values()))
     monkeypatch.setattr(backend, "run_module", fake)
     made = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
     assert np.median(corner.distances(made.cloud.points)) < 1e-5
     said(next(note for note in made.notes if note.startswith("backend colmap")))
-    assert len(fake.made) == 4
+    assert len(fake.matched) == 4
     assert all(short not in sources and len(sources) >= 2 for short, sources in fake.sources.items())
     assert fake.points > 100
     k = corner.standard_intrinsics(320, 240)
     for parameters in fake.cameras.values():
         np.testing.assert_allclose(parameters, [k.fx, k.fy, k.cx - 0.5, k.cy - 0.5])
-    # What others read keeps its own convention.
+    # The model for other programs keeps COLMAP's convention of pixel centres.
     assert read_colmap_cameras(tmp_path / "maps")[0].intrinsics == k
     assert not read_map(tmp_path / "maps/001.png").known[:5].any()
 
-    # A killed run left a map half-written: it alone is made again.
+    # Only the map that a killed run left incomplete is computed again.
     path = tmp_path / "colmap/stereo/depth_maps/000002.png.geometric.bin"
     path.write_bytes(path.read_bytes()[:1000])
     shutil.rmtree(tmp_path / "geometric")
     again = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
-    assert fake.made[4:] == ["000002.png"]
+    assert fake.matched[4:] == ["000002.png"]
     np.testing.assert_array_equal(again.cloud.points, made.cloud.points)
     assert json.loads((tmp_path / "colmap/inputs.json").read_text())["seed"] == 0
 
 
-def test_why_there_are_no_maps_of_colmap(photographs, tmp_path, monkeypatch):
+def test_missing_colmap_maps_are_explained(photographs, tmp_path, monkeypatch):
     def run(module, command, *_, **__):
         return SimpleNamespace(code=0 if command == "probe" else -6, last_words="out of memory")
 
     monkeypatch.setattr(backend, "run_module", run)
     with refused(ReconstructionError):
         DenseMvs(backend="colmap").reconstruct(read_scene(photographs), tmp_path)
-    monkeypatch.setattr(backend, "run_module", ended(0))
+    monkeypatch.setattr(backend, "run_module", fake_run(0))
     with refused(ReconstructionError):
         DenseMvs(backend="colmap").reconstruct(read_scene(photographs), tmp_path)

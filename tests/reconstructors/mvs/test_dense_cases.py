@@ -1,4 +1,4 @@
-"""What dense clouds and maps are held against in tests/bench/mvs_city.py says what is put into them."""
+"""Scoring of dense clouds and maps in tests/bench/mvs_city.py, on clouds and maps with known errors."""
 
 from types import SimpleNamespace
 
@@ -15,14 +15,14 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.io.colmap_model import write_colmap_model
 from reconstructors.mvs.maps import DepthMap, write_map
 
-# A square of ground of 10 m; half of what is seen of it has texture.
+# A square of ground of 10 m; half of its visible part has texture.
 GROUND = MeshIndex(Mesh([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], [[0, 1, 2], [0, 2, 3]]))
 SEEN = np.array([[x, y, 0.0] for x in np.arange(0.05, 10, 0.1) for y in np.arange(0.05, 10, 0.1)])
 VIEWS = np.where(SEEN[:, 1] < 9, 9, 3)
 CITY = City(None, None, GROUND, SEEN, SEEN[:, 0] < 5, VIEWS, 8 * SEEN[:, 1], 0.101)
 
 
-def test_a_window_of_noise_is_plain_and_one_of_squares_is_not():
+def test_noise_is_untextured_and_squares_are_textured():
     rng = np.random.default_rng(0)
     plain = np.clip(rng.normal(120, 1.5, (60, 80)), 0, 255).astype(np.uint8)
     squares = plain + np.uint8(20) * ((np.indices(plain.shape) // 4).sum(axis=0) % 2).astype(np.uint8)
@@ -34,7 +34,7 @@ def test_a_window_of_noise_is_plain_and_one_of_squares_is_not():
     assert (deviations(plain) < FLAT).all()
 
 
-def test_a_cloud_is_scored():
+def test_score_cloud():
     right = SEEN[SEEN[:, 1] < 8]
     near = right + [0, 0, 0.15]  # between one and two footprints
     stray = right[: len(right) // 4] + [0, 0, 3.0]
@@ -42,7 +42,7 @@ def test_a_cloud_is_scored():
     assert found.points == 2 * len(right) + len(right) // 4
     np.testing.assert_allclose(found.precision, [1 / 2.25, 2 / 2.25, 2 / 2.25])
     assert found.wrong == pytest.approx(0.25 / 2.25)
-    # Four fifths of the ground, and as far beyond as a threshold reaches.
+    # Four fifths of the ground, and beyond it up to the threshold.
     np.testing.assert_allclose(found.recall, [0.81, 0.82, 0.85], atol=1e-9)
     np.testing.assert_allclose(found.textured, found.recall)
     assert found.empty == pytest.approx(0.15)
@@ -52,9 +52,9 @@ def test_a_cloud_is_scored():
     assert blind.plain[0] < 0.02
 
 
-def test_what_is_missed_is_told_apart():
+def test_missed_surface_is_classified():
     found = missed(CITY, SEEN[SEEN[:, 1] < 8])
-    # At two footprints 82 of 100 rows are found: none of those that three images show, 82 of the 90 of nine.
+    # At two footprints 82 of 100 rows are found: 82 of the 90 that nine images observe, none of the 10 of three.
     np.testing.assert_allclose(found["3 images"], [0.1, 0, 10 / 18])
     np.testing.assert_allclose(found["6 or more"], [0.9, 82 / 90, 8 / 18])
     np.testing.assert_allclose(found["below 60 deg"], [0.75, 1, 0])
@@ -62,8 +62,8 @@ def test_what_is_missed_is_told_apart():
     assert found["4 or 5"].share == 0
 
 
-def test_maps_are_scored(tmp_path):
-    """A slice of the ground between two of sky, plain in its left half."""
+def test_score_maps(tmp_path):
+    """A strip of ground between two strips of sky, untextured in its left half."""
     k = Intrinsics(60, 40, 50.0, 50.0, 30.0, 20.0)
     cameras = [Camera(f"{n}.png", k, look_at([5 + n / 2, 5, 15], [5 + n / 2, 5, 0], up=[0, 1, 0])) for n in range(2)]
     rows, columns = np.indices((40, 60))
@@ -72,13 +72,15 @@ def test_maps_are_scored(tmp_path):
     for camera in cameras:
         true = mesh_map(camera, GROUND)
         shown = true.depth > 0
-        # The ground begins in row 3: seven rows are off by two pixels, four by ten; beside the ground one row is known.
+        # The ground starts in row 3: seven rows are off by two pixels, four by ten. Beside it one row has depths.
         depth = true.depth * np.where(rows < 10, 1 + 2 / k.fx, np.where(rows < 14, 1 + 10 / k.fx, 1))
         depth = np.where(shown, depth, 15.0)
-        made = DepthMap(depth.astype(np.float32), (true.normal @ turned).astype(np.float32), np.ones((40, 60), "f4"))
+        depth_map = DepthMap(
+            depth.astype(np.float32), (true.normal @ turned).astype(np.float32), np.ones((40, 60), "f4")
+        )
         for folder in (tmp_path / "maps" / camera.name, tmp_path / "views" / camera.name):
             folder.mkdir(parents=True)
-        write_map(tmp_path / "maps" / camera.name, made.where((rows < 30) & (shown | (rows == 20))))
+        write_map(tmp_path / "maps" / camera.name, depth_map.where((rows < 30) & (shown | (rows == 20))))
         gray = np.where(columns < 30, 120, 120 + 40 * ((rows // 4 + columns // 4) % 2)).astype(np.uint8)
         Image.fromarray(gray).save(tmp_path / "views" / camera.name / "image.png")
     write_colmap_model(tmp_path / "maps", cameras)
@@ -93,7 +95,7 @@ def test_maps_are_scored(tmp_path):
     assert found.sky_known == pytest.approx(1 / 40, abs=0.01)
 
 
-def test_two_tables_stand_side_by_side(monkeypatch):
+def test_side_by_side_tables(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
     from mvs_reference import side_by_side
 
@@ -114,8 +116,8 @@ def test_two_tables_stand_side_by_side(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["city", "texture 0", "water", "moved"])
-def test_what_is_there_is_right(name, tmp_path, monkeypatch, renderer):
-    """Where there is texture, where there is none, over water, and where something else is in each photograph."""
+def test_city_depths_are_right(name, tmp_path, monkeypatch, renderer):
+    """With texture, without texture, over water, and with moving objects that differ between photographs."""
     import_or_skip("pycolmap")
     monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
     from mvs_city import make, reconstruct, scored

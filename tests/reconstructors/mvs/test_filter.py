@@ -1,4 +1,4 @@
-"""What of a map is kept: exact maps of a plane and of a corner, spoiled where it is known."""
+"""Filtering of exact maps of a plane and of a corner, some with known errors."""
 
 import numpy as np
 import pytest
@@ -18,24 +18,24 @@ def cameras(count=4, step=0.6):
     return [Camera(f"{k}", K, look_at([step * k, 0.3 * (k % 2), 5], [step * k, 0, 0])) for k in range(count)]
 
 
-def filtered(seen, maps, criteria=None, valid=None):
-    sources = list(zip(seen[1:], maps[1:], strict=True))
-    return filter_map(seen[0], maps[0], sources, criteria or Criteria(), valid)
+def filter_first(views, maps, criteria=None, valid=None):
+    sources = list(zip(views[1:], maps[1:], strict=True))
+    return filter_map(views[0], maps[0], sources, criteria or Criteria(), valid)
 
 
-def frames_that_show(seen, made):
-    """(sources, H, W): whether the frame of a source has the pixel's point."""
-    points = (seen[0].position + made.depth[..., None] * rays(seen[0])).reshape(-1, 3)
-    return np.stack([in_frame(camera, points).reshape(made.depth.shape) for camera in seen[1:]])
+def in_source_frames(views, made):
+    """Return (sources, H, W): whether a pixel's point lies in the frame of a source."""
+    points = (views[0].position + made.depth[..., None] * rays(views[0])).reshape(-1, 3)
+    return np.stack([in_frame(camera, points).reshape(made.depth.shape) for camera in views[1:]])
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), TILTED])
-def test_what_others_show_is_kept_and_counted(normal):
-    seen = cameras()
-    maps = [plane_map(camera, normal, 0.2) for camera in seen]
-    kept, agree = filtered(seen, maps)
-    shown = frames_that_show(seen, maps[0])
-    # Points on the very border of a frame are told to be in or out of it by rounding.
+def test_depths_in_other_frames_are_confirmed(normal):
+    views = cameras()
+    maps = [plane_map(camera, normal, 0.2) for camera in views]
+    kept, agree = filter_first(views, maps)
+    shown = in_source_frames(views, maps[0])
+    # Rounding decides whether points on the border of a frame lie in it.
     assert (agree == (shown & (shown.sum(axis=0) >= 2))).mean() > 0.999
     assert (kept.known == (shown.sum(axis=0) >= 2)).mean() > 0.999
     np.testing.assert_array_equal(kept.depth[kept.known], maps[0].depth[kept.known])
@@ -43,8 +43,8 @@ def test_what_others_show_is_kept_and_counted(normal):
     assert not kept.confidence[~kept.known].any()
 
 
-def spoiled(made, depth=1.0, turn_deg=0.0):
-    """The left half with other depths, or normals turned about y."""
+def distort_left_half(made, depth=1.0, turn_deg=0.0):
+    """Scale the depths, or turn the normals about y, in the left half of a map."""
     left = np.arange(made.depth.shape[1]) < made.depth.shape[1] // 2
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
     turned = made.normal @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32).T
@@ -68,58 +68,58 @@ def spoiled(made, depth=1.0, turn_deg=0.0):
         ({"turn_deg": 50.0}, {"normal_deg": 30.0}, False),
     ],
 )
-def test_what_others_contradict_is_not(change, criteria, stays):
-    seen = cameras()
-    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in seen]
-    true, _ = filtered(seen, maps)
-    kept, _ = filtered(seen, [spoiled(maps[0], **change), *maps[1:]], Criteria(**criteria))
+def test_contradicted_depths_are_removed(change, criteria, stays):
+    views = cameras()
+    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
+    true, _ = filter_first(views, maps)
+    kept, _ = filter_first(views, [distort_left_half(maps[0], **change), *maps[1:]], Criteria(**criteria))
     left = np.arange(160) < 80
-    # Points that are moved along their rays move in the frames of the others, too.
+    # Points that move along their rays also move in the other frames.
     assert (kept.known & left).sum() == (pytest.approx((true.known & left).sum(), rel=0.04) if stays else 0)
     assert (kept.known & ~left).sum() == (true.known & ~left).sum()
 
 
-def test_the_number_of_views_is_asked_for():
-    seen = cameras(5, step=0.9)
-    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in seen]
-    shown = 1 + frames_that_show(seen, maps[0]).sum(axis=0)
-    for views in (2, 3, 4, 5):
-        kept, _ = filtered(seen, maps, Criteria(views=views))
-        assert kept.known.sum() == pytest.approx((shown >= views).sum(), abs=10)
+def test_minimum_number_of_views():
+    views = cameras(5, step=0.9)
+    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
+    shown = 1 + in_source_frames(views, maps[0]).sum(axis=0)
+    for min_views in (2, 3, 4, 5):
+        kept, _ = filter_first(views, maps, Criteria(views=min_views))
+        assert kept.known.sum() == pytest.approx((shown >= min_views).sum(), abs=10)
     assert (shown == 5).any()
     assert (shown == 2).any()
 
 
-def test_unconfident_and_hidden_pixels_are_left_out_and_confirm_nothing():
-    seen = cameras(3)
-    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in seen]
-    whole = filtered(seen, maps)[0].known
-    doubtful = maps[0].confidence.copy()
-    doubtful[:40] = 0.2
-    kept, _ = filtered(seen, [DepthMap(maps[0].depth, maps[0].normal, doubtful), *maps[1:]])
+def test_low_confidence_and_masked_pixels_are_removed_and_confirm_nothing():
+    views = cameras(3)
+    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
+    all_kept = filter_first(views, maps)[0].known
+    low_confidence = maps[0].confidence.copy()
+    low_confidence[:40] = 0.2
+    kept, _ = filter_first(views, [DepthMap(maps[0].depth, maps[0].normal, low_confidence), *maps[1:]])
     assert not kept.known[:40].any()
-    np.testing.assert_array_equal(kept.known[40:], whole[40:])
+    np.testing.assert_array_equal(kept.known[40:], all_kept[40:])
     blind = DepthMap(maps[2].depth, maps[2].normal, np.full_like(maps[2].confidence, 0.2))
-    assert not filtered(seen, [*maps[:2], blind])[0].known.any()
+    assert not filter_first(views, [*maps[:2], blind])[0].known.any()
     valid = np.ones((120, 160), bool)
     valid[:, 100:] = False
-    np.testing.assert_array_equal(filtered(seen, maps, valid=valid)[0].known, whole & valid)
+    np.testing.assert_array_equal(filter_first(views, maps, valid=valid)[0].known, all_kept & valid)
 
 
-def test_depth_edges_confirm_only_themselves():
-    """In front of the corner's edges and where one plane hides another, what is kept is what the truth says."""
-    seen = corner.cameras(6, corner.standard_intrinsics(240, 180))
-    maps = [corner_map(camera) for camera in seen]
-    kept, agree = filtered(seen, maps)
+def test_depth_edges_are_not_confirmed_wrongly():
+    """At the corner's edges and at occlusions all remaining depths are exact."""
+    views = corner.cameras(6, corner.standard_intrinsics(240, 180))
+    maps = [corner_map(camera) for camera in views]
+    kept, agree = filter_first(views, maps)
     at = np.nonzero(kept.known)
-    points = world_points(seen[0], np.stack([at[1] + 0.5, at[0] + 0.5], axis=1), kept.depth[at])
+    points = world_points(views[0], np.stack([at[1] + 0.5, at[0] + 0.5], axis=1), kept.depth[at])
     assert corner.distances(points).max() < 1e-5
     assert kept.known.mean() > 0.9 * maps[0].known.mean()
     assert agree.shape == (5, 180, 240)
     assert (agree.sum(axis=0)[kept.known] >= 2).all()
 
 
-def test_points_of_pixels_project_back():
+def test_world_points_project_to_their_pixels():
     camera = cameras()[1]
     pixels = np.random.default_rng(0).uniform(0, 120, (50, 2))
     depth = np.random.default_rng(1).uniform(1, 9, 50)

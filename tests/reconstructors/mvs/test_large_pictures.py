@@ -1,4 +1,4 @@
-"""Pictures whose planes and costs are more than 2^31 numbers."""
+"""Images whose planes and costs have more than 2^31 values."""
 
 import os
 import shutil
@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from reconstructors.mvs.patchmatch import MAX_SIDE
+from reconstructors.mvs.patchmatch import MAX_SIDE_PX
 
 COMPILER = shutil.which(os.environ.get("CXX", "c++"))
 SOURCE = Path(__file__).with_name("large_picture.cpp")
 
 pytestmark = [
     pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler"),
-    pytest.mark.skipif(sys.platform != "linux", reason="reserves memory without taking it"),
+    pytest.mark.skipif(sys.platform != "linux", reason="reserves address space without memory"),
 ]
 
 
@@ -38,13 +38,13 @@ def search(tmp_path_factory):
         pytest.param(200, id="small"),
         pytest.param(11_700, id="costs of 16 sources beyond 2^31"),
         pytest.param(23_300, id="planes beyond 2^31"),
-        pytest.param(MAX_SIDE, id="the largest"),
+        pytest.param(MAX_SIDE_PX, id="the largest"),
     ],
 )
-def test_the_last_pixels_are_searched_as_in_a_small_picture(search, side):
-    """Only the pages of the last rows are touched: the largest picture takes no more memory than the small one."""
+def test_last_pixels_are_searched_as_in_a_small_image(search, side):
+    """Only the pages of the last rows are touched: the largest image needs as much memory as the smallest."""
     done = subprocess.run([search, str(side)], capture_output=True, text=True)
     if done.stdout.strip() == "no address space":
-        pytest.skip("this machine reserves no memory that it does not have")
+        pytest.skip("this machine does not reserve more memory than it has")
     assert done.returncode == 0, f"ended with {done.returncode}"
     assert done.stdout == "256 of 256 costs kept, 16 of 16 planes taken\n"

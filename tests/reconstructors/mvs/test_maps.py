@@ -1,4 +1,4 @@
-"""Depth and normal maps as files: there and back, and as COLMAP itself reads and writes them."""
+"""Depth and normal maps as files: round trips, and compatibility with COLMAP's reader and writer."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from wording import refused
 from reconstructors.mvs.maps import DepthMap, read_depth, read_map, read_raster, write_map, write_raster
 
 
-def a_map(height=5, width=7):
+def random_map(height=5, width=7):
     rng = np.random.default_rng(0)
     depth = rng.uniform(1, 9, (height, width)).astype(np.float32)
     depth[0, 0] = 0
@@ -16,39 +16,39 @@ def a_map(height=5, width=7):
     return DepthMap(depth, normal, rng.uniform(size=(height, width)).astype(np.float32))
 
 
-def test_there_and_back(tmp_path):
-    made = a_map()
-    write_map(tmp_path, made)
+def test_round_trip(tmp_path):
+    depth_map = random_map()
+    write_map(tmp_path, depth_map)
     back = read_map(tmp_path)
     for name in ("depth", "normal", "confidence"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(made, name))
+        np.testing.assert_array_equal(getattr(back, name), getattr(depth_map, name))
         assert getattr(back, name).dtype == np.float32
-    np.testing.assert_array_equal(read_depth(tmp_path), made.depth)
+    np.testing.assert_array_equal(read_depth(tmp_path), depth_map.depth)
     assert not back.known[0, 0]
     assert back.known.sum() == 34
-    # COLMAP writes no confidences.
+    # COLMAP writes no confidence file.
     (tmp_path / "confidence.bin").unlink()
     np.testing.assert_array_equal(read_map(tmp_path).confidence, back.known.astype(np.float32))
 
 
 def test_colmap_reads_and_writes_the_same_files(tmp_path):
     pycolmap = import_or_skip("pycolmap")
-    made = a_map()
-    write_map(tmp_path, made)
-    theirs = pycolmap.DepthMap()
-    theirs.read(tmp_path / "depth.bin")
-    np.testing.assert_array_equal(theirs.to_array(), made.depth)
-    pycolmap.DepthMap.from_array(made.depth, 1.0, 9.0).write(tmp_path / "theirs.bin")
-    assert (tmp_path / "theirs.bin").read_bytes() == (tmp_path / "depth.bin").read_bytes()
-    # Its arrays of normals mix up the layout, its files do not: the file is taken as it is.
+    depth_map = random_map()
+    write_map(tmp_path, depth_map)
+    colmap_map = pycolmap.DepthMap()
+    colmap_map.read(tmp_path / "depth.bin")
+    np.testing.assert_array_equal(colmap_map.to_array(), depth_map.depth)
+    pycolmap.DepthMap.from_array(depth_map.depth, 1.0, 9.0).write(tmp_path / "colmap.bin")
+    assert (tmp_path / "colmap.bin").read_bytes() == (tmp_path / "depth.bin").read_bytes()
+    # pycolmap's arrays of normals have a wrong layout, its files are right: compare the files.
     normals = pycolmap.NormalMap()
     normals.read(tmp_path / "normal.bin")
-    normals.write(tmp_path / "theirs.bin")
-    assert (tmp_path / "theirs.bin").read_bytes() == (tmp_path / "normal.bin").read_bytes()
+    normals.write(tmp_path / "colmap.bin")
+    assert (tmp_path / "colmap.bin").read_bytes() == (tmp_path / "normal.bin").read_bytes()
     assert (normals.width, normals.height) == (7, 5)
 
 
-def test_normals_lie_channel_after_channel(tmp_path):
+def test_normals_are_stored_channel_by_channel(tmp_path):
     normal = np.zeros((2, 3, 3), np.float32)
     normal[..., 1], normal[..., 2] = 1, 2
     write_raster(tmp_path / "n.bin", normal)
@@ -56,15 +56,15 @@ def test_normals_lie_channel_after_channel(tmp_path):
     assert (tmp_path / "n.bin").read_bytes() == expected
 
 
-def test_nothing_is_known_outside_what_is_kept():
-    made = a_map()
-    kept = np.zeros((5, 7), bool)
-    kept[2, 3] = True
-    left = made.where(kept)
-    assert left.known.sum() == 1
-    assert left.depth[2, 3] == made.depth[2, 3]
-    assert np.count_nonzero(left.normal) == 3
-    assert np.count_nonzero(left.confidence) == 1
+def test_where_removes_depths_outside_a_mask():
+    depth_map = random_map()
+    mask = np.zeros((5, 7), bool)
+    mask[2, 3] = True
+    masked = depth_map.where(mask)
+    assert masked.known.sum() == 1
+    assert masked.depth[2, 3] == depth_map.depth[2, 3]
+    assert np.count_nonzero(masked.normal) == 3
+    assert np.count_nonzero(masked.confidence) == 1
 
 
 @pytest.mark.parametrize(
@@ -86,15 +86,15 @@ def test_damaged_files_are_refused(tmp_path, content):
         read_raster(tmp_path / "depth.bin")
 
 
-def test_what_does_not_fit_is_refused(tmp_path):
-    made = a_map()
+def test_mismatched_shapes_are_refused(tmp_path):
+    depth_map = random_map()
     with refused():
-        DepthMap(made.depth, made.normal[1:], made.confidence)
-    write_map(tmp_path, made)
-    write_raster(tmp_path / "normal.bin", made.normal[1:])
+        DepthMap(depth_map.depth, depth_map.normal[1:], depth_map.confidence)
+    write_map(tmp_path, depth_map)
+    write_raster(tmp_path / "normal.bin", depth_map.normal[1:])
     with refused():
         read_map(tmp_path)
-    write_raster(tmp_path / "depth.bin", made.normal)
+    write_raster(tmp_path / "depth.bin", depth_map.normal)
     with refused():
         read_depth(tmp_path)
     with refused():

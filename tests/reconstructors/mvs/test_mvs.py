@@ -1,4 +1,4 @@
-"""Dense multi-view stereo from photographs to a cloud, with exact maps in the place of the matcher's."""
+"""Dense multi-view stereo from photographs to a cloud, with exact maps instead of the matcher's."""
 
 import errno
 import re
@@ -32,7 +32,7 @@ def photographs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def solved(photographs, tmp_path_factory):
-    """A workspace after one run with exact maps, the run, and its matcher."""
+    """Return a workspace after one run with exact maps, the reconstruction, and the matcher."""
     workspace, scene = tmp_path_factory.mktemp("solved"), read_scene(photographs)
     with pytest.MonkeyPatch.context() as patch:
         matcher = ExactMatcher(scene.cameras, corner_map).install(patch)
@@ -42,18 +42,18 @@ def solved(photographs, tmp_path_factory):
 
 @pytest.fixture
 def workspace(solved, tmp_path):
-    """A copy of it, to change."""
+    """Return a copy of the workspace that a test may change."""
     shutil.copytree(solved[0], tmp_path / "work", symlinks=True)
     return tmp_path / "work"
 
 
-def test_exact_maps_become_an_exact_cloud(solved, photographs):
+def test_exact_maps_yield_an_exact_cloud(solved, photographs):
     _, made, matcher = solved
     cloud = made.cloud
     assert made.gauge == "georeferenced"
     assert len(made.cameras) == 5
     assert len(cloud) > 20_000
-    # A pixel is 17 mm; fusion takes medians of each coordinate, which leave the plane by parts of it only at edges.
+    # A pixel is 17 mm. Fusion takes medians per coordinate, which leave a plane by a fraction of a pixel at edges.
     error = corner.distances(cloud.points)
     assert np.median(error) < 1e-5
     assert np.quantile(error, 0.99) < 0.002
@@ -61,14 +61,14 @@ def test_exact_maps_become_an_exact_cloud(solved, photographs):
     assert cloud.attributes["views"].max() == 5
     normals = np.eye(3)[np.argmin(np.abs(cloud.points), axis=1)]
     assert np.quantile(np.einsum("ni,ni->n", normals, cloud.normals), 0.01) > 0.99
-    # A point has the colour of what it shows.
+    # A point has the colour of the photograph at its projection.
     scene = read_scene(photographs)
     pixels, _ = scene.cameras["003.png"].project(cloud.points)
     inside = ((pixels > 5) & (pixels < [315, 235])).all(axis=1)
     x, y = pixels[inside].astype(int).T
-    shown = scene.read_image("003.png")[y, x].astype(float)
-    assert np.median(np.abs(shown - cloud.colors[inside])) < 6
-    # Each image was matched once, between depths that hold what it shows.
+    photograph = scene.read_image("003.png")[y, x].astype(float)
+    assert np.median(np.abs(photograph - cloud.colors[inside])) < 6
+    # Each image was matched once, within a depth range that contains its true depths.
     assert sorted(view.camera.name for view, _, _ in matcher.matched) == list(scene.images)
     for view, sources, (near, far) in matcher.matched:
         depth = corner_map(scene.cameras[view.camera.name]).depth
@@ -77,35 +77,35 @@ def test_exact_maps_become_an_exact_cloud(solved, photographs):
         assert far > np.quantile(depth[depth > 0], 0.95)
 
 
-def test_what_was_chosen_is_said(solved):
+def test_choices_are_reported(solved):
     notes = said("\n".join(solved[1].notes))
     for value in ("bundled", "320 pixels", "about 0.01", "3 + 2 iterations over 2 levels", "5 depth maps"):
         assert value in notes
 
 
-def test_maps_are_there_for_others(solved):
+def test_workspace_keeps_the_maps(solved):
     workspace, made, _ = solved
     cameras = read_colmap_cameras(workspace / "maps")
     assert [camera.name for camera in cameras] == sorted(made.cameras)
     for camera in cameras:
-        got, true = read_map(workspace / "maps" / camera.name), corner_map(camera)
-        kept = got.known
+        found, true = read_map(workspace / "maps" / camera.name), corner_map(camera)
+        kept = found.known
         assert kept.mean() > 0.5 * true.known.mean()
-        np.testing.assert_allclose(got.depth[kept], true.depth[kept], rtol=1e-6)
-        np.testing.assert_allclose(got.normal[kept], true.normal[kept], atol=1e-5)
+        np.testing.assert_allclose(found.depth[kept], true.depth[kept], rtol=1e-6)
+        np.testing.assert_allclose(found.normal[kept], true.normal[kept], atol=1e-5)
         assert (workspace / "views" / camera.name / "image.png").is_file()
 
 
-def test_a_mesh_is_made_on_request(workspace, solved, photographs, monkeypatch):
-    asked = []
+def test_mesh_on_request(workspace, solved, photographs, monkeypatch):
+    calls = []
 
-    def meshed(fused, out, origin, unit):
-        asked.append((fused, out, origin, unit))
+    def fake_write_mesh(fused, out, origin, unit):
+        calls.append((fused, out, origin, unit))
         return 1234
 
-    monkeypatch.setattr("reconstructors.mvs.mvs.write_mesh", meshed)
+    monkeypatch.setattr("reconstructors.mvs.mvs.write_mesh", fake_write_mesh)
     made = DenseMvs(backend="bundled", mesh=True).reconstruct(read_scene(photographs), workspace)
-    ((fused, out, origin, unit),) = asked
+    ((fused, out, origin, unit),) = calls
     assert out == workspace / "mesh.ply"
     said(next(note for note in made.notes if f"1234 faces: {out}" in note))
     assert unit is None
@@ -113,7 +113,7 @@ def test_a_mesh_is_made_on_request(workspace, solved, photographs, monkeypatch):
     np.testing.assert_array_equal(raw, solved[1].cloud.points)
 
 
-def test_a_killed_run_loses_one_image(workspace, solved, photographs, monkeypatch):
+def test_killed_run_loses_one_image(workspace, solved, photographs, monkeypatch):
     scene = read_scene(photographs)
     for path in ("photometric/003.png", "geometric/003.png", "maps/003.png"):
         shutil.rmtree(workspace / path)
@@ -124,7 +124,7 @@ def test_a_killed_run_loses_one_image(workspace, solved, photographs, monkeypatc
     assert [view.camera.name for view, _, _ in matcher.matched] == ["003.png"]
     assert matcher.refined == ["003.png"]
     np.testing.assert_array_equal(made.cloud.points, solved[1].cloud.points)
-    # Other criteria need no other maps, another seed does.
+    # Other criteria use the same maps, another seed needs new ones.
     stricter = DenseMvs(backend="bundled", views=4).reconstruct(scene, workspace)
     assert len(matcher.matched) == 1
     assert stricter.cloud.attributes["views"].min() >= 4
@@ -132,13 +132,13 @@ def test_a_killed_run_loses_one_image(workspace, solved, photographs, monkeypatc
     assert len(matcher.matched) == 6
 
 
-def test_masks_are_obeyed(photographs, tmp_path, monkeypatch):
+def test_masked_pixels_yield_no_points(photographs, tmp_path, monkeypatch):
     folder = tmp_path / "scene"
     shutil.copytree(photographs, folder)
     (folder / "masks").mkdir()
     cameras = corner.cameras(5, K)
     for camera in cameras:
-        # The floor beyond a line is not to be seen.
+        # The mask hides everything below a height of 0.5.
         depth = corner_map(camera).depth
         points = camera.position + depth[..., None] * rays(camera)
         Image.fromarray(np.where(points[..., 2] < 0.5, 0, 255).astype(np.uint8)).save(folder / "masks" / camera.name)
@@ -152,10 +152,10 @@ def test_masks_are_obeyed(photographs, tmp_path, monkeypatch):
     assert made.cloud.points[:, 2].max() > 1
 
 
-def test_what_cannot_work_is_said(solved, workspace, photographs, tmp_path, monkeypatch):
+def test_failures_are_explained(solved, workspace, photographs, tmp_path, monkeypatch):
     scene = read_scene(photographs)
-    for views, least in ((2, 3), (3, 3), (4, 4)):  # sparse points are of three images, whatever has to agree
-        few = scene.select(["000.png", "001.png", "002.png"][: least - 1])
+    for views, min_images in ((2, 3), (3, 3), (4, 4)):  # sparse points need three images
+        few = scene.select(["000.png", "001.png", "002.png"][: min_images - 1])
         with refused():
             DenseMvs(views=views).reconstruct(few, tmp_path)
 
@@ -172,38 +172,38 @@ def test_what_cannot_work_is_said(solved, workspace, photographs, tmp_path, monk
         DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
 
 
-def test_a_disk_that_is_too_small_is_said_first(solved, workspace, photographs, monkeypatch):
+def test_full_disk_is_reported_before_matching(solved, workspace, photographs, monkeypatch):
     scene = read_scene(photographs)
     ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
     parts = [workspace / part for part in ("views", "photometric", "geometric", "maps", "fused")]
     files = [path for part in parts for path in part.rglob("*") if path.is_file() and not path.is_symlink()]
-    took = sum(path.stat().st_size for path in files)
+    present = sum(path.stat().st_size for path in files)
 
-    def have(free):
+    def set_free_space(free):
         monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, free))
 
-    # What is there is not asked for again.
-    have(90 * 5 * 320 * 240 - took)
+    # Files that exist already need no more space.
+    set_free_space(90 * 5 * 320 * 240 - present)
     DenseMvs(backend="bundled").reconstruct(scene, workspace)
-    # What is asked for holds all that a run writes, the cloud too, and not much more.
+    # The estimate covers everything that a run writes, including the cloud, and not much more.
     for part in parts:
         shutil.rmtree(part)
-    written = took + 40 * len(solved[1].cloud)
-    have(written)
+    written = present + 40 * len(solved[1].cloud)
+    set_free_space(written)
     with refused(ReconstructionError, masked=True) as error:
         DenseMvs(backend="bundled").reconstruct(scene, workspace)
-    asked = 2**20 * int(re.search(r"take (\d+) MiB more", str(error.value))[1])
-    assert written < asked < 1.5 * written
+    estimate = 2**20 * int(re.search(r"need (\d+) MiB more", str(error.value))[1])
+    assert written < estimate < 1.5 * written
 
 
-def test_images_without_a_depth_are_named(workspace, photographs, monkeypatch):
+def test_images_without_depths_are_named(workspace, photographs, monkeypatch):
     scene = read_scene(photographs)
 
-    def blind(camera):
-        made = corner_map(camera)
-        return made.where(np.full(made.depth.shape, camera.name != "004.png"))
+    def without_last(camera):
+        depth_map = corner_map(camera)
+        return depth_map.where(np.full(depth_map.depth.shape, camera.name != "004.png"))
 
-    ExactMatcher(scene.cameras, blind).install(monkeypatch)
+    ExactMatcher(scene.cameras, without_last).install(monkeypatch)
     made = DenseMvs(backend="bundled", seed=4).reconstruct(scene, workspace)
     (note,) = [note for note in made.notes if "004.png" in note]
     assert "1 of 5 images" in said(note)

@@ -1,4 +1,4 @@
-"""The search for depth maps: against planes in closed form, and against correlations computed in float64."""
+"""PatchMatch against planes in closed form, and against correlations computed in float64."""
 
 import json
 import os
@@ -8,14 +8,14 @@ import sys
 import numpy as np
 import pytest
 from repository import TESTS
-from textured_planes import Photographed, plane_scene
+from textured_planes import PlaneScene, plane_scene
 from wording import refused
 
-from reconstructors.mvs.patchmatch import MAX_SIDE, MAX_SOURCES, _State, match, noise_variance, refine
+from reconstructors.mvs.patchmatch import MAX_SIDE_PX, MAX_SOURCES, _SearchState, match, noise_variance, refine
 
 
-def in_pixels(scene: Photographed, depth):
-    """Errors of a depth map as the image of the point moves in the first source, in pixels."""
+def errors_px(scene: PlaneScene, depth):
+    """Return the errors of a depth map as displacements in the first source, in pixels."""
     return np.abs(1 / depth - 1 / scene.depths[0]) * scene.focal * scene.baseline
 
 
@@ -25,33 +25,33 @@ def slanted():
     return scene, match(scene.views[0], scene.views[1:], (5.0, 20.0))
 
 
-def test_a_slanted_plane_comes_back(slanted):
+def test_slanted_plane_is_recovered(slanted):
     scene, found = slanted
-    assert np.median(in_pixels(scene, found.depth)) < 0.05
-    assert np.mean(in_pixels(scene, found.depth) < 0.5) > 0.97
+    assert np.median(errors_px(scene, found.depth)) < 0.05
+    assert np.mean(errors_px(scene, found.depth) < 0.5) > 0.97
     cosines = found.normal @ (np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0]))
     assert np.degrees(np.arccos(np.median(cosines))) < 5
     assert np.median(found.confidence) > 0.9
 
 
-def test_agreement_with_exact_maps_of_the_sources_improves_it(slanted):
+def test_exact_source_maps_improve_the_depths(slanted):
     scene, found = slanted
     refined = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0))
-    assert in_pixels(scene, refined.depth).mean() < in_pixels(scene, found.depth).mean()
-    assert np.percentile(in_pixels(scene, refined.depth), 99) < 0.5
+    assert errors_px(scene, refined.depth).mean() < errors_px(scene, found.depth).mean()
+    assert np.percentile(errors_px(scene, refined.depth), 99) < 0.5
 
 
-def test_maps_of_the_sources_that_say_otherwise_cost(slanted):
+def test_contradicting_source_maps_cost(slanted):
     scene, found = slanted
     wrong = [np.float32(1.3) * depth for depth in scene.depths[1:]]
     right = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0), iterations=0)
     denied = refine(scene.views[0], scene.views[1:], wrong, found, (5.0, 20.0), iterations=0)
     loss = (right.confidence - denied.confidence)[40:-40, 60:-60]
-    assert np.median(loss) == pytest.approx(0.6, abs=0.02)  # three pixels of 0.2 each
+    assert np.median(loss) == pytest.approx(0.6, abs=0.02)  # the cost is clamped at three pixels of 0.2 each
 
 
-def correlation(scene: Photographed, x, y, normal, source):
-    """Of the patches about a pixel, weighted as Schonberger et al. 2016 do, in float64 and by the exact homography."""
+def correlation(scene: PlaneScene, x, y, normal, source):
+    """Compute the weighted correlation of Schonberger et al. (2016) in float64 with the exact homography."""
     reference, other = scene.views[0], scene.views[source]
     k = reference.camera.intrinsics
     offsets = np.stack(np.meshgrid(*[np.arange(-4, 5, 2)] * 2, indexing="xy"), axis=-1).reshape(-1, 2)
@@ -61,7 +61,7 @@ def correlation(scene: Photographed, x, y, normal, source):
     points = rays * (scene.depths[0][y, x] * (normal @ ray) / (rays @ normal))[:, None]
     world = reference.camera.cam_from_world.inverse().apply(points)
     height, width = other.gray.shape
-    pixels = np.clip(other.camera.project(world)[0] - 0.5, 0, [width - 1.001, height - 1.001])  # to its border
+    pixels = np.clip(other.camera.project(world)[0] - 0.5, 0, [width - 1.001, height - 1.001])  # clamped to the border
     here = reference.gray[at[:, 1], at[:, 0]].astype(float)
     column, row = np.floor(pixels).astype(int).T
     fx, fy = (pixels - np.floor(pixels)).T
@@ -77,13 +77,13 @@ def correlation(scene: Photographed, x, y, normal, source):
     return weights @ (a * b) / np.sqrt((weights @ a**2) * (weights @ b**2))
 
 
-def test_costs_are_those_of_the_correlation_in_float64():
+def test_costs_match_the_correlation_in_float64():
     normal = np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0])
     scene = plane_scene(normal=(0.35, -0.2, -1.0))
     height, width = scene.depths[0].shape
     planes = np.empty((height, width, 4), np.float32)
     planes[..., 0], planes[..., 1:] = 1.01 * scene.depths[0], normal
-    state = _State.of(planes.copy(), len(scene.views) - 1)
+    state = _SearchState.initial(planes.copy(), len(scene.views) - 1)
     state.improve(scene.views[0], scene.views[1:], None, (5.0, 20.0), 0, 0, 0)
     off = scene._replace(depths=[1.01 * scene.depths[0]])
     rng = np.random.default_rng(1)
@@ -94,38 +94,38 @@ def test_costs_are_those_of_the_correlation_in_float64():
         seen = camera.project(scene.views[0].camera.cam_from_world.inverse().apply(points))[0] - 0.5
         inside = np.minimum(seen, np.array([width - 1, height - 1]) - seen).min(axis=1)
         own = np.minimum(np.minimum(columns, width - 1 - columns), np.minimum(rows, height - 1 - rows)) >= 4
-        # Wholly inside the source, and hanging over its border.
+        # Patches completely inside the source, and patches that extend beyond its border.
         for which in (own & (inside > 8), own & (inside > 0) & (inside < 3)):
             for at in rng.choice(np.flatnonzero(which), 10, replace=False):
                 expected = 1 - correlation(off, columns[at], rows[at], normal, source)
                 assert state.view_costs[rows[at], columns[at], source - 1] == pytest.approx(expected, abs=3e-3)
 
 
-def test_a_plane_without_texture_is_not_believed():
+def test_untextured_plane_has_no_confidence():
     scene = plane_scene(contrast=0)
     assert np.mean(match(scene.views[0], scene.views[1:], (5.0, 20.0)).confidence > 0) < 0.01
 
 
 @pytest.mark.parametrize("sigma", [0.5, 2, 6])
-def test_the_noise_of_a_picture_is_told_from_its_texture(sigma):
+def test_noise_variance_ignores_texture(sigma):
     flat = plane_scene(contrast=0, noise=sigma).views[0].gray
     assert noise_variance(flat) == pytest.approx(sigma**2 + 1 / 12, rel=0.35)
-    smooth = plane_scene(noise=sigma, width=480, height=320).views[0].gray  # twice as many pixels a wave
+    smooth = plane_scene(noise=sigma, width=480, height=320).views[0].gray  # twice as many pixels per wave
     assert noise_variance(smooth) < 4 * (sigma**2 + 1 / 12)
 
 
-def test_masks_are_obeyed(slanted):
+def test_masks_hide_pixels(slanted):
     scene, _ = slanted
-    hidden = np.ones(scene.depths[0].shape, bool)
-    hidden[:, :60] = False
-    found = match(scene.views[0]._replace(valid=hidden), scene.views[1:], (5.0, 20.0))
+    valid = np.ones(scene.depths[0].shape, bool)
+    valid[:, :60] = False
+    found = match(scene.views[0]._replace(valid=valid), scene.views[1:], (5.0, 20.0))
     assert not found.depth[:, :60].any() and not found.confidence[:, :60].any()
     assert found.depth[:, 64:].all()
-    nowhere = [view._replace(valid=np.zeros_like(hidden)) for view in scene.views[1:]]
-    assert not match(scene.views[0], nowhere, (5.0, 20.0)).confidence.any()
+    masked_sources = [view._replace(valid=np.zeros_like(valid)) for view in scene.views[1:]]
+    assert not match(scene.views[0], masked_sources, (5.0, 20.0)).confidence.any()
 
 
-def test_what_cannot_be_searched_is_refused(slanted):
+def test_unusable_input_is_refused(slanted):
     scene, _ = slanted
     with refused():
         match(scene.views[0], [], (5.0, 20.0))
@@ -133,12 +133,12 @@ def test_what_cannot_be_searched_is_refused(slanted):
         match(scene.views[0], [scene.views[1]] * (MAX_SOURCES + 1), (5.0, 20.0))
     with refused():
         match(scene.views[0], scene.views[1:], (0.0, 20.0))
-    wide = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE + 1), np.uint8))
+    wide = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE_PX + 1), np.uint8))
     with refused():
         match(scene.views[0], [wide], (5.0, 20.0))
 
 
-ANSWER = """
+DIGEST_SCRIPT = """
 import hashlib, json, sys
 sys.path[:0] = {path!r}
 from textured_planes import plane_scene
@@ -155,9 +155,9 @@ print(json.dumps([_patchmatch.isa(), digest.hexdigest()]))
 """
 
 
-def answer_with(**environment):
+def run_with(**environment):
     return subprocess.run(
-        [sys.executable, "-c", ANSWER.format(path=[str(TESTS)])],
+        [sys.executable, "-c", DIGEST_SCRIPT.format(path=[str(TESTS)])],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
@@ -165,16 +165,16 @@ def answer_with(**environment):
 
 
 @pytest.fixture(scope="module")
-def baseline_answer():
-    done = answer_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
+def baseline_digest():
+    done = run_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
     isa, digest = json.loads(done.stdout)
     assert isa == "baseline"
     return digest
 
 
 @pytest.mark.parametrize("isa, threads", [("baseline", "3"), ("avx2", "1"), ("avx512", "2")])
-def test_the_same_bits_with_any_instruction_set_and_number_of_threads(baseline_answer, isa, threads):
-    done = answer_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
+def test_same_bits_with_any_instruction_set_and_thread_count(baseline_digest, isa, threads):
+    done = run_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
     if "PCBENCH_ISA: expected an instruction set that this machine supports" in done.stderr:
         pytest.skip(f"this machine has no {isa}: there is nothing to compare with the baseline")
-    assert json.loads(done.stdout) == [isa, baseline_answer], done.stderr
+    assert json.loads(done.stdout) == [isa, baseline_digest], done.stderr

@@ -1,4 +1,4 @@
-"""Dense clouds of real photographs against what does not come from them: sparse points of true cameras."""
+"""Dense clouds of real photographs compared with independent sparse points."""
 
 import numpy as np
 import pytest
@@ -14,26 +14,27 @@ from reconstructors.sfm.sfm import ColmapSfm
 import_or_skip("pycolmap")
 
 
-def off_surface(dense, sparse, cameras):
-    """Distances (N,) of sparse points to the planes of the nearest dense ones, in pixels of the images that show
-    them (median).
+def plane_distances_px(dense, sparse, cameras):
+    """Return the distances (N,) of sparse points to the planes of the nearest dense points, in pixels.
+
+    The pixel is the median over the images with the point in their frames.
     """
     points = sparse.points
     depths = np.stack([camera.cam_from_world.apply(points)[:, 2] / camera.intrinsics.fx for camera in cameras])
-    shown = np.stack([in_frame(camera, points) for camera in cameras])
-    pixel = np.nanmedian(np.where(shown, depths, np.nan), axis=0)
+    visible = np.stack([in_frame(camera, points) for camera in cameras])
+    pixel = np.nanmedian(np.where(visible, depths, np.nan), axis=0)
     _, nearest = cKDTree(dense.points).query(points)
     return np.abs(np.einsum("ni,ni->n", points - dense.points[nearest], dense.normals[nearest])) / pixel
 
 
 @pytest.mark.slow
 def test_fountain(tmp_path):
-    """At a third of the size the dense cloud lies where sparse points of the whole photographs do."""
+    """At a third of the image size, the dense cloud agrees with sparse points of the full-size photographs."""
     for part in ("dense", "sparse"):
         (tmp_path / part).mkdir()
     made = DenseMvs().reconstruct(read_scene(data_folder("fountain"), image_scale=0.35), tmp_path / "dense")
     sparse = ColmapSfm().reconstruct(read_scene(data_folder("fountain")), tmp_path / "sparse").cloud
-    off = off_surface(made.cloud, sparse, list(made.cameras.values()))
+    off = plane_distances_px(made.cloud, sparse, list(made.cameras.values()))
     assert len(made.cloud) > 400_000
     assert len(sparse) > 10_000
     assert np.median(off) < 0.3

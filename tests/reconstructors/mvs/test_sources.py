@@ -1,4 +1,4 @@
-"""Which images a reference is matched with: known arrangements of cameras over a plane of points."""
+"""Choice of source images for known arrangements of cameras over a plane of points."""
 
 import numpy as np
 import pytest
@@ -15,18 +15,18 @@ from reconstructors.mvs.sparse import Sparse
 K = Intrinsics.from_fov(640, 480, 60.0)
 
 
-def down(name, x, y=0.0, z=10.0):
+def looking_down(name, x, y=0.0, z=10.0):
     return Camera(name, K, look_at([x, y, z], [x, y, 0]))
 
 
-def over_a_plane(cameras, extent=30.0, count=4000, seen=None):
+def over_a_plane(cameras, extent=30.0, count=4000):
     points = np.random.default_rng(0).uniform(-extent, extent, (count, 3)) * [1, 1, 0]
-    shows = np.stack([in_frame(camera, points) if seen is None else seen(points) for camera in cameras], axis=1)
-    return Sparse({c.name: c for c in cameras}, points, csc_matrix(shows.astype(np.int8)))
+    visibility = np.stack([in_frame(camera, points) for camera in cameras], axis=1)
+    return Sparse({c.name: c for c in cameras}, points, csc_matrix(visibility.astype(np.int8)))
 
 
-def test_angles_are_those_of_trigonometry():
-    a, b = down("a", 0.0), down("b", 10.0)
+def test_angles_match_trigonometry():
+    a, b = looking_down("a", 0.0), looking_down("b", 10.0)
     np.testing.assert_allclose(
         angles_deg(a, b, np.array([[0.0, 0, 0], [5.0, 0, 0]])), [45, 2 * np.degrees(np.arctan(0.5))]
     )
@@ -37,11 +37,11 @@ def test_angles_are_those_of_trigonometry():
     assert (np.diff(weights[4:]) < 0).all()
 
 
-def test_neighbours_at_good_angles_come_first_and_from_both_sides():
+def test_sources_have_good_angles_on_both_sides():
     # Steps of 2 at height 10: 11 degrees from one to the next.
-    cameras = [down(f"{k:02}", 2.0 * k - 10) for k in range(11)]
-    references, alone = choose_references(over_a_plane(cameras), 4)
-    assert not alone
+    cameras = [looking_down(f"{k:02}", 2.0 * k - 10) for k in range(11)]
+    references, isolated = choose_references(over_a_plane(cameras), 4)
+    assert not isolated
     middle = references[5]
     assert middle.name == "05"
     assert set(middle.sources) <= {"03", "04", "06", "07", "02", "08"}
@@ -52,70 +52,79 @@ def test_neighbours_at_good_angles_come_first_and_from_both_sides():
     assert 8 < middle.angle_deg < 35
 
 
-def test_what_shows_nothing_at_a_good_angle_is_no_source():
-    cameras = [down("a", 0), down("b", 2), down("c", -2), down("beside a", 0.05), down("far", 200)]
-    references, alone = choose_references(over_a_plane(cameras), 8)
-    assert alone == ["far"]
+def test_images_without_good_angles_are_no_sources():
+    cameras = [
+        looking_down("a", 0),
+        looking_down("b", 2),
+        looking_down("c", -2),
+        looking_down("beside a", 0.05),
+        looking_down("far", 200),
+    ]
+    references, isolated = choose_references(over_a_plane(cameras), 8)
+    assert isolated == ["far"]
     chosen = {r.name: r.sources for r in references}
     assert set(chosen["a"]) == {"b", "c"}
     assert set(chosen["b"]) == {"a", "c", "beside a"}
 
 
-def test_of_two_alike_the_sharper_is_better():
+def test_sharper_of_two_similar_views_is_chosen():
     far = Camera("far", K, look_at([3, 0, 30], [0, 0, 0]))
-    references, _ = choose_references(over_a_plane([down("a", 0), down("near", 2), far]), 1)
+    references, _ = choose_references(over_a_plane([looking_down("a", 0), looking_down("near", 2), far]), 1)
     assert references[0].sources == ("near",)
 
 
-def test_few_features_are_helped_by_the_frames():
-    """One image shows hardly a feature; what the others show in its frame tells its sources and depths."""
-    cameras = [down("a", 0), down("b", 2), down("c", -2)]
+def test_frames_replace_missing_features():
+    """An image with few features gets its sources and depths from the other images' points in its frame."""
+    cameras = [looking_down("a", 0), looking_down("b", 2), looking_down("c", -2)]
     sparse = over_a_plane(cameras)
-    shows = sparse.shows.toarray()
-    shows[10:, 0] = 0
-    references, alone = choose_references(Sparse(sparse.cameras, sparse.points, csc_matrix(shows)), 4)
-    assert not alone
+    visibility = sparse.visibility.toarray()
+    visibility[10:, 0] = 0
+    references, isolated = choose_references(Sparse(sparse.cameras, sparse.points, csc_matrix(visibility)), 4)
+    assert not isolated
     assert set(references[0].sources) == {"b", "c"}
     assert references[0].depths == pytest.approx((7.5, 12.5))
 
 
-def test_wrong_points_do_not_widen_the_depths():
-    sparse = over_a_plane([down("a", 0), down("b", 2)])
+def test_outliers_do_not_widen_the_depth_range():
+    sparse = over_a_plane([looking_down("a", 0), looking_down("b", 2)])
     points = sparse.points.copy()
-    points[np.flatnonzero(sparse.shows.toarray()[:, 0])[0]] = [0, 0, -1000]
-    references, _ = choose_references(Sparse(sparse.cameras, points, sparse.shows), 4)
+    points[np.flatnonzero(sparse.visibility.toarray()[:, 0])[0]] = [0, 0, -1000]
+    references, _ = choose_references(Sparse(sparse.cameras, points, sparse.visibility), 4)
     assert references[0].depths == pytest.approx((7.5, 12.5))
 
 
-def test_why_there_is_none():
+def test_missing_sources_are_explained():
     with refused(ReconstructionError):
-        choose_references(over_a_plane([down("a", 0), down("b", 0.02)]), 4)
+        choose_references(over_a_plane([looking_down("a", 0), looking_down("b", 0.02)]), 4)
     with refused(ReconstructionError):
-        choose_references(over_a_plane([down("a", -15), down("b", 15)]), 4)
-    empty = over_a_plane([down("a", 0), down("b", 2)], count=0)
+        choose_references(over_a_plane([looking_down("a", -15), looking_down("b", 15)]), 4)
+    empty = over_a_plane([looking_down("a", 0), looking_down("b", 2)], count=0)
     with refused(ReconstructionError):
         choose_references(empty, 4)
 
 
-def test_a_shifted_origin_changes_nothing_but_the_frame():
-    cameras = [Camera("a", K, Similarity(look_at([5, 2, 9], [1, 0, 0]).rotation, np.array([1.0, 2, 3]))), down("b", 2)]
+def test_recentering_changes_only_the_frame():
+    cameras = [
+        Camera("a", K, Similarity(look_at([5, 2, 9], [1, 0, 0]).rotation, np.array([1.0, 2, 3]))),
+        looking_down("b", 2),
+    ]
     sparse = over_a_plane(cameras)
     origin = np.array([4e5, 5e6, 300.0])
-    far = sparse.about(-origin)
+    far = sparse.recentered(-origin)
     np.testing.assert_allclose(far.cameras["a"].position, cameras[0].position + origin, rtol=1e-12)
-    back = far.about(origin)
+    back = far.recentered(origin)
     np.testing.assert_allclose(back.points, sparse.points, atol=1e-8)
     np.testing.assert_allclose(back.cameras["a"].cam_from_world.translation, [1, 2, 3], atol=1e-8)
 
 
-def test_those_that_share_features_come_first():
-    """Features are shared by next neighbours alone; the frames of others have the same points."""
-    cameras = [down(f"{k}", 2.0 * k - 6) for k in range(7)]
+def test_images_with_shared_features_come_first():
+    """Only adjacent images share features; the frames of the others contain the same points."""
+    cameras = [looking_down(f"{k}", 2.0 * k - 6) for k in range(7)]
     sparse = over_a_plane(cameras)
-    shows = sparse.shows.toarray()
-    middle = np.flatnonzero(shows[:, 3])
-    shows[np.ix_(middle, [0, 1, 5, 6])] = 0
-    references, _ = choose_references(Sparse(sparse.cameras, sparse.points, csc_matrix(shows)), 4)
+    visibility = sparse.visibility.toarray()
+    middle = np.flatnonzero(visibility[:, 3])
+    visibility[np.ix_(middle, [0, 1, 5, 6])] = 0
+    references, _ = choose_references(Sparse(sparse.cameras, sparse.points, csc_matrix(visibility)), 4)
     (chosen,) = [r.sources for r in references if r.name == "3"]
     assert set(chosen[:2]) == {"2", "4"}
     assert set(chosen[2:]) == {"1", "5"}

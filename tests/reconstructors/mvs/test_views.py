@@ -1,4 +1,4 @@
-"""Photographs as pinholes take them: against photographs of those pinholes."""
+"""Undistorted photographs compared with photographs of the pinholes."""
 
 import numpy as np
 import pytest
@@ -10,13 +10,13 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
-from reconstructors.mvs.views import luminance, pinhole, read_view, rectified, view_stage
+from reconstructors.mvs.views import luminance, pinhole, read_view, undistort, view_stage
 
 LENS = Intrinsics(480, 360, 430.0, 430.0, 245.0, 178.0, (-0.15, 0.03, 0.001, -0.001))
 
 
 def photographed_through(camera):
-    """A photograph through a lens, sampled from one of a wider pinhole at twice the size."""
+    """Return a photograph with lens distortion, sampled from a wider pinhole's photograph at twice the size."""
     wide = Camera("", Intrinsics(1400, 1100, 860.0, 860.0, 700.0, 550.0), camera.cam_from_world)
     image, k = corner.photograph(wide).astype(float), camera.intrinsics
     x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
@@ -27,49 +27,49 @@ def photographed_through(camera):
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """One image through a lens and one through a pinhole, in a folder of their own, the first with a mask."""
+    """A scene with a distorted, masked image and a pinhole image, both in a subfolder."""
     folder = tmp_path_factory.mktemp("scene")
     (folder / "images/left").mkdir(parents=True)
     (folder / "masks/left").mkdir(parents=True)
-    bent, straight = (
+    distorted, ideal = (
         Camera(f"left/{name}.png", k, camera.cam_from_world)
         for name, k, camera in zip("ab", (LENS, corner.standard_intrinsics()), corner.cameras(2, LENS), strict=True)
     )
-    Image.fromarray(photographed_through(bent)).save(folder / "images" / bent.name)
-    Image.fromarray(corner.photograph(straight)).save(folder / "images" / straight.name)
+    Image.fromarray(photographed_through(distorted)).save(folder / "images" / distorted.name)
+    Image.fromarray(corner.photograph(ideal)).save(folder / "images" / ideal.name)
     mask = np.full((360, 480), 255, np.uint8)
     mask[:, :100] = 0
-    Image.fromarray(mask).save(folder / "masks" / bent.name)
-    write_colmap_model(folder / "sparse", [bent, straight])
+    Image.fromarray(mask).save(folder / "masks" / distorted.name)
+    write_colmap_model(folder / "sparse", [distorted, ideal])
     return read_scene(folder)
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_a_lens_is_straightened(scene, scale):
+def test_lens_distortion_is_removed(scene, scale):
     camera = scene.cameras["left/a.png"]
     target = pinhole(camera, scale)
     assert target.intrinsics.is_pinhole
     assert target.intrinsics.fx == pytest.approx(scale * 430)
-    image, valid = rectified(scene, camera, target.intrinsics)
+    image, valid = undistort(scene, camera, target.intrinsics)
     assert image.shape == (target.intrinsics.height, target.intrinsics.width, 3)
-    # All of the photograph is in the pinhole's image: this lens draws its corners in.
+    # The pinhole's image contains the entire photograph: this lens has barrel distortion.
     assert 1 < target.intrinsics.width / (scale * 480) < 1.25
-    # The ideal image at half size is the mean of four pixels of the one at full size.
-    whole = Camera(
+    # The ideal image at half size averages four pixels of the full size.
+    full_size = Camera(
         "",
         pinhole(camera, 1.0).intrinsics.resized(*(round(n / scale) for n in image.shape[1::-1])),
         camera.cam_from_world,
     )
-    ideal = corner.photograph(whole).astype(float)
+    ideal = corner.photograph(full_size).astype(float)
     n = round(1 / scale)
     ideal = ideal.reshape(image.shape[0], n, image.shape[1], n, 3).mean(axis=(1, 3))
-    seen = corner_map(target).known & valid
-    assert seen.mean() > 0.3
-    assert np.median(np.abs(image[seen] - ideal[seen])) < 3
-    # Half a pixel aside it would be worse: conventions are right.
-    beside = np.roll(image, 1, axis=1)
-    assert np.median(np.abs(beside[seen] - ideal[seen])) > 2 * np.median(np.abs(image[seen] - ideal[seen]))
-    # The mask hides the left, the lens the corners.
+    visible = corner_map(target).known & valid
+    assert visible.mean() > 0.3
+    assert np.median(np.abs(image[visible] - ideal[visible])) < 3
+    # A shift by one pixel is worse: the pixel convention is right.
+    shifted = np.roll(image, 1, axis=1)
+    assert np.median(np.abs(shifted[visible] - ideal[visible])) > 2 * np.median(np.abs(image[visible] - ideal[visible]))
+    # The mask hides the left part, and the lens does not cover the corners.
     at, _ = camera.project(camera.position + rays_of(target) @ camera.cam_from_world.rotation)
     expected = ((at >= [100, 0]) & (at < [480, 360])).all(axis=-1).reshape(valid.shape)
     assert (valid == expected).mean() > 0.99
@@ -81,7 +81,7 @@ def rays_of(camera):
     return k.directions(np.stack([x.ravel(), y.ravel()], axis=1))
 
 
-def test_a_pinhole_stays_as_it_is(scene, tmp_path):
+def test_pinhole_stays_unchanged(scene, tmp_path):
     camera = scene.cameras["left/b.png"]
     target = pinhole(camera, 1.0)
     assert target.intrinsics == camera.intrinsics
@@ -100,13 +100,13 @@ def test_a_pinhole_stays_as_it_is(scene, tmp_path):
     )
 
 
-def test_masks_are_kept(scene, tmp_path):
+def test_masks_are_undistorted_and_stored(scene, tmp_path):
     camera = scene.cameras["left/a.png"]
     target = pinhole(camera, 1.0)
     view = read_view(view_stage(scene, camera, target, tmp_path), target)
-    np.testing.assert_array_equal(view.valid, rectified(scene, camera, target.intrinsics)[1])
+    np.testing.assert_array_equal(view.valid, undistort(scene, camera, target.intrinsics)[1])
 
 
-def test_grey_is_luminance():
+def test_luminance():
     rgb = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255]]], np.uint8)
     np.testing.assert_array_equal(luminance(rgb), [[76, 150, 29, 255]])

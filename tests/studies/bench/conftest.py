@@ -52,5 +52,5 @@ def one_process(monkeypatch):
         return Ended(code=0, timed_out=False, cpu_s=0.0, output="", errors="", received=0)
 
     # The code that runs in a process of its own is none of what decides the results of this one.
-    monkeypatch.setattr(reconstruct_child, "running", lambda module: None)
+    monkeypatch.setattr(reconstruct_child, "register_plugin_code", lambda module: None)
     monkeypatch.setattr("pcbench.plugins.run.run_module", run_module)

@@ -197,7 +197,7 @@ def test_an_interrupted_bench_goes_on(here, one_process):
 def test_a_timeout_stands_for_shorter_limits(here, monkeypatch):
     monkeypatch.setattr(runs, "describe", lambda *_: Description())  # which may take longer or not
     first = bench(job("Hang", time_limit_s=0.2), Path("out"))["rows"][0]
-    assert (first["status"], first["message"]) == ("timeout", "it took longer than the limit of 0.2 s")
+    assert (first["status"], first["message"]) == ("timeout", "it exceeded the time limit of 0.2 s")
     assert bench(job("Hang", time_limit_s=0.1), Path("out"))["rows"][0]["time_limit_s"] == 0.2
     assert bench(job("Hang", time_limit_s=0.3), Path("out"))["rows"][0]["time_limit_s"] == 0.3
 
