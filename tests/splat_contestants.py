@@ -20,7 +20,7 @@ from torch import Tensor
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.splat.devices import kernels_of
-from reconstructors.splat.interface import Drawn, GaussianTensors, Pulled
+from reconstructors.splat.interface import RasterOutput, GaussianTensors, Gradients
 from reconstructors.splat.reference import Projection, project
 from reconstructors.splat.view import View
 
@@ -138,7 +138,7 @@ class ByAutograd:
     def __init__(self, picture: Picture) -> None:
         self._picture = picture
         self._leaves = picture.leaves()
-        self._optimizer = torch.optim.Adam(self._leaves, lr=0.0, eps=1e-15, fused=True)
+        self._optimizer = torch.optim.Adam(self._leaves, lr=0.0, eps=1e-15, fuse=True)
 
     def draw(self) -> Tensor:
         raise NotImplementedError
@@ -429,13 +429,13 @@ class RasterizerByAutograd:
         background: Tensor,
         *,
         geometry: bool,
-    ) -> Drawn:
+    ) -> RasterOutput:
         if geometry or background.any():
             raise NotImplementedError("expected colors alone, before black")
         self._leaves = GaussianTensors(*(part.detach().requires_grad_() for part in gaussians))
         self._image = self._draw(self._leaves, view)
         color = self._image.detach().contiguous()
-        return Drawn(color, torch.zeros_like(color[..., 0]), None, None, None)
+        return RasterOutput(color, torch.zeros_like(color[..., 0]), None, None, None)
 
     def backward(
         self,
@@ -444,9 +444,9 @@ class RasterizerByAutograd:
         depth: Tensor | None,
         normal: Tensor | None,
         error: Tensor | None,
-    ) -> Pulled:
+    ) -> Gradients:
         self._image.backward(color)
         gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in self._leaves]
         ids = torch.stack([by.reshape(len(by), -1).any(dim=1) for by in gradients]).any(dim=0).nonzero()[:, 0]
         nothing = color.new_zeros(len(ids))
-        return Pulled(ids, *(by[ids] for by in gradients), color.new_zeros(len(ids), 2), nothing, nothing)
+        return Gradients(ids, *(by[ids] for by in gradients), color.new_zeros(len(ids), 2), nothing, nothing)

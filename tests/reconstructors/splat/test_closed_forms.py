@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Wanted, run_pass
+from splat_passes import ImageGradients, run_pass
 from splat_scenes import SplatScene
 
 from pcbench.geometry.cameras import Camera, Intrinsics
@@ -53,8 +53,8 @@ def test_a_point_is_the_dilation(any_engine):
     for x, y in [(0.0, 0.0), (0.5, 0.5), (0.21, -0.37)]:
         scene = facing([x * 0.02, y * 0.02, 2], 0, 0.8, [1, 1, 1], size=(8, 6))
         u, v = np.meshgrid(np.arange(8) + 0.5 - 4 - x, np.arange(6) + 0.5 - 3 - y)
-        wanted = 0.8 * np.exp(-(u**2 + v**2) / (2 * DILATION))
-        np.testing.assert_allclose(photograph(any_engine, scene)["alpha"], wanted * (wanted >= LEAST), atol=2e-6)
+        image_gradients = 0.8 * np.exp(-(u**2 + v**2) / (2 * DILATION))
+        np.testing.assert_allclose(photograph(any_engine, scene)["alpha"], image_gradients * (image_gradients >= LEAST), atol=2e-6)
 
 
 def test_pixel_centres_are_at_a_half(any_engine):
@@ -119,14 +119,14 @@ def test_the_nearer_one_hides_the_other(any_engine):
     scene = facing([[0, 0, 3], [0, 0, 1], [0, 0, 2]], 1e3, opacities, colors, (5, 4), background=[1, 1, 1])
     images = photograph(any_engine, scene)
     weights = np.array([0.4 * 0.01 * 0.5, 0.6, 0.4 * 0.99])
-    wanted = weights @ colors + (0.4 * 0.01 * 0.5)
-    np.testing.assert_allclose(images["color"], np.broadcast_to(wanted, (4, 5, 3)), atol=1e-5)
+    image_gradients = weights @ colors + (0.4 * 0.01 * 0.5)
+    np.testing.assert_allclose(images["color"], np.broadcast_to(image_gradients, (4, 5, 3)), atol=1e-5)
     np.testing.assert_allclose(images["depth"], weights @ [3, 1, 2], atol=1e-5)
     np.testing.assert_allclose(images["median_depth"], 1, atol=1e-6)
     opaque = facing([[0, 0, 3], [0, 0, 1], [0, 0, 2]], 1e3, 1, colors, (5, 4), background=[1, 1, 1])
     # The second of them would leave 1e-4 all but a rounding, and the ray ends before it.
-    wanted = 0.99 * colors[1] + 0.01
-    np.testing.assert_allclose(photograph(any_engine, opaque)["color"], np.broadcast_to(wanted, (4, 5, 3)), atol=1e-5)
+    image_gradients = 0.99 * colors[1] + 0.01
+    np.testing.assert_allclose(photograph(any_engine, opaque)["color"], np.broadcast_to(image_gradients, (4, 5, 3)), atol=1e-5)
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 30, 60])
@@ -182,5 +182,5 @@ def test_colours_below_nothing_are_nothing(any_engine):
     image = photograph(any_engine, scene)
     assert not image["color"][..., 0].any() and image["color"][..., 2].max() > 1
     ones = np.ones((32, 32, 3), np.float32)
-    pulled = run_pass(any_engine, scene, Wanted(ones, None, None, None, None)).pulled
-    assert pulled["sh"][0, 0, 0] == 0 and (pulled["sh"][0, 0, 1:] > 0).all()
+    gradients = run_pass(any_engine, scene, ImageGradients(ones, None, None, None, None)).gradients
+    assert gradients["sh"][0, 0, 0] == 0 and (gradients["sh"][0, 0, 1:] > 0).all()

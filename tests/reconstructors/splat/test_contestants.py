@@ -48,7 +48,7 @@ def test_training_takes_the_drawing_of_another():
     scores = []
     for drawn_by in (None, draw_plainly):
         model = Gaussians(*(part.clone() for part in picture.parameters._replace(sh=picture.parameters.sh[:, :1])))
-        training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, halved=(0, 0)), Density())
+        training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, downscale_shares=(0, 0)), Density())
         before = evaluate(training.model, [photograph])[0]
         if drawn_by is not None:
             training._rasterizer = RasterizerByAutograd(drawn_by)

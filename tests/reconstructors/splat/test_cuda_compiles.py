@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import make, whole_tiles
 from wording import refused
 
@@ -18,7 +18,7 @@ from reconstructors.splat import cuda
 from reconstructors.splat.cuda import kernels
 
 ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
-EVERY = kernels.every_kernel()
+EVERY = kernels.all_kernels()
 # Of each kernel the one that is compiled to most: all harmonics, all images, and what the derivative needs.
 LARGEST = list({kernel.name: kernel for kernel in EVERY}.values())
 
@@ -41,7 +41,7 @@ def assert_is_code_of(cubin, kernel):
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 @pytest.mark.parametrize("kernel", LARGEST, ids=lambda kernel: kernel.name)
 def test_every_kernel_compiles(nvrtc, kernel, architecture):
-    assert_is_code_of(nvrtc.compiled(kernel, architecture), kernel)
+    assert_is_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
 
 
 @pytest.mark.slow
@@ -50,12 +50,12 @@ def test_every_kernel_compiles(nvrtc, kernel, architecture):
     "kernel", EVERY, ids=lambda kernel: "-".join([kernel.name, *(str(n) for _, n in kernel.constants)])
 )
 def test_every_kernel_compiles_with_all_of_its_constants(nvrtc, kernel, architecture):
-    assert_is_code_of(nvrtc.compiled(kernel, architecture), kernel)
+    assert_is_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
 
 
 def test_what_was_compiled_is_kept(nvrtc, monkeypatch, tmp_path):
     kernel = kernels.compact()
-    cubin = nvrtc.compiled(kernel, "sm_90")
+    cubin = nvrtc.compile_kernel(kernel, "sm_90")
     (file,) = (tmp_path / "pcbench").iterdir()
     assert file.read_bytes() == cubin
 
@@ -66,23 +66,23 @@ def test_what_was_compiled_is_kept(nvrtc, monkeypatch, tmp_path):
 
     with monkeypatch.context() as patched:
         patched.setattr(core, "Program", refuse)
-        assert nvrtc.compiled(kernel, "sm_90") == cubin
+        assert nvrtc.compile_kernel(kernel, "sm_90") == cubin
         for other, architecture in [(kernel, "sm_80"), (replace(kernel, threads=64), "sm_90")]:
             with pytest.raises(RuntimeError, match=r"compiled again|does not compile"):
-                nvrtc.compiled(other, architecture)
+                nvrtc.compile_kernel(other, architecture)
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(nvrtc, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert_is_code_of(nvrtc.compiled(kernels.compact(), "sm_90"), kernels.compact())
+    assert_is_code_of(nvrtc.compile_kernel(kernels.compact(), "sm_90"), kernels.compact())
 
 
 def test_what_does_not_compile_says_why(nvrtc, tmp_path):
     (tmp_path / "wrong.cu").write_text("constexpr int kAnswer = unheard_of;\n")
-    kernel = replace(kernels.compact(), before=(tmp_path / "wrong.cu",))
+    kernel = replace(kernels.compact(), headers=(tmp_path / "wrong.cu",))
     with pytest.raises(RuntimeError, match=r"compact for sm_90(.|\n)*unheard_of"):
-        nvrtc.compiled(kernel, "sm_90")
+        nvrtc.compile_kernel(kernel, "sm_90")
 
 
 class Driver:
@@ -102,7 +102,7 @@ class Driver:
 
         def kernel(name):
             called = (kernel for kernel in EVERY if kernel.name == name)
-            return next(kernel for kernel in called if self.nvrtc.compiled(kernel, "sm_90") == cubin)
+            return next(kernel for kernel in called if self.nvrtc.compile_kernel(kernel, "sm_90") == cubin)
 
         return SimpleNamespace(get_kernel=kernel)
 
@@ -135,8 +135,8 @@ def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
         cuda.adam(*models[-1], image[1][ids], ids, 0.01, 7, launcher=launcher)
         orders.append([cuda.morton_order(image[0], launcher)])
         rasterizer, scene = cuda.Rasterizer(launcher), make(whole_tiles)
-        wanted = random_wanted(scene)._replace(depth=None, normal=None)
-        passes.append(run_pass(Engine(cuda, "cpu"), scene, wanted, rasterizer, geometry=False).arrays().values())
+        image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
+        passes.append(run_pass(Engine(cuda, "cpu"), scene, image_gradients, rasterizer, geometry=False).arrays().values())
     for parts in (losses, models, orders):
         assert all(torch.equal(*pair) for pair in zip(*parts, strict=True))
     assert all(np.array_equal(*pair) for pair in zip(*passes, strict=True))
@@ -155,7 +155,7 @@ COMPILE = """
 from pcbench.errors import MissingExtra
 from reconstructors.splat.cuda import kernels, nvrtc
 try:
-    nvrtc.compiled(kernels.compact(), "sm_90")
+    nvrtc.compile_kernel(kernels.compact(), "sm_90")
 except MissingExtra as error:
     print(error)
 """

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, crowd, huge, make, opaque, scattered
 
 torch = import_or_skip("torch")
@@ -21,9 +21,9 @@ from reconstructors.splat.cuda import kernels  # noqa: E402
 
 def training_step(engine, scene):
     """All that an engine computes, in arrays by name: with geometry and without, the loss, Adam, and a new order."""
-    wanted = random_wanted(scene)
-    full = run_pass(engine, scene, wanted)
-    plain = run_pass(engine, scene, wanted._replace(depth=None, normal=None), geometry=False)
+    image_gradients = random_image_gradients(scene)
+    full = run_pass(engine, scene, image_gradients)
+    plain = run_pass(engine, scene, image_gradients._replace(depth=None, normal=None), geometry=False)
     k = scene.camera.intrinsics
     image = torch.from_numpy(plain.images["color"].reshape(k.height, k.width, 3)).float()
     loss = engine.kernels.image_loss(image, image.flip(1).contiguous(), 0.2)
@@ -77,7 +77,7 @@ def test_all_kernels_are_run():
     engine = emulated("forward", 0)
     training_step(engine, make(huge))
     engine.kernels.morton_order(torch.zeros(3, 3))
-    assert set(engine.kernels.emulator.launched) == {kernel.name for kernel in kernels.every_kernel()}
+    assert set(engine.kernels.emulator.launched) == {kernel.name for kernel in kernels.all_kernels()}
 
 
 class Mutant(Emulator):
@@ -128,12 +128,12 @@ def test_a_missing_barrier_would_show(kernel, barrier):
 def test_images_are_bit_for_bit_those_of_the_cpu(kind):
     """One header of mathematics, rounded alike; derivatives are sums in another order."""
     scene = make(kind)
-    wanted = random_wanted(scene)
-    ours, theirs = run_pass(emulated("forward", 0), scene, wanted), run_pass(Engine(cpu, "cpu"), scene, wanted)
+    image_gradients = random_image_gradients(scene)
+    ours, theirs = run_pass(emulated("forward", 0), scene, image_gradients), run_pass(Engine(cpu, "cpu"), scene, image_gradients)
     assert_same_bits(ours.images, theirs.images, kind.__name__)
-    for name, array in theirs.pulled.items():
+    for name, array in theirs.gradients.items():
         size = np.abs(array).max(initial=0)
-        np.testing.assert_allclose(ours.pulled[name], array, rtol=1e-3, atol=1e-5 * size, err_msg=name)
+        np.testing.assert_allclose(ours.gradients[name], array, rtol=1e-3, atol=1e-5 * size, err_msg=name)
 
 
 @pytest.mark.parametrize("rates", [0.01, torch.linspace(0.001, 0.1, 7)], ids=["one", "each"])

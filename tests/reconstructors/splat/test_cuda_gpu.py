@@ -6,7 +6,7 @@ test_twins.py runs there, too, against the plain rasterizer. The command for bot
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, huge, make, scattered
 
 from reconstructors.splat.interface import GaussianTensors
@@ -50,9 +50,9 @@ def city(count=100_000, width=480, height=270):
 def test_a_pass_is_bit_for_bit_that_of_the_emulator(gpu, emulated, kind):
     """Every operation is rounded by IEEE 754, nothing is contracted, and the order of every sum is fixed."""
     scene = make(kind)
-    wanted = random_wanted(scene)
+    image_gradients = random_image_gradients(scene)
     for geometry in (True, False):
-        given = wanted if geometry else wanted._replace(depth=None, normal=None)
+        given = image_gradients if geometry else image_gradients._replace(depth=None, normal=None)
         ours, theirs = (run_pass(engine, scene, given, geometry=geometry) for engine in (gpu, emulated))
         for name, array in theirs.arrays().items():
             np.testing.assert_array_equal(ours.arrays()[name], array, err_msg=name)
@@ -61,20 +61,20 @@ def test_a_pass_is_bit_for_bit_that_of_the_emulator(gpu, emulated, kind):
 def test_a_large_pass_is_that_of_the_cpu(gpu, cpu):
     """Images bit for bit; derivatives are sums in another order."""
     scene = city()
-    wanted = random_wanted(scene)
-    ours, theirs = run_pass(gpu, scene, wanted), run_pass(cpu, scene, wanted)
+    image_gradients = random_image_gradients(scene)
+    ours, theirs = run_pass(gpu, scene, image_gradients), run_pass(cpu, scene, image_gradients)
     for name, image in theirs.images.items():
         np.testing.assert_array_equal(ours.images[name], image, err_msg=name)
-    for name, array in theirs.pulled.items():
-        np.testing.assert_allclose(ours.pulled[name], array, rtol=1e-3, atol=1e-4 * np.abs(array).max(), err_msg=name)
+    for name, array in theirs.gradients.items():
+        np.testing.assert_allclose(ours.gradients[name], array, rtol=1e-3, atol=1e-4 * np.abs(array).max(), err_msg=name)
 
 
 def test_the_same_bits_again(gpu):
     scene = city()
-    wanted, used = random_wanted(scene), gpu.kernels.Rasterizer()
-    first = run_pass(gpu, scene, wanted, used).arrays()
+    image_gradients, used = random_image_gradients(scene), gpu.kernels.Rasterizer()
+    first = run_pass(gpu, scene, image_gradients, used).arrays()
     for _ in range(5):
-        for name, array in run_pass(gpu, scene, wanted, used).arrays().items():
+        for name, array in run_pass(gpu, scene, image_gradients, used).arrays().items():
             np.testing.assert_array_equal(array, first[name], err_msg=name)
 
 

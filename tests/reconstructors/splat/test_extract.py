@@ -13,8 +13,8 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 torch = import_or_skip("torch")
 
 from reconstructors.splat import depths as depths_module  # noqa: E402
-from reconstructors.splat.depths import Depths, overlap  # noqa: E402
-from reconstructors.splat.extract import AGREEMENT, means, surface  # noqa: E402
+from reconstructors.splat.depths import RenderedMaps, find_overlap  # noqa: E402
+from reconstructors.splat.extract import SURFACE_CRITERIA, means, surface  # noqa: E402
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame  # noqa: E402
 from reconstructors.splat.voxels import Points, Voxels  # noqa: E402
 
@@ -99,7 +99,7 @@ def test_what_too_few_images_see_is_left_out():
     """Two of six cameras look at another part of the plane."""
     aside = np.array([20.0, 0.0, 0.0])
     model = plane()
-    model = model.joined(replace(model, means=model.means + torch.tensor([20.0, 0.0, 0.0])))
+    model = model.concatenate(replace(model, means=model.means + torch.tensor([20.0, 0.0, 0.0])))
     there = {f"there {name}": camera for name, camera in list(around(target=aside).items())[:2]}
     cloud = surface(model, WORLD, around(4) | there)
     assert cloud.points[:, 0].max() < 3
@@ -109,9 +109,9 @@ def test_what_too_few_images_see_is_left_out():
 
 def test_a_gaussian_before_one_camera_alone_is_no_surface():
     model, cameras = plane(), around()
-    before = next(iter(cameras.values())).position * 0.9
-    floater = discs(before[None], (before / np.linalg.norm(before))[None], 0.2)
-    cloud = surface(model.joined(floater), WORLD, cameras)
+    headers = next(iter(cameras.values())).position * 0.9
+    floater = discs(headers[None], (headers / np.linalg.norm(headers))[None], 0.2)
+    cloud = surface(model.concatenate(floater), WORLD, cameras)
     assert cloud.points[:, 2].max() < 0.1 * FOOTPRINT
 
 
@@ -135,14 +135,14 @@ def test_no_surface_is_an_error_that_says_so():
     with refused(ReconstructionError):
         surface(faint, WORLD, cameras)
     with refused(ReconstructionError):
-        surface(plane(), WORLD, cameras, criteria=replace(AGREEMENT, views=6, depth=1e-12))
+        surface(plane(), WORLD, cameras, criteria=replace(SURFACE_CRITERIA, views=6, depth=1e-12))
 
 
 def test_memory_holds_few_maps_and_the_cloud_is_the_same(monkeypatch):
     expected = surface(plane(), WORLD, around())
-    monkeypatch.setattr(depths_module, "_MEMORY", 0)
-    depths = Depths(plane(), WORLD, around(20), 12)
-    overlap(plane(), depths, 12)
+    monkeypatch.setattr(depths_module, "_CACHE_BYTES", 0)
+    depths = RenderedMaps(plane(), WORLD, around(20), 12)
+    find_overlap(plane(), depths, 12)
     assert depths.of.cache_info().currsize == 13
     assert np.array_equal(surface(plane(), WORLD, around()).points, expected.points)
 
@@ -158,7 +158,7 @@ def test_points_become_means_by_weight_and_a_coarse_one_fills_only_what_is_empty
     voxels.add(points((0.4, 0.5, 0.5), views=5), np.array([1e-9]), np.zeros(1))
     coarse = points((1.5, 0.5, 0.5), (1.4, 0.5, 0.5), (-1.5, 0.5, 0.5), (-1.3, 0.5, 0.5))
     voxels.add(coarse, np.ones(4), np.full(4, 1.7))
-    found = voxels.fused()
+    found = voxels.fuse()
     # Those at 1.5 and 1.4 are in the cell of two units that has a finer point.
     assert np.allclose(found.points, [[0.3, 0.5, 0.5], [-1.4, 0.5, 0.5]])
     assert found.views.tolist() == [5, 3] and np.allclose(found.normals, [0, 0, 1])

@@ -99,13 +99,13 @@ class Loops:
         numbers = [*view.rotation.ravel(), *view.position, view.fx, view.fy, view.cx, view.cy, *view.limits, view.near]
         pixels = view.width * view.height
         images, median, boxes = (np.zeros(s, self.type) for s in ((pixels, 8), pixels, (count, 5)))
-        pulled, pulled_sh = np.zeros((count, 15), self.type), np.zeros((count, harmonics, 3), self.type)
+        gradients, sh_gradients = np.zeros((count, 15), self.type), np.zeros((count, harmonics, 3), self.type)
         self.call(
             "rasterize", count, harmonics, *arrays, np.array(numbers, self.type), view.width, view.height,
             scene.background.astype(self.type), images, median, boxes, sums.astype(self.type), errors.astype(self.type),
-            pulled, pulled_sh,
+            gradients, sh_gradients,
         )  # fmt: skip
-        return Answers(images, median, pulled, pulled_sh, boxes)
+        return Answers(images, median, gradients, sh_gradients, boxes)
 
 
 class Answers(NamedTuple):
@@ -113,8 +113,8 @@ class Answers(NamedTuple):
 
     images: np.ndarray
     median: np.ndarray
-    pulled: np.ndarray
-    pulled_sh: np.ndarray
+    gradients: np.ndarray
+    sh_gradients: np.ndarray
     boxes: np.ndarray | None = None
 
 
@@ -138,12 +138,12 @@ def plain(scene, view, sums, errors):
     shapes = [by[:, :3].reshape(*size, 3), by[:, 3].reshape(size), by[:, 4].reshape(size), by[:, 5:].reshape(*size, 3)]
     back = rasterizer.backward(*shapes, torch.from_numpy(errors).reshape(size))
     images = torch.cat([image.reshape(size[0] * size[1], -1) for image in drawn[:4]], dim=1).numpy()
-    pulled = np.zeros((n, 15))
+    gradients = np.zeros((n, 15))
     parts = [back.means, back.quats, back.scales, back.opacities, back.screen, back.weight, back.error]
-    pulled[back.ids] = torch.cat([part if part.ndim == 2 else part[:, None] for part in parts], dim=1).numpy()
-    pulled_sh = np.zeros(scene.sh.shape)
-    pulled_sh[back.ids] = back.sh.numpy()
-    return Answers(images, drawn.median_depth.numpy().ravel(), pulled, pulled_sh)
+    gradients[back.ids] = torch.cat([part if part.ndim == 2 else part[:, None] for part in parts], dim=1).numpy()
+    sh_gradients = np.zeros(scene.sh.shape)
+    sh_gradients[back.ids] = back.sh.numpy()
+    return Answers(images, drawn.median_depth.numpy().ravel(), gradients, sh_gradients)
 
 
 def some_gradients(scene, seed=3):
@@ -158,7 +158,7 @@ def test_formulas_are_those_of_the_plain_rasterizer(exact, kind):
     view, by = View.of(scene.camera), some_gradients(scene)
     ours, theirs = exact.rasterize(scene, view, *by), plain(scene, view, *by)
     assert worst(ours, theirs) < rounding_bound(scene, view)
-    seen = np.abs(theirs.pulled).sum(axis=1) > 0
+    seen = np.abs(theirs.gradients).sum(axis=1) > 0
     assert (ours.boxes[seen, 4] > 0).all()
     assert kind is nothing or (theirs.median.any() and seen.any())
 
@@ -187,7 +187,7 @@ def rounding_bound(scene, view):
 def worst(ours, theirs):
     """The greatest difference of any number, to the greatest of its column."""
     pairs = [(ours.images, theirs.images), (ours.median[:, None], theirs.median[:, None])]
-    pairs += [(ours.pulled, theirs.pulled), (ours.pulled_sh, theirs.pulled_sh)]
+    pairs += [(ours.gradients, theirs.gradients), (ours.sh_gradients, theirs.sh_gradients)]
     return max((np.abs(a - b) / np.abs(b).max(axis=0, initial=1e-30)).max(initial=0) for a, b in pairs)
 
 

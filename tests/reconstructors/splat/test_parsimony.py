@@ -10,8 +10,8 @@ from splat_training import grey, numbers, truth  # noqa: E402
 from wording import refused, said  # noqa: E402
 
 from reconstructors.splat.model import Gaussians  # noqa: E402
-from reconstructors.splat.parsimony import Budget, Curve, Loss, Parsimonious, chosen  # noqa: E402
-from reconstructors.splat.resume import trained  # noqa: E402
+from reconstructors.splat.parsimony import Budget, Curve, Loss, Parsimonious, select_budget  # noqa: E402
+from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 
 
@@ -30,10 +30,10 @@ def test_the_smallest_within_one_standard_error_is_chosen():
     best = budget(800, 30.0, 20.0, 25.0)
     within = budget(200, 30.1, 19.8, 24.9)  # 0.067 less, standard error 0.088
     less = budget(100, 29.9, 19.9, 24.9)  # 0.1 less in each: no doubt
-    assert chosen([best, within, less]) == 1
-    assert chosen([best, less]) == 0
+    assert select_budget([best, within, less]) == 1
+    assert select_budget([best, less]) == 0
     # The same number with plainer colours is smaller.
-    assert chosen([best, within, less, within._replace(degree=0)]) == 3
+    assert select_budget([best, within, less, within._replace(degree=0)]) == 3
     assert "800 Gaussians" in said(Curve((best, less)).sentence)
     said(Curve((best,)).sentence)
     assert said(Curve((best, within, less)).sentence).startswith("200 Gaussians of degree 2 ")
@@ -54,15 +54,15 @@ def copies(model, count):
     return Gaussians(*parts)
 
 
-def begun(steps=120):
+def new_training(steps=120):
     model, pictures = truth()
     density = Parsimonious([pictures[0:1], pictures[4:5]])
     rest = [pictures[k] for k in (1, 2, 3, 5, 6, 7)]
-    return Training(copies(grey(model), 8), rest, Schedule(steps=steps, sh_degree=1, halved=(0, 0)), density)
+    return Training(copies(grey(model), 8), rest, Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0)), density)
 
 
 def test_what_is_chosen_is_trained_on_with_all_photographs():
-    training = begun()
+    training = new_training()
     training.run(120)
     curve = training.density.curve
     assert [b.gaussians for b in curve.budgets[:3]] == [480, 240, 120]
@@ -73,13 +73,13 @@ def test_what_is_chosen_is_trained_on_with_all_photographs():
 
 
 def test_each_budget_has_as_many_steps():
-    training, seen = begun(), []
+    training, seen = new_training(), []
 
-    def each(now):
+    def on_step(now):
         if now.density.curve is None:
             seen.append((now.step, len(now.model), now.model.degree))
 
-    training.run(120, each)
+    training.run(120, on_step)
     curve = training.density.curve
     # After half of the steps every model has the same ten more; the last of them is judged within `control`.
     for budget in curve.budgets:
@@ -89,13 +89,13 @@ def test_each_budget_has_as_many_steps():
 
 
 def test_a_choice_that_goes_on_equals_an_unbroken_one(tmp_path):
-    whole = begun()
-    whole.run(120)
-    for worked in (62, 90, 118):  # steps made before the kill: the search goes back
-        first, second = begun(), begun()
-        left = worked
+    uninterrupted = new_training()
+    uninterrupted.run(120)
+    for steps_run in (62, 90, 118):  # steps made before the kill: the search goes back
+        first, second = new_training(), new_training()
+        left = steps_run
 
-        def each(now, path=tmp_path / "checkpoint.pt"):
+        def on_step(now, path=tmp_path / "checkpoint.pt"):
             nonlocal left
             left -= 1
             if left == 0:
@@ -103,14 +103,14 @@ def test_a_choice_that_goes_on_equals_an_unbroken_one(tmp_path):
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            first.run(120, each)
-        assert numbers(trained(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
+            first.run(120, on_step)
+        assert numbers(run_with_checkpoints(second, tmp_path / "checkpoint.pt", "key")) == numbers(uninterrupted.model)
         theirs = [b._replace(step_ms=0) for b in second.density.curve.budgets]
-        assert theirs == [b._replace(step_ms=0) for b in whole.density.curve.budgets]
+        assert theirs == [b._replace(step_ms=0) for b in uninterrupted.density.curve.budgets]
 
 
 def test_a_run_of_one_step_ends_with_a_choice():
-    training = begun(steps=1)
+    training = new_training(steps=1)
     training.run(1)
     assert (training.step, len(training.model)) == (1, training.density.curve.chosen.gaussians)
 

@@ -65,7 +65,7 @@ def test_a_checkpoint_of_other_photographs_is_not_gone_on_from(train, monkeypatc
         keys.append(key)
         raise InterruptedError
 
-    monkeypatch.setattr(plugin, "trained", stopped)
+    monkeypatch.setattr(plugin, "run_with_checkpoints", stopped)
     for hidden in ((), (2,), ()):
         with pytest.raises(InterruptedError):
             train(hidden)
@@ -87,7 +87,7 @@ def test_what_cannot_be_is_refused_before_any_work(train, monkeypatch):
 
 def test_the_note_says_after_which_step_training_ended(train, monkeypatch):
     said(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
-    monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, halved=(0, 0)))
+    monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, downscale_shares=(0, 0)))
     said(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
 
 

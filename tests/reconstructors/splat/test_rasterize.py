@@ -51,7 +51,7 @@ def test_images_and_derivatives_are_those_of_the_plain_rasterizer(device):
     some_loss(ours).backward()
 
     exact = [torch.from_numpy(array).double().requires_grad_() for array in (*scene.arrays, scene.background)]
-    drawn = reference.draw(GaussianTensors(*exact[:5]), View.of(scene.camera), exact[5])
+    drawn = reference.render(GaussianTensors(*exact[:5]), View.of(scene.camera), exact[5])
     alpha = 1 - drawn.transmittance
     theirs = ours._replace(
         color=drawn.color,

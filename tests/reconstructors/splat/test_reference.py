@@ -30,7 +30,7 @@ def test_gradients_are_finite_differences(kind):
     weights = [torch.from_numpy(rng.normal(size=(view.height, view.width, *rest))) for rest in [(3,), (), (), (3,)]]
 
     def loss(tensors):
-        images = reference.draw(GaussianTensors(*tensors[:5]), view, tensors[5])[:4]
+        images = reference.render(GaussianTensors(*tensors[:5]), view, tensors[5])[:4]
         return sum((image * weight).sum() for image, weight in zip(images, weights, strict=True))
 
     inputs = [tensor.requires_grad_() for tensor in (*(given[-30:] for given in in_double(scene)), background)]
@@ -51,33 +51,33 @@ def test_the_pass_back_is_what_autograd_gives():
     scene = make(scattered)
     view, leaves = View.of(scene.camera), [tensor.requires_grad_() for tensor in in_double(scene)]
     background = torch.from_numpy(scene.background).double()
-    drawn = reference.draw(GaussianTensors(*leaves), view, background)
+    drawn = reference.render(GaussianTensors(*leaves), view, background)
     rng = np.random.default_rng(1)
     by = [torch.from_numpy(rng.normal(size=image.shape)) for image in drawn[:4]]
     torch.autograd.backward([(image * weight).sum() for image, weight in zip(drawn[:4], by, strict=True)])
     rasterizer = reference.Rasterizer()
     rasterizer.forward(GaussianTensors(*leaves), view, background, geometry=True)
-    pulled = rasterizer.backward(*by, None)
-    for leaf, rows in zip(leaves, pulled[1:6], strict=True):
+    gradients = rasterizer.backward(*by, None)
+    for leaf, rows in zip(leaves, gradients[1:6], strict=True):
         full = torch.zeros_like(leaf)
-        full[pulled.ids] = rows
+        full[gradients.ids] = rows
         # 100 roundings, times the covariances' largest condition number of 30 (see rounding_bound in test_maths.py).
         assert (full - leaf.grad).abs().max() < 1e-12 * leaf.grad.abs().max()
     splats = reference.project(GaussianTensors(*leaves), view)
     nothing = torch.zeros_like(splats.depth)
 
     def loss(xy):
-        images = reference.blend(splats._replace(xy=xy), nothing, view, background).drawn
+        images = reference.blend(splats._replace(xy=xy), nothing, view, background).output
         return sum((image * weight).sum() for image, weight in zip(images[:4], by, strict=True)).item()
 
     with torch.no_grad():
         for row in (0, 11, 30):
-            place = int((splats.ids == pulled.ids[row]).nonzero()[0, 0])
+            place = int((splats.ids == gradients.ids[row]).nonzero()[0, 0])
             for axis in range(2):
                 step = torch.zeros_like(splats.xy)
                 step[place, axis] = 1e-6
                 slope = (loss(splats.xy + step) - loss(splats.xy - step)) / 2e-6
-                assert slope == pytest.approx(pulled.screen[row, axis].item(), rel=1e-5, abs=1e-5)
+                assert slope == pytest.approx(gradients.screen[row, axis].item(), rel=1e-5, abs=1e-5)
 
 
 def test_weights_and_errors_are_sums_over_pixels():
@@ -86,9 +86,9 @@ def test_weights_and_errors_are_sums_over_pixels():
     rasterizer, view = reference.Rasterizer(), View.of(scene.camera)
     drawn = rasterizer.forward(in_double(scene), view, torch.zeros(3), geometry=True)
     error = torch.rand(view.height, view.width, generator=torch.Generator().manual_seed(1))
-    pulled = rasterizer.backward(drawn.color, None, None, None, error)
-    assert pulled.weight.sum().item() == pytest.approx((1 - drawn.transmittance).sum().item(), rel=1e-12)
-    assert pulled.error.sum().item() == pytest.approx(((1 - drawn.transmittance) * error).sum().item(), rel=1e-12)
+    gradients = rasterizer.backward(drawn.color, None, None, None, error)
+    assert gradients.weight.sum().item() == pytest.approx((1 - drawn.transmittance).sum().item(), rel=1e-12)
+    assert gradients.error.sum().item() == pytest.approx(((1 - drawn.transmittance) * error).sum().item(), rel=1e-12)
 
 
 def test_rotations_are_those_of_scipy():

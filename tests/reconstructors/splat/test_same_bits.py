@@ -15,7 +15,7 @@ ANSWERS = """
 import hashlib, json, sys
 import numpy as np, torch
 sys.path[:0] = {path!r}
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, make, scattered
 from reconstructors.splat import cpu
 from reconstructors.splat.cpu import _rasterizer
@@ -27,12 +27,12 @@ def note(name, *arrays):
 engine, rng = Engine(cpu, "cpu"), np.random.default_rng(1)
 for kind in SCENES:
     scene = make(kind)
-    note(kind.__name__, *run_pass(engine, scene, random_wanted(scene)).arrays().values())
-    wanted = random_wanted(scene)._replace(depth=None, normal=None)
-    note(kind.__name__ + " plain", *run_pass(engine, scene, wanted, geometry=False).arrays().values())
+    note(kind.__name__, *run_pass(engine, scene, random_image_gradients(scene)).arrays().values())
+    image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
+    note(kind.__name__ + " plain", *run_pass(engine, scene, image_gradients, geometry=False).arrays().values())
 # Enough Gaussians and tiles for several threads at once.
 many = scattered(rng, 3000, 210, 130, size=0.06)
-note("many", *run_pass(engine, many, random_wanted(many)).arrays().values())
+note("many", *run_pass(engine, many, random_image_gradients(many)).arrays().values())
 image, target = (torch.from_numpy(rng.random((131, 207, 3), np.float32)) for _ in range(2))
 loss = cpu.image_loss(image, target, 0.2)
 note("loss", float(loss.l1), float(loss.ssim), loss.gradient.numpy())

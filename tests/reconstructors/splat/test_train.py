@@ -17,18 +17,18 @@ from splat_training import grey, numbers, truth  # noqa: E402
 
 from reconstructors.splat.density import Classic, Density, split  # noqa: E402
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
-from reconstructors.splat.resume import load_model, save_model, trained  # noqa: E402
-from reconstructors.splat.rotations import rotated  # noqa: E402
+from reconstructors.splat.resume import load_model, save_model, run_with_checkpoints  # noqa: E402
+from reconstructors.splat.rotations import rotate  # noqa: E402
 from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
 
 
-def begun(density=Density(), steps=160, **schedule):  # noqa: B008
+def new_training(density=Density(), steps=160, **schedule):  # noqa: B008
     model, pictures = truth()
-    return Training(grey(model), pictures, Schedule(steps=steps, sh_degree=1, halved=(0, 0), **schedule), density)
+    return Training(grey(model), pictures, Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0), **schedule), density)
 
 
 def test_images_become_like_the_photographs():
-    training = begun()
+    training = new_training()
     pictures = [pyramid[0] for pyramid in training.photographs]
     before = np.mean(evaluate(training.model, pictures))
     training.run(160)
@@ -37,22 +37,31 @@ def test_images_become_like_the_photographs():
 
 
 def test_a_run_that_goes_on_equals_an_unbroken_one(tmp_path):
-    rules = Classic(first=20, every=10, gradient=1e-6, last=0.8, reset=40, faint=0.0, large=10, most=150)
-    whole = begun(rules, steps=90)
+    rules = Classic(
+        refine_start=20,
+        refine_interval=10,
+        grow_gradient=1e-6,
+        refine_stop_share=0.8,
+        reset_interval=40,
+        prune_opacity=0.0,
+        prune_scale=10,
+        max_gaussians=150,
+    )
+    whole = new_training(rules, steps=90)
     whole.run(90)
     assert len(whole.model) > 60  # otherwise nothing random was drawn
-    first = begun(rules, steps=90)
+    first = new_training(rules, steps=90)
     first.run(47)
     first.save(tmp_path / "checkpoint.pt", "key")
-    second = begun(rules, steps=90)
+    second = new_training(rules, steps=90)
     assert not second.load(tmp_path / "checkpoint.pt", "another key")
     assert second.step == 0
-    assert numbers(trained(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
+    assert numbers(run_with_checkpoints(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
     assert not (tmp_path / "checkpoint.pt").exists()
 
 
 def test_the_same_seed_gives_the_same_model_and_another_one_another():
-    runs = [begun(steps=20, seed=seed) for seed in (0, 0, 1)]
+    runs = [new_training(steps=20, seed=seed) for seed in (0, 0, 1)]
     for run in runs:
         run.run(20)
     first, again, other = (numbers(run.model) for run in runs)
@@ -60,26 +69,26 @@ def test_the_same_seed_gives_the_same_model_and_another_one_another():
 
 
 def test_training_ends_where_the_photographs_get_no_better(tmp_path):
-    eager, whole = begun(steps=400, plateau=2.0), begun(steps=400, plateau=-np.inf)
+    eager, whole = new_training(steps=400, plateau=2.0), new_training(steps=400, plateau=-np.inf)
     eager.run(400)
     whole.run(400)
-    assert (whole.ended, whole.step) == (False, 400)
-    assert eager.ended and 120 <= eager.step < 400 and eager.step % 40 == 0
+    assert (whole.converged, whole.step) == (False, 400)
+    assert eager.converged and 120 <= eager.step < 400 and eager.step % 40 == 0
     looks = []
     for step in (eager.step - 80, eager.step - 40, eager.step):
-        again = begun(steps=400, plateau=-np.inf)
+        again = new_training(steps=400, plateau=-np.inf)
         again.run(step)
         looks.append(np.mean(again.psnr))
     assert looks[2] - min(looks[:2]) < 2.0
     assert numbers(again.model) == numbers(eager.model)
     eager.save(tmp_path / "checkpoint.pt", "key")
-    again = begun(steps=400, plateau=2.0)
-    assert numbers(trained(again, tmp_path / "checkpoint.pt", "key")) == numbers(eager.model)
+    again = new_training(steps=400, plateau=2.0)
+    assert numbers(run_with_checkpoints(again, tmp_path / "checkpoint.pt", "key")) == numbers(eager.model)
 
 
 def test_a_mask_hides_what_it_covers():
     """Black rectangles over the photographs leave no trace where a mask covers them."""
-    plain, masked = begun(steps=60), begun(steps=60)
+    plain, masked = new_training(steps=60), new_training(steps=60)
     for pyramid in masked.photographs:
         photograph = pyramid[0]
         valid = torch.ones(photograph.color.shape[:2], dtype=torch.bool)
@@ -88,7 +97,7 @@ def test_a_mask_hides_what_it_covers():
     plain_views = [pyramid[0] for pyramid in plain.photographs]
     plain.run(60)
     masked.run(60)
-    hidden = begun(steps=60)
+    hidden = new_training(steps=60)
     for mine, theirs in zip(hidden.photographs, masked.photographs, strict=True):
         mine[0] = theirs[0]._replace(valid=None)
     hidden.run(60)
@@ -97,14 +106,14 @@ def test_a_mask_hides_what_it_covers():
 
 
 def test_what_is_not_finite_ends_with_a_sentence():
-    training = begun()
+    training = new_training()
     training.model.sh[3] = float("nan")
     with refused(ReconstructionError):
         training.run(5)
 
 
 def test_what_is_not_finite_does_not_end_as_a_plateau():
-    training = begun(steps=100, plateau=np.inf)
+    training = new_training(steps=100, plateau=np.inf)
 
     def spoiled(now):
         if now.step == 29:
@@ -115,7 +124,7 @@ def test_what_is_not_finite_does_not_end_as_a_plateau():
 
 
 def test_a_model_that_vanished_ends_with_a_sentence():
-    training = begun(Classic(first=5, every=5, faint=1.0))
+    training = new_training(Classic(refine_start=5, refine_interval=5, prune_opacity=1.0))
     with refused(ReconstructionError):
         training.run(5)
 
@@ -128,13 +137,23 @@ def test_splitting_keeps_the_place_and_shrinks():
     torch.testing.assert_close(halves.scales, many.scales.repeat(2, 1) / 1.6)
     # Their places are drawn from the Gaussian: in its axes they deviate by its scales, to what 8000 draws can tell.
     turned_back = many.quats[0] * torch.tensor([1.0, -1, -1, -1])
-    local = rotated(turned_back.repeat(8000, 1), halves.means - many.means[0])
+    local = rotate(turned_back.repeat(8000, 1), halves.means - many.means[0])
     np.testing.assert_allclose(local.std(dim=0), many.scales[0], rtol=0.04)
     np.testing.assert_allclose(local.mean(dim=0) / many.scales[0], 0, atol=0.05)
 
 
 def test_classic_control_adds_no_more_than_it_may_and_takes_the_faint_away():
-    training = begun(Classic(first=5, every=5, gradient=0.0, last=1.0, reset=0, most=100), steps=40)
+    training = new_training(
+        Classic(
+            refine_start=5,
+            refine_interval=5,
+            grow_gradient=0.0,
+            refine_stop_share=1.0,
+            reset_interval=0,
+            max_gaussians=100,
+        ),
+        steps=40,
+    )
     training.run(25)
     assert 60 < len(training.model) <= 100
     training.model.logits[::2] = -20.0

@@ -18,9 +18,9 @@ from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from reconstructors.splat import devices, train  # noqa: E402
 from reconstructors.splat.density import Density  # noqa: E402
-from reconstructors.splat.devices import computing_on  # noqa: E402
+from reconstructors.splat.devices import choose_device  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
-from reconstructors.splat.optimizer import more_harmonics  # noqa: E402
+from reconstructors.splat.optimizer import raise_sh_degree  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
 from reconstructors.splat.resume import load_model, save_model  # noqa: E402
 from reconstructors.splat.splat import GaussianSplatting  # noqa: E402
@@ -49,7 +49,7 @@ def truth():
 TRUTH = truth()
 
 
-def begun(device="cpu"):
+def new_training(device="cpu"):
     """Places that are a little off, all else unknown."""
     model, pictures = TRUTH
     pyramids = []
@@ -64,7 +64,7 @@ def begun(device="cpu"):
         torch.full((GAUSSIANS,), -1.0),
         torch.zeros(GAUSSIANS, 1, 3),
     ).to(torch.device(device))
-    return Training(start, pyramids, Schedule(steps=STEPS, sh_degree=1, halved=(0, 0)), Density())
+    return Training(start, pyramids, Schedule(steps=STEPS, sh_degree=1, downscale_shares=(0, 0)), Density())
 
 
 def parts(model):
@@ -84,23 +84,23 @@ def assert_alike(ours, theirs, order, within=1e-4):
     """
     assert ours.step == theirs.step
     assert psnr(ours) == pytest.approx(psnr(theirs), abs=within)
-    start = parts(more_harmonics(begun().model))
+    start = parts(raise_sh_degree(new_training().model))
     for name, numbers in parts(theirs.model).items():
         moved = np.sqrt(np.mean((numbers - start[name]) ** 2))
         assert np.sqrt(np.mean((parts(ours.model)[name] - numbers[order]) ** 2)) < within * moved, name
-    for mine, other in zip(ours.seen, theirs.seen, strict=True):
+    for mine, other in zip(ours.screen_gradients, theirs.screen_gradients, strict=True):
         np.testing.assert_allclose(mine.cpu(), other[order], atol=within * float(other.max()))
     np.testing.assert_allclose([*map(float, ours.psnr)], [*map(float, theirs.psnr)], atol=10 * within)
 
 
 @pytest.mark.parametrize("steps", [40, pytest.param(STEPS, marks=pytest.mark.slow)])
 def test_emulated_it_is_that_of_the_cpu(steps, monkeypatch):
-    on_cpu, kernels = begun(), EmulatedCuda()
+    on_cpu, kernels = new_training(), EmulatedCuda()
     before = psnr(on_cpu)
     on_cpu.run(steps)
     assert psnr(on_cpu) > before + 4
     monkeypatch.setattr(train, "kernels_of", lambda _: kernels)
-    training = begun()
+    training = new_training()
     order = kernels.morton_order(training.model.means).numpy()
     training.run(steps)
     assert_alike(training, on_cpu, order)
@@ -122,7 +122,7 @@ class Asked(TorchDispatchMode):
 def test_a_step_waits_for_the_count_of_what_is_drawn_and_for_nothing_else(monkeypatch):
     """That one is read by `tolist`, of which this list knows nothing."""
     monkeypatch.setattr(train, "kernels_of", lambda _: EmulatedCuda())
-    training, counts = begun(), []
+    training, counts = new_training(), []
     with Asked() as asked:
         training.run(3, lambda _: counts.append(len(asked.names)))
     # After the last one it is asked whether all numbers are finite.
@@ -142,9 +142,9 @@ def test_all_of_a_step_is_on_the_device(monkeypatch):
     kernels = EmulatedCuda(emulator=OnMeta)
     monkeypatch.setattr(train, "kernels_of", lambda _: kernels)
     monkeypatch.setattr(torch.Tensor, "tolist", lambda tensor: [40, 100])  # Gaussians that are drawn, instances
-    for look in ("_check", "_look_back"):  # now and then, to read numbers
+    for look in ("_check_model", "_check_convergence"):  # now and then, to read numbers
         monkeypatch.setattr(Training, look, lambda training: None)
-    training = begun("meta")
+    training = new_training("meta")
     training.run(STEPS // 5)
     assert training.model.degree == 1 and training.psnr[0].is_meta
     assert kernels.emulator.launched.count("adam") == STEPS  # of five kinds of numbers each
@@ -152,35 +152,35 @@ def test_all_of_a_step_is_on_the_device(monkeypatch):
 
 def test_an_order_is_brought_to_all_that_belongs_to_the_gaussians():
     """A training in another order goes on as it would have."""
-    plain, turned = begun(), begun()
+    plain, turned = new_training(), new_training()
     order = torch.from_numpy(np.random.default_rng(3).permutation(GAUSSIANS))
     for training in (plain, turned):
         training.run(10)
-    turned.arrange(order)
+    turned.reorder(order)
     for training in (plain, turned):
         training.run(20)
     assert_alike(turned, plain, order.numpy())
 
 
 def test_numbers_are_loaded_to_the_device_that_is_wanted(tmp_path, monkeypatch):
-    model = begun().model
+    model = new_training().model
     save_model(tmp_path / "model.pt", model)
     assert load_model(tmp_path / "model.pt", torch.device("meta")).means.device.type == "meta"
     assert model.to(torch.device("meta")).sh.device.type == "meta"
-    begun().save(tmp_path / "checkpoint.pt", "key")
+    new_training().save(tmp_path / "checkpoint.pt", "key")
     monkeypatch.setattr(train, "kernels_of", lambda _: EmulatedCuda())
-    training = begun("meta")
+    training = new_training("meta")
     assert training.load(tmp_path / "checkpoint.pt", "key")
-    assert training.model.sh.is_meta and training.optimizer.first.sh.is_meta and training.seen.views.is_meta
+    assert training.model.sh.is_meta and training.optimizer.first.sh.is_meta and training.screen_gradients.views.is_meta
 
 
 def test_where_to_compute(monkeypatch):
     """Without a GPU, with one on which no kernel runs, and with one."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     for wanted in ("auto", "cpu"):
-        assert computing_on(wanted) == (torch.device("cpu"), None)
+        assert choose_device(wanted) == (torch.device("cpu"), None)
     with refused():
-        computing_on("cuda")
+        choose_device("cuda")
 
     def fails(error):
         def run(device):
@@ -195,14 +195,14 @@ def test_where_to_compute(monkeypatch):
     for error, raised in [(missing, MissingExtra), (broken, InputError)]:
         monkeypatch.setattr(devices, "_run_smallest_kernel", fails(error))
         with refused(raised):
-            computing_on("cuda")
-        device, note = computing_on("auto")
+            choose_device("cuda")
+        device, note = choose_device("auto")
         assert device.type == "cpu"
         assert str(error).splitlines()[0] in said(note)
     monkeypatch.setattr(devices, "_run_smallest_kernel", lambda device: None)
     for wanted in ("auto", "cuda"):
-        assert computing_on(wanted) == (torch.device("cuda:1"), "trained on GPU 1; device=cpu would take the CPU")
-    assert computing_on("cpu") == (torch.device("cpu"), None)
+        assert choose_device(wanted) == (torch.device("cuda:1"), "trained on GPU 1; set device=cpu to train on the CPU")
+    assert choose_device("cpu") == (torch.device("cpu"), None)
 
 
 def test_without_a_gpu_nothing_is_begun_on_one(monkeypatch, tmp_path):
@@ -228,13 +228,13 @@ def test_on_a_gpu_it_is_that_of_the_cpu(tmp_path):
         pytest.skip("torch finds no CUDA device")
     from reconstructors.splat import cuda
 
-    assert computing_on("auto").device.type == "cuda"
-    on_cpu, training = begun(), begun("cuda")
+    assert choose_device("auto").device.type == "cuda"
+    on_cpu, training = new_training(), new_training("cuda")
     order = cuda.morton_order(training.model.means).cpu().numpy()
     on_cpu.run(STEPS)
     training.run(STEPS // 2)
     training.save(tmp_path / "half.pt", "key")
-    there, here = begun("cuda"), begun()
+    there, here = new_training("cuda"), new_training()
     for other in (there, here):
         assert other.load(tmp_path / "half.pt", "key")
         assert other.model.means.device == other.photographs[0][0].color.device

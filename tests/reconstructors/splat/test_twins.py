@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, crowd, huge, make, needles, nothing, one_pixel, scattered, tall, whole_tiles
 
 torch = import_or_skip("torch")
@@ -27,8 +27,8 @@ def test_images_and_gradients_are_those_of_the_plain_rasterizer(engine, kind):
     of a threshold.
     """
     scene = make(kind)
-    wanted = random_wanted(scene)
-    ours, theirs = run_pass(engine, scene, wanted), run_pass(PLAIN, scene, wanted)
+    image_gradients = random_image_gradients(scene)
+    ours, theirs = run_pass(engine, scene, image_gradients), run_pass(PLAIN, scene, image_gradients)
     whole, flips = (1e-4, 1e-2) if kind is crowd else (1e-5, 1e-3)
     off = {name: disagreeing(array, theirs.arrays()[name], 1e-3, whole) for name, array in ours.arrays().items()}
     assert max(off.values()) <= flips, off
@@ -51,7 +51,7 @@ def test_planes_of_long_needles(engine):
 @pytest.mark.parametrize("kind", [scattered, tall])
 def test_without_geometry_colour_is_the_same(engine, kind):
     scene = make(kind)
-    zero = random_wanted(scene)._replace(depth=None, normal=None)
+    zero = random_image_gradients(scene)._replace(depth=None, normal=None)
     full, plain = run_pass(engine, scene, zero), run_pass(engine, scene, zero, geometry=False)
     assert plain.images.keys() == {"color", "transmittance"}
     for name, array in plain.arrays().items():
@@ -60,13 +60,13 @@ def test_without_geometry_colour_is_the_same(engine, kind):
 
 def test_a_derivative_that_is_not_given_is_zero(engine):
     scene = make(scattered)
-    none = random_wanted(scene)._replace(transmittance=None, depth=None, normal=None, error=None)
+    none = random_image_gradients(scene)._replace(transmittance=None, depth=None, normal=None, error=None)
     zeros = none._replace(**{name: np.zeros((22, 37), np.float32) for name in ("transmittance", "depth", "error")})
     zeros = zeros._replace(normal=np.zeros((22, 37, 3), np.float32))
     ours, theirs = run_pass(engine, scene, none), run_pass(engine, scene, zeros)
     for name, array in ours.arrays().items():
         np.testing.assert_array_equal(array, theirs.arrays()[name], err_msg=name)
-    assert not ours.pulled["error"].any() and ours.pulled["weight"].any()
+    assert not ours.gradients["error"].any() and ours.gradients["weight"].any()
 
 
 def test_one_rasterizer_draws_one_view_after_another(engine):
@@ -74,8 +74,8 @@ def test_one_rasterizer_draws_one_view_after_another(engine):
     used = engine.kernels.Rasterizer()
     for kind in (huge, one_pixel, crowd, nothing, tall, whole_tiles, scattered):
         scene = make(kind)
-        wanted = random_wanted(scene)
-        again, fresh = run_pass(engine, scene, wanted, used), run_pass(engine, scene, wanted)
+        image_gradients = random_image_gradients(scene)
+        again, fresh = run_pass(engine, scene, image_gradients, used), run_pass(engine, scene, image_gradients)
         for name, array in fresh.arrays().items():
             np.testing.assert_array_equal(again.arrays()[name], array, err_msg=f"{kind.__name__} {name}")
 
@@ -83,11 +83,11 @@ def test_one_rasterizer_draws_one_view_after_another(engine):
 def test_the_derivative_can_be_taken_twice(engine):
     """Another one of the same image: the first has not used it up."""
     scene, used = make(scattered), engine.kernels.Rasterizer()
-    run_pass(engine, scene, random_wanted(scene, seed=8), used)
-    first = run_pass(engine, scene, random_wanted(scene), used)
-    by = [engine.tensor(image) for image in random_wanted(scene)]
-    for name, rows in zip(first.pulled, used.backward(*by)[1:], strict=True):
-        np.testing.assert_array_equal(rows.cpu().numpy(), first.pulled[name][first.drawn], err_msg=name)
+    run_pass(engine, scene, random_image_gradients(scene, seed=8), used)
+    first = run_pass(engine, scene, random_image_gradients(scene), used)
+    by = [engine.tensor(image) for image in random_image_gradients(scene)]
+    for name, rows in zip(first.gradients, used.backward(*by)[1:], strict=True):
+        np.testing.assert_array_equal(rows.cpu().numpy(), first.gradients[name][first.drawn], err_msg=name)
 
 
 def photographs(rng, height, width):
