@@ -138,7 +138,7 @@ class ByAutograd:
     def __init__(self, picture: Picture) -> None:
         self._picture = picture
         self._leaves = picture.leaves()
-        self._optimizer = torch.optim.Adam(self._leaves, lr=0.0, eps=1e-15, fuse=True)
+        self._optimizer = torch.optim.Adam(self._leaves, lr=0.0, eps=1e-15, fused=True)
 
     def draw(self) -> Tensor:
         raise NotImplementedError

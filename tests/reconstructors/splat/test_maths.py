@@ -32,7 +32,7 @@ def in_double(text):
     exact = {
         "kWhitening": "0.84932180028801904",
         "kLn2": "0.69314718055994531",
-        "kLeastLevel": "-7.99435343685885794",
+        "kMinLevel": "-7.99435343685885794",
         "0.282094792": "0.28209479177387814",
         "0.488602512": "0.48860251190291992",
         "1.09254843": "1.09254843059207907",
@@ -45,7 +45,7 @@ def in_double(text):
         "0.373176333": "0.37317633259011539",
         "1.44530572": "1.44530572132027702",
     }
-    thresholds = r"constexpr float (?:kLeastAlpha|kMostAlpha|kLeastTransmittance) .*\n"
+    thresholds = r"constexpr float (?:kMinAlpha|kMaxAlpha|kMinTransmittance) .*\n"
     parts = zip(re.split(thresholds, text), [*re.findall(thresholds, text), ""], strict=True)
     text = "".join(re.sub(r"(?<=[\d.])f\b", "", part) + kept for part, kept in parts)
     text = re.sub(r"\bfloat\b", "double", text)
@@ -228,7 +228,7 @@ def test_the_least_of_a_box(exact):
     corner, size = rng.uniform(-12, 8, (300, 2)), rng.uniform(0, 8, (300, 2))
     boxes = np.column_stack([corner[:, 0], corner[:, 0] + size[:, 0], corner[:, 1], corner[:, 1] + size[:, 1]])
     found = np.empty(300)
-    exact.call("least_squares", 300, np.column_stack([shapes, boxes]), found)
+    exact.call("min_squared_norms", 300, np.column_stack([shapes, boxes]), found)
     share = np.linspace(0, 1, 201)
     x = corner[:, 0, None, None] + size[:, 0, None, None] * share[:, None]
     y = corner[:, 1, None, None] + size[:, 1, None, None] * share
