@@ -22,7 +22,7 @@ class CpuRasterizer:
     """
 
     def __init__(self) -> None:
-        self._rasterizer = _rasterizer.Rasterizer()
+        self._compiled = _rasterizer.Rasterizer()
         self._shape: tuple[int, ...] = ()
 
     def forward(
@@ -39,7 +39,7 @@ class CpuRasterizer:
         new = gaussians.means.new_empty
         color, transmittance = new((*size, 3)), new(size)
         depth, normal, median_depth = (new(size), new((*size, 3)), new(size)) if geometry else (None,) * 3
-        self._rasterizer.forward(
+        self._compiled.forward(
             _array(gaussians.means),
             _array(gaussians.quats),
             _array(gaussians.scales),
@@ -71,10 +71,10 @@ class CpuRasterizer:
         """Return the gradients of the last rendering."""
         import torch
 
-        count = self._rasterizer.drawn
+        count = self._compiled.drawn
         shapes = [(count, *rest) for rest in ((3,), (4,), (3,), (), self._shape[1:], (2,), (), ())]
         gradients = Gradients(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
-        self._rasterizer.backward(
+        self._compiled.backward(
             *map(_array, (color, transmittance, depth, normal, error)), *(_array(tensor) for tensor in gradients)
         )
         return gradients
