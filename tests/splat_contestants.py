@@ -1,8 +1,9 @@
-"""Training steps on one picture that do the same by different code: ours, plain torch, OpenSplat's and gsplat's.
+"""Equivalent training steps on one image by different code: pcbench, plain torch, OpenSplat and gsplat.
 
-Each holds the parameters that trainers do (logarithms of scales, logits of opacities) and has four parts that are
-called in turn: `forward` draws, `loss` takes the derivative of 0.8 L1 + 0.2 (1 - SSIM) by the picture, `backward` those
-by the parameters, `adam` is the step of the optimizer. The learning rates are zero, so that every run draws the same.
+Each contestant has the parameters of a trainer (logarithms of scales, logits of opacities) and four parts that are
+called in turn: `forward` renders, `loss` computes the gradient of 0.8 L1 + 0.2 (1 - SSIM) with respect to the image,
+`backward` the gradients with respect to the parameters, `adam` is the optimizer step. The learning rates are zero, so
+that all runs render the same image.
 """
 
 import math
@@ -20,17 +21,17 @@ from torch import Tensor
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.splat.devices import kernels_of
-from reconstructors.splat.interface import RasterOutput, GaussianTensors, Gradients
+from reconstructors.splat.interface import GaussianTensors, Gradients, RasterOutput
 from reconstructors.splat.reference import Projection, project
 from reconstructors.splat.view import View
 
 SSIM_WEIGHT = 0.2
-TILE = 16  # pixels, of plain torch
-PAIRS_AT_ONCE = 4_000_000  # of a pixel and a Gaussian
+TILE = 16  # pixels, in plain torch
+PAIRS_AT_ONCE = 4_000_000  # pairs of a pixel and a Gaussian
 
 
 class Parameters(NamedTuple):
-    """Of N Gaussians: (N, 3), (N, 4), (N, 3) logarithms, (N,) logits, (N, 16, 3)."""
+    """Parameters of N Gaussians: (N, 3), (N, 4), (N, 3) logarithms, (N,) logits, (N, 16, 3)."""
 
     means: Tensor
     quats: Tensor
@@ -39,23 +40,27 @@ class Parameters(NamedTuple):
     sh: Tensor
 
     def gaussians(self) -> GaussianTensors:
+        """Return the Gaussians as a rasterizer reads them."""
         return GaussianTensors(self.means, self.quats, self.log_scales.exp(), self.logits.sigmoid(), self.sh)
 
 
 class Picture(NamedTuple):
-    """What is drawn, from where, and what it should look like (H, W, 3)."""
+    """Gaussians, the view to render, and the target image (H, W, 3)."""
 
     parameters: Parameters
     view: View
     target: Tensor
 
     def leaves(self) -> Parameters:
+        """Return copies of the parameters that require gradients."""
         return Parameters(*(tensor.clone().requires_grad_() for tensor in self.parameters))
 
 
 def make_picture(count: int, width: int, height: int, device: str = "cpu", seed: int = 0) -> Picture:
-    """Gaussians before a camera, over nearly twice the picture's area: 54 % of the means are inside it. Their sizes go
-    with the area that there is for each, so that as many lie behind a pixel at any count; most are faint.
+    """Create random Gaussians in front of a camera; 54 % of the means are inside the image.
+
+    Their size scales with the area per Gaussian, so the number of Gaussians behind a pixel does not depend on the
+    count; most have a low opacity.
     """
     rng = np.random.default_rng(seed)
     focal = 0.9 * width
@@ -79,7 +84,7 @@ def make_picture(count: int, width: int, height: int, device: str = "cpu", seed:
 
 
 class Contestant(Protocol):
-    """`image` (H, W, 3) is there after `forward`, `gradients` by all parameters after `backward`."""
+    """One implementation; `image` (H, W, 3) exists after `forward`, `gradients` after `backward`."""
 
     image: Tensor
 
@@ -91,7 +96,7 @@ class Contestant(Protocol):
 
 
 class Ours:
-    """The rasterizer of this package, with what density control asks for; with depth and normals or without."""
+    """The rasterizer of this package, including the sums for densification; with or without depth and normals."""
 
     def __init__(self, picture: Picture, *, geometry: bool = False) -> None:
         self._picture, self._geometry = picture, geometry
@@ -133,7 +138,7 @@ class Ours:
 
 
 class ByAutograd:
-    """The parts of a step for what torch differentiates: `draw` and `difference` are left to the contestant."""
+    """The parts of a step differentiated by torch; a contestant defines `draw` and may replace `difference`."""
 
     def __init__(self, picture: Picture) -> None:
         self._picture = picture
@@ -173,18 +178,19 @@ class ByAutograd:
 
 
 class PlainTorch(ByAutograd):
-    """float32 tensors of all pixels of a tile and all Gaussians in it; no compiled code but torch's own."""
+    """Float32 tensors of all pixels of a tile and all Gaussians in it, with torch's own compiled code only."""
 
     def draw(self) -> Tensor:
         return draw_plainly(self._leaves.gaussians(), self._picture.view)
 
 
 def draw_plainly(gaussians: GaussianTensors, view: View) -> Tensor:
+    """Render with tensor operations only."""
     return draw_in_tiles(project(gaussians, view), view)
 
 
 def plain_loss(image: Tensor, target: Tensor, window: Tensor) -> Tensor:
-    """As `reference.image_loss`, but in float32 and all channels at once, which torch is much faster at."""
+    """Return the loss of `reference.image_loss` in float32, all channels at once, which is much faster in torch."""
     x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
     stack = torch.cat([x, y, x * x, y * y, x * y])
     windows = torch.outer(window, window).expand(len(stack), 1, 11, 11).contiguous()
@@ -197,11 +203,11 @@ def plain_loss(image: Tensor, target: Tensor, window: Tensor) -> Tensor:
 
 
 class Lists(NamedTuple):
-    """Which splats each tile has, nearest first.
+    """The splats of each tile, nearest first.
 
     Attributes:
-        splats: (I,) of one tile after another.
-        sizes: (T,) how many of them each tile has.
+        splats: (I,) indices of the splats, tile after tile.
+        sizes: (T,) number of splats of each tile.
         across: tiles in a row.
     """
 
@@ -229,7 +235,8 @@ def list_by_tile(splats: Projection, view: View) -> Lists:
 
 
 class Blend(NamedTuple):
-    """Of some tiles with up to K splats: tiles (t,), splats (t, K), weights (t, K, 256), transmittance (t, 256)."""
+    """Weights of some tiles with up to K splats: tiles (t,), splats (t, K), weights (t, K, 256), transmittance (t,
+    256)."""
 
     tiles: Tensor
     splats: Tensor
@@ -238,7 +245,7 @@ class Blend(NamedTuple):
 
 
 def blend_tiles(splats: Projection, lists: Lists, tiles: Tensor) -> Iterator[Blend]:
-    """Tiles of like sizes together, as many as fit; thresholds as in the reference."""
+    """Blend tiles in batches of similar sizes, with the thresholds of the reference."""
     tiles = tiles[torch.argsort(lists.sizes[tiles], descending=True)]
     starts = lists.sizes.cumsum(0) - lists.sizes
     inside = torch.arange(TILE * TILE, device=tiles.device)
@@ -265,7 +272,7 @@ def blend_tiles(splats: Projection, lists: Lists, tiles: Tensor) -> Iterator[Ble
 
 
 def draw_in_tiles(splats: Projection, view: View) -> Tensor:
-    """(H, W, 3) before black."""
+    """Return the image (H, W, 3) on a black background."""
     lists = list_by_tile(splats, view)
     tiles, colors = [], []
     for some in blend_tiles(splats, lists, torch.arange(len(lists.sizes), device=splats.xy.device)):
@@ -279,7 +286,7 @@ def draw_in_tiles(splats: Projection, view: View) -> Tensor:
 
 @torch.no_grad()
 def contributors(picture: Picture, most_pairs: int = 30_000_000) -> float:
-    """How many Gaussians are blended at a pixel, on average over whole tiles; over some of them if there are many."""
+    """Return the mean number of Gaussians blended at a pixel of the complete tiles, or of a sample of them."""
     splats = project(picture.parameters.gaussians(), picture.view)
     lists = list_by_tile(splats, picture.view)
     full = torch.arange(len(lists.sizes), device=splats.xy.device)
@@ -293,7 +300,7 @@ def contributors(picture: Picture, most_pairs: int = 30_000_000) -> float:
 
 
 def build_opensplat(source: Path) -> ModuleType:
-    """OpenSplat's CPU rasterizer from its source folder, compiled as its CMakeLists.txt has it (Release)."""
+    """Compile OpenSplat's CPU rasterizer from its source folder with the flags of its CMakeLists.txt (Release)."""
     from torch.utils.cpp_extension import load
 
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # where pip puts ninja
@@ -306,9 +313,10 @@ def build_opensplat(source: Path) -> ModuleType:
 
 
 class OpenSplat(ByAutograd):
-    """A step of OpenSplat on the CPU while it adds Gaussians: its projection and harmonics (torch tensors in C++, by
-    autograd), its rasterizer and its loss (compiled loops), Adam of torch on all but the higher harmonics, which it
-    updates at one step of sixteen only.
+    """A step of OpenSplat on the CPU during densification.
+
+    Projection and harmonics are torch tensors in C++ with autograd, rasterizer and loss compiled loops. Torch's Adam
+    updates all but the higher harmonics, which OpenSplat updates at one step of sixteen only.
     """
 
     def __init__(self, picture: Picture, module: ModuleType) -> None:
@@ -398,6 +406,7 @@ class Gsplat(ByAutograd):
 
 
 def draw_by_gsplat(gaussians: GaussianTensors, view: View) -> Tensor:
+    """Render with gsplat on the GPU."""
     from gsplat import rasterization
 
     device = gaussians.means.device
@@ -415,8 +424,9 @@ def draw_by_gsplat(gaussians: GaussianTensors, view: View) -> Tensor:
 
 
 class RasterizerByAutograd:
-    """Another's drawing, which torch differentiates, as a `Rasterizer` that `Training` can train with. It draws colors
-    alone, before black, and density control learns nothing of it.
+    """A `Rasterizer` for `Training` around another renderer that torch differentiates.
+
+    It renders colors only, on a black background, and returns no sums for densification.
     """
 
     def __init__(self, draw: Callable[[GaussianTensors, View], Tensor]) -> None:
@@ -431,7 +441,7 @@ class RasterizerByAutograd:
         geometry: bool,
     ) -> RasterOutput:
         if geometry or background.any():
-            raise NotImplementedError("expected colors alone, before black")
+            raise NotImplementedError("expected colors only, on a black background")
         self._leaves = GaussianTensors(*(part.detach().requires_grad_() for part in gaussians))
         self._image = self._draw(self._leaves, view)
         color = self._image.detach().contiguous()

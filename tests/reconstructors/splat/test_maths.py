@@ -1,4 +1,4 @@
-"""The header of mathematics, in loops of its own, against the plain rasterizer."""
+"""The shared header of mathematics, compiled in simple loops, against the reference rasterizer."""
 
 import ctypes
 import os
@@ -27,8 +27,8 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 
 
 def in_double(text):
-    """The header for double, its constants with all their digits: what is left of differences is a mistake. Thresholds
-    stay as they are."""
+    """Return the header for double precision, its constants with all digits, so that remaining differences are errors.
+    Thresholds keep their float values."""
     exact = {
         "kWhitening": "0.84932180028801904",
         "kLn2": "0.69314718055994531",
@@ -59,7 +59,7 @@ def in_double(text):
 
 
 class Loops:
-    """The compiled loops in one type."""
+    """The compiled loops in one floating type."""
 
     def __init__(self, folder, real):
         header, library = folder / f"maths_{real}.h", folder / f"maths_{real}.so"
@@ -109,7 +109,7 @@ class Loops:
 
 
 class Answers(NamedTuple):
-    """Images (P, 8), median depth (P,), gradients and sums (N, 15), those of harmonics, and boxes (N, 5)."""
+    """Images (P, 8), median depth (P,), gradients and sums (N, 15), gradients of harmonics, and boxes (N, 5)."""
 
     images: np.ndarray
     median: np.ndarray
@@ -129,7 +129,7 @@ def single(tmp_path_factory):
 
 
 def plain(scene, view, sums, errors):
-    """The same of the plain rasterizer."""
+    """Return the same results from the reference rasterizer."""
     size, n = (view.height, view.width), len(scene.means)
     rasterizer = reference.Rasterizer()
     given = [torch.from_numpy(a) for a in (*scene.arrays, scene.background)]
@@ -152,7 +152,7 @@ def some_gradients(scene, seed=3):
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_formulas_are_those_of_the_plain_rasterizer(exact, kind):
+def test_formulas_agree_with_the_reference(exact, kind):
     """In float64: images, gradients and sums."""
     scene = make(kind)
     view, by = View.of(scene.camera), some_gradients(scene)
@@ -164,9 +164,10 @@ def test_formulas_are_those_of_the_plain_rasterizer(exact, kind):
 
 
 @pytest.mark.parametrize("kind", [kind for kind in SCENES if kind not in (crowd, needles, opaque)])
-def test_so_they_are_in_float(single, kind):
-    """The polynomials are right to 2e-7, the rest to some roundings, and hundreds of Gaussians and pixels are summed: a
-    few 1e-5 of the greatest are left. Scenes full of thresholds, which may go either way, have their own tests."""
+def test_formulas_agree_in_float(single, kind):
+    """The polynomials have errors of 2e-7, the rest some roundings; sums over hundreds of Gaussians and pixels leave a
+    few
+    1e-5 of the maximum. Scenes with many values at thresholds, which rounding can flip, have their own tests."""
     scene = make(kind)
     view, by = View.of(scene.camera), some_gradients(scene)
     assert worst(single.rasterize(scene, view, *by), plain(scene, view, *by)) < 1e-4

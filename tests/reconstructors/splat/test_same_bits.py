@@ -30,7 +30,7 @@ for kind in SCENES:
     note(kind.__name__, *run_pass(engine, scene, random_image_gradients(scene)).arrays().values())
     image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
     note(kind.__name__ + " plain", *run_pass(engine, scene, image_gradients, geometry=False).arrays().values())
-# Enough Gaussians and tiles for several threads at once.
+# Enough Gaussians and tiles for several threads.
 many = scattered(rng, 3000, 210, 130, size=0.06)
 note("many", *run_pass(engine, many, random_image_gradients(many)).arrays().values())
 image, target = (torch.from_numpy(rng.random((131, 207, 3), np.float32)) for _ in range(2))
@@ -45,7 +45,7 @@ print(json.dumps([_rasterizer.isa(), digests]))
 
 
 def answers_with(**environment):
-    """Digests from a fresh process."""
+    """Return the results of a fresh process."""
     script = ANSWERS.format(path=[str(TESTS)])
     return subprocess.run(
         [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
@@ -62,8 +62,8 @@ def baseline_answers():
 
 
 @pytest.mark.parametrize("isa, threads", [("avx2", "2"), ("avx512", "3")])
-def test_the_same_bits_from_any_threads_and_instructions(baseline_answers, isa, threads):
-    """As from one thread of the baseline; where there are no such instructions, of several threads of the baseline."""
+def test_threads_and_instruction_sets_give_the_same_bits(baseline_answers, isa, threads):
+    """As one thread of the baseline; on a machine without these instructions, several threads of the baseline."""
     done = answers_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
     if "PCBENCH_ISA: expected one that this machine runs" in done.stderr:
         isa, done = "baseline", answers_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)

@@ -1,4 +1,4 @@
-"""Supervision by depths: what a map says at the pixels of a view, the loss's derivative, and what training gains."""
+"""Depth supervision: resampling of maps, the gradient of the loss, and the effect on training."""
 
 from dataclasses import dataclass, replace
 
@@ -25,7 +25,7 @@ from reconstructors.splat.density import Density  # noqa: E402
 from reconstructors.splat.interface import GaussianTensors  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
-from reconstructors.splat.supervision import Supervision, resample_depths, read_supervision  # noqa: E402
+from reconstructors.splat.supervision import Supervision, read_supervision, resample_depths  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 from reconstructors.splat.view import View  # noqa: E402
 
@@ -37,8 +37,8 @@ def pinhole(width, height, focal, cx=0.5, cy=0.5, name="a/b.png"):
 
 
 @pytest.mark.parametrize("size", [(30, 20), (60, 40), (97, 61), (240, 160)])
-def test_a_slope_is_met_by_a_map_of_any_size(size):
-    """The map's pixels are larger and smaller than the view's, and their centres elsewhere."""
+def test_a_slope_is_resampled_exactly_from_a_map_of_any_size(size):
+    """The map's pixels are larger and smaller than the view's, with other centres."""
     width, height = size
     camera, mapped = pinhole(60, 40, 55.0, 0.47, 0.55), pinhole(width, height, 55.0 * width / 60, 0.47, 0.55)
     normal = np.array([0.5, -0.8, -0.3]) / np.sqrt(0.98)
@@ -49,7 +49,7 @@ def test_a_slope_is_met_by_a_map_of_any_size(size):
     np.testing.assert_allclose(resampled[seen], expected[seen], rtol=1e-5)
 
 
-def test_nothing_is_mixed_across_an_edge_and_what_is_unknown_stays_so():
+def test_depths_are_not_mixed_across_an_edge_and_unknown_ones_stay_unknown():
     camera, mapped = pinhole(60, 40, 55.0), pinhole(97, 65, 55.0 * 97 / 60)
     depth = np.where(np.arange(97) < 40, 2.0, 5.0) * np.ones((65, 1))
     depth[:10] = 0
@@ -60,8 +60,8 @@ def test_nothing_is_mixed_across_an_edge_and_what_is_unknown_stays_so():
     assert (resampled[:6] == 0).all() and (resampled[7:] > 0).all()
 
 
-def test_the_derivative_is_that_of_the_loss():
-    """Of the mean relative difference, by every number of the Gaussians, against torch's own through `rasterize`."""
+def test_the_gradient_equals_that_of_the_loss():
+    """Of the mean relative difference, with respect to all parameters, against torch autograd through `rasterize`."""
     scene = scattered(np.random.default_rng(3), 60)
     leaves = [torch.from_numpy(a).clone().requires_grad_() for a in scene.arrays]
     view = View.of(scene.camera)
@@ -79,8 +79,12 @@ def test_the_derivative_is_that_of_the_loss():
     )
     photograph = Photograph("view", view, torch.zeros(view.height, view.width, 3, dtype=torch.uint8), None)
     depth_gradients = Supervision({"view": [target]}, 0.7).gradients(photograph, rendering)
-    gradients = rasterizer.backward(torch.zeros_like(rendering.color), depth_gradients.transmittance, depth_gradients.depth, None, None)
-    for leaf, rows in zip(leaves[:4], (gradients.means, gradients.quats, gradients.scales, gradients.opacities), strict=True):
+    gradients = rasterizer.backward(
+        torch.zeros_like(rendering.color), depth_gradients.transmittance, depth_gradients.depth, None, None
+    )
+    for leaf, rows in zip(
+        leaves[:4], (gradients.means, gradients.quats, gradients.scales, gradients.opacities), strict=True
+    ):
         expected = leaf.grad[gradients.ids]
         assert float(expected.abs().max()) > 0
         np.testing.assert_allclose(rows, expected, atol=2e-4 * float(expected.abs().max()))
@@ -89,7 +93,7 @@ def test_the_derivative_is_that_of_the_loss():
 
 
 def wall():
-    """A grey wall at y = 0, which no photograph tells from one anywhere else, and Gaussians half a unit before it."""
+    """A grey wall at y = 0, whose depth no photograph shows, and Gaussians half a unit in front of it."""
     rng = np.random.default_rng(2)
     means = np.column_stack([rng.uniform(-2, 2, 150), np.full(150, -0.5), rng.uniform(-1.5, 1.5, 150)])
     model = Gaussians(
@@ -112,8 +116,8 @@ def save_map(folder, depth_map, counts):
     np.save(folder / COUNTS, np.broadcast_to(np.uint8(counts), depth_map.depth.shape))
 
 
-def test_what_is_not_sure_is_not_held_to(tmp_path):
-    """Points to begin at may be of two images, and of little confidence."""
+def test_uncertain_depths_are_not_used(tmp_path):
+    """Initial points may come from two images and have a low confidence."""
     camera = pinhole(60, 40, 55.0)
     depth_map = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
     counts = np.full(depth_map.depth.shape, 3, np.uint8)
@@ -127,8 +131,8 @@ def test_what_is_not_sure_is_not_held_to(tmp_path):
     np.testing.assert_array_equal(resampled > 0, (counts == 3) & (depth_map.confidence > 0.5))
 
 
-def test_depths_hold_what_photographs_do_not(tmp_path):
-    """Read from the folder that `mvs` keeps, in a world whose unit is not the model's."""
+def test_depths_constrain_what_photographs_do_not(tmp_path):
+    """Read from the folder of `mvs`, in a world whose unit is not the model's."""
     unit, errors = 50.0, []
     model, cameras = wall()
     write_colmap_model(tmp_path, cameras)
@@ -151,15 +155,17 @@ def test_depths_hold_what_photographs_do_not(tmp_path):
         training.run(200)
         now = training.model
         rendering = rasterize(now.means, now.quats, now.scales, now.opacities, now.sh, cameras[1])
-        difference = (rendering.depth - torch.from_numpy(plane_map(cameras[1], (0.0, -1.0, 0.0), 0.0).depth))[rendering.alpha > 0.5]
+        difference = (rendering.depth - torch.from_numpy(plane_map(cameras[1], (0.0, -1.0, 0.0), 0.0).depth))[
+            rendering.alpha > 0.5
+        ]
         errors.append(float(difference.abs().mean()))
-    assert errors[0] > 0.3  # the photographs leave them where they were
+    assert errors[0] > 0.3  # photographs alone leave the Gaussians where they were
     assert errors[1] < 0.1
 
 
 @dataclass(frozen=True)
 class BluntMvs:
-    """Stands in for `mvs`: maps that are exact, and points that are not."""
+    """Replaces `mvs`: exact maps and inexact points."""
 
     poses: str = "given"
     seed: int = 0
@@ -176,7 +182,7 @@ class BluntMvs:
         return Reconstruction(cloud, "georeferenced", scene.cameras)
 
 
-def test_the_surface_of_a_model_that_is_held_to_depths_is_nearer(tmp_path, monkeypatch):
+def test_the_surface_is_more_accurate_with_depth_supervision(tmp_path, monkeypatch):
     monkeypatch.setattr(plugin, "BEGINNING", BluntMvs())
     scene_folder = tmp_path / "corner"
     scene_folder.mkdir()

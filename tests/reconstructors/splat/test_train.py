@@ -1,4 +1,4 @@
-"""Training: images become like the photographs, a run that goes on equals an unbroken one, density obeys its rules."""
+"""Training: images approach the photographs, a resumed run equals an uninterrupted one, densification and pruning."""
 
 from dataclasses import replace
 
@@ -17,17 +17,19 @@ from splat_training import grey, numbers, truth  # noqa: E402
 
 from reconstructors.splat.density import Classic, Density, split  # noqa: E402
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
-from reconstructors.splat.resume import load_model, save_model, run_with_checkpoints  # noqa: E402
+from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model  # noqa: E402
 from reconstructors.splat.rotations import rotate  # noqa: E402
 from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
 
 
 def new_training(density=Density(), steps=160, **schedule):  # noqa: B008
     model, pictures = truth()
-    return Training(grey(model), pictures, Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0), **schedule), density)
+    return Training(
+        grey(model), pictures, Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0), **schedule), density
+    )
 
 
-def test_images_become_like_the_photographs():
+def test_images_approach_the_photographs():
     training = new_training()
     pictures = [pyramid[0] for pyramid in training.photographs]
     before = np.mean(evaluate(training.model, pictures))
@@ -36,8 +38,8 @@ def test_images_become_like_the_photographs():
     assert training.model.degree == 1
 
 
-def test_a_run_that_goes_on_equals_an_unbroken_one(tmp_path):
-    rules = Classic(
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
+    density = Classic(
         refine_start=20,
         refine_interval=10,
         grow_gradient=1e-6,
@@ -47,20 +49,20 @@ def test_a_run_that_goes_on_equals_an_unbroken_one(tmp_path):
         prune_scale=10,
         max_gaussians=150,
     )
-    whole = new_training(rules, steps=90)
-    whole.run(90)
-    assert len(whole.model) > 60  # otherwise nothing random was drawn
-    first = new_training(rules, steps=90)
+    uninterrupted = new_training(density, steps=90)
+    uninterrupted.run(90)
+    assert len(uninterrupted.model) > 60  # so random numbers were used
+    first = new_training(density, steps=90)
     first.run(47)
     first.save(tmp_path / "checkpoint.pt", "key")
-    second = new_training(rules, steps=90)
+    second = new_training(density, steps=90)
     assert not second.load(tmp_path / "checkpoint.pt", "another key")
     assert second.step == 0
-    assert numbers(run_with_checkpoints(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
+    assert numbers(run_with_checkpoints(second, tmp_path / "checkpoint.pt", "key")) == numbers(uninterrupted.model)
     assert not (tmp_path / "checkpoint.pt").exists()
 
 
-def test_the_same_seed_gives_the_same_model_and_another_one_another():
+def test_the_model_is_determined_by_the_seed():
     runs = [new_training(steps=20, seed=seed) for seed in (0, 0, 1)]
     for run in runs:
         run.run(20)
@@ -68,26 +70,26 @@ def test_the_same_seed_gives_the_same_model_and_another_one_another():
     assert first == again != other
 
 
-def test_training_ends_where_the_photographs_get_no_better(tmp_path):
-    eager, whole = new_training(steps=400, plateau=2.0), new_training(steps=400, plateau=-np.inf)
+def test_training_converges_when_the_photographs_no_longer_improve(tmp_path):
+    eager, uninterrupted = new_training(steps=400, plateau=2.0), new_training(steps=400, plateau=-np.inf)
     eager.run(400)
-    whole.run(400)
-    assert (whole.converged, whole.step) == (False, 400)
+    uninterrupted.run(400)
+    assert (uninterrupted.converged, uninterrupted.step) == (False, 400)
     assert eager.converged and 120 <= eager.step < 400 and eager.step % 40 == 0
-    looks = []
+    mean_psnr = []
     for step in (eager.step - 80, eager.step - 40, eager.step):
         again = new_training(steps=400, plateau=-np.inf)
         again.run(step)
-        looks.append(np.mean(again.psnr))
-    assert looks[2] - min(looks[:2]) < 2.0
+        mean_psnr.append(np.mean(again.psnr))
+    assert mean_psnr[2] - min(mean_psnr[:2]) < 2.0
     assert numbers(again.model) == numbers(eager.model)
     eager.save(tmp_path / "checkpoint.pt", "key")
     again = new_training(steps=400, plateau=2.0)
     assert numbers(run_with_checkpoints(again, tmp_path / "checkpoint.pt", "key")) == numbers(eager.model)
 
 
-def test_a_mask_hides_what_it_covers():
-    """Black rectangles over the photographs leave no trace where a mask covers them."""
+def test_masked_pixels_do_not_influence_training():
+    """Black rectangles in the photographs have no effect if a mask covers them."""
     plain, masked = new_training(steps=60), new_training(steps=60)
     for pyramid in masked.photographs:
         photograph = pyramid[0]
@@ -105,44 +107,44 @@ def test_a_mask_hides_what_it_covers():
     assert with_mask > without + 2
 
 
-def test_what_is_not_finite_ends_with_a_sentence():
+def test_parameters_that_are_not_finite_are_an_error():
     training = new_training()
     training.model.sh[3] = float("nan")
     with refused(ReconstructionError):
         training.run(5)
 
 
-def test_what_is_not_finite_does_not_end_as_a_plateau():
+def test_parameters_that_are_not_finite_are_no_convergence():
     training = new_training(steps=100, plateau=np.inf)
 
-    def spoiled(now):
+    def set_nan(now):
         if now.step == 29:
             now.model.means[3] = np.nan  # the rasterizer skips it
 
     with refused(ReconstructionError):
-        training.run(100, spoiled)
+        training.run(100, set_nan)
 
 
-def test_a_model_that_vanished_ends_with_a_sentence():
+def test_a_model_without_gaussians_is_an_error():
     training = new_training(Classic(refine_start=5, refine_interval=5, prune_opacity=1.0))
     with refused(ReconstructionError):
         training.run(5)
 
 
-def test_splitting_keeps_the_place_and_shrinks():
+def test_splitting_keeps_the_distribution_and_shrinks():
     model, _ = truth()
     many = Gaussians(*(part[:1].repeat(4000, *[1] * (part.ndim - 1)) for part in vars(model).values()))
     halves = split(many, 1.6, np.random.default_rng(0))
     assert len(halves) == 8000
     torch.testing.assert_close(halves.scales, many.scales.repeat(2, 1) / 1.6)
-    # Their places are drawn from the Gaussian: in its axes they deviate by its scales, to what 8000 draws can tell.
+    # Their positions are sampled from the Gaussian: along its axes they deviate by its scales, up to sampling error.
     turned_back = many.quats[0] * torch.tensor([1.0, -1, -1, -1])
     local = rotate(turned_back.repeat(8000, 1), halves.means - many.means[0])
     np.testing.assert_allclose(local.std(dim=0), many.scales[0], rtol=0.04)
     np.testing.assert_allclose(local.mean(dim=0) / many.scales[0], 0, atol=0.05)
 
 
-def test_classic_control_adds_no_more_than_it_may_and_takes_the_faint_away():
+def test_classic_density_respects_the_maximum_and_prunes_low_opacities():
     training = new_training(
         Classic(
             refine_start=5,
@@ -164,7 +166,7 @@ def test_classic_control_adds_no_more_than_it_may_and_takes_the_faint_away():
     assert count > 60
 
 
-def test_a_frame_brings_projected_coordinates_to_unit_size():
+def test_a_local_frame_scales_projected_coordinates_to_unit_size():
     scene = scattered(np.random.default_rng(0))
     origin = np.array([500_000.0, 5_400_000.0, 200.0])
     cameras = []
@@ -174,14 +176,14 @@ def test_a_frame_brings_projected_coordinates_to_unit_size():
     frame = LocalFrame.of(cameras)
     points = origin + np.random.default_rng(1).uniform(-50, 50, size=(100, 3))
     assert frame.unit == pytest.approx(330)
-    np.testing.assert_allclose(frame.to_world(frame.to_local(points)), points, atol=1e-7)  # the digits of float64
+    np.testing.assert_allclose(frame.to_world(frame.to_local(points)), points, atol=1e-7)  # the precision of float64
     at, depth = cameras[0].project(points)
     local_at, local_depth = frame.camera(cameras[0]).project(frame.to_local(points))
     np.testing.assert_allclose(local_at, at, atol=1e-6)
     np.testing.assert_allclose(local_depth * frame.unit, depth, atol=1e-6)
 
 
-def test_a_model_is_kept_as_it_is(tmp_path):
+def test_a_saved_model_is_loaded_unchanged(tmp_path):
     model, _ = truth()
     save_model(tmp_path / "model.pt", model)
     assert numbers(load_model(tmp_path / "model.pt")) == numbers(model)
