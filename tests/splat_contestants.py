@@ -106,8 +106,8 @@ class Ours:
         self._rows = [tensor.clone().reshape(len(tensor), -1) for tensor in picture.parameters]
         self._moments = [(torch.zeros_like(rows), torch.zeros_like(rows)) for rows in self._rows]
         pixels = picture.target.shape[0] * picture.target.shape[1]
-        self._by_depth = torch.full_like(picture.target[..., 0], 1 / pixels) if geometry else None
-        self._by_normal = torch.full_like(picture.target, 1 / pixels) if geometry else None
+        self._grad_depth = torch.full_like(picture.target[..., 0], 1 / pixels) if geometry else None
+        self._grad_normal = torch.full_like(picture.target, 1 / pixels) if geometry else None
         self._step = 0
 
     def forward(self) -> None:
@@ -116,23 +116,23 @@ class Ours:
         self.image, self.transmittance = drawn.color, drawn.transmittance
 
     def loss(self) -> None:
-        self._by_image = self._kernels.image_loss(self.image, self._picture.target, SSIM_WEIGHT).gradient
+        self._grad_image = self._kernels.image_loss(self.image, self._picture.target, SSIM_WEIGHT).gradient
 
     def backward(self) -> None:
-        self.pulled = self.rasterizer.backward(self._by_image, None, self._by_depth, self._by_normal, None)
+        self.pulled = self.rasterizer.backward(self._grad_image, None, self._grad_depth, self._grad_normal, None)
         ids, opacities = self.pulled.ids, self._seen.opacities[self.pulled.ids]
-        by_logits = self.pulled.opacities * opacities * (1 - opacities)
-        by_log_scales = self.pulled.scales * self._seen.scales[ids]
-        self._by = Parameters(self.pulled.means, self.pulled.quats, by_log_scales, by_logits, self.pulled.sh)
+        grad_logits = self.pulled.opacities * opacities * (1 - opacities)
+        grad_log_scales = self.pulled.scales * self._seen.scales[ids]
+        self._gradients = Parameters(self.pulled.means, self.pulled.quats, grad_log_scales, grad_logits, self.pulled.sh)
 
     def adam(self) -> None:
         self._step += 1
-        for rows, moments, by in zip(self._rows, self._moments, self._by, strict=True):
-            self._kernels.adam(rows, *moments, by.reshape(len(by), -1), self.pulled.ids, 0.0, self._step)
+        for rows, moments, g in zip(self._rows, self._moments, self._gradients, strict=True):
+            self._kernels.adam(rows, *moments, g.reshape(len(g), -1), self.pulled.ids, 0.0, self._step)
 
     def gradients(self) -> Parameters:
         full = [torch.zeros_like(tensor) for tensor in self._picture.parameters]
-        for tensor, rows in zip(full, self._by, strict=True):
+        for tensor, rows in zip(full, self._gradients, strict=True):
             tensor[self.pulled.ids] = rows
         return Parameters(*full)
 
@@ -164,11 +164,11 @@ class ByAutograd:
     def loss(self) -> None:
         shown = self._drawn.detach().requires_grad_()
         self.difference(shown).backward()
-        self._by_image = shown.grad
+        self._grad_image = shown.grad
 
     def backward(self) -> None:
         self._optimizer.zero_grad(set_to_none=True)
-        self._drawn.backward(self._by_image)
+        self._drawn.backward(self._grad_image)
 
     def adam(self) -> None:
         self._optimizer.step()
@@ -378,11 +378,11 @@ class _OpenSplatBlend(torch.autograd.Function):
         return image
 
     @staticmethod
-    def backward(ctx, by_image):
+    def backward(ctx, grad_image):
         *splats, through = ctx.saved_tensors
-        by = ctx.module.blend_backward(*ctx.size, *splats, through, ctx.lists, by_image.contiguous())
+        gradients = ctx.module.blend_backward(*ctx.size, *splats, through, ctx.lists, grad_image.contiguous())
         ctx.lists = None
-        return None, None, None, *by, None, None
+        return None, None, None, *gradients, None, None
 
 
 class _OpenSplatLoss(torch.autograd.Function):
@@ -394,8 +394,8 @@ class _OpenSplatLoss(torch.autograd.Function):
         return stats[0]
 
     @staticmethod
-    def backward(ctx, by_loss):
-        return None, ctx.module.loss_backward(*ctx.saved_tensors, by_loss.contiguous(), SSIM_WEIGHT), None
+    def backward(ctx, grad_loss):
+        return None, ctx.module.loss_backward(*ctx.saved_tensors, grad_loss.contiguous(), SSIM_WEIGHT), None
 
 
 class Gsplat(ByAutograd):
@@ -457,6 +457,6 @@ class RasterizerByAutograd:
     ) -> Gradients:
         self._image.backward(color)
         gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in self._leaves]
-        ids = torch.stack([by.reshape(len(by), -1).any(dim=1) for by in gradients]).any(dim=0).nonzero()[:, 0]
+        ids = torch.stack([g.reshape(len(g), -1).any(dim=1) for g in gradients]).any(dim=0).nonzero()[:, 0]
         nothing = color.new_zeros(len(ids))
-        return Gradients(ids, *(by[ids] for by in gradients), color.new_zeros(len(ids), 2), nothing, nothing)
+        return Gradients(ids, *(g[ids] for g in gradients), color.new_zeros(len(ids), 2), nothing, nothing)

@@ -74,7 +74,7 @@ class Densifiable(Protocol):
         ...
 
     def keep(self, rows: Tensor) -> None:
-        """Keep the Gaussians of an index or a mask."""
+        """Keep the Gaussians selected by indices or a mask."""
         ...
 
     def add(self, others: Gaussians) -> None:

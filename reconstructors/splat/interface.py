@@ -110,9 +110,11 @@ class Rasterizer(Protocol):
         """Return the gradients with respect to the Gaussians of the last `forward`.
 
         Args:
-            color, transmittance, depth, normal: gradients of the loss with respect to the images, of their shapes; None
-                for zero.
-            error: (H, W) error of each pixel, for `Gradients.error`.
+            color: (H, W, 3) gradient of the loss with respect to the color.
+            transmittance: (H, W) likewise, or None for zero.
+            depth: (H, W) likewise, or None for zero.
+            normal: (H, W, 3) likewise, or None for zero.
+            error: (H, W) error of each pixel, for `Gradients.error`, or None.
         """
         ...
 

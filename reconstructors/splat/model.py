@@ -139,7 +139,7 @@ class Gaussians:
         return cls(*(torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32)) for part in parts))
 
     def select(self, rows: Tensor) -> Gaussians:
-        """Return the Gaussians of an index or a mask."""
+        """Return the Gaussians selected by indices or a mask."""
         return Gaussians(*(getattr(self, field.name)[rows].contiguous() for field in fields(self)))
 
     def to(self, device: torch.device) -> Gaussians:

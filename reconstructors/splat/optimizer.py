@@ -82,7 +82,7 @@ class Optimizer:
             self._adam(parameters, first, second, gradient, ids, parameter_rates[name], count)
 
     def select(self, rows: Tensor) -> None:
-        """Keep the moments of the Gaussians of an index or a mask."""
+        """Keep the moments of the Gaussians selected by indices or a mask."""
         self.first, self.second = self.first.select(rows), self.second.select(rows)
 
     def extend(self, others: Gaussians) -> None:

@@ -1,8 +1,9 @@
-"""Choose the number of Gaussians: train ever smaller models, evaluate them on held-out photographs, keep the smallest
-that is as good as the best.
+"""Selection of the number of Gaussians by the one-standard-error rule on held-out photographs.
 
-This is the one-standard-error rule of Breiman et al. 1984, section 3.4.3, applied to differences instead of scores: all
-models are evaluated on the same photographs, and a hard photograph is hard for all models. Consecutive photographs are
+Ever smaller models are trained and evaluated; the smallest one that is as good as the best is kept.
+
+The rule is that of Breiman et al. 1984, section 3.4.3, applied to differences instead of scores: all models are
+evaluated on the same photographs, and a hard photograph is hard for all models. Consecutive photographs are
 correlated and form a block, so the standard error is computed from the means of the blocks.
 """
 
@@ -111,7 +112,7 @@ class Curve:
     def sentence(self) -> str:
         """The choice and its reason, as a sentence for the notes."""
         selected, best, most = self.chosen, self.best, self.budgets[0].gaussians
-        size = f"{selected.gaussians:,} Gaussians of degree {selected.degree}"
+        size = f"{selected.gaussians:,} Gaussians with spherical harmonics of degree {selected.degree}"
         words = f"{size} are enough: PSNR {selected.mean:.2f} dB on held-out photographs"
         if selected is best and selected.gaussians == most:
             smaller = [budget for budget in self.budgets if budget.gaussians < most]

@@ -50,7 +50,7 @@ CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
 BEGINNING = DenseMvs(views=2, confidence=0.1)
 
 _PYRAMID_LEVELS = 3  # sizes of each photograph
-_MIN_IMAGES = 3  # a surface point needs that many images that agree
+_MIN_IMAGES = 3  # images that must agree on a point of the surface
 _MIN_SELECTION_IMAGES = 4  # training images needed to choose the number of Gaussians on held-out ones
 _BYTES_PER_GAUSSIAN = 1000  # parameters, gradients, moments and instances in the tiles of an image
 _TRIAL_BYTES_PER_GAUSSIAN = 1000  # snapshots of the models among which one is chosen

@@ -150,7 +150,8 @@ class Training:
         lost = sum(int((~rows).sum()) for rows in finite)
         if lost:
             raise ReconstructionError(
-                f"training diverged: parameters of {lost} Gaussians are not finite at step {self.step}; check the cameras"
+                f"training diverged: parameters of {lost} of {len(self.model)} Gaussians are not finite at step"
+                f" {self.step}; check the cameras"
             )
 
     def _check_convergence(self) -> None:
@@ -160,15 +161,15 @@ class Training:
         full_size = self.step >= count and self.schedule.level(self.step - count) == 0  # for the whole last round
         if full_size:
             self._mean_psnr.append(sum(map(float, self.psnr)) / count)
-        before = self._mean_psnr[-3:-1]
-        self.converged = len(before) == 2 and self._mean_psnr[-1] - min(before) < self.schedule.plateau
+        earlier = self._mean_psnr[-3:-1]
+        self.converged = len(earlier) == 2 and self._mean_psnr[-1] - min(earlier) < self.schedule.plateau
 
     def rng(self) -> np.random.Generator:
         """Return the generator of this step: a resumed run gets the same random numbers as an uninterrupted one."""
         return np.random.default_rng([self.schedule.seed, 1, self.step])
 
     def keep(self, rows: Tensor) -> None:
-        """Keep the Gaussians of an index or a mask, and reset the screen gradients."""
+        """Keep the Gaussians selected by indices or a mask, and reset the screen gradients."""
         self.model = self.model.select(rows)
         self.optimizer.select(rows)
         self.screen_gradients = ScreenGradients.zeros(self.model)
@@ -248,8 +249,10 @@ class Training:
         loss = self._kernels.image_loss(image, target, schedule.ssim_weight)
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
         difference = image - target
-        more = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
-        gradients = self._rasterizer.backward(gradient, more.transmittance, more.depth, None, None)
+        depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
+        gradients = self._rasterizer.backward(
+            gradient, depth_gradients.transmittance, depth_gradients.depth, None, None
+        )
         self.step += 1
         self.optimizer.step(model, gradients, schedule.rates, self.step / schedule.steps, self.step)
         self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)

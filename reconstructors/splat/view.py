@@ -55,11 +55,10 @@ class View:
 
     @property
     def limits(self) -> tuple[float, float, float, float]:
-        """Left, right, top and bottom bound of x / z and y / z, to which the centre of the affine approximation of the
-        projection is clamped.
+        """Left, right, top and bottom bound of x / z and y / z for the centre of the affine approximation.
 
-        They lie 0.15 of the image beyond its border (Kerbl et al. 2023: 1.3 times half the field of view). Far outside
-        the image the approximation would enlarge Gaussians that hardly touch it.
+        The centre is clamped to them. They lie 0.15 of the image beyond its border (Kerbl et al. 2023: 1.3 times half
+        the field of view). Far outside the image the approximation would enlarge Gaussians that hardly touch it.
         """
         margin_x, margin_y = _MARGIN_SHARE * self.width / self.fx, _MARGIN_SHARE * self.height / self.fy
         return (

@@ -36,7 +36,7 @@ def test_the_smallest_within_one_standard_error_is_selected():
     assert select_budget([best, within, less, within._replace(degree=0)]) == 3
     assert "800 Gaussians" in said(Curve((best, less)).sentence)
     said(Curve((best,)).sentence)
-    assert said(Curve((best, within, less)).sentence).startswith("200 Gaussians of degree 2 ")
+    assert said(Curve((best, within, less)).sentence).startswith("200 Gaussians with spherical harmonics of degree 2 ")
     assert "24.93 dB" in Curve((best, within, less)).sentence
 
 
