@@ -1,4 +1,4 @@
-"""A launcher that runs CUDA kernels on the CPU: `cuda_emulation/machine.h` says how, and what it cannot show."""
+"""A launcher that runs CUDA kernels on the CPU; `cuda_emulation/machine.h` describes the method and its limits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from reconstructors.splat.cuda.kernels import Kernel, Scalar
 from reconstructors.splat.interface import ImageLoss
 
 ORDERS = (("forward", 0), ("reverse", 0), ("random", 1), ("random", 2))
-_ORDER_NUMBERS = {"forward": 0, "reverse": 1, "random": 2}
+_ORDER_CODES = {"forward": 0, "reverse": 1, "random": 2}
 _HEADERS = Path(__file__).with_name("cuda_emulation")
 _BUILD = Path(__file__).parents[1] / "build" / "cuda_emulator"
 _FLAGS = ("-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-fno-gnu-unique", "-w")
@@ -27,31 +27,31 @@ _SCALARS = {ctypes.c_int32: "I", ctypes.c_int64: "L", ctypes.c_float: "F"}
 
 
 class EmulationError(Exception):
-    """A kernel did what no GPU could run well-defined."""
+    """A kernel did something undefined on a GPU."""
 
 
 class Emulator:
-    """Stands in for a GPU, on tensors of the CPU.
+    """Replaces a GPU for tensors on the CPU.
 
     Args:
-        order: of threads and blocks: forward, reverse or random.
-        seed: of the random order.
+        order: order of threads and blocks: forward, reverse or random.
+        seed: seed of the random order.
     """
 
     def __init__(self, order: str = "forward", seed: int = 0) -> None:
-        self._order = _ORDER_NUMBERS[order]
+        self._order = _ORDER_CODES[order]
         self._seed = seed
-        self.launched: list[str] = []  # the names of all kernels, in order
+        self.launched: list[str] = []  # names of all launched kernels, in order
 
     def launch(self, kernel: Kernel, blocks: int, *arguments: torch.Tensor | Scalar | None) -> None:
         signature = _library(kernel).emulated_signature().decode()
         assert len(signature) == len(arguments), f"{kernel.name} takes {len(signature)} arguments, not {len(arguments)}"
-        holders = [_held(kernel, letter, argument) for letter, argument in zip(signature, arguments, strict=True)]
+        holders = [_holder(kernel, letter, argument) for letter, argument in zip(signature, arguments, strict=True)]
         pointers = (ctypes.c_void_p * len(holders))(*(ctypes.addressof(holder) for holder in holders))
         self.run(kernel, blocks, ctypes.addressof(pointers))
 
     def run(self, kernel: Kernel, blocks: int, pointers: int) -> None:
-        """As the driver has it: `pointers` is the address of an array of pointers to the arguments."""
+        """Run a kernel as the driver does: `pointers` is the address of an array of pointers to the arguments."""
         self.launched.append(kernel.name)
         assert blocks > 0, f"{kernel.name}: a GPU refuses {blocks} blocks"
         message = ctypes.create_string_buffer(500)
@@ -62,10 +62,10 @@ class Emulator:
 
 
 class EmulatedCuda:
-    """The module of kernels `reconstructors.splat.cuda`, on an emulator.
+    """The module of kernels `reconstructors.splat.cuda` on an emulator.
 
     Args:
-        order, seed: as of the emulator.
+        order, seed: as for `Emulator`.
     """
 
     def __init__(self, order: str = "forward", seed: int = 0, emulator: type[Emulator] = Emulator) -> None:
@@ -84,8 +84,8 @@ class EmulatedCuda:
         return cuda.morton_order(means, self.emulator)
 
 
-def _held(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -> ctypes._SimpleCData:
-    """The argument as memory of its own, after a check that the kernel wants just that."""
+def _holder(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -> ctypes._SimpleCData:
+    """Return the argument as a ctypes object, after checking its type against the kernel's signature."""
     if argument is None:
         assert letter.islower(), kernel.name
         return ctypes.c_void_p(None)
@@ -99,19 +99,19 @@ def _held(kernel: Kernel, letter: str, argument: torch.Tensor | Scalar | None) -
 
 @cache
 def _library(kernel: Kernel) -> ctypes.CDLL:
-    library = ctypes.CDLL(str(built(kernel)))
+    library = ctypes.CDLL(str(build(kernel)))
     library.emulated_signature.restype = ctypes.c_char_p
-    whole = ctypes.c_uint32
+    uint32 = ctypes.c_uint32
     library.emulated_run.argtypes = [
-        ctypes.c_void_p, whole, whole, ctypes.c_int, ctypes.c_uint64, ctypes.c_char_p, ctypes.c_size_t
+        ctypes.c_void_p, uint32, uint32, ctypes.c_int, ctypes.c_uint64, ctypes.c_char_p, ctypes.c_size_t
     ]  # fmt: skip
     return library
 
 
-def built(kernel: Kernel) -> Path:
-    """The kernel as a library for this machine, in build/cuda_emulator under a name made of all that it depends on.
+def build(kernel: Kernel) -> Path:
+    """Compile a kernel to a library for this machine, in build/cuda_emulator; its name has a hash of all inputs.
 
-    EMULATOR_FLAGS of the environment are the compiler's, too.
+    The environment variable EMULATOR_FLAGS adds flags of the compiler.
     """
     flags = (*_FLAGS, *os.environ.get("EMULATOR_FLAGS", "").split())
     lines = (
@@ -136,8 +136,8 @@ def built(kernel: Kernel) -> Path:
 
 
 @contextmanager
-def spoilt_memory() -> Iterator[None]:
-    """New tensors hold no numbers while this lasts: what is read before it was written shows."""
+def nan_filled_memory() -> Iterator[None]:
+    """Fill new tensors with NaN meanwhile, so that a read before the first write is visible."""
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(True)
     try:

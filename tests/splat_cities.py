@@ -1,4 +1,4 @@
-"""Synthetic cities on which clouds of Gaussians are held against the exact surface."""
+"""Synthetic cities for comparing clouds of Gaussians with the exact surface."""
 
 import subprocess
 import sys
@@ -19,24 +19,26 @@ CASES = {
     "oblique, flat": "--rig oblique --texture 0 --density 0.02 --relief 0 --seed 22",
 }
 EXTENT = 100  # of the cities, in metres
-FOOTPRINTS = 2  # of a pixel: what precision and recall allow
-JUDGED = 60_000  # points of cloud and of truth at most: means and shares of them are right to half a percent
+FOOTPRINTS = 2  # pixel footprints: the distance threshold of precision and recall
+MAX_SCORED_POINTS = 60_000  # of the cloud and of the truth: the error of means and shares is at most half a percent
 
 
 class City(NamedTuple):
+    """The scene of a city and its exact surface."""
+
     scene: Scene
     truth: Truth
 
 
 class CloudScore(NamedTuple):
-    """Of a cloud against the surface.
+    """Distances between a cloud and the true surface.
 
     Attributes:
-        points: how many there are.
-        accuracy: mean distance from them to the true surface, metres.
-        completeness, seen: mean distance from the true cloud's points to the nearest of them, over all and over those
-            that at least three cameras see.
-        precision, recall, recall_seen: shares within two footprints of a pixel.
+        points: number of points of the cloud.
+        accuracy: mean distance from the cloud to the true surface, metres.
+        completeness, seen: mean distance from the points of the true cloud to the cloud, over all points and over those
+            visible to at least three cameras, metres.
+        precision, recall, recall_seen: shares within two pixel footprints.
     """
 
     points: int
@@ -49,15 +51,17 @@ class CloudScore(NamedTuple):
 
     @property
     def fscore(self) -> float:
+        """F-score over the whole true cloud."""
         return 2 * self.precision * self.recall / max(self.precision + self.recall, 1e-9)
 
     @property
     def fscore_seen(self) -> float:
+        """F-score over the part of the true cloud that at least three cameras see."""
         return 2 * self.precision * self.recall_seen / max(self.precision + self.recall_seen, 1e-9)
 
 
 def city(folder: Path, case: str, images: int, size: str) -> City:
-    """The city of a case, photographed; made if the folder is not there."""
+    """Return the photographed city of a case, synthesized unless the folder exists."""
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
         fixed = ["--extent", EXTENT, "--points", 200_000, "--images", images, "--size", size, "--quiet"]
@@ -68,17 +72,18 @@ def city(folder: Path, case: str, images: int, size: str) -> City:
 
 
 def score_cloud(truth: Truth, points: np.ndarray) -> CloudScore:
+    """Compare a cloud with the true surface, in both directions."""
     rng = np.random.default_rng(0)
-    judged = rng.permutation(len(points))[:JUDGED]
-    places = rng.permutation(len(truth.cloud))[:JUDGED]
+    scored = rng.permutation(len(points))[:MAX_SCORED_POINTS]
+    sampled = rng.permutation(len(truth.cloud))[:MAX_SCORED_POINTS]
     local = points - truth.origin
-    there = truth.local_surface.query(local[judged]).distances
-    back = Index(local).query(truth.cloud.points[places] - truth.origin).distances
-    seen, limit = truth.visible[places], FOOTPRINTS * truth.pixel
+    to_truth = truth.local_surface.query(local[scored]).distances
+    from_truth = Index(local).query(truth.cloud.points[sampled] - truth.origin).distances
+    seen, limit = truth.visible[sampled], FOOTPRINTS * truth.pixel
     return CloudScore(
         len(points),
-        float(there.mean()),
-        float(back.mean()),
-        float(back[seen].mean()),
-        *(float(np.mean(distances <= limit)) for distances in (there, back, back[seen])),
+        float(to_truth.mean()),
+        float(from_truth.mean()),
+        float(from_truth[seen].mean()),
+        *(float(np.mean(distances <= limit)) for distances in (to_truth, from_truth, from_truth[seen])),
     )

@@ -1,8 +1,9 @@
-"""Training steps on one picture that do the same by different code: ours, plain torch, OpenSplat's and gsplat's.
+"""Equivalent training steps on one image by different code: pcbench, plain torch, OpenSplat and gsplat.
 
-Each holds the parameters that trainers do (logarithms of scales, logits of opacities) and has four parts that are
-called in turn: `forward` draws, `loss` takes the derivative of 0.8 L1 + 0.2 (1 - SSIM) by the picture, `backward` those
-by the parameters, `adam` is the step of the optimizer. The learning rates are zero, so that every run draws the same.
+Each contestant has the parameters of a trainer (logarithms of scales, logits of opacities) and four parts that are
+called in turn: `forward` renders, `loss` computes the gradient of 0.8 L1 + 0.2 (1 - SSIM) with respect to the image,
+`backward` the gradients with respect to the parameters, `adam` is the optimizer step. The learning rates are zero, so
+that all runs render the same image.
 """
 
 import math
@@ -20,17 +21,17 @@ from torch import Tensor
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.splat.devices import kernels_of
-from reconstructors.splat.interface import Drawn, GaussianTensors, Pulled
+from reconstructors.splat.interface import GaussianTensors, Gradients, RasterOutput
 from reconstructors.splat.reference import Projection, project
 from reconstructors.splat.view import View
 
 SSIM_WEIGHT = 0.2
-TILE = 16  # pixels, of plain torch
-PAIRS_AT_ONCE = 4_000_000  # of a pixel and a Gaussian
+TILE = 16  # pixels, in plain torch
+PAIRS_AT_ONCE = 4_000_000  # pairs of a pixel and a Gaussian
 
 
 class Parameters(NamedTuple):
-    """Of N Gaussians: (N, 3), (N, 4), (N, 3) logarithms, (N,) logits, (N, 16, 3)."""
+    """Parameters of N Gaussians: (N, 3), (N, 4), (N, 3) logarithms, (N,) logits, (N, 16, 3)."""
 
     means: Tensor
     quats: Tensor
@@ -39,23 +40,27 @@ class Parameters(NamedTuple):
     sh: Tensor
 
     def gaussians(self) -> GaussianTensors:
+        """Return the Gaussians as a rasterizer reads them."""
         return GaussianTensors(self.means, self.quats, self.log_scales.exp(), self.logits.sigmoid(), self.sh)
 
 
 class Picture(NamedTuple):
-    """What is drawn, from where, and what it should look like (H, W, 3)."""
+    """Gaussians, the view to render, and the target image (H, W, 3)."""
 
     parameters: Parameters
     view: View
     target: Tensor
 
     def leaves(self) -> Parameters:
+        """Return copies of the parameters that require gradients."""
         return Parameters(*(tensor.clone().requires_grad_() for tensor in self.parameters))
 
 
 def make_picture(count: int, width: int, height: int, device: str = "cpu", seed: int = 0) -> Picture:
-    """Gaussians before a camera, over nearly twice the picture's area: 54 % of the means are inside it. Their sizes go
-    with the area that there is for each, so that as many lie behind a pixel at any count; most are faint.
+    """Create random Gaussians in front of a camera; 54 % of the means are inside the image.
+
+    Their size scales with the area per Gaussian, so the number of Gaussians behind a pixel does not depend on the
+    count; most have a low opacity.
     """
     rng = np.random.default_rng(seed)
     focal = 0.9 * width
@@ -79,7 +84,7 @@ def make_picture(count: int, width: int, height: int, device: str = "cpu", seed:
 
 
 class Contestant(Protocol):
-    """`image` (H, W, 3) is there after `forward`, `gradients` by all parameters after `backward`."""
+    """One implementation; `image` (H, W, 3) exists after `forward`, `gradients` after `backward`."""
 
     image: Tensor
 
@@ -91,7 +96,7 @@ class Contestant(Protocol):
 
 
 class Ours:
-    """The rasterizer of this package, with what density control asks for; with depth and normals or without."""
+    """The rasterizer of this package, including the sums for densification; with or without depth and normals."""
 
     def __init__(self, picture: Picture, *, geometry: bool = False) -> None:
         self._picture, self._geometry = picture, geometry
@@ -101,8 +106,8 @@ class Ours:
         self._rows = [tensor.clone().reshape(len(tensor), -1) for tensor in picture.parameters]
         self._moments = [(torch.zeros_like(rows), torch.zeros_like(rows)) for rows in self._rows]
         pixels = picture.target.shape[0] * picture.target.shape[1]
-        self._by_depth = torch.full_like(picture.target[..., 0], 1 / pixels) if geometry else None
-        self._by_normal = torch.full_like(picture.target, 1 / pixels) if geometry else None
+        self._grad_depth = torch.full_like(picture.target[..., 0], 1 / pixels) if geometry else None
+        self._grad_normal = torch.full_like(picture.target, 1 / pixels) if geometry else None
         self._step = 0
 
     def forward(self) -> None:
@@ -111,29 +116,29 @@ class Ours:
         self.image, self.transmittance = drawn.color, drawn.transmittance
 
     def loss(self) -> None:
-        self._by_image = self._kernels.image_loss(self.image, self._picture.target, SSIM_WEIGHT).gradient
+        self._grad_image = self._kernels.image_loss(self.image, self._picture.target, SSIM_WEIGHT).gradient
 
     def backward(self) -> None:
-        self.pulled = self.rasterizer.backward(self._by_image, None, self._by_depth, self._by_normal, None)
+        self.pulled = self.rasterizer.backward(self._grad_image, None, self._grad_depth, self._grad_normal, None)
         ids, opacities = self.pulled.ids, self._seen.opacities[self.pulled.ids]
-        by_logits = self.pulled.opacities * opacities * (1 - opacities)
-        by_log_scales = self.pulled.scales * self._seen.scales[ids]
-        self._by = Parameters(self.pulled.means, self.pulled.quats, by_log_scales, by_logits, self.pulled.sh)
+        grad_logits = self.pulled.opacities * opacities * (1 - opacities)
+        grad_log_scales = self.pulled.scales * self._seen.scales[ids]
+        self._gradients = Parameters(self.pulled.means, self.pulled.quats, grad_log_scales, grad_logits, self.pulled.sh)
 
     def adam(self) -> None:
         self._step += 1
-        for rows, moments, by in zip(self._rows, self._moments, self._by, strict=True):
-            self._kernels.adam(rows, *moments, by.reshape(len(by), -1), self.pulled.ids, 0.0, self._step)
+        for rows, moments, g in zip(self._rows, self._moments, self._gradients, strict=True):
+            self._kernels.adam(rows, *moments, g.reshape(len(g), -1), self.pulled.ids, 0.0, self._step)
 
     def gradients(self) -> Parameters:
         full = [torch.zeros_like(tensor) for tensor in self._picture.parameters]
-        for tensor, rows in zip(full, self._by, strict=True):
+        for tensor, rows in zip(full, self._gradients, strict=True):
             tensor[self.pulled.ids] = rows
         return Parameters(*full)
 
 
 class ByAutograd:
-    """The parts of a step for what torch differentiates: `draw` and `difference` are left to the contestant."""
+    """The parts of a step differentiated by torch; a contestant defines `draw` and may replace `difference`."""
 
     def __init__(self, picture: Picture) -> None:
         self._picture = picture
@@ -159,11 +164,11 @@ class ByAutograd:
     def loss(self) -> None:
         shown = self._drawn.detach().requires_grad_()
         self.difference(shown).backward()
-        self._by_image = shown.grad
+        self._grad_image = shown.grad
 
     def backward(self) -> None:
         self._optimizer.zero_grad(set_to_none=True)
-        self._drawn.backward(self._by_image)
+        self._drawn.backward(self._grad_image)
 
     def adam(self) -> None:
         self._optimizer.step()
@@ -173,18 +178,19 @@ class ByAutograd:
 
 
 class PlainTorch(ByAutograd):
-    """float32 tensors of all pixels of a tile and all Gaussians in it; no compiled code but torch's own."""
+    """Float32 tensors of all pixels of a tile and all Gaussians in it, with torch's own compiled code only."""
 
     def draw(self) -> Tensor:
         return draw_plainly(self._leaves.gaussians(), self._picture.view)
 
 
 def draw_plainly(gaussians: GaussianTensors, view: View) -> Tensor:
+    """Render with tensor operations only."""
     return draw_in_tiles(project(gaussians, view), view)
 
 
 def plain_loss(image: Tensor, target: Tensor, window: Tensor) -> Tensor:
-    """As `reference.image_loss`, but in float32 and all channels at once, which torch is much faster at."""
+    """Return the loss of `reference.image_loss` in float32, all channels at once, which is much faster in torch."""
     x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
     stack = torch.cat([x, y, x * x, y * y, x * y])
     windows = torch.outer(window, window).expand(len(stack), 1, 11, 11).contiguous()
@@ -197,11 +203,11 @@ def plain_loss(image: Tensor, target: Tensor, window: Tensor) -> Tensor:
 
 
 class Lists(NamedTuple):
-    """Which splats each tile has, nearest first.
+    """The splats of each tile, nearest first.
 
     Attributes:
-        splats: (I,) of one tile after another.
-        sizes: (T,) how many of them each tile has.
+        splats: (I,) indices of the splats, tile after tile.
+        sizes: (T,) number of splats of each tile.
         across: tiles in a row.
     """
 
@@ -229,7 +235,8 @@ def list_by_tile(splats: Projection, view: View) -> Lists:
 
 
 class Blend(NamedTuple):
-    """Of some tiles with up to K splats: tiles (t,), splats (t, K), weights (t, K, 256), transmittance (t, 256)."""
+    """Weights of some tiles with up to K splats: tiles (t,), splats (t, K), weights (t, K, 256), transmittance (t,
+    256)."""
 
     tiles: Tensor
     splats: Tensor
@@ -238,7 +245,7 @@ class Blend(NamedTuple):
 
 
 def blend_tiles(splats: Projection, lists: Lists, tiles: Tensor) -> Iterator[Blend]:
-    """Tiles of like sizes together, as many as fit; thresholds as in the reference."""
+    """Blend tiles in batches of similar sizes, with the thresholds of the reference."""
     tiles = tiles[torch.argsort(lists.sizes[tiles], descending=True)]
     starts = lists.sizes.cumsum(0) - lists.sizes
     inside = torch.arange(TILE * TILE, device=tiles.device)
@@ -265,7 +272,7 @@ def blend_tiles(splats: Projection, lists: Lists, tiles: Tensor) -> Iterator[Ble
 
 
 def draw_in_tiles(splats: Projection, view: View) -> Tensor:
-    """(H, W, 3) before black."""
+    """Return the image (H, W, 3) on a black background."""
     lists = list_by_tile(splats, view)
     tiles, colors = [], []
     for some in blend_tiles(splats, lists, torch.arange(len(lists.sizes), device=splats.xy.device)):
@@ -279,7 +286,7 @@ def draw_in_tiles(splats: Projection, view: View) -> Tensor:
 
 @torch.no_grad()
 def contributors(picture: Picture, most_pairs: int = 30_000_000) -> float:
-    """How many Gaussians are blended at a pixel, on average over whole tiles; over some of them if there are many."""
+    """Return the mean number of Gaussians blended at a pixel of the complete tiles, or of a sample of them."""
     splats = project(picture.parameters.gaussians(), picture.view)
     lists = list_by_tile(splats, picture.view)
     full = torch.arange(len(lists.sizes), device=splats.xy.device)
@@ -293,7 +300,7 @@ def contributors(picture: Picture, most_pairs: int = 30_000_000) -> float:
 
 
 def build_opensplat(source: Path) -> ModuleType:
-    """OpenSplat's CPU rasterizer from its source folder, compiled as its CMakeLists.txt has it (Release)."""
+    """Compile OpenSplat's CPU rasterizer from its source folder with the flags of its CMakeLists.txt (Release)."""
     from torch.utils.cpp_extension import load
 
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # where pip puts ninja
@@ -306,9 +313,10 @@ def build_opensplat(source: Path) -> ModuleType:
 
 
 class OpenSplat(ByAutograd):
-    """A step of OpenSplat on the CPU while it adds Gaussians: its projection and harmonics (torch tensors in C++, by
-    autograd), its rasterizer and its loss (compiled loops), Adam of torch on all but the higher harmonics, which it
-    updates at one step of sixteen only.
+    """A step of OpenSplat on the CPU during densification.
+
+    Projection and harmonics are torch tensors in C++ with autograd, rasterizer and loss compiled loops. Torch's Adam
+    updates all but the higher harmonics, which OpenSplat updates at one step of sixteen only.
     """
 
     def __init__(self, picture: Picture, module: ModuleType) -> None:
@@ -370,11 +378,11 @@ class _OpenSplatBlend(torch.autograd.Function):
         return image
 
     @staticmethod
-    def backward(ctx, by_image):
+    def backward(ctx, grad_image):
         *splats, through = ctx.saved_tensors
-        by = ctx.module.blend_backward(*ctx.size, *splats, through, ctx.lists, by_image.contiguous())
+        gradients = ctx.module.blend_backward(*ctx.size, *splats, through, ctx.lists, grad_image.contiguous())
         ctx.lists = None
-        return None, None, None, *by, None, None
+        return None, None, None, *gradients, None, None
 
 
 class _OpenSplatLoss(torch.autograd.Function):
@@ -386,8 +394,8 @@ class _OpenSplatLoss(torch.autograd.Function):
         return stats[0]
 
     @staticmethod
-    def backward(ctx, by_loss):
-        return None, ctx.module.loss_backward(*ctx.saved_tensors, by_loss.contiguous(), SSIM_WEIGHT), None
+    def backward(ctx, grad_loss):
+        return None, ctx.module.loss_backward(*ctx.saved_tensors, grad_loss.contiguous(), SSIM_WEIGHT), None
 
 
 class Gsplat(ByAutograd):
@@ -398,6 +406,7 @@ class Gsplat(ByAutograd):
 
 
 def draw_by_gsplat(gaussians: GaussianTensors, view: View) -> Tensor:
+    """Render with gsplat on the GPU."""
     from gsplat import rasterization
 
     device = gaussians.means.device
@@ -415,8 +424,9 @@ def draw_by_gsplat(gaussians: GaussianTensors, view: View) -> Tensor:
 
 
 class RasterizerByAutograd:
-    """Another's drawing, which torch differentiates, as a `Rasterizer` that `Training` can train with. It draws colors
-    alone, before black, and density control learns nothing of it.
+    """A `Rasterizer` for `Training` around another renderer that torch differentiates.
+
+    It renders colors only, on a black background, and returns no sums for densification.
     """
 
     def __init__(self, draw: Callable[[GaussianTensors, View], Tensor]) -> None:
@@ -429,13 +439,13 @@ class RasterizerByAutograd:
         background: Tensor,
         *,
         geometry: bool,
-    ) -> Drawn:
+    ) -> RasterOutput:
         if geometry or background.any():
-            raise NotImplementedError("expected colors alone, before black")
+            raise NotImplementedError("expected colors only, on a black background")
         self._leaves = GaussianTensors(*(part.detach().requires_grad_() for part in gaussians))
         self._image = self._draw(self._leaves, view)
         color = self._image.detach().contiguous()
-        return Drawn(color, torch.zeros_like(color[..., 0]), None, None, None)
+        return RasterOutput(color, torch.zeros_like(color[..., 0]), None, None, None)
 
     def backward(
         self,
@@ -444,9 +454,9 @@ class RasterizerByAutograd:
         depth: Tensor | None,
         normal: Tensor | None,
         error: Tensor | None,
-    ) -> Pulled:
+    ) -> Gradients:
         self._image.backward(color)
         gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in self._leaves]
-        ids = torch.stack([by.reshape(len(by), -1).any(dim=1) for by in gradients]).any(dim=0).nonzero()[:, 0]
+        ids = torch.stack([g.reshape(len(g), -1).any(dim=1) for g in gradients]).any(dim=0).nonzero()[:, 0]
         nothing = color.new_zeros(len(ids))
-        return Pulled(ids, *(by[ids] for by in gradients), color.new_zeros(len(ids), 2), nothing, nothing)
+        return Gradients(ids, *(g[ids] for g in gradients), color.new_zeros(len(ids), 2), nothing, nothing)

@@ -1,4 +1,4 @@
-"""One pass forward and back through any rasterizer, in arrays that can be compared."""
+"""Forward and backward pass of any rasterizer, with results as comparable arrays."""
 
 from types import ModuleType
 from typing import NamedTuple
@@ -12,30 +12,32 @@ IMAGES = ("color", "transmittance", "depth", "normal", "median_depth")
 
 
 class Engine(NamedTuple):
-    """Kernels, as `reconstructors.splat.interface.Kernels` has them, and the device that their tensors are on."""
+    """A module of `reconstructors.splat.interface.Kernels`, and the device of its tensors."""
 
     kernels: ModuleType
     device: str
 
     def tensor(self, array):
+        """Return an array as a tensor on the device."""
         import torch
 
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
 
 class Pass(NamedTuple):
-    """What a rasterizer gave, with gradients for all N Gaussians: zeros for those that it did not draw."""
+    """Results of a rasterizer, with gradients for all N Gaussians: zeros for those that were not drawn."""
 
     images: dict  # by name, (P, 1 or 3)
-    pulled: dict  # by name, (N, ...)
+    gradients: dict  # by name, (N, ...)
     drawn: np.ndarray  # (N,) bool
 
     def arrays(self):
-        return {**self.images, **self.pulled}
+        """Return images and gradients by name."""
+        return {**self.images, **self.gradients}
 
 
-class Wanted(NamedTuple):
-    """Derivatives by the images, or None; and an error image, or None."""
+class ImageGradients(NamedTuple):
+    """Gradients with respect to the images, or None, and an error image, or None."""
 
     color: np.ndarray
     transmittance: np.ndarray | None
@@ -44,15 +46,17 @@ class Wanted(NamedTuple):
     error: np.ndarray | None
 
 
-def random_wanted(scene, seed=3):
+def random_image_gradients(scene, seed=3):
     rng, k = np.random.default_rng(seed), scene.camera.intrinsics
     size = (k.height, k.width)
     shapes = [(*size, 3), size, size, (*size, 3)]
-    return Wanted(*(rng.normal(size=shape).astype(np.float32) for shape in shapes), rng.random(size).astype(np.float32))
+    return ImageGradients(
+        *(rng.normal(size=shape).astype(np.float32) for shape in shapes), rng.random(size).astype(np.float32)
+    )
 
 
-def run_pass(engine, scene, wanted=None, rasterizer=None, geometry=True):
-    """A forward pass, and a backward pass where derivatives are given."""
+def run_pass(engine, scene, image_gradients=None, rasterizer=None, geometry=True):
+    """Run a forward pass, and a backward pass if gradients are given."""
     rasterizer = rasterizer or engine.kernels.Rasterizer()
     view = View.of(scene.camera)
     *gaussians, background = (engine.tensor(array) for array in (*scene.arrays, scene.background))
@@ -63,13 +67,13 @@ def run_pass(engine, scene, wanted=None, rasterizer=None, geometry=True):
         for name, image in zip(IMAGES, drawn, strict=True)
         if image is not None
     }
-    if wanted is None:
+    if image_gradients is None:
         return Pass(images, {}, np.zeros(0, bool))
-    pulled = rasterizer.backward(*(None if image is None else engine.tensor(image) for image in wanted))
-    ids, count = pulled.ids.cpu().numpy(), len(scene.means)
+    gradients = rasterizer.backward(*(None if image is None else engine.tensor(image) for image in image_gradients))
+    ids, count = gradients.ids.cpu().numpy(), len(scene.means)
     assert (np.diff(ids) > 0).all()
     full = {}
-    for name, rows in zip(pulled._fields[1:], pulled[1:], strict=True):
+    for name, rows in zip(gradients._fields[1:], gradients[1:], strict=True):
         full[name] = np.zeros((count, *rows.shape[1:]))
         full[name][ids] = rows.cpu().double().numpy()
     return Pass(images, full, np.isin(np.arange(count), ids))

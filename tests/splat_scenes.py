@@ -1,4 +1,4 @@
-"""Small scenes of Gaussians that are hard to draw; numbers are those of float32, so that every type holds the same."""
+"""Small scenes of Gaussians with difficult cases; values are float32, so that all types represent them exactly."""
 
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ def camera(width, height, position=(0.3, -4.0, 0.7), target=(0.0, 0.0, 0.0), foc
 
 
 def scattered(rng, count=60, width=37, height=22, degree=3, size=0.15, **placed):
-    """A cloud about the origin, seen from outside; sizes over a range of twenty, opacities of all kinds."""
+    """A cloud about the origin, seen from outside, with sizes over a factor of twenty and all opacities."""
     means = rng.normal(size=(count, 3))
     quats = rng.normal(size=(count, 4)) * rng.uniform(0.2, 5, size=(count, 1))
     scales = size * np.exp(rng.uniform(-1.5, 1.5, size=(count, 3)))
@@ -41,7 +41,7 @@ def scattered(rng, count=60, width=37, height=22, degree=3, size=0.15, **placed)
 
 
 def among_them(rng):
-    """The camera stands in the cloud: Gaussians behind it, about it, and within the nearest depth."""
+    """The camera is inside the cloud: Gaussians behind it, around it, and nearer than the near plane."""
     scene = scattered(rng, 90, position=(0.1, -0.2, 0.1), target=(0.0, 3.0, 0.3), size=0.1)
     scene.means[:6] = scene.camera.position + np.outer([-1, -0.02, 0, 0.005, 0.011, 0.03], scene.camera.direction)
     scene.scales[:6] *= np.float32(0.02)
@@ -49,7 +49,7 @@ def among_them(rng):
 
 
 def on_the_border(rng):
-    """Means on the image's border, outside it, and beyond where the affine approximation is held."""
+    """Means on the image's border, outside it, and beyond the bounds of the affine approximation."""
     scene = scattered(rng, 80)
     k, motion = scene.camera.intrinsics, scene.camera.cam_from_world
     share = rng.uniform(-0.3, 1.3, size=(80, 2))
@@ -63,7 +63,7 @@ def on_the_border(rng):
 
 
 def needles(rng):
-    """Axes of ratios up to a million."""
+    """Gaussians with ratios of axes up to a million."""
     scene = scattered(rng, 60)
     scene.scales[:] = 10 ** rng.uniform(-6, 0, size=(60, 3))
     scene.scales[np.arange(60), rng.integers(0, 3, 60)] = 10 ** rng.uniform(-1, 0.5, size=60)
@@ -71,7 +71,7 @@ def needles(rng):
 
 
 def discs(rng):
-    """Surfels: one axis of no length at all; a few of two, and of three."""
+    """Surfels: one axis of length zero; for a few two or three axes."""
     scene = scattered(rng, 60)
     scene.scales[np.arange(60), rng.integers(0, 3, 60)] = 0
     scene.scales[50:, 1] = 0
@@ -80,7 +80,7 @@ def discs(rng):
 
 
 def huge(rng):
-    """Gaussians over the whole image, some of them faint, between small ones; and three too large for any image."""
+    """Gaussians that cover the image, some of low opacity, between small ones; three are too large for any image."""
     scene = scattered(rng, 60)
     scene.scales[:20] *= 30
     scene.opacities[:20] *= np.float32(0.2)
@@ -89,14 +89,14 @@ def huge(rng):
 
 
 def faint(rng):
-    """Opacities of 0, under 1/255 and just above it."""
+    """Opacities of 0, below 1/255 and just above it."""
     scene = scattered(rng, 80)
     scene.opacities[:70] = np.repeat([0, 0.002, 0.0039, 0.00393, 0.004, 0.005, 0.01], 10)
     return scene
 
 
 def opaque(rng):
-    """Opacities of 1, which are held at 0.99: rays end after a few. Some are at one place, others alike all through."""
+    """Opacities of 1, clamped to 0.99, so that rays end after a few; some share a position, some all parameters."""
     scene = scattered(rng, 120, size=0.4)
     scene.opacities[:] = 1
     scene.means[:6] = scene.means[0]
@@ -105,7 +105,7 @@ def opaque(rng):
 
 
 def odd_quaternions(rng):
-    """Of no length, of nearly none, and very long."""
+    """Quaternions of zero, nearly zero and very large norm."""
     scene = scattered(rng, 60)
     scene.quats[:10] = 0
     scene.quats[10:20] *= np.float32(1e-14)
@@ -115,7 +115,7 @@ def odd_quaternions(rng):
 
 
 def crowd(rng):
-    """Two thousand on one pixel."""
+    """Two thousand Gaussians at one pixel."""
     scene = scattered(rng, 2000, width=18, height=17, degree=1, size=0.02)
     scene.means[:] *= np.float32(0.02)
     scene.opacities[:] = rng.uniform(0, 0.03, size=2000)

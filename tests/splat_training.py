@@ -1,4 +1,4 @@
-"""A model whose pictures are known, to be found again by training."""
+"""A model with known images, which training has to recover."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from reconstructors.splat.view import View
 
 
 def truth():
-    """A model of 60 Gaussians, and eight pictures of it from around."""
+    """Return a model of 60 Gaussians and eight images of it from around."""
     scene = scattered(np.random.default_rng(5), 60, width=48, height=32, degree=0, size=0.25)
     means, quats, scales, opacities, sh = (torch.from_numpy(a) for a in scene.arrays)
     model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
@@ -28,7 +28,7 @@ def truth():
 
 
 def grey(model):
-    """The same places, round and grey."""
+    """Return grey spheres at the same positions."""
     return Gaussians(
         model.means.clone(),
         torch.tensor([1.0, 0, 0, 0]).repeat(len(model), 1),
@@ -39,4 +39,5 @@ def grey(model):
 
 
 def numbers(model):
+    """Return the bytes of all parameters."""
     return [part.numpy().tobytes() for part in (model.means, model.quats, model.log_scales, model.logits, model.sh)]

@@ -1,4 +1,4 @@
-"""The emulator that runs CUDA kernels on the CPU: results match a GPU's, and invalid kernels are detected."""
+"""The emulator of CUDA kernels on the CPU: it computes what a GPU computes, and detects undefined behaviour."""
 
 import ctypes
 import os
@@ -17,7 +17,7 @@ cuda_emulator = pytest.importorskip("cuda_emulator")
 
 @dataclass(frozen=True)
 class Text:
-    """A kernel as source text, with 64 threads per block unless it sets another number."""
+    """A kernel given as source, with 64 threads per block by default."""
 
     source: str
     threads: int = 64
@@ -50,15 +50,15 @@ extern "C" __global__ void kernel(int* out, const int* values) {
 """
 
 
-def test_block_sum_is_right_in_every_order():
+def test_a_sum_over_blocks_is_correct_in_every_order():
     values = torch.randint(0, 1000, (5 * 64,), dtype=torch.int32, generator=torch.Generator().manual_seed(1))
     text = Text(SUM.replace("BARRIER", "__syncthreads();"))
     results = in_all_orders(text, lambda: (torch.zeros(1, dtype=torch.int32), values), blocks=5)
     assert [int(result) for result in results] == [int(values.sum())] * 4
 
 
-def test_missing_barrier_is_visible():
-    """The result differs between orders; shared memory is overwritten before each block. One run may be right."""
+def test_a_missing_barrier_makes_the_result_depend_on_the_order():
+    """One run may be correct. The result differs between orders, and shared memory is overwritten before each block."""
     values = torch.ones(64, dtype=torch.int32)
     text = Text(SUM.replace("BARRIER", ""))
     results = in_all_orders(text, lambda: (torch.zeros(1, dtype=torch.int32), values))
@@ -81,7 +81,7 @@ def test_shared_memory_does_not_survive_a_block():
 LANES = np.tile(np.arange(32), 2)
 
 
-COLLECTIVES = [
+WARP_OPERATIONS = [
     ("__shfl_sync(0xffffffffu, lane * lane, 5)", np.full(64, 25)),
     ("__shfl_sync(0xffffffffu, lane * lane, (lane + 1) % 32)", ((LANES + 1) % 32) ** 2),
     ("__shfl_up_sync(0xffffffffu, lane, 3)", np.where(LANES < 3, LANES, LANES - 3)),
@@ -96,27 +96,27 @@ COLLECTIVES = [
     ("__syncthreads_count(lane < 3)", np.full(64, 6)),
     ("__syncthreads_or(threadIdx.x == 40)", np.ones(64)),
     ("__syncthreads_and(threadIdx.x != 40)", np.zeros(64)),
-    # Each half of a warp separately, the upper one twice.
+    # The halves of a warp separately, the upper one twice.
     (
         "lane < 16 ? __shfl_sync(0xffffu, lane, 3)"
         " : __shfl_sync(0xffff0000u, __shfl_sync(0xffff0000u, lane, 20) + lane, 17)",
         np.where(LANES < 16, 3, 37),
     ),
-    # 1 if the result is rounded once, else 0.
+    # 1 if it is rounded once, else 0.
     ("__fmaf_rn(16777215.0f, 16777215.0f, -281474943156224.0f)", np.ones(64)),
 ]
 
 
-def test_warp_and_block_functions():
-    lines = (f"out[{64 * n} + threadIdx.x] = {expression};" for n, (expression, _) in enumerate(COLLECTIVES))
+def test_warp_and_block_operations():
+    lines = (f"out[{64 * n} + threadIdx.x] = {expression};" for n, (expression, _) in enumerate(WARP_OPERATIONS))
     body = "const int lane = threadIdx.x % 32;\n" + "\n".join(lines)
     text = Text('extern "C" __global__ void kernel(int* out) {' + body + "}")
-    for result in in_all_orders(text, lambda: (torch.full((len(COLLECTIVES), 64), -9, dtype=torch.int32),)):
-        for row, (expression, expected) in zip(result, COLLECTIVES, strict=True):
+    for result in in_all_orders(text, lambda: (torch.full((len(WARP_OPERATIONS), 64), -9, dtype=torch.int32),)):
+        for row, (expression, expected) in zip(result, WARP_OPERATIONS, strict=True):
             np.testing.assert_array_equal(row.numpy(), expected, err_msg=expression)
 
 
-INVALID = [
+UNDEFINED = [
     ("if (threadIdx.x < 32) __syncthreads();", "ended"),
     ("if (threadIdx.x == 3) return; __syncthreads();", "ended"),
     ("if (threadIdx.x < 32)\n __syncthreads();\n else\n __syncthreads();", "divergent barrier"),
@@ -128,23 +128,23 @@ INVALID = [
 ]
 
 
-@pytest.mark.parametrize("which", range(len(INVALID)))
-def test_invalid_kernels_end_the_launch(which):
-    bodies = "\n".join(f"if (which == {n}) {{ {body} }}" for n, (body, _) in enumerate(INVALID))
+@pytest.mark.parametrize("which", range(len(UNDEFINED)))
+def test_undefined_behaviour_ends_the_launch(which):
+    bodies = "\n".join(f"if (which == {n}) {{ {body} }}" for n, (body, _) in enumerate(UNDEFINED))
     text = Text('extern "C" __global__ void kernel(int which) {' + bodies + "}")
     for order, seed in cuda_emulator.ORDERS:
-        with pytest.raises(cuda_emulator.EmulationError, match=f"kernel: block [0-9]+: .*({INVALID[which][1]})"):
+        with pytest.raises(cuda_emulator.EmulationError, match=f"kernel: block [0-9]+: .*({UNDEFINED[which][1]})"):
             run(text, ctypes.c_int32(which), blocks=2, order=order, seed=seed)
-    run(text, ctypes.c_int32(-1))  # a launch after a failure succeeds
+    run(text, ctypes.c_int32(-1))  # a failure does not affect the next launch
 
 
-def test_wrong_argument_types_are_refused():
+def test_arguments_of_other_types_are_refused():
     text = Text('extern "C" __global__ void kernel(float* a, const long long* b, int c, float d) {}')
-    whole, floats = torch.zeros(3, dtype=torch.int64), torch.zeros(3)
-    good = (floats, whole, ctypes.c_int32(1), ctypes.c_float(1))
+    integers, floats = torch.zeros(3, dtype=torch.int64), torch.zeros(3)
+    good = (floats, integers, ctypes.c_int32(1), ctypes.c_float(1))
     run(text, *good)
     run(text, None, *good[1:])
-    for at, wrong in enumerate([whole, whole.int(), ctypes.c_int64(1), ctypes.c_int32(1)]):
+    for at, wrong in enumerate([integers, integers.int(), ctypes.c_int64(1), ctypes.c_int32(1)]):
         with pytest.raises(AssertionError):
             run(text, *good[:at], wrong, *good[at + 1 :])
     with pytest.raises(AssertionError):
@@ -153,8 +153,8 @@ def test_wrong_argument_types_are_refused():
         run(text, torch.zeros(3, 2).T, *good[1:])
 
 
-def test_seed_determines_the_order():
-    """Threads write forwards, backwards, or in a random order given by the seed."""
+def test_a_seed_determines_the_order():
+    """Threads write forwards, backwards, or in the order of the seed."""
     text = Text("""extern "C" __global__ void kernel(int* out, int* next) { out[(*next)++] = threadIdx.x; }""")
 
     def order(name, seed=0):
@@ -190,8 +190,8 @@ print(out.tolist() == [*range(64)])
         ("undefined", "out[n] = n << (n + 1);", "left shift of 27"),
     ],
 )
-def test_sanitizers_detect_invalid_accesses(checks, body, complaint):
-    """Sanitizers work on fibers as on plain stacks; `make sanitize` runs all kernels with them."""
+def test_sanitizers_detect_memory_errors_of_kernels(checks, body, complaint):
+    """On fibers as on ordinary stacks; `make sanitize` runs all kernels with them."""
     libraries = (f"$(g++ -print-file-name={name}.so)" for name in ("libasan", "libstdc++"))
     environment = {
         "EMULATOR_FLAGS": f"-g -fsanitize={checks} -fno-sanitize-recover=all",

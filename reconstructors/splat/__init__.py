@@ -1,4 +1,4 @@
-"""Gaussian splatting: a differentiable rasterizer for the CPU and for CUDA, and what is built on it."""
+"""Gaussian splatting: a differentiable rasterizer for the CPU and for CUDA, and a reconstructor built on it."""
 
 from reconstructors.splat.rasterize import Rendering, rasterize
 

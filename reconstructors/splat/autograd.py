@@ -1,4 +1,4 @@
-"""A rasterizer as a function that torch can differentiate. Importing this imports torch."""
+"""The rasterizer as a torch autograd function. Importing this module imports torch."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from reconstructors.splat.view import View
 
 
 class Rasterize(torch.autograd.Function):  # type: ignore[misc]
-    """Gaussians and a background in, the five images of `Drawn` out; shapes as in `Rasterizer`."""
+    """Maps Gaussians and a background to the five images of `RasterOutput`; shapes as in `Rasterizer`."""
 
     @staticmethod
     def forward(ctx: Any, rasterizer: Rasterizer, view: View, background: Tensor, *gaussians: Tensor) -> Any:
-        drawn = rasterizer.forward(
+        """Render, and save what `backward` needs."""
+        output = rasterizer.forward(
             GaussianTensors(*(tensor.detach().contiguous() for tensor in gaussians)),
             view,
             background.detach(),
             geometry=True,
             gradient=any(ctx.needs_input_grad),
         )
-        # Tensors of their own over the same memory: the rasterizer keeps those that it made; if it kept these, which
-        # know what made them, both would live for ever.
-        images = tuple(image.detach() for image in drawn if image is not None)
+        # Detached tensors share the memory. The rasterizer keeps those it created; if it kept these, which refer to the
+        # graph, the reference cycle would never be freed.
+        images = tuple(image.detach() for image in output if image is not None)
         ctx.rasterizer = rasterizer
-        # The rasterizer reads them all again. Asking torch for them refuses what has been overwritten meanwhile.
+        # The rasterizer reads all of them again. Saved tensors raise an error if they were overwritten in between.
         ctx.save_for_backward(background, *gaussians, *images)
         ctx.mark_non_differentiable(images[-1])
         ctx.set_materialize_grads(False)
@@ -44,20 +45,23 @@ class Rasterize(torch.autograd.Function):  # type: ignore[misc]
         normal: Tensor | None,
         _: None,
     ) -> Any:
+        """Return the gradients with respect to the background and the Gaussians."""
         _background, *gaussians, drawn_color, drawn_transmittance, _depth, _normal, _median_depth = ctx.saved_tensors
-        by_color = torch.zeros_like(drawn_color) if color is None else color.contiguous()
+        grad_color = torch.zeros_like(drawn_color) if color is None else color.contiguous()
         others = [None if image is None else image.contiguous() for image in (transmittance, depth, normal)]
-        pulled = ctx.rasterizer.backward(by_color, *others, None)
-        by_gaussians = [
-            _spread(rows, pulled.ids, tensor) if needed else None
-            for tensor, rows, needed in zip(gaussians, pulled[1:6], ctx.needs_input_grad[3:], strict=True)
+        gradients = ctx.rasterizer.backward(grad_color, *others, None)
+        grad_gaussians = [
+            _scatter(rows, gradients.ids, tensor) if needed else None
+            for tensor, rows, needed in zip(gaussians, gradients[1:6], ctx.needs_input_grad[3:], strict=True)
         ]
-        by_background = (by_color * drawn_transmittance[..., None]).sum(dim=(0, 1)) if ctx.needs_input_grad[2] else None
-        return None, None, by_background, *by_gaussians
+        grad_background = (
+            (grad_color * drawn_transmittance[..., None]).sum(dim=(0, 1)) if ctx.needs_input_grad[2] else None
+        )
+        return None, None, grad_background, *grad_gaussians
 
 
-def _spread(rows: Tensor, ids: Tensor, like: Tensor) -> Tensor:
-    """Rows where they belong among those of all Gaussians, zeros elsewhere."""
+def _scatter(rows: Tensor, ids: Tensor, like: Tensor) -> Tensor:
+    """Return a tensor of the shape of `like` with the rows at `ids` and zeros elsewhere."""
     full = torch.zeros_like(like)
     full[ids] = rows
     return full

@@ -1,4 +1,4 @@
-"""Density control: where Gaussians are added and taken away during training."""
+"""Densification: clone, split and prune Gaussians during training."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from reconstructors.splat.interface import Pulled
+from reconstructors.splat.interface import Gradients
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.optimizer import Optimizer
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 class ScreenGradients(NamedTuple):
-    """Gradients of the loss with respect to projected means since the density was last controlled; tensors (N,).
+    """Gradients of the loss with respect to the projected means since the last densification; tensors (N,).
 
     Attributes:
-        gradient: sum over the views of the gradient's length, in units in which the image is 2 wide and 2 high.
-        views: number of views that drew the Gaussian.
+        gradient: sum over the views of the gradient's norm, in image coordinates from -1 to 1.
+        views: number of views in which the Gaussian was drawn.
     """
 
     gradient: Tensor
@@ -28,15 +28,16 @@ class ScreenGradients(NamedTuple):
 
     @classmethod
     def zeros(cls, model: Gaussians) -> ScreenGradients:
+        """Return the sums before the first view."""
         return cls(*(model.logits.new_zeros(len(model)) for _ in cls._fields))
 
-    def add(self, pulled: Pulled, width: int, height: int) -> None:
-        """Add the gradients of one view, in place."""
-        ids = pulled.ids
-        moved = pulled.screen.clone()
-        moved[:, 0] *= width / 2  # a tensor of both numbers would have to be brought to the device, and waited for
-        moved[:, 1] *= height / 2
-        self.gradient[ids] += moved.norm(dim=1)
+    def add(self, gradients: Gradients, width: int, height: int) -> None:
+        """Add the gradients of one view of width x height pixels, in place."""
+        ids = gradients.ids
+        scaled = gradients.screen.clone()
+        scaled[:, 0] *= width / 2  # multiplying by a tensor of both would synchronise with the device
+        scaled[:, 1] *= height / 2
+        self.gradient[ids] += scaled.norm(dim=1)
         self.views[ids] += 1
 
 
@@ -50,110 +51,123 @@ class Densifiable(Protocol):
 
     @property
     def steps(self) -> int:
-        """Number of steps in all."""
+        """Total number of steps."""
         ...
 
     @property
-    def model(self) -> Gaussians: ...
+    def model(self) -> Gaussians:
+        """The Gaussians."""
+        ...
+
     @property
-    def optimizer(self) -> Optimizer: ...
+    def optimizer(self) -> Optimizer:
+        """The optimizer with its moments."""
+        ...
+
     @property
-    def seen(self) -> ScreenGradients: ...
+    def screen_gradients(self) -> ScreenGradients:
+        """Gradients accumulated since the last densification."""
+        ...
 
     def rng(self) -> np.random.Generator:
-        """Return the random numbers of this step."""
+        """Return the generator of this step."""
         ...
 
     def keep(self, rows: Tensor) -> None:
-        """Keep some Gaussians, by number or by truth."""
+        """Keep the Gaussians selected by indices or a mask."""
         ...
 
     def add(self, others: Gaussians) -> None:
-        """Add Gaussians."""
+        """Append Gaussians."""
         ...
 
 
-Trained = TypeVar("Trained", contravariant=True)  # the training that a density is given
+TrainingT = TypeVar("TrainingT", contravariant=True)  # the type of training that a strategy works on
 
 
-class Density(Generic[Trained]):
+class Density(Generic[TrainingT]):
     """Densification strategy; the base class changes nothing."""
 
-    def control(self, training: Trained) -> None:
-        """Change the model through `keep` and `add` of the training; called after every step."""
+    def control(self, training: TrainingT) -> None:
+        """Change the model through `keep` and `add` of the training; called after each step."""
 
-    def settled(self, training: Trained) -> bool:
-        """Whether it changes the model no more."""
+    def is_settled(self, training: TrainingT) -> bool:
+        """Whether the strategy no longer changes the model."""
         return True
 
     def state(self) -> object:
-        """What it has to remember beside the model, as `torch.load` reads it with `weights_only`."""
+        """Return its state for a checkpoint, in types that `torch.load` reads with `weights_only`."""
 
-    def restore(self, training: Trained, state: Any) -> None:
-        """Go on with a training and what `state` gave."""
+    def restore(self, training: TrainingT, state: Any) -> None:
+        """Continue a training from what `state` returned."""
 
 
 @dataclass(frozen=True)
 class Classic(Density[Densifiable]):
-    """The rules of Kerbl et al. 2023: what is pulled across the image hard is cloned if it is small, else split.
+    """The strategy of Kerbl et al. 2023: clone small Gaussians with a large screen gradient, split large ones.
 
     Args:
-        first, last: steps between which Gaussians are added, last as a share of all steps.
-        every: steps between two times.
-        gradient: mean over the views of the derivative by the projected mean, in units in which the image is 2 wide
-            and high, above which a Gaussian is cloned or split.
-        small: the largest axis up to which it is cloned, in units of the cameras' spread.
-        shrink: what the axes of a split one are divided by.
-        faint: opacity under which a Gaussian is taken away.
-        large: axis over which it is, once opacities were reset.
-        reset: steps between two times at which opacities are held at `reset_opacity`; 0 for never.
-        most: Gaussians.
+        refine_start: first step of densification.
+        refine_stop_share: share of the steps after which it stops.
+        refine_interval: steps between two densifications.
+        grow_gradient: Gaussians with a larger mean gradient with respect to the projected mean are cloned or split; in
+            image coordinates from -1 to 1.
+        clone_scale: largest axis up to which a Gaussian is cloned and above which it is split, in units of the cameras'
+            spread.
+        shrink: divisor of the axes of a split Gaussian.
+        prune_opacity: Gaussians with a lower opacity are pruned.
+        prune_scale: Gaussians with a larger axis are pruned, after the first opacity reset.
+        reset_interval: steps between two opacity resets; 0 for never.
+        reset_opacity: maximum opacity after a reset.
+        max_gaussians: maximum number of Gaussians.
     """
 
-    first: int = 500
-    last: float = 0.5
-    every: int = 100
-    gradient: float = 2e-4
-    small: float = 0.01
+    refine_start: int = 500
+    refine_stop_share: float = 0.5
+    refine_interval: int = 100
+    grow_gradient: float = 2e-4
+    clone_scale: float = 0.01
     shrink: float = 1.6
-    faint: float = 5e-3
-    large: float = 0.1
-    reset: int = 3000
+    prune_opacity: float = 5e-3
+    prune_scale: float = 0.1
+    reset_interval: int = 3000
     reset_opacity: float = 0.01
-    most: int = 1_000_000
+    max_gaussians: int = 1_000_000
 
     def control(self, training: Densifiable) -> None:
+        """Densify, prune and reset opacities when they are due."""
         import torch
 
         step = training.step
-        if step > self.last * training.steps:
+        if step > self.refine_stop_share * training.steps:
             return
-        if step >= self.first and step % self.every == 0:
+        if step >= self.refine_start and step % self.refine_interval == 0:
             self._densify(training)
             model = training.model
-            kept = model.opacities >= self.faint
-            if self.reset and step > self.reset:
-                kept &= model.scales.amax(dim=1) <= self.large
+            kept = model.opacities >= self.prune_opacity
+            if self.reset_interval and step > self.reset_interval:
+                kept &= model.scales.amax(dim=1) <= self.prune_scale
             if not kept.all():
                 training.keep(kept)
-        if self.reset and step % self.reset == 0:
-            held = float(np.log(self.reset_opacity / (1 - self.reset_opacity)))
-            torch.clamp_(training.model.logits, max=held)
+        if self.reset_interval and step % self.reset_interval == 0:
+            max_logit = float(np.log(self.reset_opacity / (1 - self.reset_opacity)))
+            torch.clamp_(training.model.logits, max=max_logit)
             training.optimizer.forget("logits")
 
-    def settled(self, training: Densifiable) -> bool:
-        return training.step > self.last * training.steps
+    def is_settled(self, training: Densifiable) -> bool:
+        """Whether densification has stopped."""
+        return training.step > self.refine_stop_share * training.steps
 
     def _densify(self, training: Densifiable) -> None:
-        model, seen = training.model, training.seen
-        pulled = seen.gradient / seen.views.clamp(min=1)
-        wanted = pulled > self.gradient
-        room = max(0, self.most - len(model))
-        if int(wanted.sum()) > room:
-            wanted = _strongest(pulled, room) & wanted
-        small = model.scales.amax(dim=1) <= self.small
-        clones, splits = wanted & small, wanted & ~small
-        added = model.select(clones).joined(split(model.select(splits), self.shrink, training.rng()))
+        model, sums = training.model, training.screen_gradients
+        gradients = sums.gradient / sums.views.clamp(min=1)
+        growing = gradients > self.grow_gradient
+        room = max(0, self.max_gaussians - len(model))
+        if int(growing.sum()) > room:
+            growing = _largest(gradients, room) & growing
+        small = model.scales.amax(dim=1) <= self.clone_scale
+        clones, splits = growing & small, growing & ~small
+        added = model.select(clones).concatenate(split(model.select(splits), self.shrink, training.rng()))
         training.add(added)
         if splits.any():
             kept = ~splits.new_zeros(len(training.model))
@@ -161,30 +175,30 @@ class Classic(Density[Densifiable]):
             training.keep(kept)
 
 
-# The figures of Gao et al.; what they leave out is as Kerbl et al. have it.
-GAO2025 = Classic(first=1000)
+# The values of Gao et al.; those that they do not give are as in Kerbl et al.
+GAO2025 = Classic(refine_start=1000)
 
 
 def split(model: Gaussians, shrink: float, rng: np.random.Generator) -> Gaussians:
-    """Two for each, at places drawn from it, with axes divided by `shrink`."""
+    """Return two Gaussians for each, at positions sampled from it, with axes divided by `shrink`."""
     import torch
 
-    from reconstructors.splat.rotations import rotated
+    from reconstructors.splat.rotations import rotate
 
-    drawn = torch.from_numpy(rng.standard_normal((2, len(model), 3)).astype(np.float32)).to(model.means.device)
+    samples = torch.from_numpy(rng.standard_normal((2, len(model), 3)).astype(np.float32)).to(model.means.device)
     halves = [
         replace(
             model,
-            means=model.means + rotated(model.quats, noise * model.scales),
+            means=model.means + rotate(model.quats, noise * model.scales),
             log_scales=model.log_scales - float(np.log(shrink)),
         )
-        for noise in drawn
+        for noise in samples
     ]
-    return halves[0].joined(halves[1])
+    return halves[0].concatenate(halves[1])
 
 
-def _strongest(values: Tensor, count: int) -> Tensor:
-    """Truth (N,) of the `count` largest."""
+def _largest(values: Tensor, count: int) -> Tensor:
+    """Mask (N,) of the `count` largest values."""
     import torch
 
     chosen = torch.zeros_like(values, dtype=torch.bool)

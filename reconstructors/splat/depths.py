@@ -1,4 +1,4 @@
-"""What cameras see of Gaussians as depth and normal maps, and which cameras see the same."""
+"""Depth and normal maps rendered from Gaussians, and the overlap between images."""
 
 from __future__ import annotations
 
@@ -19,119 +19,125 @@ from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.photographs import NEAREST
 from reconstructors.splat.view import View
 
-_MEMORY = 512 * 2**20  # of the maps that are kept
-_BYTES = 4 + 12 + 4 + 3 + 4  # a pixel
-_UNSURE = 2.0  # footprints of a pixel between two opinions on its depth, at which confidence is half
-_SAMPLES = 3000  # Gaussians that tell which images show the same
-_OPAQUE = 0.5  # that these are at least
-_SAME_DEPTH = 0.05  # relative: of a Gaussian that an image shows and of the image's surface
+_CACHE_BYTES = 512 * 2**20  # of rendered maps
+_BYTES_PER_PIXEL = 4 + 12 + 4 + 3 + 4
+_DEPTH_DISAGREEMENT_PX = 2.0  # difference of mean and median depth, in pixel footprints, that halves the confidence
+_MAX_OVERLAP_SAMPLES = 3000  # Gaussians from which the overlap of images is computed
+_MIN_SAMPLE_OPACITY = 0.5  # of these Gaussians, if any has it
+_MAX_RELATIVE_DEPTH_DIFFERENCE = 0.05  # between a visible Gaussian and the surface in the image
 
 
-class Seen(NamedTuple):
-    """What one camera sees.
+class RenderedMap(NamedTuple):
+    """The rendering of one camera.
 
     Attributes:
-        made: its map, in the local frame.
-        colors: (H, W, 3) as drawn.
-        apart: (H, W) between the median and the mean depth along a ray, in the local frame.
+        depth_map: depths, normals and confidence, in the local frame.
+        colors: (H, W, 3) rendered colors.
+        depth_disagreement: (H, W) absolute difference of the mean and the median depth along the ray, in the local
+            frame.
     """
 
-    made: DepthMap
+    depth_map: DepthMap
     colors: NDArray[np.uint8]
-    apart: NDArray[np.float32]
+    depth_disagreement: NDArray[np.float32]
 
 
-class Depths:
-    """The maps of all cameras in the local frame, drawn when they are asked for; the last ones are kept, as far as
-    512 MiB hold them, so that memory does not grow with the number of images.
+class RenderedMaps:
+    """Depth maps of all cameras in the local frame, rendered on request.
 
-    The depth of a pixel is the median along its ray: of the plane of the Gaussian behind which less than half of the
-    light is left. An edge then lies before or behind, and not between. Its confidence is what the Gaussians hide of the
-    background, less where the mean depth along the ray is another: 1 / (1 + (difference / two footprints)^2) of it.
+    The most recent maps are cached, up to 512 MiB, so that memory does not grow with the number of images.
+
+    The depth of a pixel is the median along its ray: the depth of the plane of the Gaussian behind which the
+    transmittance is below one half. At an edge it is the depth of one side, not a mixture. The confidence is the alpha
+    of the pixel, divided by 1 + (difference of mean and median depth / two footprints)^2.
 
     Args:
+        gaussians: the model.
+        frame: its frame.
         cameras: pinholes in the world by image name.
-        confirming: maps that are needed at a time.
+        max_confirming_views: number of maps that are used at the same time.
     """
 
-    def __init__(self, gaussians: Gaussians, frame: LocalFrame, cameras: Mapping[str, Camera], confirming: int) -> None:
+    def __init__(
+        self, gaussians: Gaussians, frame: LocalFrame, cameras: Mapping[str, Camera], max_confirming_views: int
+    ) -> None:
         self.cameras = {name: frame.camera(camera) for name, camera in cameras.items()}
         kernels = kernels_of(gaussians.means.device)
         self._rasterizer = kernels.Rasterizer()
-        self._gaussians = gaussians.drawn_from
+        self._gaussians = gaussians.tensors
         largest = max(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
-        self.of = lru_cache(max(confirming + 1, _MEMORY // (_BYTES * largest)))(self._drawn)
+        self.of = lru_cache(max(max_confirming_views + 1, _CACHE_BYTES // (_BYTES_PER_PIXEL * largest)))(self._render)
 
-    def _drawn(self, name: str) -> Seen:
+    def _render(self, name: str) -> RenderedMap:
         camera = self.cameras[name]
         background = self._gaussians.means.new_zeros(3)
-        drawn = self._rasterizer.forward(
+        output = self._rasterizer.forward(
             self._gaussians, View.of(camera, NEAREST), background, geometry=True, gradient=False
         )
-        assert drawn.depth is not None and drawn.normal is not None and drawn.median_depth is not None
-        color, transmittance = drawn.color.cpu().numpy(), drawn.transmittance.cpu().numpy()
-        depth, median = drawn.depth.cpu().numpy(), drawn.median_depth.cpu().numpy()
-        normal = drawn.normal.cpu().numpy()
+        assert output.depth is not None and output.normal is not None and output.median_depth is not None
+        color, transmittance = output.color.cpu().numpy(), output.transmittance.cpu().numpy()
+        depth, median = output.depth.cpu().numpy(), output.median_depth.cpu().numpy()
+        normal = output.normal.cpu().numpy()
         alpha = 1 - transmittance
         known = median > 0
-        apart = np.abs(depth / np.where(known, alpha, 1) - median)
-        opinion = apart / np.where(known, median, 1) * np.float32(camera.intrinsics.fx)
+        depth_disagreement = np.abs(depth / np.where(known, alpha, 1) - median)
+        disagreement_px = depth_disagreement / np.where(known, median, 1) * np.float32(camera.intrinsics.fx)
         length = np.linalg.norm(normal, axis=2)
         known &= length > 0
-        made = DepthMap(
+        depth_map = DepthMap(
             np.where(known, median, 0).astype(np.float32),
             np.where(known[..., None], normal / np.where(known, length, 1)[..., None], 0).astype(np.float32),
-            np.where(known, alpha / (1 + (opinion / _UNSURE) ** 2), 0).astype(np.float32),
+            np.where(known, alpha / (1 + (disagreement_px / _DEPTH_DISAGREEMENT_PX) ** 2), 0).astype(np.float32),
         )
-        return Seen(made, (255 * color.clip(0, 1)).round().astype(np.uint8), apart)
+        return RenderedMap(depth_map, (255 * color.clip(0, 1)).round().astype(np.uint8), depth_disagreement)
 
 
 class Overlap(NamedTuple):
-    """Which images show the same.
+    """Groups of images that show the same surface.
 
     Attributes:
-        references: what each image is to be confirmed by.
-        footprint: of a pixel, in the local frame: the median over the images of the median over the pixels.
+        references: each image with the images that may confirm its depths.
+        footprint: size of a pixel on the surface, in the local frame: the median over the images of their medians.
     """
 
     references: list[MatchedImage]
     footprint: float
 
 
-def overlap(gaussians: Gaussians, depths: Depths, most: int) -> Overlap:
-    """For each image at most `most` others that see the same at good angles, by Gaussians that lie on their surfaces.
+def find_overlap(gaussians: Gaussians, depths: RenderedMaps, max_sources: int) -> Overlap:
+    """Match each image with at most `max_sources` others that see the same opaque Gaussians at good angles.
 
     Raises:
-        ReconstructionError: no image shows anything, or no two show the same.
+        ReconstructionError: no image shows a surface, or no two images overlap.
     """
     from scipy.sparse import csc_matrix
 
     opacities = gaussians.opacities.detach().cpu().numpy()
-    opaque = np.flatnonzero(opacities >= min(_OPAQUE, opacities.max(initial=0)))
-    chosen = opaque[:: max(1, len(opaque) // _SAMPLES)]
-    points = gaussians.means.detach().cpu().numpy()[chosen].astype(np.float64)
-    shown, footprints = [], []
+    opaque = np.flatnonzero(opacities >= min(_MIN_SAMPLE_OPACITY, opacities.max(initial=0)))
+    sampled = opaque[:: max(1, len(opaque) // _MAX_OVERLAP_SAMPLES)]
+    points = gaussians.means.detach().cpu().numpy()[sampled].astype(np.float64)
+    visibility, footprints = [], []
     for name, camera in depths.cameras.items():
-        made = depths.of(name).made
-        if made.known.any():
-            footprints.append(float(np.median(made.depth[made.known])) / camera.intrinsics.fx)
-        shown.append(_on_surface(camera, made, points))
+        depth_map = depths.of(name).depth_map
+        if depth_map.known.any():
+            footprints.append(float(np.median(depth_map.depth[depth_map.known])) / camera.intrinsics.fx)
+        visibility.append(_on_surface(camera, depth_map, points))
     if not footprints:
         raise ReconstructionError(
-            "no surface: the Gaussians hide half of the background in no image: train for longer, and check that the"
-            " cameras are those of the model"
+            "no surface: alpha is below 0.5 in all images: train with more steps, and check that the cameras are those"
+            " of the model"
         )
-    shows = csc_matrix(np.array(shown, dtype=np.int8).T.reshape(len(points), len(shown)))
-    references, _ = choose_references(Sparse(depths.cameras, points, shows), most)
+    visible = csc_matrix(np.array(visibility, dtype=np.int8).T.reshape(len(points), len(visibility)))
+    references, _ = choose_references(Sparse(depths.cameras, points, visible), max_sources)
     return Overlap(references, float(np.median(footprints)))
 
 
-def _on_surface(camera: Camera, made: DepthMap, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points (N, 3) lie about as deep as what the map has at their pixels."""
+def _on_surface(camera: Camera, depth_map: DepthMap, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return a mask (N,) of the points (N, 3) whose depth is close to the depth of the map at their pixels."""
     (u, v), z = camera.project(points)[0].T, camera.project(points)[1]
-    height, width = made.depth.shape
+    height, width = depth_map.depth.shape
     inside = np.flatnonzero((z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height))
-    there = made.depth[v[inside].astype(np.int64), u[inside].astype(np.int64)]
-    on = np.zeros(len(points), dtype=np.bool_)
-    on[inside] = np.abs(there - z[inside]) <= _SAME_DEPTH * z[inside]
-    return on
+    map_depths = depth_map.depth[v[inside].astype(np.int64), u[inside].astype(np.int64)]
+    close = np.zeros(len(points), dtype=np.bool_)
+    close[inside] = np.abs(map_depths - z[inside]) <= _MAX_RELATIVE_DEPTH_DIFFERENCE * z[inside]
+    return close

@@ -1,4 +1,4 @@
-"""Where Gaussians are drawn and trained, and which kernels do it: those of the device that the tensors are on."""
+"""Choice of the device for rendering and training, and of the kernels for the device of a tensor."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ if TYPE_CHECKING:
     import torch
 
 
-class Computing(NamedTuple):
-    """Where to compute, and a sentence on it where it is not what anybody would expect."""
+class DeviceChoice(NamedTuple):
+    """The device to compute on, and a note for the user if it is not the CPU as requested."""
 
     device: torch.device
     note: str | None
 
 
-def computing_on(wanted: Literal["auto", "cpu", "cuda"]) -> Computing:
-    """The CPU or torch's current CUDA device; `auto` is the latter where there is one on which a kernel runs.
+def choose_device(wanted: Literal["auto", "cpu", "cuda"]) -> DeviceChoice:
+    """Return the CPU or torch's current CUDA device; `auto` returns CUDA if there is a device that runs a kernel.
 
     Raises:
-        InputError: there is no CUDA device, or none on which a kernel runs, and nothing else would do.
-        MissingExtra: what CUDA needs is not installed, and nothing else would do.
+        InputError: CUDA is requested, and there is no CUDA device or it runs no kernel.
+        MissingExtra: CUDA is requested, and a package that it needs is not installed.
     """
     import torch
 
     cpu = torch.device("cpu")
     if wanted == "cpu":
-        return Computing(cpu, None)
+        return DeviceChoice(cpu, None)
     if not torch.cuda.is_available():
         if wanted == "auto":
-            return Computing(cpu, None)
+            return DeviceChoice(cpu, None)
         raise InputError(
-            "expected a CUDA device for device=cuda, torch finds none: check the driver, take a torch that is built for"
+            "expected a CUDA device for device=cuda, torch finds none: check the driver, install a torch built for"
             " CUDA, or set device=cpu"
         )
     device = torch.device("cuda", torch.cuda.current_device())
     name = torch.cuda.get_device_name(device)
     try:
         _run_smallest_kernel(device)
-    except Exception as error:  # drivers and libraries have many types of their own
+    except Exception as error:  # drivers and libraries raise many types
         why = (str(error).splitlines() or [type(error).__name__])[0]
         if wanted == "auto":
-            return Computing(cpu, f"trained on the CPU, not on {name}: {why}")
+            return DeviceChoice(cpu, f"trained on the CPU, not on {name}: {why}")
         if isinstance(error, MissingExtra):
             raise
-        raise InputError(f"no kernel runs on {name}: {why}: set device=cpu") from error
-    return Computing(device, f"trained on {name}; device=cpu would take the CPU")
+        raise InputError(f"no kernel runs on {name}: {why}; set device=cpu") from error
+    return DeviceChoice(device, f"trained on {name}; set device=cpu to train on the CPU")
 
 
 def _run_smallest_kernel(device: torch.device) -> None:
-    """It is compiled, loaded and launched as all of them are."""
+    """Compile, load and launch one small kernel."""
     import torch
 
     from reconstructors.splat import cuda
@@ -61,11 +61,11 @@ def _run_smallest_kernel(device: torch.device) -> None:
 
 
 def kernels_of(device: torch.device) -> Kernels:
-    """The rasterizer, the loss and the optimizer's step of a device.
+    """Return the module with the rasterizer, the loss and the optimizer step of a device.
 
     Raises:
-        InputError: there are none for it.
-        MissingExtra: what CUDA needs is not installed.
+        InputError: the device is neither the CPU nor CUDA.
+        MissingExtra: a package that CUDA needs is not installed.
     """
     if device.type == "cpu":
         from reconstructors.splat import cpu

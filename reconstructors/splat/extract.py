@@ -1,9 +1,9 @@
-"""Clouds of a model of Gaussians: their centres, and the surface that its images show.
+"""Point clouds of a model of Gaussians: the means, and the surface that its images show.
 
-Centres are what Gao et al. take for a densified cloud. They are not on the surface: nothing but the images holds them,
-and those are as good with a Gaussian behind the surface or before it. The surface is where the light of a ray ends
-(plane depth, Zhang et al. 2024, RaDe-GS; the median along the ray, Huang et al. 2024, 2DGS), where the maps of several
-cameras agree on it (as COLMAP's are filtered, Schonberger et al. 2016).
+Gao et al. use the means as a densified cloud. The means are not on the surface: only the images constrain them, and an
+image hardly distinguishes a Gaussian on the surface from one behind or before it. The surface is the median depth along
+the ray (Huang et al. 2024, 2DGS; plane depth of Zhang et al. 2024, RaDe-GS), kept where the depth maps of several
+cameras agree (the filter of COLMAP, Schonberger et al. 2016).
 """
 
 from __future__ import annotations
@@ -22,33 +22,37 @@ from pcbench.geometry.splats import check_limits, spread
 from pcbench.plugins.progress import with_time_left
 from reconstructors.mvs.filter import Criteria, confirmed, world_points
 from reconstructors.mvs.sources import MatchedImage
-from reconstructors.splat.depths import Depths, overlap
+from reconstructors.splat.depths import RenderedMaps, find_overlap
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame
-from reconstructors.splat.rotations import rotated
-from reconstructors.splat.voxels import Points, Voxels, joined
+from reconstructors.splat.rotations import rotate
+from reconstructors.splat.voxels import Points, Voxels, concatenate_points
 
-_CONFIRMING = 12  # images whose maps may confirm a depth
-_BLOCK = 1 << 16  # pixels at a time
-# With so many images that agree, or all that might, a depth is as sure as its pixel. The fewer, the more often they
-# agree by chance on what is not there: errors on cities grow as about this power of the ratio.
-_SURE, _POWER = 6, 3
-_NEIGHBOURS = 30  # that a normal is of
-# Uncertain depths are taken too: they count where there are no others.
-AGREEMENT = Criteria(confidence=0.0, views=3, pixels=1.5, depth=0.01, normal_deg=60.0)
+_MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
+_BLOCK_PIXELS = 1 << 16  # pixels processed at a time
+# If this many images agree, or all that might, the uncertainty of a depth is that of its pixel. With fewer, chance
+# agreement on wrong depths is more frequent: errors on synthetic cities grow with about this power of the ratio.
+_FULL_CONFIRMATION_VIEWS, _UNCERTAINTY_POWER = 6, 3
+_NORMAL_NEIGHBORS = 30  # points through which the plane of a normal is fitted
+# Depths of low confidence are kept: they count where there are no others.
+SURFACE_CRITERIA = Criteria(confidence=0.0, views=3, pixels=1.5, depth=0.01, normal_deg=60.0)
 
 
 def means(
     gaussians: Gaussians, frame: LocalFrame, *, min_opacity: float | None = None, max_axis: float | None = None
 ) -> Cloud:
-    """The centres of the Gaussians, with the color that they have from everywhere, their opacity and largest axis, and
-    the directions of their shortest axes, upwards, as normals.
+    """Return the means of the Gaussians as a cloud.
+
+    Colors are those of the spherical harmonics of degree 0, normals the shortest axes, turned upwards. The cloud has
+    the attributes `opacity` and `largest_axis`.
 
     Args:
-        min_opacity: only those of at least this opacity, 0 to 1.
-        max_axis: only those whose largest standard deviation is at most so long, in the world's unit.
+        gaussians: the model.
+        frame: its frame.
+        min_opacity: least opacity, 0 to 1.
+        max_axis: maximum of the largest standard deviation, in the world's unit.
 
     Raises:
-        InputError: a limit cannot be, or no Gaussian is left.
+        InputError: a limit is out of range, or no Gaussian is left.
     """
     import torch
 
@@ -64,10 +68,10 @@ def means(
     if not keep.any():
         raise InputError(
             f"none of {len(gaussians)} Gaussians is left: opacities are {spread(opacities)}, largest axes"
-            f" {spread(largest)}"
+            f" {spread(largest)}; relax the limits"
         )
     axis = torch.zeros_like(scales).scatter_(1, scales.argmin(dim=1, keepdim=True), 1.0)
-    normals = rotated(gaussians.quats.detach().cpu(), axis).numpy().astype(np.float64)[keep]
+    normals = rotate(gaussians.quats.detach().cpu(), axis).numpy().astype(np.float64)[keep]
     colors = (255 * (0.5 + SH_DC * gaussians.sh[:, 0].detach().cpu().numpy()[keep]).clip(0, 1)).round()
     return Cloud(
         frame.to_world(gaussians.means.detach().cpu().numpy()[keep]),
@@ -82,45 +86,48 @@ def surface(
     frame: LocalFrame,
     cameras: Mapping[str, Camera],
     *,
-    criteria: Criteria = AGREEMENT,
+    criteria: Criteria = SURFACE_CRITERIA,
     voxel: float | None = None,
 ) -> Cloud:
-    """The surface that cameras see, with normals, colors as drawn, `confidence` (0 to 1) and `views` (the number of
-    images that agree on a point).
+    """Return the surface that the cameras see, as a cloud with normals, colors, `confidence` and `views`.
 
-    Each camera's depths are drawn; those that enough others confirm become points: at the median of the depths that
-    agree, in float64. Their uncertainty is the footprint of the pixel and how far the mean depth along the ray is from
-    the median, together, and more where fewer than six images agree (fewer than all, where there are not six). The
-    points of all cameras are averaged in voxels of that size, by its inverse square.
+    Each camera's depth map is rendered. A depth that enough other maps confirm becomes a point, at the median of the
+    depths that agree, in float64. Its uncertainty combines the footprint of the pixel and the difference of mean and
+    median depth along the ray, and grows if fewer than six images agree (fewer than all, if there are not six). The
+    points of all cameras are averaged in voxels of the size of their uncertainty, weighted by its inverse square.
+
+    `confidence` is between 0 and 1, `views` is the number of images that agree on a point.
 
     Args:
+        gaussians: the model.
+        frame: its frame.
         cameras: pinholes in the world by image name.
-        criteria: what of a map is kept.
+        criteria: criteria by which depths are kept and confirmed.
         voxel: edge of the smallest voxels, in the world's unit; by default the median footprint of a pixel.
 
     Raises:
-        InputError: a camera has distortion, there are too few, or the voxel is no length.
+        InputError: a camera has distortion, there are too few cameras, or the voxel is not a positive length.
         ReconstructionError: no depth is confirmed.
     """
     if len(cameras) < criteria.views:
-        raise InputError(f"expected at least {criteria.views} cameras, which have to agree, got {len(cameras)}")
+        raise InputError(f"expected at least {criteria.views} cameras to confirm depths, got {len(cameras)}")
     if voxel is not None and not (np.isfinite(voxel) and voxel > 0):
-        raise InputError(f"expected a positive edge of a voxel, got {voxel}")
-    depths = Depths(gaussians, frame, cameras, _CONFIRMING)
-    found = overlap(gaussians, depths, _CONFIRMING)
-    voxels = Voxels(found.footprint if voxel is None else voxel / frame.unit)
-    kept = 0
-    for reference in with_time_left(found.references, "surface"):
+        raise InputError(f"expected a positive edge length of the voxels, got {voxel}")
+    depths = RenderedMaps(gaussians, frame, cameras, _MAX_CONFIRMING_VIEWS)
+    overlap = find_overlap(gaussians, depths, _MAX_CONFIRMING_VIEWS)
+    voxels = Voxels(overlap.footprint if voxel is None else voxel / frame.unit)
+    point_count = 0
+    for reference in with_time_left(overlap.references, "surface"):
         points, uncertainty = _confirmed_points(depths, reference, criteria)
-        kept += len(points.views)
+        point_count += len(points.views)
         if len(points.views):
             voxels.add(points, uncertainty**-2, uncertainty)
-    if not kept:
+    if not point_count:
         raise ReconstructionError(
-            f"no surface: no depth is seen alike by {criteria.views} images: train for longer, check the cameras, or"
-            " take the means of the Gaussians (cloud=means)"
+            f"no surface: no {criteria.views} images agree on any depth: train with more steps, check the cameras, or"
+            " use the means of the Gaussians (cloud=means)"
         )
-    points = voxels.fused()
+    points = voxels.fuse()
     return Cloud(
         frame.to_world(points.points),
         _smooth_normals(points),
@@ -130,62 +137,70 @@ def surface(
 
 
 def _smooth_normals(points: Points) -> FloatArray:
-    """Of planes through the neighbours, on the side from which the surface is seen: half as wrong on cities as the
-    mean axes of the Gaussians, which nothing holds.
+    """Return normals of planes through the neighbors, on the side from which the surface is seen.
+
+    On synthetic cities their error is half of that of the averaged axes of the Gaussians, which no term of the loss
+    constrains.
     """
-    if len(points.points) < _NEIGHBOURS:
+    if len(points.points) < _NORMAL_NEIGHBORS:
         return points.normals
-    normals = estimate_normals(Index(points.points), _NEIGHBOURS).directions
-    away = np.einsum("ni,ni->n", normals, points.normals) < 0
-    turned: FloatArray = np.where(away[:, None], -normals, normals)
-    return turned
+    normals = estimate_normals(Index(points.points), _NORMAL_NEIGHBORS).directions
+    opposite = np.einsum("ni,ni->n", normals, points.normals) < 0
+    oriented: FloatArray = np.where(opposite[:, None], -normals, normals)
+    return oriented
 
 
-def _confirmed_points(depths: Depths, reference: MatchedImage, criteria: Criteria) -> tuple[Points, FloatArray]:
-    """What a camera sees and enough others confirm, in the local frame, and how uncertain (N,) it is."""
-    camera, seen = depths.cameras[reference.name], depths.of(reference.name)
-    made = seen.made
-    rows, columns = np.nonzero(made.known & (made.confidence >= criteria.confidence))
-    others = [(depths.cameras[name], depths.of(name).made) for name in reference.sources]
+def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: Criteria) -> tuple[Points, FloatArray]:
+    """Return the confirmed points of a camera in the local frame, and their uncertainties (N,)."""
+    camera, rendered = depths.cameras[reference.name], depths.of(reference.name)
+    depth_map = rendered.depth_map
+    rows, columns = np.nonzero(depth_map.known & (depth_map.confidence >= criteria.confidence))
+    others = [(depths.cameras[name], depths.of(name).depth_map) for name in reference.sources]
     parts: list[Points] = []
-    unsure: list[FloatArray] = []
-    for start in range(0, len(rows), _BLOCK):
-        at = (rows[start : start + _BLOCK], columns[start : start + _BLOCK])
-        along = np.full((1 + len(others), len(at[0])), np.nan)
-        along[0] = made.depth[at]
-        for k, (other, theirs) in enumerate(others, start=1):
-            which, found = confirmed(camera, made, at, other, theirs, criteria)
-            along[k, which] = found
-        views = np.isfinite(along).sum(axis=0)
+    uncertainties: list[FloatArray] = []
+    for start in range(0, len(rows), _BLOCK_PIXELS):
+        block = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
+        ray_depths = np.full((1 + len(others), len(block[0])), np.nan)
+        ray_depths[0] = depth_map.depth[block]
+        for k, (other, other_map) in enumerate(others, start=1):
+            matched, depths_on_ray = confirmed(camera, depth_map, block, other, other_map, criteria)
+            ray_depths[k, matched] = depths_on_ray
+        views = np.isfinite(ray_depths).sum(axis=0)
         enough = views >= criteria.views
-        at = (at[0][enough], at[1][enough])
-        pixels = np.stack([at[1] + 0.5, at[0] + 0.5], axis=1)
-        footprint = made.depth[at].astype(np.float64) / camera.intrinsics.fx
-        unsure.append(_uncertainty(footprint, seen.apart[at].astype(np.float64), views[enough], len(along)))
+        block = (block[0][enough], block[1][enough])
+        pixels = np.stack([block[1] + 0.5, block[0] + 0.5], axis=1)
+        footprint = depth_map.depth[block].astype(np.float64) / camera.intrinsics.fx
+        disagreement = rendered.depth_disagreement[block].astype(np.float64)
+        uncertainties.append(_uncertainty(footprint, disagreement, views[enough], len(ray_depths)))
         parts.append(
             Points(
-                world_points(camera, pixels, _medians(along[:, enough])),
-                made.normal[at].astype(np.float64) @ camera.cam_from_world.rotation,
-                seen.colors[at].astype(np.float64),
-                made.confidence[at].astype(np.float64),
+                world_points(camera, pixels, _medians(ray_depths[:, enough])),
+                depth_map.normal[block].astype(np.float64) @ camera.cam_from_world.rotation,
+                rendered.colors[block].astype(np.float64),
+                depth_map.confidence[block].astype(np.float64),
                 views[enough],
             )
         )
-    return joined(parts), np.concatenate(unsure) if unsure else np.empty(0)
+    return concatenate_points(parts), np.concatenate(uncertainties) if uncertainties else np.empty(0)
 
 
-def _uncertainty(footprint: FloatArray, apart: FloatArray, views: IntArray, most: int) -> FloatArray:
-    """Of depths (N,), a length, by the pixels' footprints, by how far mean and median depth are apart, and by how many
-    images agree of those that might.
+def _uncertainty(footprint: FloatArray, disagreement: FloatArray, views: IntArray, max_views: int) -> FloatArray:
+    """Return the uncertainty (N,) of depths, a length.
+
+    Args:
+        footprint: (N,) footprints of the pixels.
+        disagreement: (N,) differences of mean and median depth.
+        views: (N,) numbers of images that agree.
+        max_views: number of images that might agree.
     """
-    missing = np.maximum(1, min(_SURE, most) / views)
-    uncertainty: FloatArray = np.hypot(footprint, apart) * missing**_POWER
+    missing = np.maximum(1, min(_FULL_CONFIRMATION_VIEWS, max_views) / views)
+    uncertainty: FloatArray = np.hypot(footprint, disagreement) * missing**_UNCERTAINTY_POWER
     return uncertainty
 
 
-def _medians(along: FloatArray) -> FloatArray:
-    """Of each column's numbers (K, N) that are known."""
-    ordered, count = np.sort(along, axis=0), np.isfinite(along).sum(axis=0)  # NaN comes last
-    each = np.arange(along.shape[1])
-    middle: FloatArray = (ordered[(count - 1) // 2, each] + ordered[count // 2, each]) / 2
-    return middle
+def _medians(ray_depths: FloatArray) -> FloatArray:
+    """Return the median of the finite values of each column (K, N)."""
+    ordered, count = np.sort(ray_depths, axis=0), np.isfinite(ray_depths).sum(axis=0)  # NaN comes last
+    columns = np.arange(ray_depths.shape[1])
+    medians: FloatArray = (ordered[(count - 1) // 2, columns] + ordered[count // 2, columns]) / 2
+    return medians

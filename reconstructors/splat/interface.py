@@ -1,8 +1,8 @@
-"""What the rasterizers of every device take and give.
+"""Interface of the rasterizers of all devices.
 
-Each device has a module of `Kernels`: `reconstructors.splat.cpu`, `reconstructors.splat.cuda`, and the plain
-`reconstructors.splat.reference` that the two are tested against. Tensors are of one device, contiguous and float32; the
-reference works and answers in float64.
+Each device has a module of `Kernels`: `reconstructors.splat.cpu`, `reconstructors.splat.cuda`, and
+`reconstructors.splat.reference`, the slow implementation that the two are tested against. Tensors are on one device,
+contiguous and float32; the reference computes and returns float64.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 
 
 class GaussianTensors(NamedTuple):
-    """N Gaussians as they are drawn.
+    """N Gaussians as the rasterizers read them.
 
     Attributes:
         means: (N, 3).
-        quats: (N, 4) wxyz of any length.
+        quats: (N, 4) wxyz of any norm.
         scales: (N, 3) standard deviations along the axes.
         opacities: (N,) 0 to 1.
-        sh: (N, K, 3) spherical harmonics, K = 1, 4, 9 or 16; the color is their sum plus 0.5, and at least 0.
+        sh: (N, K, 3) spherical harmonics coefficients, K = 1, 4, 9 or 16; the color is their sum plus 0.5, clamped at
+            0.
     """
 
     means: Tensor
@@ -34,16 +35,16 @@ class GaussianTensors(NamedTuple):
     sh: Tensor
 
 
-class Drawn(NamedTuple):
-    """The sums over the Gaussians of each pixel, w being the weight (alpha times transmittance) of one of them.
+class RasterOutput(NamedTuple):
+    """The images of one view; w is the weight of a Gaussian at a pixel, its alpha times the transmittance before it.
 
     Attributes:
-        color: (H, W, 3) sum of w color, plus the transmittance times the background.
-        transmittance: (H, W) what is left behind the last Gaussian: 1 minus the sum of w.
-        depth: (H, W) sum of w times the depth of the Gaussian's plane at the pixel; None where it was not asked for.
+        color: (H, W, 3) sum of w times color, plus the transmittance times the background.
+        transmittance: (H, W) transmittance behind the last Gaussian: 1 minus the sum of w.
+        depth: (H, W) sum of w times the depth of the Gaussian's plane at the pixel; None if geometry was not requested.
         normal: (H, W, 3) sum of w times the unit normal in the camera's frame, towards the camera; or None.
-        median_depth: (H, W) of the plane of the Gaussian at which the transmittance falls below 0.5; 0 where it stays
-            above; or None. It has no gradient.
+        median_depth: (H, W) depth of the plane of the Gaussian at which the transmittance falls below 0.5, 0 if it
+            stays above; or None. It has no gradient.
     """
 
     color: Tensor
@@ -53,15 +54,15 @@ class Drawn(NamedTuple):
     median_depth: Tensor | None
 
 
-class Pulled(NamedTuple):
-    """The derivatives of the loss by the V Gaussians that were drawn, and what density control asks of them.
+class Gradients(NamedTuple):
+    """Gradients of the loss with respect to the V Gaussians that were drawn, and sums for densification.
 
     Attributes:
-        ids: (V,) int64, rising: which Gaussians.
-        means, quats, scales, opacities, sh: (V, 3), (V, 4), (V, 3), (V,), (V, K, 3) derivatives.
-        screen: (V, 2) by the projected mean, per pixel.
-        weight: (V,) sum over the pixels of w.
-        error: (V,) sum over the pixels of w times the error given there; 0 where none was given.
+        ids: (V,) int64, indices of the Gaussians, ascending.
+        means, quats, scales, opacities, sh: (V, 3), (V, 4), (V, 3), (V,), (V, K, 3) gradients.
+        screen: (V, 2) gradient with respect to the projected mean, per pixel.
+        weight: (V,) sum of w over the pixels.
+        error: (V,) sum over the pixels of w times the error image; 0 without one.
     """
 
     ids: Tensor
@@ -76,7 +77,7 @@ class Pulled(NamedTuple):
 
 
 class Rasterizer(Protocol):
-    """Draws one view and then gives the derivatives of what it drew; its buffers serve the next view again."""
+    """Renders a view and computes the gradients of that rendering; its buffers are reused for the next view."""
 
     def forward(
         self,
@@ -86,11 +87,14 @@ class Rasterizer(Protocol):
         *,
         geometry: bool,
         gradient: bool = True,
-    ) -> Drawn:
-        """Draw Gaussians before a background (3,).
+    ) -> RasterOutput:
+        """Render Gaussians over a background (3,).
 
         Args:
-            geometry: whether depth, normal and median depth are wanted.
+            gaussians: the Gaussians.
+            view: the pinhole.
+            background: (3,) color behind the Gaussians.
+            geometry: whether to render depth, normal and median depth.
             gradient: whether `backward` may follow.
         """
         ...
@@ -102,22 +106,26 @@ class Rasterizer(Protocol):
         depth: Tensor | None,
         normal: Tensor | None,
         error: Tensor | None,
-    ) -> Pulled:
-        """From the derivatives of the loss by what `forward` gave last, each of the shape of that.
+    ) -> Gradients:
+        """Return the gradients with respect to the Gaussians of the last `forward`.
 
         Args:
-            error: (H, W) the error of each pixel, for `Pulled.error`.
+            color: (H, W, 3) gradient of the loss with respect to the color.
+            transmittance: (H, W) likewise, or None for zero.
+            depth: (H, W) likewise, or None for zero.
+            normal: (H, W, 3) likewise, or None for zero.
+            error: (H, W) error of each pixel, for `Gradients.error`, or None.
         """
         ...
 
 
 class ImageLoss(NamedTuple):
-    """(1 - w) l1 + w (1 - ssim), w being the weight given, and its derivative.
+    """The loss (1 - w) l1 + w (1 - ssim) for a given weight w, and its gradient.
 
     Attributes:
         l1: mean absolute difference.
         ssim: mean structural similarity (Wang et al. 2004).
-        gradient: (H, W, 3) of the loss by the image.
+        gradient: (H, W, 3) gradient of the loss with respect to the image.
     """
 
     l1: float | Tensor
@@ -128,8 +136,8 @@ class ImageLoss(NamedTuple):
 class Adam(Protocol):
     """One step of Adam, in place, on the rows `ids` (V,) of parameters (N, D) and their moments; other rows stay.
 
-    `gradient` (V, D) is of those rows; `learning_rate` of all columns, or of each (D,); `step` counts from 1, of all
-    rows alike.
+    `gradient` (V, D) has one row for each of `ids`; `learning_rate` is one number or one per column (D,); `step` counts
+    the steps from 1, for all rows together.
     """
 
     def __call__(
@@ -147,15 +155,24 @@ class Adam(Protocol):
 
 
 class Kernels(Protocol):
-    """What the module of each device has."""
+    """The names that the module of each device provides."""
 
     @property
-    def Rasterizer(self) -> Callable[[], Rasterizer]: ...
+    def Rasterizer(self) -> Callable[[], Rasterizer]:
+        """Create a rasterizer."""
+        ...
+
     @property
-    def image_loss(self) -> Callable[[Tensor, Tensor, float], ImageLoss]: ...
+    def image_loss(self) -> Callable[[Tensor, Tensor, float], ImageLoss]:
+        """Compute the loss of an image, its target and the weight of 1 - SSIM."""
+        ...
+
     @property
-    def adam(self) -> Adam: ...
+    def adam(self) -> Adam:
+        """Apply one step of Adam."""
+        ...
+
     @property
     def morton_order(self) -> Callable[[Tensor], Tensor] | None:
-        """The order (N,) of means (N, 3) in which neighbours are together; None where the device is as fast in any."""
+        """Return the Morton order (N,) of means (N, 3); None if the device is equally fast with any order."""
         ...

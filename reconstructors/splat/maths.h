@@ -1,36 +1,37 @@
-// The mathematics of Gaussian splatting, one copy for every device: the CPU's loops include it once for each
-// instruction set, with F a SIMD vector or a float; NVRTC reads it before the CUDA kernels, with F a float.
+// The mathematics of Gaussian splatting, one copy for all devices. The CPU includes it once for each instruction set,
+// with F a SIMD vector or a float; NVRTC reads it before the CUDA kernels, with F a float.
 //
-// It includes nothing. Whoever includes it reads pinhole.h before, and defines PCB_FN (what precedes a function) and,
-// for each F beside + - * / < and the conversion from a float: fused(a, b, c) = a * b + c rounded once, root, lesser,
-// greater, select(mask, yes, no), add_exponent(x, n), which multiplies x by 2^n, and exponent(x, mantissa), which
-// splits x > 0 into 2^n * mantissa in [1, 2). Not one of them depends on the device, so that both sum and round alike.
+// It includes nothing. The including file provides pinhole.h and PCB_FN (the prefix of a function) and, for each F
+// beside
+// + - * / < and the conversion from a float: fused(a, b, c) = a * b + c rounded once, root, lesser, greater,
+// select(mask, yes, no), add_exponent(x, n), which multiplies x by 2^n, and exponent(x, mantissa), which splits x > 0
+// into 2^n * mantissa in [1, 2). None of them depends on the device, so all devices add and round in the same way.
 //
-// Conventions: the camera looks along +z, x to the right, y down; pixel (i, j) has its centre at (i + 0.5, j + 0.5);
+// Conventions: the camera looks along +z, x to the right, y down; the centre of pixel (i, j) is at (i + 0.5, j + 0.5);
 // quaternions are wxyz. Papers: Zwicker et al. 2001, EWA volume splatting; Kerbl et al. 2023, 3D Gaussian splatting;
 // Zhang et al. 2024, RaDe-GS (depth as a plane).
 //
 // In pixels a Gaussian is alpha = 2^(level - u^2 - v^2), where (u, v) are its whitened coordinates: a triangular matrix
-// times the offset of the pixel from the projected mean. Unlike the quadratic form of an inverted covariance, a sum of
-// two squares cannot cancel, which needles far from their mean show.
+// times the offset of the pixel from the projected mean. A sum of two squares cannot cancel, unlike the quadratic form
+// of an inverted covariance, whose cancellation is visible for needles far from their mean.
 
-constexpr float kLeastAlpha = 1.0f / 255.0f;  // what is fainter is skipped
-constexpr float kLeastLevel = -7.99435343f;   // its logarithm to base 2
-constexpr float kMostAlpha = 0.99f;
-constexpr float kLeastTransmittance = 1e-4f;  // where less would be left, the ray has ended
-constexpr float kDilation = 0.3f;             // square pixels added to the projected covariance
+constexpr float kMinAlpha = 1.0f / 255.0f;  // lower alphas are skipped
+constexpr float kMinLevel = -7.99435343f;   // log2(kMinAlpha)
+constexpr float kMaxAlpha = 0.99f;
+constexpr float kMinTransmittance = 1e-4f;  // a ray ends before its transmittance falls below
+constexpr float kDilation = 0.3f;           // square pixels added to the projected covariance
 constexpr float kLn2 = 0.693147181f;
-constexpr float kWhitening = 0.849321800f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = 2^-(kWhitening x)^2
-constexpr float kLeastQuaternion = 1e-24f;  // squared length below which a rotation is undefined
-constexpr float kMostDeterminant = 1e36f;   // of a covariance in pixels: a float has no room for the squares of more
-constexpr int kMaxHarmonics = 16;           // of spherical harmonics up to degree 3
+constexpr float kWhitening = 0.849321800f;       // sqrt(log2(e) / 2): exp(-x^2 / 2) = 2^-(kWhitening x)^2
+constexpr float kMinSquaredQuaternion = 1e-24f;  // squared norm below which a rotation is undefined
+constexpr float kMaxDeterminant = 1e36f;         // of a covariance in pixels: squares of larger ones overflow a float
+constexpr int kMaxHarmonics = 16;                // spherical harmonics up to degree 3
 
-// ---- numbers
+// ---- functions of numbers
 
-// 2^x for |x| < 126, to 2e-7 of its value: a minimax polynomial of degree 5 on [-1/2, 1/2].
+// 2^x for |x| < 126, with a relative error of 2e-7: a minimax polynomial of degree 5 on [-1/2, 1/2].
 template <class F>
 PCB_FN F exp2_of(F x) {
-    const F magic = F(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest whole number
+    const F magic = F(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
     const F whole = (x + magic) - magic;
     const F rest = x - whole;
     F y = fused(rest, F(0.0013276472f), F(0.0096755415f));
@@ -41,7 +42,7 @@ PCB_FN F exp2_of(F x) {
     return add_exponent(y, whole);
 }
 
-// log2(x) of a normal x > 0, to 2e-7: the series of the inverse hyperbolic tangent about 1.
+// log2(x) of a normal x > 0, with an error of 2e-7: the series of the inverse hyperbolic tangent about 1.
 template <class F>
 PCB_FN F log2_of(F x) {
     F mantissa;
@@ -116,7 +117,7 @@ struct Quaternion {
     F w, x, y, z;
 };
 
-// The columns of the rotation of a unit quaternion.
+// The columns of the rotation matrix of a unit quaternion.
 template <class F>
 PCB_FN void columns(Quaternion<F> q, Vec<F>* column) {
     const F two = F(2.0f), one = F(1.0f);
@@ -125,7 +126,7 @@ PCB_FN void columns(Quaternion<F> q, Vec<F>* column) {
     column[2] = {two * (q.x * q.z + q.w * q.y), two * (q.y * q.z - q.w * q.x), one - two * (q.x * q.x + q.y * q.y)};
 }
 
-// The derivative by the unit quaternion, from those by the columns.
+// The gradient with respect to the unit quaternion, from those with respect to the columns.
 template <class F>
 PCB_FN Quaternion<F> columns_gradient(Quaternion<F> q, const Vec<F>* g) {
     const F two = F(2.0f);
@@ -137,8 +138,8 @@ PCB_FN Quaternion<F> columns_gradient(Quaternion<F> q, const Vec<F>* g) {
             two * (q.x * xz + q.y * yz + q.w * turn_z - two * q.z * (g[0].x + g[1].y))};
 }
 
-// What is drawn of a Gaussian. With (u, v) its whitened coordinates, at a pixel dx, dy from the mean:
-// u = uu dx + uv dy, v = vv dy; alpha = 2^(level - u^2 - v^2); depth + depth_u u + depth_v v is its plane.
+// A projected Gaussian. At a pixel with offset dx, dy from the projected mean its whitened coordinates are
+// u = uu dx + uv dy, v = vv dy; alpha = 2^(level - u^2 - v^2); the depth of its plane is depth + depth_u u + depth_v v.
 template <class F>
 struct Splat {
     F x, y;
@@ -149,30 +150,31 @@ struct Splat {
     Vec<F> normal;  // unit length, in the camera's frame, towards the camera
 };
 
-// A Gaussian's projection with all that its derivative asks for again.
+// The intermediate values of a projection that its gradient uses again.
 template <class F>
 struct Footprint {
-    Vec<F> offset;               // from the camera, in the world
-    Vec<F> center;               // in the camera's frame
-    Quaternion<F> turn;          // of unit length
-    F turn_length;               // of the quaternion as given
-    Vec<F> direction[3];         // of the axes, in the camera's frame
+    Vec<F> offset;               // from the camera to the mean, in the world
+    Vec<F> center;               // the mean in the camera's frame
+    Quaternion<F> turn;          // the unit quaternion
+    F turn_length;               // norm of the given quaternion
+    Vec<F> direction[3];         // unit axes in the camera's frame
     Vec<F> axis[3];              // the same times the scale
-    F slope_x, slope_y;          // x / z and y / z where the affine approximation is taken
-    Vec<F> row_x, row_y, row_z;  // the axes in pixels across, in pixels down and in depth, each a vector of three axes
+    F slope_x, slope_y;          // x / z and y / z at the centre of the affine approximation
+    Vec<F> row_x, row_y, row_z;  // the three axes in pixels across, in pixels down and in depth
     Vec<F> normal_xy;            // row_x x row_y
     F xx, xy, yy;                // the dilated covariance in pixels
     F determinant;
     F depth_across;
     F depth_x, depth_y;        // the covariances of depth with pixels across and down
-    F shortest_0, shortest_1;  // 1 where axis 0 (1) is the shortest, else 0; axis 2 where both are 0
-    F facing;                  // 1 or -1, which turns the shortest axis to the camera
-    F reach;               // u^2 + v^2 at the ellipse's edge, where alpha is kLeastAlpha; negative where it is fainter
-    F extent_x, extent_y;  // half the ellipse's box, pixels
+    F shortest_0, shortest_1;  // 1 if axis 0 (1) is the shortest, else 0; if both are 0, it is axis 2
+    F facing;                  // 1 or -1, turns the shortest axis towards the camera
+    F reach;                   // u^2 + v^2 at the ellipse's edge, where alpha is kMinAlpha; negative if it never is
+    F extent_x, extent_y;      // half the size of the ellipse's bounding box, pixels
 };
 
-// Returns the splat but for its colour. It is not to be drawn where the mask `drawn` is false: behind `nearest`, too
-// faint, of an undefined rotation, or larger than a float can square (some 1e9 pixels), where its numbers may be NaN.
+// Returns the splat without its colour. If the mask `drawn` is false, the Gaussian must not be drawn and its values may
+// be NaN: it is nearer than `nearest`, its opacity is too low, its rotation is undefined, or it is too large for the
+// square of its size in a float (about 1e9 pixels).
 template <class F, class M>
 PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion, Vec<F> scale, F opacity,
                         Footprint<F>& f, M& drawn) {
@@ -182,8 +184,8 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     const F square =
         fused(quaternion.w, quaternion.w,
               fused(quaternion.x, quaternion.x, fused(quaternion.y, quaternion.y, quaternion.z * quaternion.z)));
-    drawn = (F(at.nearest) < f.center.z) & (F(kLeastAlpha) < opacity) & (F(kLeastQuaternion) < square);
-    // Where nothing is drawn the numbers below are those of some Gaussian that could be: nothing divides by zero.
+    drawn = (F(at.nearest) < f.center.z) & (F(kMinAlpha) < opacity) & (F(kMinSquaredQuaternion) < square);
+    // The lanes that are not drawn continue with harmless values, so nothing divides by zero.
     const F z = select(drawn, f.center.z, one);
     f.center.z = z;
     f.turn_length = root(select(drawn, square, one));
@@ -208,13 +210,13 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     f.xx = xx + F(kDilation);
     f.yy = yy + F(kDilation);
     f.xy = dot(f.row_x, f.row_y);
-    // The determinant of a needle's covariance is small beside its terms: Lagrange's identity has no difference of
-    // them.
+    // The determinant of a needle's covariance is a small difference of large terms. Lagrange's identity avoids the
+    // difference.
     f.determinant = dot(f.normal_xy, f.normal_xy) + fused(F(kDilation), xx + yy, F(kDilation * kDilation));
-    drawn = drawn & (f.determinant < F(kMostDeterminant));  // which is not so of NaN
+    drawn = drawn & (f.determinant < F(kMaxDeterminant));  // false for NaN
     f.depth_x = dot(f.row_z, f.row_x);
     f.depth_y = dot(f.row_z, f.row_y);
-    // depth_x - lean depth_y, whose terms all but cancel for a needle: times yy, by the identity of Binet and Cauchy.
+    // (depth_x - lean depth_y), whose terms nearly cancel for a needle: times yy, by the Binet-Cauchy identity.
     f.depth_across = fused(F(kDilation), f.depth_x, dot(cross(f.row_z, f.row_y), f.normal_xy)) / f.yy;
 
     Splat<F> s;
@@ -226,7 +228,7 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     s.vv = F(kWhitening) * flat;
     s.level = log2_of(select(drawn, opacity, one));
     s.depth = z;
-    // The mean depth at a pixel given that the Gaussian is seen there: linear regression on (u, v).
+    // The conditional mean of the depth at a pixel: linear regression on (u, v).
     s.depth_u = F(1.0f / kWhitening) * (steep * f.depth_across);
     s.depth_v = F(1.0f / kWhitening) * (flat * f.depth_y);
 
@@ -237,20 +239,21 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     f.facing = select(zero < dot(shortest, f.center), F(-1.0f), one);
     s.normal = f.facing * shortest;
 
-    f.reach = s.level - F(kLeastLevel);
+    f.reach = s.level - F(kMinLevel);
     const F deviations = root(greater(f.reach, zero)) * F(1.0f / kWhitening);
     f.extent_x = deviations * root(f.xx);
     f.extent_y = deviations * root(f.yy);
     return s;
 }
 
-// The least u^2 + v^2 within a box of offsets from the mean: where it exceeds the reach, no pixel of the box is
-// touched. The least of a convex function over a box without its centre lies on an edge that faces the centre.
+// The minimum of u^2 + v^2 within a box of offsets from the mean: if it exceeds the reach, the Gaussian touches no
+// pixel of the box. The minimum of a convex function over a box without its centre lies on an edge that faces the
+// centre.
 template <class F>
-PCB_FN F least_square(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
+PCB_FN F min_squared_norm(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
     const F zero = F(0.0f);
     const F dx = lesser(greater(zero, x0), x1), dy = lesser(greater(zero, y0), y1);
-    // The quotients are the same for every box of a splat.
+    // Both quotients are the same for all boxes of a splat.
     const F along_y = -(uu * uv / (uv * uv + vv * vv)) * dx, along_x = -(uv / uu) * dy;
     const F y = lesser(greater(along_y, y0), y1), x = lesser(greater(along_x, x0), x1);
     const F u_at_x = fused(uu, dx, uv * y), v_at_x = vv * y;
@@ -258,49 +261,50 @@ PCB_FN F least_square(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
     return lesser(fused(u_at_x, u_at_x, v_at_x * v_at_x), fused(u_at_y, u_at_y, v_at_y * v_at_y));
 }
 
-// ---- what a pixel sees of a splat
+// ---- a splat at a pixel
 
 template <class F>
 PCB_FN F alpha_at(F level, F u, F v) {
-    // Far away the exponent is held where its power can still be written, far below kLeastAlpha.
+    // The exponent is clamped where its power is still a normal float, far below kMinAlpha.
     return exp2_of(greater(fused(-u, u, fused(-v, v, level)), F(-64.0f)));
 }
 
-// The derivative of the loss by what a pixel shows.
+// The gradient of the loss with respect to the images at a pixel.
 template <class F>
 struct PixelGradient {
     Vec<F> color;
-    F depth;  // by the sum of weight times depth
+    F depth;  // with respect to the sum of weight times depth
     Vec<F> normal;
 };
 
-// What the derivative by a splat is made of, summed over pixels. h is alpha times the derivative by alpha.
+// Sums over pixels from which the gradient with respect to a splat is computed. h is alpha times the gradient with
+// respect to alpha.
 template <class F>
 struct Moments {
     F h, hu, hv, huu, huv, hvv;
     Vec<F> color;
-    F weight, error;            // the weights with which it is blended; the same times the error seen at each pixel
-    F depth, depth_u, depth_v;  // the weighted derivative by depth, times 1, u, v
+    F weight, error;            // sums of the blending weights, and of the weights times the error image
+    F depth, depth_u, depth_v;  // sums of weight times the gradient with respect to depth, times 1, u, v
     Vec<F> normal;
 };
 
-// Adds one pixel's part. `alpha` is 0 where the splat is skipped, at most kMostAlpha elsewhere; `free` is 0 where it
-// was held at that most, else 1; `transmittance` is what is left in front of the splat, and `behind` the part of the
-// derivative that is still to come: the sum over this and all later splats of weight times `seen`, and what the
-// background adds. The loss's derivative by alpha is transmittance * seen - behind / (1 - alpha), behind then being
-// without this splat's part.
+// Adds the contribution of one pixel. `alpha` is 0 if the splat is skipped, else at most kMaxAlpha; `unclamped` is 0 if
+// alpha was clamped to that maximum, else 1; `transmittance` is the transmittance in front of the splat. `behind` is
+// the sum, over this and all later splats, of weight times the gradient with respect to the weight, plus the
+// contribution of the background. The gradient of the loss with respect to alpha is transmittance * grad_weight -
+// behind / (1 - alpha), with `behind` after the contribution of this splat has been subtracted.
 template <bool kGeometry, class F>
-PCB_FN void add_pixel(const Splat<F>& s, F u, F v, F alpha, F free, F transmittance, const PixelGradient<F>& g, F error,
-                      F& behind, Moments<F>& m) {
+PCB_FN void add_pixel(const Splat<F>& s, F u, F v, F alpha, F unclamped, F transmittance, const PixelGradient<F>& g,
+                      F error, F& behind, Moments<F>& m) {
     const F weight = alpha * transmittance;
-    F seen = dot(s.color, g.color);
+    F grad_weight = dot(s.color, g.color);
     if (kGeometry) {
-        seen = fused(fused(s.depth_u, u, fused(s.depth_v, v, s.depth)), g.depth, seen);
-        seen = seen + dot(s.normal, g.normal);
+        grad_weight = fused(fused(s.depth_u, u, fused(s.depth_v, v, s.depth)), g.depth, grad_weight);
+        grad_weight = grad_weight + dot(s.normal, g.normal);
     }
-    const F part = weight * seen;
+    const F part = weight * grad_weight;
     behind = behind - part;
-    const F h = free * fused(-behind, alpha / (F(1.0f) - alpha), part);
+    const F h = unclamped * fused(-behind, alpha / (F(1.0f) - alpha), part);
     const F hu = h * u, hv = h * v;
     m.h = m.h + h;
     m.hu = m.hu + hu;
@@ -327,10 +331,11 @@ struct Gradient {
     Vec<F> mean, scale;
     Quaternion<F> quaternion;
     F opacity;
-    F screen_x, screen_y;  // by the projected mean, per pixel
+    F screen_x, screen_y;  // with respect to the projected mean, per pixel
 };
 
-// The derivative by the Gaussian, but for the part of its mean that the view direction of its colour adds.
+// The gradient with respect to the Gaussian, without the dependence of its colour on the mean through the view
+// direction.
 template <class F>
 PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, const Footprint<F>& f,
                                     const Splat<F>& s, const Moments<F>& m) {
@@ -338,16 +343,18 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     Gradient<F> out;
     out.opacity = m.h / opacity;
 
-    // By u and v, summed over the pixels, plain and times u or v. The exponent's derivative by u is -2 u.
-    const F pull = F(-2.0f * kLn2);
-    const F by_u = fused(pull, m.hu, s.depth_u * m.depth), by_v = fused(pull, m.hv, s.depth_v * m.depth);
-    const F by_u_u = fused(pull, m.huu, s.depth_u * m.depth_u), by_u_v = fused(pull, m.huv, s.depth_u * m.depth_v);
-    const F by_v_v = fused(pull, m.hvv, s.depth_v * m.depth_v);
-    out.screen_x = -(s.uu * by_u);
-    out.screen_y = -fused(s.uv, by_u, s.vv * by_v);
+    // With respect to u and v, summed over the pixels, plain and times u or v. The exponent's derivative is -2 u (-2
+    // v).
+    const F factor = F(-2.0f * kLn2);
+    const F grad_u = fused(factor, m.hu, s.depth_u * m.depth), grad_v = fused(factor, m.hv, s.depth_v * m.depth);
+    const F grad_u_u = fused(factor, m.huu, s.depth_u * m.depth_u),
+            grad_u_v = fused(factor, m.huv, s.depth_u * m.depth_v);
+    const F grad_v_v = fused(factor, m.hvv, s.depth_v * m.depth_v);
+    out.screen_x = -(s.uu * grad_u);
+    out.screen_y = -fused(s.uv, grad_u, s.vv * grad_v);
 
-    // By the whitening. An offset is dy = v / vv, dx = (u - uv dy) / uu.
-    const F g_uv = by_u_v / s.vv, g_vv = by_v_v / s.vv, g_uu = (by_u_u - s.uv * g_uv) / s.uu;
+    // With respect to the whitening. An offset is dy = v / vv, dx = (u - uv dy) / uu.
+    const F g_uv = grad_u_v / s.vv, g_vv = grad_v_v / s.vv, g_uu = (grad_u_u - s.uv * g_uv) / s.uu;
 
     // uu = k steep, uv = -uu lean, vv = k flat; depth_u = steep (depth_x - lean depth_y) / k, depth_v = flat depth_y /
     // k.
@@ -365,7 +372,7 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     const F g_xy = g_lean / f.yy;
     const F g_yy = (half_steep - F(0.5f) * flat * g_flat - lean * g_lean) / f.yy;
 
-    // xx is in the determinant alone.
+    // xx occurs in the determinant only.
     const F twice = F(2.0f) * g_determinant;
     Vec<F> g_row_x = twice * fused(F(kDilation), f.row_x, cross(f.row_y, f.normal_xy));
     Vec<F> g_row_y = twice * fused(F(kDilation), f.row_y, cross(f.normal_xy, f.row_x));
@@ -373,14 +380,14 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
     g_row_y = fused(g_depth_y, f.row_z, fused(g_xy, f.row_x, fused(F(2.0f) * g_yy, f.row_y, g_row_y)));
     Vec<F> g_row_z = fused(g_depth_x, f.row_x, g_depth_y * f.row_y);
 
-    // row_x = fx / z (x of the axes - slope_x row_z), row_y alike.
+    // row_x = fx / z (x of the axes - slope_x row_z), row_y likewise.
     const F per_z = one / f.center.z, zoom_x = F(at.fx) * per_z, zoom_y = F(at.fy) * per_z;
     const Vec<F> g_across = zoom_x * g_row_x, g_down = zoom_y * g_row_y;
     g_row_z = g_row_z - fused(f.slope_x, g_across, f.slope_y * g_down);
     const F g_slope_x = -dot(g_across, f.row_z), g_slope_y = -dot(g_down, f.row_z);
     F g_z = m.depth - per_z * (dot(g_row_x, f.row_x) + dot(g_row_y, f.row_y));
 
-    // The mean: x / z moves the projected mean, and the affine approximation unless that is held at its limit.
+    // The mean: x / z moves the projected mean, and the affine approximation unless its centre is clamped.
     const F x = f.center.x * per_z, y = f.center.y * per_z;
     const auto free_x = (F(at.left) < x) & (x < F(at.right)), free_y = (F(at.top) < y) & (y < F(at.bottom));
     const F g_x = fused(F(at.fx), out.screen_x, select(free_x, g_slope_x, zero));
@@ -406,7 +413,7 @@ PCB_FN Gradient<F> project_gradient(const Pinhole& at, Vec<F> scale, F opacity, 
 
 // ---- colour: real spherical harmonics in the 3DGS order and signs
 
-// The first `count` (1, 4, 9 or 16) of them in a unit direction.
+// The first `count` (1, 4, 9 or 16) spherical harmonics in a unit direction.
 template <class F>
 PCB_FN void harmonics(Vec<F> d, int count, F* basis) {
     basis[0] = F(0.282094792f);
@@ -433,7 +440,7 @@ PCB_FN void harmonics(Vec<F> d, int count, F* basis) {
     basis[15] = F(-0.590043590f) * x * (xx - three * yy);
 }
 
-// The derivative by the direction (as if it were free of its length) of the sum of g[k] basis[k].
+// The gradient of the sum of g[k] basis[k] with respect to the direction, ignoring its unit norm.
 template <class F>
 PCB_FN Vec<F> harmonics_gradient(Vec<F> d, int count, const F* g) {
     const F zero = F(0.0f);
@@ -451,16 +458,17 @@ PCB_FN Vec<F> harmonics_gradient(Vec<F> d, int count, const F* g) {
     const F a9 = F(-0.590043590f) * g[9], a10 = F(2.89061144f) * g[10], a11 = F(-0.457045799f) * g[11],
             a12 = F(0.373176333f) * g[12], a13 = F(-0.457045799f) * g[13], a14 = F(1.44530572f) * g[14],
             a15 = F(-0.590043590f) * g[15];
-    const F by_x = a9 * (six * xy) + a10 * yz - a11 * (two * xy) - a12 * (six * xz) +
-                   a13 * (F(4.0f) * zz - three * xx - yy) + a14 * (two * xz) + a15 * (three * (xx - yy));
-    const F by_y = a9 * (three * (xx - yy)) + a10 * xz + a11 * (F(4.0f) * zz - xx - three * yy) - a12 * (six * yz) -
-                   a13 * (two * xy) - a14 * (two * yz) - a15 * (six * xy);
-    const F by_z =
+    const F grad_x = a9 * (six * xy) + a10 * yz - a11 * (two * xy) - a12 * (six * xz) +
+                     a13 * (F(4.0f) * zz - three * xx - yy) + a14 * (two * xz) + a15 * (three * (xx - yy));
+    const F grad_y = a9 * (three * (xx - yy)) + a10 * xz + a11 * (F(4.0f) * zz - xx - three * yy) - a12 * (six * yz) -
+                     a13 * (two * xy) - a14 * (two * yz) - a15 * (six * xy);
+    const F grad_z =
         a10 * xy + a11 * (eight * yz) + a12 * (six * zz - three * (xx + yy)) + a13 * (eight * xz) + a14 * (xx - yy);
-    return out + Vec<F>{by_x, by_y, by_z};
+    return out + Vec<F>{grad_x, grad_y, grad_z};
 }
 
-// The unit vector along `offset`, and how a derivative by it becomes one by the offset.
+// The unit vector along `offset`, and the gradient with respect to the offset from that with respect to the unit
+// vector.
 template <class F>
 PCB_FN Vec<F> unit(Vec<F> offset) {
     return (F(1.0f) / root(dot(offset, offset))) * offset;

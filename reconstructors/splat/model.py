@@ -1,4 +1,4 @@
-"""A model of Gaussians as it is trained: numbers without bounds, in a frame of its own about the scene."""
+"""A model of Gaussians during training: unbounded parameters in a local frame about the scene."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SH_DC = 0.28209479177387814  # the spherical harmonic of degree 0
-_FIRST_OPACITY = 0.1
-_SPACING_NEIGHBORS = 3  # whose mean distance is a Gaussian's first size
+_INITIAL_OPACITY = 0.1
+_SPACING_NEIGHBORS = 3  # neighbors whose mean distance is the initial size of a Gaussian
 
 
 @dataclass(frozen=True)
 class LocalFrame:
-    """Where training counts: about the cameras, in units of their spread. Projected coordinates have more digits than
-    the float32 of the model, and learning rates are meant for scenes of about unit size.
+    """The frame of training: centred on the cameras, in units of their spread.
+
+    Projected coordinates have more digits than the float32 of the model, and the learning rates are meant for scenes of
+    about unit size.
 
     Args:
-        origin: (3,) in the world, float64.
-        unit: of the frame, in the world's.
+        origin: (3,) origin in the world, float64.
+        unit: unit of the frame, in the world's unit.
     """
 
     origin: FloatArray
@@ -38,24 +40,27 @@ class LocalFrame:
 
     @classmethod
     def of(cls, cameras: list[Camera]) -> LocalFrame:
-        """About the cameras' mean position; the unit is 1.1 times the largest distance from it (Kerbl et al. 2023)."""
+        """Return a frame centred on the cameras.
+
+        The origin is their mean position, the unit 1.1 times the largest distance from it (Kerbl et al. 2023).
+        """
         positions = np.array([camera.position for camera in cameras])
         origin = positions.mean(axis=0)
         spread = float(np.linalg.norm(positions - origin, axis=1).max())
         return cls(origin, 1.1 * spread if spread > 0 else 1.0)
 
     def to_local(self, points: FloatArray) -> FloatArray:
-        """World points (N, 3) in this frame."""
+        """Return world points (N, 3) in this frame."""
         local: FloatArray = (points - self.origin) / self.unit
         return local
 
     def to_world(self, points: FloatArray) -> FloatArray:
-        """Points (N, 3) of this frame in the world."""
+        """Return points (N, 3) of this frame in the world."""
         world: FloatArray = np.asarray(points, dtype=np.float64) * self.unit + self.origin
         return world
 
     def camera(self, camera: Camera) -> Camera:
-        """The same camera in this frame."""
+        """Return the same camera in this frame."""
         motion = camera.cam_from_world
         translation = (motion.rotation @ self.origin + motion.translation) / self.unit
         return replace(camera, cam_from_world=Similarity(motion.rotation, translation))
@@ -67,10 +72,10 @@ class Gaussians:
 
     Args:
         means: (N, 3).
-        quats: (N, 4) wxyz of any length.
+        quats: (N, 4) wxyz of any norm.
         log_scales: (N, 3) natural logarithms of the standard deviations along the axes.
-        logits: (N,) of the opacities.
-        sh: (N, K, 3) spherical harmonics, K = 1, 4, 9 or 16; color is their sum plus 0.5.
+        logits: (N,) logits of the opacities.
+        sh: (N, K, 3) spherical harmonics coefficients, K = 1, 4, 9 or 16; color is their sum plus 0.5.
     """
 
     means: Tensor
@@ -89,31 +94,39 @@ class Gaussians:
 
     @property
     def opacities(self) -> Tensor:
-        """(N,) 0 to 1."""
+        """(N,) opacities, 0 to 1."""
         return self.logits.sigmoid()
 
     @property
-    def drawn_from(self) -> GaussianTensors:
-        """What a rasterizer draws."""
+    def tensors(self) -> GaussianTensors:
+        """The Gaussians as a rasterizer reads them."""
         return GaussianTensors(self.means, self.quats, self.scales, self.opacities, self.sh)
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics."""
+        """Degree of the spherical harmonics."""
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
 
     @classmethod
-    def at_points(
-        cls, points: FloatArray, colors: NDArray[np.float64], frame: LocalFrame, opacity: float = _FIRST_OPACITY
+    def from_points(
+        cls, points: FloatArray, colors: NDArray[np.float64], frame: LocalFrame, opacity: float = _INITIAL_OPACITY
     ) -> Gaussians:
-        """A round Gaussian at each point (N, 3) of the world, N > 1, of its color (N, 3) 0 to 1 and as large as the
-        mean distance to the three nearest others (Kerbl et al. 2023)."""
+        """Create a round Gaussian at each of at least two points.
+
+        The size is the mean distance to the three nearest other points (Kerbl et al. 2023).
+
+        Args:
+            points: (N, 3) in the world.
+            colors: (N, 3) 0 to 1.
+            frame: the frame of the model.
+            opacity: initial opacity of all Gaussians.
+        """
         import torch
 
         local = frame.to_local(np.asarray(points, dtype=np.float64))
         count = len(local)
-        found = Index(local).query(local, min(_SPACING_NEIGHBORS + 1, count))
-        spacing = np.maximum(found.distances[:, 1:].mean(axis=1), 1e-7)
+        neighbors = Index(local).query(local, min(_SPACING_NEIGHBORS + 1, count))
+        spacing = np.maximum(neighbors.distances[:, 1:].mean(axis=1), 1e-7)
         quats = np.zeros((count, 4))
         quats[:, 0] = 1
         parts = (
@@ -126,15 +139,15 @@ class Gaussians:
         return cls(*(torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32)) for part in parts))
 
     def select(self, rows: Tensor) -> Gaussians:
-        """Those of some rows, by number or by truth."""
+        """Return the Gaussians selected by indices or a mask."""
         return Gaussians(*(getattr(self, field.name)[rows].contiguous() for field in fields(self)))
 
     def to(self, device: torch.device) -> Gaussians:
-        """The same on a device."""
+        """Return the same Gaussians on a device."""
         return Gaussians(*(getattr(self, field.name).to(device) for field in fields(self)))
 
-    def joined(self, others: Gaussians) -> Gaussians:
-        """These and then others of the same degree."""
+    def concatenate(self, others: Gaussians) -> Gaussians:
+        """Return these and then other Gaussians of the same degree."""
         import torch
 
         return Gaussians(

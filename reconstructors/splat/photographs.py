@@ -1,4 +1,4 @@
-"""Photographs to train on and to judge by: undistorted, at several sizes, in the frame of the model."""
+"""Undistorted photographs for training and evaluation, at several sizes, in the frame of the model."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-NEAREST = 1e-3  # depth up to which nothing is drawn, in units of the cameras' spread
-_LEAST_SIDE = 64  # pixels: no smaller size is made
+NEAREST = 1e-3  # depth up to which nothing is rendered, in units of the cameras' spread
+_MIN_SIDE_PX = 64  # photographs are not downscaled below it
 
 
 class Photograph(NamedTuple):
     """One photograph at one size.
 
     Attributes:
-        name: of its image.
+        name: name of its image.
         view: the pinhole in the frame of the model.
         color: (H, W, 3) uint8.
-        valid: (H, W) bool, False where a mask hides it; None for nowhere.
+        valid: (H, W) bool, False where a mask hides the photograph; None if no mask does.
     """
 
     name: str
@@ -40,27 +40,30 @@ class Photograph(NamedTuple):
     valid: Tensor | None
 
     @property
-    def shows(self) -> bool:
-        """Whether its mask leaves anything to train on, or to judge by."""
+    def has_valid_pixels(self) -> bool:
+        """Whether the mask leaves any pixel."""
         return self.valid is None or bool(self.valid.any())
 
     def target(self) -> Tensor:
-        """(H, W, 3) float32 from 0 to 1, 0 where a mask hides it."""
+        """Return the colors (H, W, 3) as float32 from 0 to 1, 0 where a mask hides them."""
         color = self.color.float() / 255
         return color if self.valid is None else color * self.valid[..., None]
 
 
-Pyramid = list[Photograph]  # of one photograph: the full size first, each next one half as large
+Pyramid = list[Photograph]  # the sizes of one photograph: the full size first, each next one half as wide
 
 
 def read_photographs(
     folders: Mapping[str, Path], cameras: Mapping[str, Camera], frame: LocalFrame, levels: int, device: torch.device
 ) -> list[Pyramid]:
-    """The photographs of view stages (`reconstructors.mvs.views.view_stage`) and their pinholes in the world.
+    """Read the photographs of view stages (`reconstructors.mvs.views.view_stage`).
 
     Args:
-        levels: sizes, at most.
-        device: that holds them all, as bytes.
+        folders: folder of the view stage, by image name.
+        cameras: pinholes in the world, by image name.
+        frame: the frame of the model.
+        levels: maximum number of sizes.
+        device: device for all photographs, which are stored as bytes.
     """
     import torch
 
@@ -73,10 +76,10 @@ def read_photographs(
         pyramid = []
         for level in range(levels):
             if level > 0:
-                if min(color.shape[:2]) < 2 * _LEAST_SIDE:
+                if min(color.shape[:2]) < 2 * _MIN_SIDE_PX:
                     break
-                color, valid = _halved(color), None if valid is None else _whole(valid)
-                camera = replace(camera, intrinsics=_of_blocks(camera.intrinsics))
+                color, valid = _halve(color), None if valid is None else _all_valid(valid)
+                camera = replace(camera, intrinsics=_halve_intrinsics(camera.intrinsics))
             pyramid.append(
                 Photograph(
                     name,
@@ -89,21 +92,22 @@ def read_photographs(
     return pyramids
 
 
-def _of_blocks(k: Intrinsics) -> Intrinsics:
-    """Of an image of whole 2 x 2 blocks: a last odd row or column is left out."""
+def _halve_intrinsics(k: Intrinsics) -> Intrinsics:
+    """Return the intrinsics of an image of half the size; a last odd row or column is cropped."""
     return replace(k, width=k.width // 2, height=k.height // 2, fx=k.fx / 2, fy=k.fy / 2, cx=k.cx / 2, cy=k.cy / 2)
 
 
 def _blocks(image: NDArray[Any]) -> NDArray[Any]:
+    """Return the 2 x 2 blocks of an image as an array (H / 2, 2, W / 2, 2, ...)."""
     height, width = image.shape[0] // 2, image.shape[1] // 2
     return image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, *image.shape[2:])
 
 
-def _halved(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Means of 2 x 2 blocks."""
+def _halve(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the rounded means of 2 x 2 blocks."""
     return np.asarray((_blocks(color).astype(np.uint16).sum(axis=(1, 3)) + 2) // 4, dtype=np.uint8)
 
 
-def _whole(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where all of a block is shown."""
+def _all_valid(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask of the 2 x 2 blocks whose pixels are all valid."""
     return np.asarray(_blocks(valid).all(axis=(1, 3)))

@@ -1,10 +1,10 @@
-"""Models of Gaussians as PLY files in the layout of Kerbl et al. 2023, which viewers open.
+"""Models of Gaussians as PLY files in the layout of Kerbl et al. 2023, which splat viewers open.
 
 All properties are floats: x y z, nx ny nz (zero), f_dc_0..2, f_rest_* (all of red, then of green, then of blue),
 opacity (logits), scale_0..2 (logarithms of standard deviations), rot_0..3 (wxyz). Coordinates and sizes are the
-world's. Viewers take rows of floats on trust, and draw in float32 anyhow: where that has too few digits for the world,
-coordinates are about a place near the scene, which a comment line tells, and pcbench adds it when it reads the file.
-Models of Huang et al. 2024 (2DGS) have no scale_2: their discs become Gaussians that are as good as flat.
+world's. Viewers expect rows of floats and draw in float32. If float32 has too few digits for the world's coordinates,
+they are written relative to a local origin near the scene; a comment line gives the origin, and pcbench adds it on
+reading. Models of Huang et al. 2024 (2DGS) have no scale_2: their discs become very flat Gaussians.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from pcbench.io.ply import ABOUT, write_vertices
 from pcbench.io.ply_header import XYZ
 from reconstructors.splat.model import Gaussians, LocalFrame
 
-_FAR = 200.0  # sizes of the scene from the origin: float32 then has less than five digits for what is in the scene
-_FLATNESS = 1e-4  # of a disc: its thickness by its shorter axis
-_MOST_DEGREE = 3
+# Distance of the scene from the origin, in extents of the scene: farther away float32 has less than five digits for it.
+_MAX_ORIGIN_DISTANCE = 200.0
+_DISC_FLATNESS = 1e-4  # thickness of a disc, relative to its shorter axis
+_MAX_SH_DEGREE = 3
 
 
 def write_model(path: Path, gaussians: Gaussians, frame: LocalFrame) -> None:
@@ -40,7 +41,7 @@ def write_model(path: Path, gaussians: Gaussians, frame: LocalFrame) -> None:
         for part in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logits, gaussians.sh)
     )
     world = frame.to_world(means)
-    origin = _place_near(world)
+    origin = _local_origin(world)
     scales = log_scales.astype(np.float64) + np.log(frame.unit)
     rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), 3 * (sh.shape[1] - 1))
     columns = dict(zip(XYZ, (world - origin).T, strict=True))
@@ -53,16 +54,17 @@ def write_model(path: Path, gaussians: Gaussians, frame: LocalFrame) -> None:
 
 
 def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, LocalFrame]:
-    """The Gaussians of a PLY file, and the frame that they are in: the world's unit, and the world's origin or, far
-    from it, a place near the scene.
+    """Read the Gaussians of a PLY file and their frame.
 
-    Splats with a number that is NaN or Inf are left out with a warning.
+    The frame has the world's unit and the world's origin or, far from it, a local origin near the scene. Splats with
+    NaN or Inf are dropped with a warning.
 
     Args:
+        path: the file.
         on_warning: called with each warning; `warnings.warn` if None.
 
     Raises:
-        InputError: the file cannot be read, or is no such model; the message starts with the path.
+        InputError: the file cannot be read or is not such a model; the message starts with the path.
     """
     import torch
 
@@ -74,7 +76,7 @@ def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, L
             f"{path}: expected a model of Gaussian splats with opacity, scale_*, rot_* and f_dc_*, got attributes"
             f" {', '.join(cloud.attributes) or 'none'}"
         )
-    if model.sh_degree is None or model.sh_degree > _MOST_DEGREE:
+    if model.sh_degree is None or model.sh_degree > _MAX_SH_DEGREE:
         count = sum(name.startswith("f_rest_") for name in cloud.attributes)
         raise InputError(f"{path}: expected 0, 9, 24 or 45 properties f_rest_*, got {count}")
 
@@ -86,9 +88,9 @@ def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, L
     rest = stacked("f_rest", 3 * higher).reshape(len(cloud), 3, higher).transpose(0, 2, 1)
     scales = stacked("scale", model.dimensions)
     if model.dimensions == 2:  # the normal of a disc is its third axis
-        thin = scales.min(axis=1, keepdims=True) + np.float32(np.log(_FLATNESS))
+        thin = scales.min(axis=1, keepdims=True) + np.float32(np.log(_DISC_FLATNESS))
         scales = np.concatenate([scales, thin], axis=1)
-    origin = _place_near(cloud.points)
+    origin = _local_origin(cloud.points)
     parts = [
         (cloud.points - origin).astype(np.float32),
         stacked("rot", 4),
@@ -98,7 +100,7 @@ def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, L
     ]
     finite = np.all([np.isfinite(part.reshape(len(cloud), -1)).all(axis=1) for part in parts], axis=0)
     if not finite.any():
-        raise InputError(f"{path}: all {len(cloud)} splats have a number that is NaN or Inf")
+        raise InputError(f"{path}: all {len(cloud)} splats have NaN or Inf")
     if not finite.all():
         _warn(f"{path}: dropped {np.count_nonzero(~finite)} of {len(cloud)} splats with NaN or Inf", on_warning)
         parts = [part[finite] for part in parts]
@@ -109,12 +111,12 @@ def _numbered(name: str, count: int) -> list[str]:
     return [f"{name}_{k}" for k in range(count)]
 
 
-def _place_near(points: FloatArray) -> FloatArray:
-    """Where float32 coordinates of points (N, 3) are counted from: the origin, or a round place amid them (3,)."""
+def _local_origin(points: FloatArray) -> FloatArray:
+    """Return the origin (3,) for float32 coordinates of points (N, 3): zeros, or a rounded point amid them."""
     lower, upper = robust_bounds(points)
     middle = (lower + upper) / 2
     extent = float((upper - lower).max())
-    far = extent > 0 and np.abs(middle).max() > _FAR * extent
+    far = extent > 0 and np.abs(middle).max() > _MAX_ORIGIN_DISTANCE * extent
     return middle.round() if far else np.zeros(3)
 
 

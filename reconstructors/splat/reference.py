@@ -1,7 +1,7 @@
-"""The rasterizer written plainly from the papers, in float64 torch, with derivatives by autograd.
+"""Reference rasterizer: a direct implementation of the papers in float64 torch, with gradients by autograd.
 
-It shares no code with the kernels and uses no tile and no bound: every Gaussian is looked at from every pixel. It is
-what they are tested against, on small images.
+It shares no code with the kernels and uses neither tiles nor bounds: each Gaussian is evaluated at each pixel. The
+kernels are tested against it, on small images.
 
 Papers: Zwicker et al. 2001, EWA volume splatting (the projection); Kerbl et al. 2023, 3D Gaussian splatting (colour,
 order and thresholds); Zhang et al. 2024, RaDe-GS (depth as a plane); Wang et al. 2004 (SSIM); Kingma and Ba 2015
@@ -19,30 +19,30 @@ import torch
 from numpy.polynomial import Legendre, Polynomial
 from torch import Tensor
 
-from reconstructors.splat.interface import Drawn, GaussianTensors, ImageLoss, Pulled
+from reconstructors.splat.interface import GaussianTensors, Gradients, ImageLoss, RasterOutput
 from reconstructors.splat.view import View
 
-# As float32 rounds them: two Gaussians held at 0.99 leave 1e-4 of a ray, all but exactly, and on which side of the
-# threshold that is must not depend on the type.
-_LEAST_ALPHA, _MOST_ALPHA, _LEAST_TRANSMITTANCE = (float(np.float32(x)) for x in (1 / 255, 0.99, 1e-4))
+# Rounded to float32 like the kernels' constants: two Gaussians clamped at 0.99 leave almost exactly 1e-4 of a ray, and
+# the side of the threshold must not depend on the type.
+_MIN_ALPHA, _MAX_ALPHA, _MIN_TRANSMITTANCE = (float(np.float32(x)) for x in (1 / 255, 0.99, 1e-4))
 _DILATION = 0.3  # square pixels
-_LEAST_QUATERNION = 1e-24  # squared length
-_MOST_DETERMINANT = 1e36  # of the covariance in pixels, to the fourth: float32 has no room for much more
-_PAIRS_AT_ONCE = 1_000_000  # of a pixel and a Gaussian: 8 MB a number
+_MIN_SQUARED_QUATERNION = 1e-24  # squared length
+_MAX_DETERMINANT = 1e36  # of the covariance in pixels, in pixels^4: float32 overflows not far above
+_PAIRS_AT_ONCE = 1_000_000  # pairs of a pixel and a Gaussian: 8 MB per value
 
 
 class Projection(NamedTuple):
-    """What is seen of the Gaussians that are drawn, nearest first.
+    """Projections of the M Gaussians that are drawn, nearest first.
 
     Attributes:
-        ids: (M,) which Gaussians.
-        xy: (M, 2) projected means, pixels.
-        inverse: (M, 2, 2) of the dilated covariance in pixels.
-        opacities: (M,).
-        depth: (M,) of the means.
-        slope: (M, 2) of the depth over pixels.
+        ids: (M,) indices of the Gaussians.
+        xy: (M, 2) projected means, in pixels.
+        inverse: (M, 2, 2) inverse of the dilated covariance in pixels.
+        opacities: (M,) opacities.
+        depth: (M,) depths of the means.
+        slope: (M, 2) change of the depth per pixel.
         normal: (M, 3) shortest axis in the camera's frame, towards the camera.
-        color: (M, 3).
+        color: (M, 3) colors in the direction of view.
     """
 
     ids: Tensor
@@ -56,7 +56,7 @@ class Projection(NamedTuple):
 
 
 def rotations(quats: Tensor) -> Tensor:
-    """(N, 3, 3) of quaternions (N, 4) wxyz of any length above zero."""
+    """Return the rotation matrices (N, 3, 3) of quaternions (N, 4) wxyz of any norm above zero."""
     w, x, y, z = (quats / quats.norm(dim=1, keepdim=True)).unbind(1)
     rows = [
         [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -67,11 +67,10 @@ def rotations(quats: Tensor) -> Tensor:
 
 
 def harmonics(directions: Tensor, count: int) -> Tensor:
-    """(N, count) real spherical harmonics of unit directions (N, 3), with the Condon-Shortley phase: by degree l, then
-    by order m from -l to l.
+    """Return real spherical harmonics (N, count) of unit directions (N, 3), with the Condon-Shortley phase.
 
-    Y is a constant times the m-th derivative of the Legendre polynomial of z times the imaginary (m < 0) or the real
-    part of (x + iy)^|m|.
+    The order is by degree l, then by order m from -l to l. Y is a constant times the m-th derivative of the Legendre
+    polynomial of z times the imaginary (m < 0) or the real part of (x + iy)^|m|.
     """
     x, y, z = directions.unbind(1)
     values = []
@@ -91,19 +90,19 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
 
 @cache
 def _legendre(degree: int, order: int) -> list[float]:
-    """The coefficients, by rising power, of the derivative of this order of a Legendre polynomial."""
+    """Return the coefficients, by ascending power, of the derivative of this order of a Legendre polynomial."""
     coefficients: list[float] = Legendre.basis(degree).deriv(order).convert(kind=Polynomial).coef.tolist()
     return coefficients
 
 
 def project(gaussians: GaussianTensors, view: View) -> Projection:
-    """The Gaussians in the image, but for those behind `near`, fainter than 1/255 or without a rotation."""
+    """Project the Gaussians deeper than `near`, with an opacity above 1/255 and a rotation."""
     means, quats, scales, opacities, sh = gaussians
     rotation, position = means.new_tensor(view.rotation), means.new_tensor(view.position)
     offsets = means - position
     depths = offsets @ rotation[2]
-    may = (depths > view.near) & (opacities > _LEAST_ALPHA) & ((quats**2).sum(dim=1) > _LEAST_QUATERNION)
-    ids = may.nonzero()[:, 0]
+    valid = (depths > view.near) & (opacities > _MIN_ALPHA) & ((quats**2).sum(dim=1) > _MIN_SQUARED_QUATERNION)
+    ids = valid.nonzero()[:, 0]
     ids = ids[torch.argsort(depths[ids], stable=True)]
     offsets, quats, scales, opacities, sh = offsets[ids], quats[ids], scales[ids], opacities[ids], sh[ids]
 
@@ -138,76 +137,83 @@ def project(gaussians: GaussianTensors, view: View) -> Projection:
         normal,
         color.clamp(min=0),
     )
-    fits = torch.linalg.det(in_pixels) < _MOST_DETERMINANT
+    fits = torch.linalg.det(in_pixels) < _MAX_DETERMINANT
     return Projection(*(part[fits] for part in projection))
 
 
 class Blended(NamedTuple):
-    """`Drawn` before it is an image, with the same sums over one number a Gaussian, and who is seen at all."""
+    """The images, the blended values of one number per Gaussian, and a mask of the Gaussians with any visible pixel."""
 
-    drawn: Drawn
-    covered: Tensor
-    seen: Tensor
+    output: RasterOutput
+    blended_values: Tensor
+    visible: Tensor
 
 
-def blend(splats: Projection, numbers: Tensor, view: View, background: Tensor) -> Blended:
-    """Front to back, by the thresholds of Kerbl et al.: what is fainter than 1/255 is skipped, alpha is at most 0.99,
-    and a ray ends before the Gaussian that would leave less than 1e-4.
+def blend(projection: Projection, values: Tensor, view: View, background: Tensor) -> Blended:
+    """Blend front to back with the thresholds of Kerbl et al.
+
+    Alpha below 1/255 is skipped, alpha is at most 0.99, and a ray ends before the Gaussian that would leave less than
+    1e-4 of transmittance.
 
     Args:
-        numbers: (M,) of each splat, blended as colours are.
+        projection: the Gaussians, nearest first.
+        values: (M,) one value per Gaussian, blended like a color.
+        view: the pinhole.
+        background: (3,) color behind the Gaussians.
     """
     u, v = torch.arange(view.width) + 0.5, torch.arange(view.height) + 0.5
-    pixels = torch.stack([u.repeat(view.height), v.repeat_interleave(view.width)], dim=1).to(splats.xy)
-    features = torch.cat([splats.color, splats.normal, numbers[:, None]], dim=1)
-    parts, seen = [], torch.zeros(len(splats.ids), dtype=torch.bool, device=splats.xy.device)
-    for chunk in pixels.split(max(1, _PAIRS_AT_ONCE // max(1, len(splats.ids)))):
-        none = chunk.new_zeros(len(chunk), 1)
-        offset = chunk[:, None] - splats.xy
-        square = torch.einsum("pni,nij,pnj->pn", offset, splats.inverse, offset)
-        alpha = splats.opacities * torch.exp(-square / 2)
-        shown = alpha >= _LEAST_ALPHA
-        alpha = torch.where(shown, alpha.clamp(max=_MOST_ALPHA), 0)
+    pixels = torch.stack([u.repeat(view.height), v.repeat_interleave(view.width)], dim=1).to(projection.xy)
+    features = torch.cat([projection.color, projection.normal, values[:, None]], dim=1)
+    parts, visible = [], torch.zeros(len(projection.ids), dtype=torch.bool, device=projection.xy.device)
+    for chunk in pixels.split(max(1, _PAIRS_AT_ONCE // max(1, len(projection.ids)))):
+        zeros = chunk.new_zeros(len(chunk), 1)
+        offset = chunk[:, None] - projection.xy
+        square = torch.einsum("pni,nij,pnj->pn", offset, projection.inverse, offset)
+        alpha = projection.opacities * torch.exp(-square / 2)
+        contributes = alpha >= _MIN_ALPHA
+        alpha = torch.where(contributes, alpha.clamp(max=_MAX_ALPHA), 0)
         with torch.no_grad():
-            left = torch.cumprod(1 - alpha, dim=1)
-            halved = torch.cat([(left < 0.5) & shown, none == 0], dim=1)
-            median = halved.to(torch.uint8).argmax(dim=1)  # the first of those, or the last column
-        alpha = torch.where(left >= _LEAST_TRANSMITTANCE, alpha, 0)
-        through = torch.cumprod(torch.cat([1 - none, 1 - alpha], dim=1), dim=1)
-        weight = alpha * through[:, :-1]
-        plane = splats.depth + (offset * splats.slope).sum(dim=2)
+            transmittances = torch.cumprod(1 - alpha, dim=1)
+            below_half = torch.cat([(transmittances < 0.5) & contributes, zeros == 0], dim=1)
+            median = below_half.to(torch.uint8).argmax(dim=1)  # the first true column, or the last column
+        alpha = torch.where(transmittances >= _MIN_TRANSMITTANCE, alpha, 0)
+        transmittance_before = torch.cumprod(torch.cat([1 - zeros, 1 - alpha], dim=1), dim=1)
+        weight = alpha * transmittance_before[:, :-1]
+        plane = projection.depth + (offset * projection.slope).sum(dim=2)
         sums = weight @ features
-        seen |= shown.any(dim=0)
+        visible |= contributes.any(dim=0)
         parts.append(
             (
-                sums[:, :3] + through[:, -1:] * background,
-                through[:, -1],
+                sums[:, :3] + transmittance_before[:, -1:] * background,
+                transmittance_before[:, -1],
                 (weight * plane).sum(dim=1),
                 sums[:, 3:6],
-                torch.cat([plane.detach(), none], dim=1).gather(1, median[:, None])[:, 0],
+                torch.cat([plane.detach(), zeros], dim=1).gather(1, median[:, None])[:, 0],
                 sums[:, 6],
             )
         )
-    color, transmittance, depth, normal, median_depth, covered = (torch.cat(part) for part in zip(*parts, strict=True))
+    color, transmittance, depth, normal, median_depth, blended_values = (
+        torch.cat(part) for part in zip(*parts, strict=True)
+    )
     size = (view.height, view.width)
-    drawn = Drawn(
+    output = RasterOutput(
         color.reshape(*size, 3),
         transmittance.reshape(size),
         depth.reshape(size),
         normal.reshape(*size, 3),
         median_depth.reshape(size),
     )
-    return Blended(drawn, covered.reshape(size), seen)
+    return Blended(output, blended_values.reshape(size), visible)
 
 
-def draw(gaussians: GaussianTensors, view: View, background: Tensor) -> Drawn:
-    """The image, differentiable by autograd in the type of the tensors."""
-    splats = project(gaussians, view)
-    return blend(splats, torch.zeros_like(splats.depth), view, background).drawn
+def render(gaussians: GaussianTensors, view: View, background: Tensor) -> RasterOutput:
+    """Return the images, differentiable by autograd in the type of the tensors."""
+    projection = project(gaussians, view)
+    return blend(projection, torch.zeros_like(projection.depth), view, background).output
 
 
 class ReferenceRasterizer:
-    """The interface of the other devices, in float64 whatever type is given. It keeps the graph of what it drew."""
+    """The interface of the other devices, in float64 for any input type; it keeps the graph of the last rendering."""
 
     def forward(
         self,
@@ -217,14 +223,15 @@ class ReferenceRasterizer:
         *,
         geometry: bool,
         gradient: bool = True,
-    ) -> Drawn:
+    ) -> RasterOutput:
+        """Render the Gaussians."""
         with torch.enable_grad():
             self._leaves = GaussianTensors(*(tensor.detach().double().requires_grad_() for tensor in gaussians))
-            self._splats = project(self._leaves, view)
-            self._ones = torch.ones_like(self._splats.depth).requires_grad_()
-            self._blended = blend(self._splats, self._ones, view, background.double())
-        color, transmittance, *rest = (image.detach() for image in self._blended.drawn if image is not None)
-        return Drawn(color, transmittance, *(rest if geometry else (None, None, None)))
+            self._projection = project(self._leaves, view)
+            self._ones = torch.ones_like(self._projection.depth).requires_grad_()
+            self._blended = blend(self._projection, self._ones, view, background.double())
+        color, transmittance, *rest = (image.detach() for image in self._blended.output if image is not None)
+        return RasterOutput(color, transmittance, *(rest if geometry else (None, None, None)))
 
     def backward(
         self,
@@ -233,36 +240,45 @@ class ReferenceRasterizer:
         depth: Tensor | None,
         normal: Tensor | None,
         error: Tensor | None,
-    ) -> Pulled:
-        splats, drawn = self._splats, self._blended.drawn
-        order = torch.argsort(splats.ids[self._blended.seen])
-        ids = splats.ids[self._blended.seen][order]
+    ) -> Gradients:
+        """Return the gradients of the last rendering by autograd."""
+        projection, output = self._projection, self._blended.output
+        order = torch.argsort(projection.ids[self._blended.visible])
+        ids = projection.ids[self._blended.visible][order]
         pairs = [
-            (drawn.color, color),
-            (drawn.transmittance, transmittance),
-            (drawn.depth, depth),
-            (drawn.normal, normal),
+            (output.color, color),
+            (output.transmittance, transmittance),
+            (output.depth, depth),
+            (output.normal, normal),
         ]
-        wanted = [(image, gradient.double()) for image, gradient in pairs if gradient is not None]
-        outputs, gradients = zip(*wanted, strict=True)
-        *by_given, by_xy = torch.autograd.grad(
-            outputs, (*self._leaves, splats.xy), gradients, retain_graph=True, allow_unused=True, materialize_grads=True
+        given = [(image, gradient.double()) for image, gradient in pairs if gradient is not None]
+        outputs, gradients = zip(*given, strict=True)
+        *grad_gaussians, grad_xy = torch.autograd.grad(
+            outputs,
+            (*self._leaves, projection.xy),
+            gradients,
+            retain_graph=True,
+            allow_unused=True,
+            materialize_grads=True,
         )
-        covered = self._blended.covered
-        weights = [torch.ones_like(covered), torch.zeros_like(covered) if error is None else error.double()]
-        sums = [torch.autograd.grad(covered, self._ones, weight, retain_graph=True)[0] for weight in weights]
-        per_splat = [part[self._blended.seen][order] for part in (by_xy, *sums)]
-        return Pulled(ids, *(gradient[ids] for gradient in by_given), *per_splat)
+        blended_values = self._blended.blended_values
+        weights = [
+            torch.ones_like(blended_values),
+            torch.zeros_like(blended_values) if error is None else error.double(),
+        ]
+        sums = [torch.autograd.grad(blended_values, self._ones, weight, retain_graph=True)[0] for weight in weights]
+        per_splat = [part[self._blended.visible][order] for part in (grad_xy, *sums)]
+        return Gradients(ids, *(gradient[ids] for gradient in grad_gaussians), *per_splat)
 
 
 Rasterizer = ReferenceRasterizer  # the name in `reconstructors.splat.interface.Kernels`
 
 
 def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
-    """(1 - w) mean |x - y| + w (1 - SSIM) of images (H, W, 3), in float64.
+    """Compute (1 - w) mean |x - y| + w (1 - SSIM) of images (H, W, 3) and its gradient, in float64.
 
-    The means and covariances of SSIM are taken under a Gaussian window of 11 x 11 pixels and standard deviation 1.5 for
-    each channel, with zeros beyond the border; C1 = 0.01^2, C2 = 0.03^2.
+    The means and covariances of SSIM are computed with a Gaussian window of 11 x 11 pixels and standard deviation 1.5
+    for each channel, with zeros beyond the border; C1 = 0.01^2, C2 = 0.03^2.
     """
     ramp = torch.arange(11, dtype=torch.float64, device=image.device) - 5
     bell = torch.exp(-(ramp**2) / (2 * 1.5**2))
@@ -272,15 +288,15 @@ def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
         return torch.nn.functional.conv2d(channels[:, None], window[None, None], padding=5)[:, 0]
 
     with torch.enable_grad():
-        shown = image.detach().double().requires_grad_()
-        x, y = shown.permute(2, 0, 1), target.double().permute(2, 0, 1)
+        leaf = image.detach().double().requires_grad_()
+        x, y = leaf.permute(2, 0, 1), target.double().permute(2, 0, 1)
         mean_x, mean_y = smooth(x), smooth(y)
         xx, yy, xy = smooth(x * x) - mean_x**2, smooth(y * y) - mean_y**2, smooth(x * y) - mean_x * mean_y
-        likeness = (2 * mean_x * mean_y + 0.01**2) * (2 * xy + 0.03**2)
-        ssim = (likeness / ((mean_x**2 + mean_y**2 + 0.01**2) * (xx + yy + 0.03**2))).mean()
+        numerator = (2 * mean_x * mean_y + 0.01**2) * (2 * xy + 0.03**2)
+        ssim = (numerator / ((mean_x**2 + mean_y**2 + 0.01**2) * (xx + yy + 0.03**2))).mean()
         l1 = (x - y).abs().mean()
         loss = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim)
-        (gradient,) = torch.autograd.grad(loss, shown)
+        (gradient,) = torch.autograd.grad(loss, leaf)
     return ImageLoss(l1.detach(), ssim.detach(), gradient)
 
 
@@ -295,11 +311,18 @@ def adam(
     betas: tuple[float, float] = (0.9, 0.999),
     eps: float = 1e-15,
 ) -> None:
-    """One step of Adam, in place, on the rows `ids` of parameters (N, D) and their moments; other rows stay.
+    """Apply one step of Adam, in place, to the rows `ids` of parameters (N, D) and their moments; other rows stay.
 
     Args:
-        gradient: (V, D) of those rows.
-        step: from 1, of all rows alike.
+        parameters: (N, D) parameters.
+        first: (N, D) first moments.
+        second: (N, D) second moments.
+        gradient: (V, D) gradient of the rows.
+        ids: (V,) indices of the rows.
+        learning_rate: one for all columns, or one per column (D,).
+        step: number of steps from 1, for all rows together.
+        betas: decay rates of the two moments.
+        eps: added to the denominator.
     """
     first[ids] = betas[0] * first[ids] + (1 - betas[0]) * gradient
     second[ids] = betas[1] * second[ids] + (1 - betas[1]) * gradient**2

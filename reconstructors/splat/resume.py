@@ -1,4 +1,4 @@
-"""Training that goes on where it was killed, and says how far it is."""
+"""Training with checkpoints and progress messages, and files of trained models."""
 
 from __future__ import annotations
 
@@ -19,46 +19,48 @@ from reconstructors.splat.train import Training
 if TYPE_CHECKING:
     import torch
 
-_SAVED_S = 30.0  # seconds between two checkpoints: what a kill loses at most
-_SAID_S = 2.0  # seconds between two lines of progress
+_CHECKPOINT_INTERVAL_S = 30.0  # seconds between two checkpoints: the most work that a kill loses
+_PROGRESS_INTERVAL_S = 2.0  # seconds between two progress messages
 
 
-def trained(training: Training, checkpoint: Path, key: str) -> Gaussians:
-    """The model after all steps that help. A run that was killed goes on from `checkpoint`, which is removed at last.
+def run_with_checkpoints(training: Training, checkpoint: Path, key: str) -> Gaussians:
+    """Train to the end and return the model; resume from `checkpoint` if it exists, and remove it afterwards.
 
     Args:
-        key: all that the model depends on; a checkpoint of another is not used.
+        training: the training at its start.
+        checkpoint: file of the checkpoints.
+        key: everything that the model depends on; a checkpoint with another key is not used.
     """
     if checkpoint.is_file() and not training.load(checkpoint, key):
         checkpoint.unlink()
-    total, start, worked = training.schedule.steps, time.monotonic(), 0
-    saved = said = start
+    total, start, steps_run = training.schedule.steps, time.monotonic(), 0
+    last_checkpoint = last_message = start
 
-    def each(now: Training) -> None:
-        nonlocal saved, said, worked
-        clock = time.monotonic()
-        worked += 1  # the number of the step may go back
-        if clock - said > _SAID_S:
-            left = (clock - start) / worked * (total - now.step)
-            seen = [value for value in map(float, now.psnr) if not math.isnan(value)]
+    def on_step(training: Training) -> None:
+        nonlocal last_checkpoint, last_message, steps_run
+        now = time.monotonic()
+        steps_run += 1  # not the difference of steps, which may go back
+        if now - last_message > _PROGRESS_INTERVAL_S:
+            left = (now - start) / steps_run * (total - training.step)
+            psnr = [value for value in map(float, training.psnr) if not math.isnan(value)]
             progress(
-                f"training: step {now.step:,} of {total:,}, {np.mean(seen):.1f} dB, {len(now.model):,} Gaussians,"
-                f" {duration(left)} left"
+                f"training: step {training.step:,} of {total:,}, PSNR {np.mean(psnr):.1f} dB,"
+                f" {len(training.model):,} Gaussians, {duration(left)} left"
             )
-            said = clock
-        if clock - saved > _SAVED_S:
-            now.save(checkpoint, key)
-            saved = time.monotonic()
+            last_message = now
+        if now - last_checkpoint > _CHECKPOINT_INTERVAL_S:
+            training.save(checkpoint, key)
+            last_checkpoint = time.monotonic()
 
-    training.run(total, each)
-    if training.ended:
-        progress(f"training ended at step {training.step:,} of {total:,}: the photographs get no better")
+    training.run(total, on_step)
+    if training.converged:
+        progress(f"training converged at step {training.step:,} of {total:,}: the photographs no longer improve")
     checkpoint.unlink(missing_ok=True)
     return training.model
 
 
 def save_model(path: Path, model: Gaussians) -> None:
-    """Write the numbers of a model as they are trained."""
+    """Write the parameters of a model as they are trained, in its local frame."""
     import torch
 
     with atomic_write(path) as file:
@@ -66,7 +68,7 @@ def save_model(path: Path, model: Gaussians) -> None:
 
 
 def load_model(path: Path, device: torch.device | str = "cpu") -> Gaussians:
-    """What `save_model` wrote, on a device; it may have been another."""
+    """Return the model that `save_model` wrote, on a device; it may have been saved from another one."""
     import torch
 
     return Gaussians(*torch.load(path, map_location=device, weights_only=True))

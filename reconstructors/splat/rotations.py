@@ -1,4 +1,4 @@
-"""Rotations by quaternions, of many at once."""
+"""Rotation of many vectors by quaternions."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-def rotated(quats: Tensor, vectors: Tensor) -> Tensor:
-    """Vectors (N, 3) turned by quaternions (N, 4) wxyz of any length above zero."""
+def rotate(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Return vectors (N, 3) rotated by quaternions (N, 4) wxyz of any norm above zero."""
     import torch
 
     unit = quats / quats.norm(dim=1, keepdim=True)

@@ -1,6 +1,7 @@
-"""Gaussian splatting as a reconstructor: Gaussians trained to look like the photographs, and the surface they show.
+"""Gaussian splatting as a reconstructor: train Gaussians on the photographs, then extract the surface they show.
 
-Kerbl et al. 2023, with which Gao et al. make their densified clouds; they take the Gaussians' centres for points.
+The method is that of Kerbl et al. 2023. Gao et al. make their densified clouds with it and use the Gaussians' means as
+points.
 """
 
 from __future__ import annotations
@@ -30,53 +31,55 @@ from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.density import GAO2025, Classic, Density
-from reconstructors.splat.devices import computing_on
+from reconstructors.splat.devices import choose_device
 from reconstructors.splat.model import Gaussians, LocalFrame
-from reconstructors.splat.optimizer import GAO2025_RATES, Rates
+from reconstructors.splat.optimizer import GAO2025_LEARNING_RATES, LearningRates
 from reconstructors.splat.parsimony import Curve, Parsimonious
 from reconstructors.splat.photographs import Pyramid, read_photographs
 from reconstructors.splat.ply import write_model
-from reconstructors.splat.resume import load_model, save_model, trained
+from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.supervision import read_supervision
 from reconstructors.splat.train import Schedule, Training, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
-NUMBERS = "model.pt"  # beside it, in the frame of training
-STEPS = "steps.txt"  # beside it: after which step training ended
-CURVE = "curve.csv"  # beside it, where the number of Gaussians was chosen
+PARAMETERS = "model.pt"  # beside it: the parameters in the frame of training
+FINAL_STEP = "steps.txt"  # beside it: the step after which training ended
+CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
 
-# Points to begin at may be less sure than points to measure: training moves them, and fills no place that has none.
+# Initial points may be less certain than measured ones: training moves them, but does not fill a place without any.
 BEGINNING = DenseMvs(views=2, confidence=0.1)
 
-_LEVELS = 3  # sizes of the photographs
-_FEWEST = 3  # images: a surface is what as many agree on
-_CHOOSING = 4  # images, of which some judge how many Gaussians are enough
-_BYTES = 1000  # a Gaussian: its numbers, their derivatives and moments, its places in the tiles of an image
-_KEPT_BYTES = 1000  # a Gaussian: of the models among which one is chosen
-_PIXEL_BYTES = 4  # of a photograph, with its smaller sizes
-_DEPTH_BYTES = 6  # beside it, where depths are trained by
-_GIGA = 1e9
+_PYRAMID_LEVELS = 3  # sizes of each photograph
+_MIN_IMAGES = 3  # images that must agree on a point of the surface
+_MIN_SELECTION_IMAGES = 4  # training images needed to choose the number of Gaussians on held-out ones
+_BYTES_PER_GAUSSIAN = 1000  # parameters, gradients, moments and instances in the tiles of an image
+_TRIAL_BYTES_PER_GAUSSIAN = 1000  # snapshots of the models among which one is chosen
+_BYTES_PER_PIXEL = 4  # of a photograph with its smaller sizes
+_DEPTH_BYTES_PER_PIXEL = 6  # of its depths, with supervision
+_BYTES_PER_GB = 1e9
 
 
 @dataclass(frozen=True)
 class GaussianSplatting:
-    """The surface that Gaussians show which were trained to look like the photographs.
+    """Train Gaussians on the photographs and extract the surface they show.
 
-    poses: `given` takes the scene's cameras as they are, `solve` finds them, as `sfm` does; `auto` is given where there
-    are some.
-    start: from what training begins: the cloud of `mvs`, thinned to `gaussians`, the sparse points of `sfm`, or places
-    at `random` in their box.
-    supervision: `mvs` holds what is drawn to the depth maps of `mvs`, where training begins at its cloud; `none`.
-    density: `parsimonious` tries ever fewer, down from `gaussians`, and simpler colours, and takes the smallest model
-    that photographs which none was trained on find as good as the best; `fixed` leaves their number as it is;
-    `classic` adds and removes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et al.
-    cloud: the `surface` that at least three images agree on, or the `means` of all Gaussians, as Gao et al. take them;
-    min_opacity: of those.
-    steps: of training. gaussians: at most. sh_degree: 0 to 3, of their colours. image_side: pixels of the longer side
-    of the photographs, at most. hold_out: images that are not trained on: `every` 8th, or 8 `blocks`; renderings of all
-    images are then left in the workspace for `pcbench views`. memory: gigabytes that training may take.
-    device: `cuda` or `cpu`; `auto` is the former where there is one.
-    The workspace keeps the model (model/point_cloud.ply), which viewers open.
+    poses: `given` uses the scene's cameras as they are, `solve` computes them, as `sfm` does; `auto` uses the scene's
+    cameras if there are any.
+    start: the points at which training starts: the cloud of `mvs`, thinned to `gaussians`, the sparse points of `sfm`,
+    or `random` positions in their bounding box.
+    supervision: `mvs` adds the difference from the depth maps of `mvs` to the loss, if start=mvs; `none` does not.
+    density: `parsimonious` halves the number of Gaussians, starting at `gaussians`, then lowers the degree of the
+    spherical harmonics, and keeps the smallest model that is as good on held-out photographs as the best; `fixed` keeps
+    the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et
+    al.
+    cloud: the `surface` that at least three images agree on, or the `means` of all Gaussians, as Gao et al. use them;
+    min_opacity: the least opacity of those means, 0 to 1.
+    steps: number of training steps. gaussians: maximum number. sh_degree: degree of the spherical harmonics, 0 to 3.
+    image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
+    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`. memory: gigabytes
+    that training may use.
+    device: `cuda` or `cpu`; `auto` uses CUDA if there is a device.
+    The workspace keeps the model (model/point_cloud.ply), which splat viewers open.
     """
 
     poses: Literal["auto", "given", "solve"] = "auto"
@@ -96,9 +99,9 @@ class GaussianSplatting:
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_opacity <= 1:
-            raise ValueError(f"expected a least opacity from 0 to 1, got {self.min_opacity}")
+            raise ValueError(f"expected min_opacity from 0 to 1, got {self.min_opacity}")
         if self.min_opacity and self.cloud != "means":
-            raise ValueError("min_opacity is of the centres of Gaussians: set cloud=means too")
+            raise ValueError("min_opacity applies to the means of Gaussians: set cloud=means too")
         if self.steps < 1:
             raise ValueError(f"expected at least one step, got {self.steps}")
         if self.gaussians < 2:
@@ -114,85 +117,92 @@ class GaussianSplatting:
 
     @classmethod
     def missing(cls) -> str | None:
+        """Return how to install what is missing, or None."""
         return unavailable("torch", "pycolmap", "PIL", extra="splat")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
+        """Train a model in the workspace and return its cloud; a finished stage is not repeated."""
         import torch
 
         try:
             return self._reconstruct(scene, workspace)
         except torch.cuda.OutOfMemoryError as error:
             raise ReconstructionError(
-                "the CUDA device has too little memory: set fewer gaussians, a smaller image_side, or device=cpu"
+                "the CUDA device ran out of memory: set fewer gaussians, a smaller image_side, or device=cpu"
             ) from error
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise ReconstructionError(
-                    f"the disk of {workspace} is full: make room and run it again; what is finished is kept"
+                    f"the disk of {workspace} is full: free space and run again; finished stages are kept"
                 ) from error
             raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
-        if len(scene) < _FEWEST:
-            raise InputError(f"expected at least {_FEWEST} images, got {len(scene)}")
-        device, note = computing_on(self.device)
-        hold_out(scene.images, self.hold_out)  # too few are refused before hours of work
-        begun = self._begun(scene, workspace)
-        cameras = begun.cameras
+        if len(scene) < _MIN_IMAGES:
+            raise InputError(f"expected at least {_MIN_IMAGES} images, got {len(scene)}")
+        device, note = choose_device(self.device)
+        hold_out(scene.images, self.hold_out)  # raises before hours of work if there are too few images
+        initial = self._initial_reconstruction(scene, workspace)
+        cameras = initial.cameras
         split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
         frame = LocalFrame.of(list(cameras.values()))
-        pinholes = {name: pinhole(camera, self._scale(camera)) for name, camera in cameras.items()}
+        pinholes = {name: pinhole(camera, self._image_scale(camera)) for name, camera in cameras.items()}
         self._check_memory(pinholes)
         folders = {
             name: view_stage(scene, cameras[name], camera, workspace)
             for name, camera in with_time_left(list(pinholes.items()), "undistorting")
         }
-        photographs = read_photographs(folders, pinholes, frame, _LEVELS, device)
+        photographs = read_photographs(folders, pinholes, frame, _PYRAMID_LEVELS, device)
         notes = [] if note is None else [note]
         notes += [f"{len(split.test)} of {len(cameras)} images held out: {split.words}"] if split.test else []
         if split.test:
-            notes.append(f"held out of training only: `{self.start}`, at whose points it begins, saw all images")
+            notes.append(f"held out of training only: the initial points (start={self.start}) come from all images")
 
         inputs = {
             "versions": library_versions(),
-            "settings": repr(self._of_training()),
+            "settings": repr(self._training_settings()),
             "scene": scene.fingerprint(),
             "train": list(split.train),
         }
-        made = stage(
+        model_folder = stage(
             workspace,
             "model",
             inputs,
-            lambda folder: self._train(folder, photographs, split, begun, frame, workspace, repr(inputs)),
+            lambda folder: self._train(folder, photographs, split, initial, frame, workspace, repr(inputs)),
         )
-        model = load_model(made / NUMBERS, device)
-        if (made / CURVE).is_file():
-            notes.append(f"{Curve.read(made / CURVE).sentence}; all that were tried: {made / CURVE}")
+        model = load_model(model_folder / PARAMETERS, device)
+        if (model_folder / CURVE).is_file():
+            notes.append(f"{Curve.read(model_folder / CURVE).sentence}; all models tried: {model_folder / CURVE}")
         elif self.density == "parsimonious":
-            notes.append(f"fewer than {_CHOOSING} images to train on: how many Gaussians are enough was not asked")
-        if (rules := self._rules) is not None and rules.first > rules.last * self.steps:
             notes.append(
-                f"no Gaussian was added: density={self.density} begins at step {rules.first:,} and ends after"
-                f" {rules.last:.0%} of the steps"
+                f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
+                " images"
             )
-        took = int((made / STEPS).read_text(encoding="utf-8"))
-        early = f" of {self.steps:,}: the photographs got no better" if took < self.steps else ""
-        notes.append(f"{len(model):,} Gaussians, harmonics of degree {model.degree}, after step {took:,}{early}")
+        if (rules := self._densification) is not None and rules.refine_start > rules.refine_stop_share * self.steps:
+            notes.append(
+                f"no Gaussian was added: density={self.density} starts at step {rules.refine_start:,} and stops after"
+                f" {rules.refine_stop_share:.0%} of the steps; set more steps"
+            )
+        last_step = int((model_folder / FINAL_STEP).read_text(encoding="utf-8"))
+        early = f" of {self.steps:,}: training converged" if last_step < self.steps else ""
+        notes.append(
+            f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
+        )
         if split.test:
             self._write_views(workspace / RENDERED, scene, split, model, photographs)
             notes.append(f"renderings: pcbench views {workspace / RENDERED}")
         else:
-            shutil.rmtree(workspace / RENDERED, ignore_errors=True)  # of another model
-        cloud = self._extracted(model, frame, pinholes)
+            shutil.rmtree(workspace / RENDERED, ignore_errors=True)  # renderings of an earlier model
+        cloud = self._extract_cloud(model, frame, pinholes)
         return Reconstruction(
-            Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=begun.cloud.unit),
-            begun.gauge,
+            Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=initial.cloud.unit),
+            initial.gauge,
             cameras,
-            [*begun.notes, *notes],
+            [*initial.notes, *notes],
         )
 
-    def _of_training(self) -> tuple[object, ...]:
-        """The settings on which the model depends."""
+    def _training_settings(self) -> tuple[object, ...]:
+        """Return the settings on which the model depends."""
         return (
             self.poses,
             self.start,
@@ -206,131 +216,138 @@ class GaussianSplatting:
         )
 
     @property
-    def _rules(self) -> Classic | None:
-        """By which Gaussians are added and taken away."""
+    def _densification(self) -> Classic | None:
+        """The densification strategy of the density setting; None if it does not densify."""
         return {"classic": Classic(), "gao2025": GAO2025}.get(self.density)
 
     @property
-    def _supervised(self) -> bool:
+    def _uses_depths(self) -> bool:
+        """Whether depths supervise the training."""
         return self.supervision == "mvs" and self.start == "mvs"
 
-    def _begun(self, scene: Scene, workspace: Path) -> Reconstruction:
-        """Cameras, and the points that Gaussians begin at."""
+    def _initial_reconstruction(self, scene: Scene, workspace: Path) -> Reconstruction:
+        """Return the cameras and the initial points."""
         folder = workspace / self.start
         folder.mkdir(exist_ok=True)
         if self.start == "mvs":
             return replace(BEGINNING, poses=self.poses, seed=self.seed).reconstruct(scene, folder)
         return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
 
-    def _scale(self, camera: Camera) -> float:
-        """Of a photograph, so that its longer side has at most `image_side` pixels."""
+    def _image_scale(self, camera: Camera) -> float:
+        """Scale factor of a photograph, so that its longer side has at most `image_side` pixels."""
         return min(1.0, self.image_side / max(camera.intrinsics.width, camera.intrinsics.height))
 
     def _check_memory(self, pinholes: Mapping[str, Camera]) -> None:
         pixels = sum(c.intrinsics.width * c.intrinsics.height for c in pinholes.values())
-        gaussian = _BYTES + _KEPT_BYTES * (self.density == "parsimonious")
-        pixel = _PIXEL_BYTES + _DEPTH_BYTES * self._supervised
-        needed = (gaussian * self.gaussians + pixel * pixels) / _GIGA
+        gaussian = _BYTES_PER_GAUSSIAN + _TRIAL_BYTES_PER_GAUSSIAN * (self.density == "parsimonious")
+        pixel = _BYTES_PER_PIXEL + _DEPTH_BYTES_PER_PIXEL * self._uses_depths
+        needed = (gaussian * self.gaussians + pixel * pixels) / _BYTES_PER_GB
         if needed > self.memory:
             longest = max(max(c.intrinsics.width, c.intrinsics.height) for c in pinholes.values())
             raise InputError(
-                f"{self.gaussians:,} Gaussians and {len(pinholes)} photographs of {longest} pixels take some"
-                f" {needed:.2g} GB, memory={self.memory:g} allows less: set fewer gaussians, a smaller image_side, or"
-                " more memory"
+                f"{self.gaussians:,} Gaussians and {len(pinholes)} photographs of {longest} pixels need about"
+                f" {needed:.2g} GB, more than memory={self.memory:g} allows: set fewer gaussians, a smaller image_side,"
+                " or more memory"
             )
 
-    def _density(
+    def _density_and_photographs(
         self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
     ) -> tuple[Density[Training], list[Pyramid]]:
-        """Which Gaussians there are, and the photographs that training begins with."""
-        names = [name for name in split.train if photographs[name][0].shows]
+        """Return the densification strategy and the photographs that training starts with."""
+        names = [name for name in split.train if photographs[name][0].has_valid_pixels]
         if not names:
-            raise InputError(f"the masks hide all of the {len(split.train)} photographs to train on: black is left out")
-        seen = [photographs[name] for name in names]
-        if self.density == "fixed" or (self.density == "parsimonious" and len(seen) < _CHOOSING):
-            return Density(), seen
-        if self._rules is not None:
-            return replace(self._rules, most=self.gaussians), seen
-        choosing = for_choosing(names, {name: camera.position for name, camera in cameras.items()})
-        judges = [[photographs[name] for name in block] for block in choosing.blocks]
-        return Parsimonious(judges), [photographs[name] for name in choosing.train]
+            raise InputError(
+                f"the masks hide all of the {len(split.train)} training photographs: black mask pixels are left out"
+            )
+        usable = [photographs[name] for name in names]
+        if self.density == "fixed" or (self.density == "parsimonious" and len(usable) < _MIN_SELECTION_IMAGES):
+            return Density(), usable
+        if self._densification is not None:
+            return replace(self._densification, max_gaussians=self.gaussians), usable
+        selection_split = for_choosing(names, {name: camera.position for name, camera in cameras.items()})
+        held_out_blocks = [[photographs[name] for name in block] for block in selection_split.blocks]
+        return Parsimonious(held_out_blocks), [photographs[name] for name in selection_split.train]
 
     def _train(
         self,
         folder: Path,
         photographs: list[Pyramid],
         split: Split,
-        begun: Reconstruction,
+        initial: Reconstruction,
         frame: LocalFrame,
         workspace: Path,
         key: str,
     ) -> None:
-        progress("placing Gaussians")
-        of = {pyramid[0].name: pyramid for pyramid in photographs}
-        density, seen = self._density(split, begun.cameras, of)
+        progress("creating the initial Gaussians")
+        pyramids = {pyramid[0].name: pyramid for pyramid in photographs}
+        density, training_photographs = self._density_and_photographs(split, initial.cameras, pyramids)
         supervision = None
-        if self._supervised:
-            shown = [of[name] for name in split.train]
-            supervision = read_supervision(workspace / self.start / MAPS, shown, frame.unit)
-        first = first_model(begun.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
+        if self._uses_depths:
+            supervised = [pyramids[name] for name in split.train]
+            supervision = read_supervision(workspace / self.start / MAPS, supervised, frame.unit)
+        model = first_model(initial.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
         training = Training(
-            first.to(photographs[0][0].color.device),
-            seen,
+            model.to(photographs[0][0].color.device),
+            training_photographs,
             Schedule(
                 steps=self.steps,
                 sh_degree=self.sh_degree,
                 seed=self.seed,
-                rates=GAO2025_RATES if self.density == "gao2025" else Rates(),
+                rates=GAO2025_LEARNING_RATES if self.density == "gao2025" else LearningRates(),
             ),
             density,
             supervision,
         )
-        model = trained(training, workspace / "checkpoint.pt", key)
+        model = run_with_checkpoints(training, workspace / "checkpoint.pt", key)
         if isinstance(density, Parsimonious) and density.curve is not None:
             density.curve.write(folder / CURVE)
-        (folder / STEPS).write_text(str(training.step), encoding="utf-8")
-        save_model(folder / NUMBERS, model)
+        (folder / FINAL_STEP).write_text(str(training.step), encoding="utf-8")
+        save_model(folder / PARAMETERS, model)
         write_model(folder / MODEL, model, frame)
 
     def _write_views(
         self, folder: Path, scene: Scene, split: Split, model: Gaussians, photographs: list[Pyramid]
     ) -> None:
-        full = {pyramid[0].name: pyramid[0] for pyramid in photographs}
+        full_size = {pyramid[0].name: pyramid[0] for pyramid in photographs}
 
         def pictures(name: str) -> Pictures:
-            photograph = full[name]
+            photograph = full_size[name]
             valid = None if photograph.valid is None else photograph.valid.cpu().numpy()
-            drawn = render(model, photograph.view).cpu().numpy()
-            return Pictures(name, drawn, photograph.color.cpu().numpy(), valid)
+            rendering = render(model, photograph.view).cpu().numpy()
+            return Pictures(name, rendering, photograph.color.cpu().numpy(), valid)
 
-        progress("rendering the views")
+        progress("rendering the images")
         write_views(folder, scene.name, "splat", split, pictures)
 
-    def _extracted(self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera]) -> Cloud:
+    def _extract_cloud(self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera]) -> Cloud:
         if self.cloud == "means":
             return extract.means(model, frame, min_opacity=self.min_opacity or None)
         return extract.surface(model, frame, pinholes)
 
 
-def first_model(cloud: Cloud, frame: LocalFrame, most: int, seed: int, *, random: bool = False) -> Gaussians:
-    """What training begins with: Gaussians at points of a cloud, or at random places in their box.
+def first_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:
+    """Create the Gaussians that training starts with, at points of a cloud or at random in their bounding box.
 
     Args:
-        most: Gaussians.
+        cloud: initial points in the world, with colors or without.
+        frame: the frame of the model.
+        max_gaussians: maximum number of Gaussians; a larger cloud is sampled.
+        seed: of the random numbers.
+        random: uniformly distributed positions instead of the cloud's points.
 
     Raises:
-        ReconstructionError: there is less than two points.
+        ReconstructionError: the cloud has fewer than two points.
     """
     points, colors = cloud.points, cloud.colors
     rng = np.random.default_rng([seed, 2])
     if random:
         lower, upper = robust_bounds(points)
-        points, colors = rng.uniform(lower, upper, size=(most, 3)), None
-    elif len(points) > most:
-        # At random: a dense cloud has more points where photographs are closer, and so shall the model.
-        which = np.sort(rng.choice(len(points), most, replace=False))
-        points, colors = points[which], None if colors is None else colors[which]
+        points, colors = rng.uniform(lower, upper, size=(max_gaussians, 3)), None
+    elif len(points) > max_gaussians:
+        # At random: a dense cloud has more points where the photographs are closer, and the model needs more there.
+        rows = np.sort(rng.choice(len(points), max_gaussians, replace=False))
+        points, colors = points[rows], None if colors is None else colors[rows]
     if len(points) < 2:
-        raise ReconstructionError(f"expected points to begin with, got {len(points)}: begin at random (start=random)")
+        raise ReconstructionError(f"expected at least 2 initial points, got {len(points)}: set start=random")
     shades = np.full((len(points), 3), 0.5) if colors is None else colors / 255
-    return Gaussians.at_points(points, shades, frame)
+    return Gaussians.from_points(points, shades, frame)

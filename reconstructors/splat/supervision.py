@@ -1,8 +1,9 @@
-"""Depths to train by: what dense stereo knows of the surface, beside the photographs.
+"""Depth supervision: train on the depths of dense stereo beside the photographs.
 
-Photographs are as good with a Gaussian behind the surface or before it; a depth holds it there. The loss gets a term
-more: how far the drawn depth is from the map's, as a share of that, by its mean over the pixels that the map knows
-(as of Kerbl et al. 2024, "A hierarchical 3D Gaussian representation", who take inverse depths that a network guessed).
+Photographs hardly distinguish a Gaussian on the surface from one behind or before it; a depth does. The loss gets one
+more term: the mean, over the pixels with a known depth, of the absolute difference between rendered and known depth,
+relative to the known depth. Kerbl et al. 2024, "A hierarchical 3D Gaussian representation", use inverse depths
+predicted by a network instead.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pcbench.io.colmap_model import read_colmap_cameras
 from reconstructors.mvs.filter import Criteria, depths_beside
 from reconstructors.mvs.maps import DepthMap, read_map
 from reconstructors.mvs.mvs import COUNTS
-from reconstructors.splat.interface import Drawn
+from reconstructors.splat.interface import RasterOutput
 from reconstructors.splat.photographs import Photograph, Pyramid
 from reconstructors.splat.view import View
 
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
 WEIGHT = 3.0
 
 
-class Pull(NamedTuple):
-    """Derivatives of the loss by transmittance and by depth (H, W) as they were drawn; None where there are none."""
+class DepthGradients(NamedTuple):
+    """Gradients of the loss with respect to the rendered transmittance and depth (H, W); None for zero."""
 
     transmittance: Tensor | None = None
     depth: Tensor | None = None
@@ -39,66 +40,71 @@ class Pull(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Supervision:
-    """Depths of some photographs.
+    """Known depths of some photographs.
 
     Args:
         depths: by image name, (H, W) float32 for each size of the photograph, the full one first, in the frame of the
-            model; 0 where nothing is known.
-        weight: of the term.
+            model; 0 where the depth is unknown.
+        weight: weight of the term in the loss.
     """
 
     depths: Mapping[str, Sequence[Tensor]]
     weight: float = WEIGHT
 
-    def pull(self, photograph: Photograph, drawn: Drawn) -> Pull:
-        """What the depths of a photograph add to the derivatives."""
+    def gradients(self, photograph: Photograph, rendering: RasterOutput) -> DepthGradients:
+        """Return the gradients of the depth term for a rendered photograph."""
         shape = photograph.color.shape[:2]
-        known = [depth for depth in self.depths.get(photograph.name, ()) if depth.shape == shape]
-        if not known:
-            return Pull()
-        assert drawn.depth is not None
-        target = known[0]
-        held = target > 0
-        # By the sums over the Gaussians: a mean would be divided by the little that hides the background at a pixel
-        # which is all but clear.
-        off = drawn.depth - (1 - drawn.transmittance) * target
-        towards = off.sign() * held * (self.weight / held.sum().clamp(min=1))
-        return Pull(towards, towards / target.where(held, target.new_ones(())))
+        depths = [depth for depth in self.depths.get(photograph.name, ()) if depth.shape == shape]
+        if not depths:
+            return DepthGradients()
+        assert rendering.depth is not None
+        target = depths[0]
+        known = target > 0
+        # With the weighted sums: a mean depth would divide by alpha, which is almost 0 at a pixel that is almost clear.
+        difference = rendering.depth - (1 - rendering.transmittance) * target
+        gradient = difference.sign() * known * (self.weight / known.sum().clamp(min=1))
+        return DepthGradients(gradient, gradient / target.where(known, target.new_ones(())))
 
 
 def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) -> Supervision:
-    """The depths that a folder of `mvs` keeps, a map for each image and the model of their pinholes, for photographs of
-    the same cameras: what is as confident and as well confirmed as points of `mvs` are, though points to begin at may
-    be less.
+    """Read the depth maps that `mvs` keeps, resampled to photographs of the same cameras.
+
+    Only depths that meet the default criteria of `mvs` are used, although its initial points may meet weaker ones.
 
     Args:
-        unit: of the frame of the model, in the world's.
+        maps: folder with a map per image and the model of their pinholes.
+        photographs: photographs at all sizes.
+        unit: unit of the frame of the model, in the world's unit.
     """
     import torch
 
     pinholes = {camera.name: camera for camera in read_colmap_cameras(maps)}
-    sure, depths = Criteria(), {}
+    criteria, depths = Criteria(), {}
     for pyramid in photographs:
         name = pyramid[0].name
         if name in pinholes:
-            made, counts = read_map(maps / name), np.load(maps / name / COUNTS)
-            made = made.where((made.confidence >= sure.confidence) & (counts >= sure.views))
-            local = [depths_at(photograph.view, pinholes[name], made) / np.float32(unit) for photograph in pyramid]
-            depths[name] = [torch.from_numpy(each).to(pyramid[0].color.device) for each in local]
+            depth_map, counts = read_map(maps / name), np.load(maps / name / COUNTS)
+            depth_map = depth_map.where((depth_map.confidence >= criteria.confidence) & (counts >= criteria.views))
+            local = [
+                resample_depths(photograph.view, pinholes[name], depth_map) / np.float32(unit) for photograph in pyramid
+            ]
+            depths[name] = [torch.from_numpy(array).to(pyramid[0].color.device) for array in local]
     return Supervision(depths)
 
 
-def depths_at(view: View, pinhole: Camera, made: DepthMap) -> NDArray[np.float32]:
-    """(H, W) depths of a map at the pixels of a view from the same place: on the plane of the map's pixel that the
-    centre of the view's pixel is in. So nothing is mixed across edges, and a slope is met where the two sizes differ.
+def resample_depths(view: View, pinhole: Camera, depth_map: DepthMap) -> NDArray[np.float32]:
+    """Return the depths (H, W) of a map at the pixels of a view from the same position.
+
+    Each depth lies on the plane of the map's pixel that contains the centre of the view's pixel. So depths are not
+    mixed across edges, and are exact on a slope if the two sizes differ.
     """
     v, u = (index.ravel().astype(np.float64) + 0.5 for index in np.indices((view.height, view.width)))
     k = pinhole.intrinsics
     x = (u - view.cx) / view.fx * k.fx + k.cx
     y = (v - view.cy) / view.fy * k.fy + k.cy
-    height, width = made.depth.shape
+    height, width = depth_map.depth.shape
     inside = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))
     x, y = x[inside], y[inside]
     depths = np.zeros(view.height * view.width, dtype=np.float32)
-    depths[inside] = depths_beside(pinhole, made, y.astype(np.int64), x.astype(np.int64), x, y)
+    depths[inside] = depths_beside(pinhole, depth_map, y.astype(np.int64), x.astype(np.int64), x, y)
     return depths.reshape(view.height, view.width)

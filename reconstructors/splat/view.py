@@ -1,4 +1,4 @@
-"""The camera of one image as the rasterizers take it: a pinhole."""
+"""The pinhole camera of one image as the rasterizers read it."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 
-_NEAREST = 0.01  # depth, in the world's unit
-_MOST_SIDE = 2**19  # pixels: tiles of 16 are counted in 16 bits
-_BEYOND = 0.15  # of the image's width and height
+_NEAR = 0.01  # depth, in the world's unit
+_MAX_SIDE_PX = 2**19  # pixels: tiles of 16 are counted in 16 bits
+_MARGIN_SHARE = 0.15  # of the image's width and height
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pinhole: it looks along +z, x to the right, y down, and pixel centres are at +0.5.
+    """A pinhole that looks along +z, x to the right, y down, with pixel centres at +0.5.
 
     Attributes:
-        width, height: pixels.
+        width, height: size of the image in pixels.
         rotation: (3, 3) from the world to the camera's frame.
-        position: (3,) of the centre of projection in the world.
+        position: (3,) centre of projection in the world.
         fx, fy, cx, cy: focal lengths and principal point in pixels.
         near: depth, in the world's unit, up to which nothing is drawn.
     """
@@ -33,14 +33,14 @@ class View:
     fy: float
     cx: float
     cy: float
-    near: float = _NEAREST
+    near: float = _NEAR
 
     @classmethod
-    def of(cls, camera: Camera, near: float = _NEAREST) -> View:
-        """The view of a camera without distortion.
+    def of(cls, camera: Camera, near: float = _NEAR) -> View:
+        """Return the view of a camera without distortion.
 
         Raises:
-            InputError: the camera has distortion, its motion scales, or its image has more than 2^19 pixels a side.
+            InputError: the camera has distortion, its pose has a scale, or a side of its image exceeds 2^19 pixels.
         """
         k, motion = camera.intrinsics, camera.cam_from_world
         if not k.is_pinhole:
@@ -49,21 +49,21 @@ class View:
             )
         if motion.scale != 1:
             raise InputError(f"expected a rigid cam_from_world, got one of scale {motion.scale:g}")
-        if max(k.width, k.height) > _MOST_SIDE:
-            raise InputError(f"expected an image of at most {_MOST_SIDE} pixels a side, got {k.width} x {k.height}")
+        if max(k.width, k.height) > _MAX_SIDE_PX:
+            raise InputError(f"expected an image of at most {_MAX_SIDE_PX} pixels a side, got {k.width} x {k.height}")
         return cls(k.width, k.height, motion.rotation, camera.position, k.fx, k.fy, k.cx, k.cy, near)
 
     @property
     def limits(self) -> tuple[float, float, float, float]:
-        """Left, right, top and bottom: x / z and y / z at which the affine approximation of the projection is taken are
-        held within these, 0.15 of the image beyond its border (Kerbl et al. 2023: 1.3 times half the field of view).
+        """Left, right, top and bottom bound of x / z and y / z for the centre of the affine approximation.
 
-        Far outside the image the approximation would blow Gaussians up that hardly touch it.
+        The centre is clamped to them. They lie 0.15 of the image beyond its border (Kerbl et al. 2023: 1.3 times half
+        the field of view). Far outside the image the approximation would enlarge Gaussians that hardly touch it.
         """
-        beyond_x, beyond_y = _BEYOND * self.width / self.fx, _BEYOND * self.height / self.fy
+        margin_x, margin_y = _MARGIN_SHARE * self.width / self.fx, _MARGIN_SHARE * self.height / self.fy
         return (
-            -self.cx / self.fx - beyond_x,
-            (self.width - self.cx) / self.fx + beyond_x,
-            -self.cy / self.fy - beyond_y,
-            (self.height - self.cy) / self.fy + beyond_y,
+            -self.cx / self.fx - margin_x,
+            (self.width - self.cx) / self.fx + margin_x,
+            -self.cy / self.fy - margin_y,
+            (self.height - self.cy) / self.fy + margin_y,
         )

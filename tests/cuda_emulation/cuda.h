@@ -1,4 +1,4 @@
-// What CUDA gives a kernel, and how a kernel is called by name.
+// The CUDA functions and keywords that kernels use, and calling a kernel by name.
 #pragma once
 
 #include <type_traits>
@@ -10,7 +10,7 @@ namespace emulator {
 
 // ---- calls by name
 
-// A letter for each parameter: f, i, l, s for a pointer to float, int, long long and short (or to a struct that begins
+// One letter per parameter: f, i, l, s for a pointer to float, int, long long and short (or to a struct that starts
 // with one), F, I, L for a float, an int and a long long.
 template <class T>
 constexpr char letter() {
@@ -24,7 +24,7 @@ constexpr char letter() {
     return std::is_same_v<T, int> ? 'I' : std::is_same_v<T, long long> ? 'L' : std::is_same_v<T, float> ? 'F' : '?';
 }
 
-static void** passed;
+static void** kernel_arguments;
 
 template <auto kKernel>
 struct Call;
@@ -33,7 +33,7 @@ struct Call<kKernel> {
     static void run() { with(std::index_sequence_for<A...>{}); }
     template <size_t... I>
     static void with(std::index_sequence<I...>) {
-        kKernel(*static_cast<std::remove_reference_t<A>*>(passed[I])...);
+        kKernel(*static_cast<std::remove_reference_t<A>*>(kernel_arguments[I])...);
     }
     static const char* signature() {
         static const char letters[] = {letter<A>()..., '\0'};
@@ -41,7 +41,7 @@ struct Call<kKernel> {
     }
 };
 
-// ---- what the lanes of a warp pass on
+// ---- values exchanged between the lanes of a warp
 
 template <class T>
 uint64_t packed(T value) {
@@ -58,7 +58,7 @@ T unpacked(uint64_t bits) {
 }
 template <class T>
 T shuffled(unsigned mask, T value, unsigned source, int line) {
-    return unpacked<T>(together(Together::kShuffle, mask, packed(value), source, line));
+    return unpacked<T>(warp_operation(WarpOperation::kShuffle, mask, packed(value), source, line));
 }
 inline unsigned lane() { return machine.running % kWarpSize; }
 
@@ -68,11 +68,11 @@ inline unsigned lane() { return machine.running % kWarpSize; }
     extern "C" const char* emulated_signature() { return emulator::Call<&name>::signature(); }                 \
     extern "C" int emulated_run(void** arguments, unsigned blocks, unsigned threads, int order, uint64_t seed, \
                                 char* message, size_t room) {                                                  \
-        emulator::passed = arguments;                                                                          \
+        emulator::kernel_arguments = arguments;                                                                \
         return emulator::run(emulator::Call<&name>::run, blocks, threads, order, seed, message, room);         \
     }
 
-// ---- what CUDA gives a kernel
+// ---- CUDA keywords and functions
 
 #define __global__
 #define __device__
@@ -96,28 +96,28 @@ inline int __syncthreads_and(int yes, int line = __builtin_LINE()) {
     return emulator::block_barrier(yes != 0, line) == blockDim.x;
 }
 inline void __syncwarp(unsigned mask = 0xffffffffu, int line = __builtin_LINE()) {
-    emulator::together(emulator::Together::kSync, mask, 0, 0, line);
+    emulator::warp_operation(emulator::WarpOperation::kSync, mask, 0, 0, line);
 }
 template <class T>
 T __shfl_sync(unsigned mask, T value, int source, int line = __builtin_LINE()) {
     return emulator::shuffled(mask, value, static_cast<unsigned>(source) % emulator::kWarpSize, line);
 }
 template <class T>
-T __shfl_up_sync(unsigned mask, T value, unsigned by, int line = __builtin_LINE()) {
+T __shfl_up_sync(unsigned mask, T value, unsigned delta, int line = __builtin_LINE()) {
     const unsigned lane = emulator::lane();
-    return emulator::shuffled(mask, value, lane < by ? lane : lane - by, line);
+    return emulator::shuffled(mask, value, lane < delta ? lane : lane - delta, line);
 }
 template <class T>
-T __shfl_down_sync(unsigned mask, T value, unsigned by, int line = __builtin_LINE()) {
+T __shfl_down_sync(unsigned mask, T value, unsigned delta, int line = __builtin_LINE()) {
     const unsigned lane = emulator::lane();
-    return emulator::shuffled(mask, value, lane + by < emulator::kWarpSize ? lane + by : lane, line);
+    return emulator::shuffled(mask, value, lane + delta < emulator::kWarpSize ? lane + delta : lane, line);
 }
 template <class T>
-T __shfl_xor_sync(unsigned mask, T value, int by, int line = __builtin_LINE()) {
-    return emulator::shuffled(mask, value, emulator::lane() ^ static_cast<unsigned>(by), line);
+T __shfl_xor_sync(unsigned mask, T value, int lane_mask, int line = __builtin_LINE()) {
+    return emulator::shuffled(mask, value, emulator::lane() ^ static_cast<unsigned>(lane_mask), line);
 }
 inline unsigned __ballot_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
-    return static_cast<unsigned>(emulator::together(emulator::Together::kBallot, mask, yes != 0, 0, line));
+    return static_cast<unsigned>(emulator::warp_operation(emulator::WarpOperation::kBallot, mask, yes != 0, 0, line));
 }
 inline int __any_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
     return __ballot_sync(mask, yes, line) != 0;
@@ -126,14 +126,14 @@ inline int __all_sync(unsigned mask, int yes, int line = __builtin_LINE()) {
     return __ballot_sync(mask, yes, line) == mask;
 }
 inline unsigned __reduce_add_sync(unsigned mask, unsigned value, int line = __builtin_LINE()) {
-    return static_cast<unsigned>(emulator::together(emulator::Together::kAdd, mask, value, 0, line));
+    return static_cast<unsigned>(emulator::warp_operation(emulator::WarpOperation::kAdd, mask, value, 0, line));
 }
 template <class T>
 unsigned __match_any_sync(unsigned mask, T value, int line = __builtin_LINE()) {
     return static_cast<unsigned>(
-        emulator::together(emulator::Together::kMatch, mask, emulator::packed(value), 0, line));
+        emulator::warp_operation(emulator::WarpOperation::kMatch, mask, emulator::packed(value), 0, line));
 }
-// One thread runs at a time.
+// Only one thread runs at a time.
 template <class T>
 T atomicAdd(T* to, T value) {
     const T before = *to;

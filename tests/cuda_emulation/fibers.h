@@ -1,4 +1,4 @@
-// Fibers: functions with stacks of their own, which hand control to each other.
+// Fibers: functions with their own stacks that switch control to each other.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +10,7 @@
 
 namespace emulator {
 
-constexpr size_t kStack = 1 << 18;
+constexpr size_t kStackBytes = 1 << 18;
 
 #if defined(__x86_64__)
 using Context = void*;
@@ -38,8 +38,8 @@ emulator_switch:
 )");
 inline void switch_context(Context& from, Context& to) { emulator_switch(&from, to); }
 inline void make_context(Context& context, char* stack, void (*run)()) {
-    void** top = reinterpret_cast<void**>(reinterpret_cast<uintptr_t>(stack + kStack) & ~uintptr_t{15});
-    *--top = nullptr;  // keeps the stack aligned as after a call
+    void** top = reinterpret_cast<void**>(reinterpret_cast<uintptr_t>(stack + kStackBytes) & ~uintptr_t{15});
+    *--top = nullptr;  // aligns the stack as after a call
     *--top = reinterpret_cast<void*>(run);
     for (int saved = 0; saved < 6; ++saved) *--top = nullptr;
     context = top;
@@ -50,7 +50,7 @@ inline void switch_context(Context& from, Context& to) { swapcontext(&from, &to)
 inline void make_context(Context& context, char* stack, void (*run)()) {
     getcontext(&context);
     context.uc_stack.ss_sp = stack;
-    context.uc_stack.ss_size = kStack;
+    context.uc_stack.ss_size = kStackBytes;
     context.uc_link = nullptr;
     makecontext(&context, run, 0);
 }

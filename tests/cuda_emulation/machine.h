@@ -1,11 +1,10 @@
-// Runs a CUDA kernel on the CPU, from the same source that a GPU's compiler gets: each thread of a block is a fiber,
-// and the blocks follow one another. Barriers and what the lanes of a warp do together hand control back until all who
-// take part have come. Threads and blocks run forwards, backwards or in an order drawn anew each time: a result that
-// differs between orders shows a missing barrier. What no machine could run well-defined ends the launch with a
-// message: threads of a block at different barriers, a lane that others wait for and that has ended, or that does
-// something else.
+// Runs a CUDA kernel on the CPU, from the same source as the compiler of a GPU: each thread of a block is a fiber, and
+// the blocks run one after the other. Barriers and warp operations yield control until all participants have arrived.
+// Threads and blocks run forwards, backwards or in a new random order each time: if a result depends on the order, a
+// barrier is missing. Undefined behaviour ends the launch with a message: threads of a block at different barriers, or
+// a lane that other lanes wait for and that has ended or executes another operation.
 //
-// It shows neither the memory model nor what lanes in lockstep would do, neither registers nor speed.
+// It emulates neither the memory model nor lanes in lockstep, registers or speed.
 #pragma once
 
 #include <cstdint>
@@ -28,28 +27,28 @@ static dim3 threadIdx, blockIdx, blockDim, gridDim;
 namespace emulator {
 
 constexpr unsigned kWarpSize = 32;
-constexpr unsigned kMostThreads = 1024;  // of a block
+constexpr unsigned kMaxThreads = 1024;  // per block
 
 // ---- threads
 
 enum class State { kReady, kAtBlock, kAtWarp, kEnded };
-enum class Together { kSync, kShuffle, kBallot, kAdd, kMatch };
+enum class WarpOperation { kSync, kShuffle, kBallot, kAdd, kMatch };
 
 struct Thread {
     Context context;
     char* stack = nullptr;
     void* fake_stack = nullptr;
     State state = State::kReady;
-    int line = 0;  // of the barrier at which it waits
-    // What it does together with its warp: as asked, and the answer.
-    Together kind = Together::kSync;
+    int line = 0;  // of the barrier or warp operation at which it waits
+    // The warp operation: its arguments and its result.
+    WarpOperation kind = WarpOperation::kSync;
     unsigned mask = 0, source = 0;
-    uint64_t value = 0, answer = 0;
+    uint64_t value = 0, result = 0;
 };
 
 struct Machine {
-    Thread threads[kMostThreads];
-    unsigned count = 0;  // of them
+    Thread threads[kMaxThreads];
+    unsigned count = 0;  // of threads
     Context scheduler;
     void* fake_stack = nullptr;
     const void* bottom = nullptr;  // of the scheduler's stack
@@ -71,12 +70,12 @@ void fail(const char* format, Parts... parts) {
     machine.failed = true;
 }
 
-inline void to_scheduler(bool for_ever) {
+inline void to_scheduler(bool ended) {
     Thread& thread = machine.threads[machine.running];
 #if defined(__SANITIZE_ADDRESS__)
-    __sanitizer_start_switch_fiber(for_ever ? nullptr : &thread.fake_stack, machine.bottom, machine.size);
+    __sanitizer_start_switch_fiber(ended ? nullptr : &thread.fake_stack, machine.bottom, machine.size);
 #endif
-    (void)for_ever;
+    (void)ended;
     switch_context(thread.context, machine.scheduler);
 #if defined(__SANITIZE_ADDRESS__)
     __sanitizer_finish_switch_fiber(thread.fake_stack, &machine.bottom, &machine.size);
@@ -98,7 +97,7 @@ inline void resume(unsigned number) {
     machine.running = number;
     threadIdx.x = number;
 #if defined(__SANITIZE_ADDRESS__)
-    __sanitizer_start_switch_fiber(&machine.fake_stack, thread.stack, kStack);
+    __sanitizer_start_switch_fiber(&machine.fake_stack, thread.stack, kStackBytes);
 #endif
     switch_context(machine.scheduler, thread.context);
 #if defined(__SANITIZE_ADDRESS__)
@@ -114,10 +113,10 @@ inline uint64_t block_barrier(uint64_t value, int line) {
     thread.line = line;
     thread.value = value;
     to_scheduler(false);
-    return thread.answer;
+    return thread.result;
 }
 
-inline uint64_t together(Together kind, unsigned mask, uint64_t value, unsigned source, int line) {
+inline uint64_t warp_operation(WarpOperation kind, unsigned mask, uint64_t value, unsigned source, int line) {
     Thread& thread = machine.threads[machine.running];
     const unsigned lane = machine.running % kWarpSize;
     if ((mask >> lane & 1u) == 0)
@@ -129,54 +128,55 @@ inline uint64_t together(Together kind, unsigned mask, uint64_t value, unsigned 
     thread.value = value;
     thread.source = source;
     to_scheduler(false);
-    return thread.answer;
+    return thread.result;
 }
 
-// Lets a warp go on whose lanes have all come to where `thread` waits.
+// Resumes a warp if all lanes that take part in the operation of thread `number` have arrived.
 inline void release_warp(unsigned number) {
-    const Thread& asked = machine.threads[number];
-    if (asked.state != State::kAtWarp) return;
+    const Thread& caller = machine.threads[number];
+    if (caller.state != State::kAtWarp) return;
     const unsigned first = number - number % kWarpSize;
     Thread* lanes = &machine.threads[first];
     const unsigned count = machine.count - first < kWarpSize ? machine.count - first : kWarpSize;
     unsigned ballot = 0;
     uint64_t sum = 0;
     for (unsigned lane = 0; lane < count; ++lane) {
-        if ((asked.mask >> lane & 1u) == 0) continue;
+        if ((caller.mask >> lane & 1u) == 0) continue;
         const Thread& other = lanes[lane];
         if (other.state == State::kEnded)
-            return fail("thread %u waits for lane %u of its warp, which has ended (line %d)", number, lane, asked.line);
+            return fail("thread %u waits for lane %u of its warp, which has ended (line %d)", number, lane,
+                        caller.line);
         if (other.state != State::kAtWarp) return;
-        if (other.mask != asked.mask || other.kind != asked.kind || other.line != asked.line)
+        if (other.mask != caller.mask || other.kind != caller.kind || other.line != caller.line)
             return fail("divergent warp: thread %u is at line %d with mask %08x, thread %u at line %d with mask %08x",
-                        number, asked.line, asked.mask, first + lane, other.line, other.mask);
+                        number, caller.line, caller.mask, first + lane, other.line, other.mask);
         if (other.value != 0) ballot |= 1u << lane;
         sum += other.value;
     }
     for (unsigned lane = 0; lane < count; ++lane) {
-        if ((asked.mask >> lane & 1u) == 0) continue;
+        if ((caller.mask >> lane & 1u) == 0) continue;
         Thread& mine = lanes[lane];
-        if (mine.kind == Together::kShuffle) {
+        if (mine.kind == WarpOperation::kShuffle) {
             const unsigned source =
                 mine.source < count && (mine.mask >> mine.source & 1u) != 0 ? mine.source : kWarpSize;
             if (source == kWarpSize)
                 return fail("thread %u reads a lane that takes no part (line %d)", first + lane, mine.line);
-            mine.answer = lanes[source].value;
-        } else if (mine.kind == Together::kBallot) {
-            mine.answer = ballot;
-        } else if (mine.kind == Together::kAdd) {
-            mine.answer = sum;
-        } else if (mine.kind == Together::kMatch) {
-            mine.answer = 0;
+            mine.result = lanes[source].value;
+        } else if (mine.kind == WarpOperation::kBallot) {
+            mine.result = ballot;
+        } else if (mine.kind == WarpOperation::kAdd) {
+            mine.result = sum;
+        } else if (mine.kind == WarpOperation::kMatch) {
+            mine.result = 0;
             for (unsigned other = 0; other < count; ++other)
-                if ((mine.mask >> other & 1u) != 0 && lanes[other].value == mine.value) mine.answer |= 1u << other;
+                if ((mine.mask >> other & 1u) != 0 && lanes[other].value == mine.value) mine.result |= 1u << other;
         }
     }
     for (unsigned lane = 0; lane < count; ++lane)
-        if ((asked.mask >> lane & 1u) != 0) lanes[lane].state = State::kReady;
+        if ((caller.mask >> lane & 1u) != 0) lanes[lane].state = State::kReady;
 }
 
-// Lets a block go on whose threads have all come to one barrier.
+// Resumes a block if all of its threads have arrived at one barrier.
 inline void release_block() {
     const Thread& first = machine.threads[0];
     uint64_t count = 0;
@@ -189,10 +189,10 @@ inline void release_block() {
             return fail("divergent barrier: thread 0 is at line %d, thread %u at line %d", first.line, i,
                         machine.threads[i].line);
     for (unsigned i = 0; i < machine.count; ++i)
-        machine.threads[i].answer = count, machine.threads[i].state = State::kReady;
+        machine.threads[i].result = count, machine.threads[i].state = State::kReady;
 }
 
-// Nobody can go on: who waits where.
+// Reports a deadlock: two threads and where each of them waits.
 inline void fail_stuck() {
     unsigned waiting = 0, other = 0;
     const auto& threads = machine.threads;
@@ -219,7 +219,7 @@ struct Shuffler {
         z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
         return z ^ (z >> 31);
     }
-    void arrange(unsigned* numbers, unsigned count) {
+    void shuffle(unsigned* numbers, unsigned count) {
         for (unsigned i = 0; i < count; ++i) numbers[i] = order == kReverse ? count - 1 - i : i;
         if (order != kRandom) return;
         for (unsigned i = count; i > 1; --i) {
@@ -230,31 +230,31 @@ struct Shuffler {
     }
 };
 
-// What blocks share is a static in a section of its own, which is spoilt before each block: floats are no numbers,
-// whole numbers -1. Sanitizers want plain statics, to guard their ends.
+// Shared memory is a static variable in its own section, which is overwritten before each block: floats become NaN,
+// integers -1. Sanitizers need ordinary statics to guard their bounds.
 #if !defined(__SANITIZE_ADDRESS__)
 extern "C" char __start_emulated_shared[] __attribute__((weak, visibility("hidden")));
 extern "C" char __stop_emulated_shared[] __attribute__((weak, visibility("hidden")));
-inline void spoil_shared() {
+inline void overwrite_shared() {
     if (__start_emulated_shared != nullptr)
         std::memset(__start_emulated_shared, 0xff,
                     static_cast<size_t>(__stop_emulated_shared - __start_emulated_shared));
 }
 #else
-inline void spoil_shared() {}
+inline void overwrite_shared() {}
 #endif
 
 inline void run_block(Shuffler& shuffler) {
-    spoil_shared();
+    overwrite_shared();
     Thread* threads = machine.threads;
     for (unsigned i = 0; i < machine.count; ++i) {
         threads[i].state = State::kReady;
         make_context(threads[i].context, threads[i].stack, run_thread);
     }
-    unsigned numbers[kMostThreads];
+    unsigned numbers[kMaxThreads];
     for (bool moved = true; moved && !machine.failed;) {
         moved = false;
-        shuffler.arrange(numbers, machine.count);
+        shuffler.shuffle(numbers, machine.count);
         for (unsigned i = 0; i < machine.count; ++i) {
             const unsigned number = numbers[i];
             if (threads[number].state != State::kReady) continue;
@@ -271,10 +271,10 @@ inline void run_block(Shuffler& shuffler) {
 
 inline int run(void (*call)(), unsigned blocks, unsigned threads, int order, uint64_t seed, char* message,
                size_t room) {
-    if (threads > kMostThreads) std::abort();
-    char* stacks = static_cast<char*>(std::malloc(kStack * threads));
+    if (threads > kMaxThreads) std::abort();
+    char* stacks = static_cast<char*>(std::malloc(kStackBytes * threads));
     unsigned* numbers = static_cast<unsigned*>(std::malloc(sizeof(unsigned) * blocks));
-    for (unsigned i = 0; i < threads; ++i) machine.threads[i].stack = stacks + kStack * i;
+    for (unsigned i = 0; i < threads; ++i) machine.threads[i].stack = stacks + kStackBytes * i;
     machine.count = threads;
     machine.call = call;
     machine.message = message;
@@ -282,7 +282,7 @@ inline int run(void (*call)(), unsigned blocks, unsigned threads, int order, uin
     machine.failed = false;
     gridDim.x = blocks, blockDim.x = threads;
     Shuffler shuffler{order, seed};
-    shuffler.arrange(numbers, blocks);
+    shuffler.shuffle(numbers, blocks);
     for (unsigned i = 0; i < blocks && !machine.failed; ++i) {
         blockIdx.x = numbers[i];
         run_block(shuffler);

@@ -1,4 +1,4 @@
-"""The same photographs give the same bits: on one CPU and on all, on few threads and many, beside busy processes."""
+"""The same photographs give the same bits: on one CPU or all, with few threads or many, beside busy processes."""
 
 import pytest
 import textured_corner as corner

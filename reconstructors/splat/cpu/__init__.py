@@ -1,4 +1,4 @@
-"""The rasterizer on the CPU: compiled loops, the same bits at any thread count and on every instruction set."""
+"""The rasterizer on the CPU: compiled loops with bit-identical results for any thread count and instruction set."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from reconstructors.splat.cpu import _rasterizer
-from reconstructors.splat.interface import Drawn, GaussianTensors, ImageLoss, Pulled
+from reconstructors.splat.interface import GaussianTensors, Gradients, ImageLoss, RasterOutput
 from reconstructors.splat.view import View
 
 if TYPE_CHECKING:
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class CpuRasterizer:
-    """See `reconstructors.splat.interface.Rasterizer`. Tensors are float32, contiguous and on the CPU.
+    """Implements `reconstructors.splat.interface.Rasterizer`. Tensors are float32, contiguous and on the CPU.
 
-    It holds, from one view to the next, some 100 bytes a Gaussian, 32 for each Gaussian in each tile of 16 x 16 pixels
-    that it touches, and for the derivatives 44 more of those (68 with geometry).
+    From one view to the next it keeps about 100 bytes per Gaussian and 32 bytes for each Gaussian in each tile of 16 x
+    16 pixels that it touches; the gradients add 44 bytes to the latter (68 with geometry).
     """
 
     def __init__(self) -> None:
@@ -33,8 +33,8 @@ class CpuRasterizer:
         *,
         geometry: bool,
         gradient: bool = True,
-    ) -> Drawn:
-        """The image; the tensors must stay as they are until `backward`, which may always follow: it needs no more."""
+    ) -> RasterOutput:
+        """Render the Gaussians; the tensors must stay unchanged until `backward`, which may always follow."""
         size = (view.height, view.width)
         new = gaussians.means.new_empty
         color, transmittance = new((*size, 3)), new(size)
@@ -58,7 +58,7 @@ class CpuRasterizer:
             _array(median_depth),
         )
         self._shape = tuple(gaussians.sh.shape)
-        return Drawn(color, transmittance, depth, normal, median_depth)
+        return RasterOutput(color, transmittance, depth, normal, median_depth)
 
     def backward(
         self,
@@ -67,17 +67,17 @@ class CpuRasterizer:
         depth: Tensor | None,
         normal: Tensor | None,
         error: Tensor | None,
-    ) -> Pulled:
-        """The derivatives of what `forward` drew last."""
+    ) -> Gradients:
+        """Return the gradients of the last rendering."""
         import torch
 
         count = self._compiled.drawn
         shapes = [(count, *rest) for rest in ((3,), (4,), (3,), (), self._shape[1:], (2,), (), ())]
-        pulled = Pulled(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
+        gradients = Gradients(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
         self._compiled.backward(
-            *map(_array, (color, transmittance, depth, normal, error)), *(_array(tensor) for tensor in pulled)
+            *map(_array, (color, transmittance, depth, normal, error)), *(_array(tensor) for tensor in gradients)
         )
-        return pulled
+        return gradients
 
 
 Rasterizer = CpuRasterizer  # the name in `reconstructors.splat.interface.Kernels`
@@ -85,7 +85,7 @@ morton_order = None
 
 
 def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
-    """See `reconstructors.splat.reference.image_loss`, in float32."""
+    """Compute the loss of `reconstructors.splat.reference.image_loss` in float32."""
     import torch
 
     gradient = torch.empty_like(image)
@@ -104,10 +104,18 @@ def adam(
     betas: tuple[float, float] = (0.9, 0.999),
     eps: float = 1e-15,
 ) -> None:
-    """One step of Adam, in place, on the rows `ids` (rising) of parameters (N, D) and their moments; other rows stay.
+    """Apply one step of Adam, in place, to the rows `ids` of parameters (N, D) and their moments; other rows stay.
 
     Args:
-        learning_rate: of all columns, or of each (D,).
+        parameters: (N, D) parameters.
+        first: (N, D) first moments.
+        second: (N, D) second moments.
+        gradient: (V, D) gradient of the rows.
+        ids: (V,) indices of the rows, ascending.
+        learning_rate: one for all columns, or one per column (D,).
+        step: number of steps from 1, for all rows together.
+        betas: decay rates of the two moments.
+        eps: added to the denominator.
     """
     import torch
 
@@ -127,5 +135,5 @@ def adam(
 
 
 def _array(tensor: Tensor | None) -> Any:
-    """The same memory as numpy sees it."""
+    """Return a numpy view of the tensor's memory."""
     return None if tensor is None else tensor.detach().numpy()

@@ -12,38 +12,36 @@ def isa() -> str:
     """The instruction set in use: baseline, avx2 or avx512."""
 
 class Rasterizer:
-    """
-    Renderings and their derivatives, one after another in the same memory.
-    """
+    """Renders Gaussians and computes gradients; the buffers are reused."""
 
     def __init__(self) -> None: ...
 
     def forward(self, means: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quaternions: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], scales: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], opacities: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], harmonics: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], rotation: Annotated[NDArray[numpy.float32], dict(shape=(3, 3), order='C', device='cpu', writable=False)], position: Annotated[NDArray[numpy.float32], dict(shape=(3), order='C', device='cpu', writable=False)], pinhole: Annotated[NDArray[numpy.float32], dict(shape=(4), order='C', device='cpu', writable=False)], limits: Annotated[NDArray[numpy.float32], dict(shape=(4), order='C', device='cpu', writable=False)], nearest: float, background: Annotated[NDArray[numpy.float32], dict(shape=(3), order='C', device='cpu', writable=False)], color: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu')], transmittance: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')] | None, normal: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu')] | None, median_depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')] | None) -> None:
         """
-        Fills the pictures. pinhole: fx, fy, cx, cy; limits: left, right, top, bottom of x / z and y / z.
+        Renders the images. pinhole: fx, fy, cx, cy; limits: left, right, top, bottom of x / z and y / z.
         """
 
-    def backward(self, by_color: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], by_transmittance: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, by_depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, by_normal: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)] | None, error: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, ids: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], means: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], quaternions: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], scales: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], opacities: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], harmonics: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu')], screen: Annotated[NDArray[numpy.float32], dict(shape=(None, 2), order='C', device='cpu')], weight: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], error_seen: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    def backward(self, grad_color: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], grad_transmittance: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, by_depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, grad_normal: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)] | None, error: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, ids: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], means: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], quaternions: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], scales: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], opacities: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], harmonics: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu')], screen: Annotated[NDArray[numpy.float32], dict(shape=(None, 2), order='C', device='cpu')], weight: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], error_seen: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')]) -> None:
         """
-        Fills the derivatives by the Gaussians that the last forward pass drew, a row for each.
+        Computes the gradients with respect to the Gaussians of the last forward pass, one row for each.
         """
 
     @property
     def drawn(self) -> int:
-        """How many Gaussians the last forward pass drew."""
+        """Number of Gaussians that the last forward pass drew."""
 
     @property
     def instances(self) -> int:
-        """Pairs of a Gaussian and a tile that it touches."""
+        """Number of pairs of a Gaussian and a tile that it touches."""
 
     @property
     def bytes(self) -> int:
-        """Memory held."""
+        """Size of the buffers in bytes."""
 
 def image_loss(image: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], target: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], ssim_weight: float, gradient: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 3), order='C', device='cpu')]) -> tuple[float, float]:
     """
-    Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).
+    Mean absolute difference and mean SSIM; writes the gradient of (1 - w) L1 + w (1 - SSIM).
     """
 
 def adam(parameters: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], first: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], second: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu')], gradient: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], rates: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], step: int, beta1: float, beta2: float, epsilon: float) -> None:
-    """One step of Adam on the given rows, in place."""
+    """One step of Adam on some rows, in place."""

@@ -1,10 +1,10 @@
-// From splats to pixels and back, a tile at a time, a block of 4 x 4 pixels being one SIMD vector.
+// Blending of splats and its gradient, a tile at a time; a block of 4 x 4 pixels is one SIMD vector.
 #pragma once
 #include "rows.h"
 
 namespace PCB_SPACE {
 
-// Offsets of a block's pixels from its first.
+// Offsets of a block's pixels from its first pixel.
 inline Floats pixels_across() {
     static const float kAcross[kLanes] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
     return load(kAcross);
@@ -14,7 +14,7 @@ inline Floats pixels_down() {
     return load(kDown);
 }
 
-// A splat as it is stored, the same in every lane.
+// A stored splat, broadcast to all lanes.
 inline Splat<Floats> splat_at(const float* s) {
     return {Floats(s[0]),
             Floats(s[1]),
@@ -29,12 +29,12 @@ inline Splat<Floats> splat_at(const float* s) {
             {Floats(s[12]), Floats(s[13]), Floats(s[14])}};
 }
 
-// Where a tile's block lies, and which of its pixels are in the picture.
-struct Place {
+// The position of a block of a tile, and a bit for each of its pixels inside the image.
+struct BlockArea {
     int x, y;
     unsigned inside;
 };
-inline Place place_of(const Frame& frame, int tile, int block) {
+inline BlockArea block_area(const Frame& frame, int tile, int block) {
     const int x = tile % frame.tiles_across * kTile + block % kBlocksAcross * kBlock;
     const int y = tile / frame.tiles_across * kTile + block / kBlocksAcross * kBlock;
     unsigned inside = 0;
@@ -44,89 +44,89 @@ inline Place place_of(const Frame& frame, int tile, int block) {
     return {x, y, inside};
 }
 
-// Calls each(lane, pixel) for the pixels of a block that are in the picture.
-template <class Each>
-inline void for_pixels(const Frame& frame, const Place& place, Each each) {
-    for (unsigned left = place.inside; left != 0; left &= left - 1) {
-        const int lane = __builtin_ctz(left);
-        each(lane, static_cast<size_t>(place.y + lane / kBlock) * frame.pinhole.width + place.x + lane % kBlock);
+// Calls visit(lane, pixel) for the pixels of a block inside the image.
+template <class Visit>
+inline void for_pixels(const Frame& frame, const BlockArea& area, Visit visit) {
+    for (unsigned lanes = area.inside; lanes != 0; lanes &= lanes - 1) {
+        const int lane = __builtin_ctz(lanes);
+        visit(lane, static_cast<size_t>(area.y + lane / kBlock) * frame.pinhole.width + area.x + lane % kBlock);
     }
 }
 
-inline void write_pixels(const Frame& frame, const Place& place, float* picture, int channels, int channel, Floats v) {
+inline void write_pixels(const Frame& frame, const BlockArea& area, float* image, int channels, int channel, Floats v) {
     float all[kLanes];
     store(all, v);
-    for_pixels(frame, place, [&](int lane, size_t pixel) { picture[channels * pixel + channel] = all[lane]; });
+    for_pixels(frame, area, [&](int lane, size_t pixel) { image[channels * pixel + channel] = all[lane]; });
 }
-inline Floats read_pixels(const Frame& frame, const Place& place, const float* picture, int channels, int channel) {
+inline Floats read_pixels(const Frame& frame, const BlockArea& area, const float* image, int channels, int channel) {
     float all[kLanes] = {};
-    if (picture != nullptr)
-        for_pixels(frame, place, [&](int lane, size_t pixel) { all[lane] = picture[channels * pixel + channel]; });
+    if (image != nullptr)
+        for_pixels(frame, area, [&](int lane, size_t pixel) { all[lane] = image[channels * pixel + channel]; });
     return load(all);
 }
 
-// What a block shows of a splat: its whitened coordinates, and the alpha before it is held.
-struct Seen {
+// A splat at the pixels of a block: whitened coordinates, and alpha before clamping.
+struct SplatSample {
     Floats u, v, alpha;
 };
-inline Seen seen_of(const Splat<Floats>& s, Floats x, Floats y) {
+inline SplatSample sample_splat(const Splat<Floats>& s, Floats x, Floats y) {
     const Floats dx = x - s.x, dy = y - s.y;
     const Floats u = fused(s.uu, dx, s.uv * dy), v = s.vv * dy;
     return {u, v, alpha_at(s.level, u, v)};
 }
 
 template <bool kGeometry>
-inline void blend_block(const Frame& frame, const Place& place, const float* splats, const uint32_t* listed,
+inline void blend_block(const Frame& frame, const BlockArea& area, const float* splats, const uint32_t* indices,
                         int count) {
-    const Floats x = pixels_across() + Floats(static_cast<float>(place.x) + 0.5f);
-    const Floats y = pixels_down() + Floats(static_cast<float>(place.y) + 0.5f);
+    const Floats x = pixels_across() + Floats(static_cast<float>(area.x) + 0.5f);
+    const Floats y = pixels_down() + Floats(static_cast<float>(area.y) + 0.5f);
     const Floats zero = Floats(0.0f), half = Floats(0.5f);
-    const Floats least = Floats(kLeastAlpha), most = Floats(kMostAlpha), end = Floats(kLeastTransmittance);
+    const Floats least = Floats(kMinAlpha), most = Floats(kMaxAlpha), end = Floats(kMinTransmittance);
     Vec<Floats> color = {zero, zero, zero}, normal = {zero, zero, zero};
-    Floats left = Floats(1.0f), depth = zero, median = zero;
-    Mask going = zero < left;
+    Floats transmittance = Floats(1.0f), depth = zero, median = zero;
+    Mask active = zero < transmittance;
     for (int n = 0; n < count; ++n) {
-        const Splat<Floats> s = splat_at(splats + kSplatFloats * static_cast<size_t>(listed[n]));
-        const Seen seen = seen_of(s, x, y);
-        const Floats alpha = lesser(seen.alpha, most);
-        const Floats next = fused(-left, alpha, left);
-        Mask counts = going & (least <= alpha);
+        const Splat<Floats> s = splat_at(splats + kSplatFloats * static_cast<size_t>(indices[n]));
+        const SplatSample sample = sample_splat(s, x, y);
+        const Floats alpha = lesser(sample.alpha, most);
+        const Floats next = fused(-transmittance, alpha, transmittance);
+        Mask counts = active & (least <= alpha);
         const Mask ends = counts & (next < end);
-        going = going & ~ends;
+        active = active & ~ends;
         counts = counts & ~ends;
-        const Floats weight = select(counts, left * alpha, zero);
+        const Floats weight = select(counts, transmittance * alpha, zero);
         color = fused(weight, s.color, color);
         if (kGeometry) {
-            const Floats plane = fused(s.depth_u, seen.u, fused(s.depth_v, seen.v, s.depth));
+            const Floats plane = fused(s.depth_u, sample.u, fused(s.depth_v, sample.v, s.depth));
             depth = fused(weight, plane, depth);
             normal = fused(weight, s.normal, normal);
-            median = select(counts & (half <= left) & (next < half), plane, median);
+            median = select(counts & (half <= transmittance) & (next < half), plane, median);
         }
-        left = select(counts, next, left);
-        if (bits(going) == 0) break;
+        transmittance = select(counts, next, transmittance);
+        if (bits(active) == 0) break;
     }
-    const Pictures& out = frame.pictures;
-    write_pixels(frame, place, out.transmittance, 1, 0, left);
-    write_pixels(frame, place, out.color, 3, 0, fused(left, Floats(frame.background[0]), color.x));
-    write_pixels(frame, place, out.color, 3, 1, fused(left, Floats(frame.background[1]), color.y));
-    write_pixels(frame, place, out.color, 3, 2, fused(left, Floats(frame.background[2]), color.z));
+    const Images& out = frame.images;
+    write_pixels(frame, area, out.transmittance, 1, 0, transmittance);
+    write_pixels(frame, area, out.color, 3, 0, fused(transmittance, Floats(frame.background[0]), color.x));
+    write_pixels(frame, area, out.color, 3, 1, fused(transmittance, Floats(frame.background[1]), color.y));
+    write_pixels(frame, area, out.color, 3, 2, fused(transmittance, Floats(frame.background[2]), color.z));
     if (kGeometry) {
-        write_pixels(frame, place, out.depth, 1, 0, depth);
-        write_pixels(frame, place, out.median_depth, 1, 0, median);
-        write_pixels(frame, place, out.normal, 3, 0, normal.x);
-        write_pixels(frame, place, out.normal, 3, 1, normal.y);
-        write_pixels(frame, place, out.normal, 3, 2, normal.z);
+        write_pixels(frame, area, out.depth, 1, 0, depth);
+        write_pixels(frame, area, out.median_depth, 1, 0, median);
+        write_pixels(frame, area, out.normal, 3, 0, normal.x);
+        write_pixels(frame, area, out.normal, 3, 1, normal.y);
+        write_pixels(frame, area, out.normal, 3, 2, normal.z);
     }
 }
 
-// A tile's splats lie anywhere in memory: they are asked for some instances before they are needed.
+// A tile's splats are scattered in memory: they are prefetched some instances ahead.
 inline void fetch_ahead(const Frame& frame, const Instance* instance) {
     constexpr int kAhead = 8;
     if (instance + kAhead < frame.instances + frame.starts[frame.tiles_across * frame.tiles_down])
         __builtin_prefetch(frame.splats + kSplatFloats * static_cast<size_t>(instance[kAhead].slot));
 }
 
-inline void blend_tile(const Frame& frame, int tile, float* splats, uint32_t* listed) {
+inline void blend_tile(const Frame& frame, int tile, float* splats, uint32_t* indices) {
     const Instance* instances = frame.instances + frame.starts[tile];
     const uint32_t count = frame.starts[tile + 1] - frame.starts[tile];
     for (uint32_t n = 0; n < count; ++n) {
@@ -135,72 +135,72 @@ inline void blend_tile(const Frame& frame, int tile, float* splats, uint32_t* li
               load(frame.splats + kSplatFloats * static_cast<size_t>(instances[n].slot)));
     }
     for (int block = 0; block < kTileBlocks; ++block) {
-        const Place place = place_of(frame, tile, block);
-        if (place.inside == 0) continue;
+        const BlockArea area = block_area(frame, tile, block);
+        if (area.inside == 0) continue;
         int touching = 0;
         for (uint32_t n = 0; n < count; ++n) {
-            listed[touching] = n;
+            indices[touching] = n;
             touching += static_cast<int>(instances[n].blocks >> block & 1u);
         }
         if (frame.geometry)
-            blend_block<true>(frame, place, splats, listed, touching);
+            blend_block<true>(frame, area, splats, indices, touching);
         else
-            blend_block<false>(frame, place, splats, listed, touching);
+            blend_block<false>(frame, area, splats, indices, touching);
     }
 }
 
-// What the derivative knows of a block: as far as it has come along the rays, and what its pixels ask for.
+// State of a block's rays in the backward pass, and the gradients with respect to its pixels.
 struct Rays {
     Floats x, y;
-    Floats left;    // transmittance; 0 where the ray has ended
-    Floats behind;  // see add_pixel
-    PixelGradient<Floats> by;
+    Floats transmittance;  // 0 after the ray has ended
+    Floats behind;         // see add_pixel
+    PixelGradient<Floats> grad;
     Floats error;
 };
 
 template <bool kGeometry>
-inline Rays rays_of(const Frame& frame, const PictureGradients& by, const Place& place) {
-    const Pictures& shown = frame.pictures;
-    const auto read = [&](const float* picture, int channels, int channel) {
-        return read_pixels(frame, place, picture, channels, channel);
+inline Rays rays_of(const Frame& frame, const ImageGradients& grad, const BlockArea& area) {
+    const Images& images = frame.images;
+    const auto read = [&](const float* image, int channels, int channel) {
+        return read_pixels(frame, area, image, channels, channel);
     };
-    const auto read_vector = [&](const float* picture) {
-        return Vec<Floats>{read(picture, 3, 0), read(picture, 3, 1), read(picture, 3, 2)};
+    const auto read_vector = [&](const float* image) {
+        return Vec<Floats>{read(image, 3, 0), read(image, 3, 1), read(image, 3, 2)};
     };
     const Floats zero = Floats(0.0f);
     Rays r;
-    r.x = pixels_across() + Floats(static_cast<float>(place.x) + 0.5f);
-    r.y = pixels_down() + Floats(static_cast<float>(place.y) + 0.5f);
+    r.x = pixels_across() + Floats(static_cast<float>(area.x) + 0.5f);
+    r.y = pixels_down() + Floats(static_cast<float>(area.y) + 0.5f);
     float inside[kLanes];
-    for (int i = 0; i < kLanes; ++i) inside[i] = static_cast<float>(place.inside >> i & 1u);
-    r.left = load(inside);
-    r.by.color = read_vector(by.color);
-    r.error = read(by.error, 1, 0);
-    r.behind =
-        fused(read(shown.transmittance, 1, 0), read(by.transmittance, 1, 0), dot(read_vector(shown.color), r.by.color));
-    r.by.depth = zero;
-    r.by.normal = {zero, zero, zero};
+    for (int i = 0; i < kLanes; ++i) inside[i] = static_cast<float>(area.inside >> i & 1u);
+    r.transmittance = load(inside);
+    r.grad.color = read_vector(grad.color);
+    r.error = read(grad.error, 1, 0);
+    r.behind = fused(read(images.transmittance, 1, 0), read(grad.transmittance, 1, 0),
+                     dot(read_vector(images.color), r.grad.color));
+    r.grad.depth = zero;
+    r.grad.normal = {zero, zero, zero};
     if (kGeometry) {
-        r.by.depth = read(by.depth, 1, 0);
-        r.by.normal = read_vector(by.normal);
-        r.behind = fused(read(shown.depth, 1, 0), r.by.depth, r.behind);
-        r.behind = r.behind + dot(read_vector(shown.normal), r.by.normal);
+        r.grad.depth = read(grad.depth, 1, 0);
+        r.grad.normal = read_vector(grad.normal);
+        r.behind = fused(read(images.depth, 1, 0), r.grad.depth, r.behind);
+        r.behind = r.behind + dot(read_vector(images.normal), r.grad.normal);
     }
     return r;
 }
 
 template <bool kGeometry>
-inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& by, int tile, float* moments) {
+inline void blend_tile_gradient_of(const Frame& frame, const ImageGradients& grad, int tile, float* moments) {
     Rays rays[kTileBlocks];
-    unsigned going = 0;
+    unsigned active = 0;
     for (int block = 0; block < kTileBlocks; ++block) {
-        const Place place = place_of(frame, tile, block);
-        if (place.inside == 0) continue;
-        rays[block] = rays_of<kGeometry>(frame, by, place);
-        going |= 1u << block;
+        const BlockArea area = block_area(frame, tile, block);
+        if (area.inside == 0) continue;
+        rays[block] = rays_of<kGeometry>(frame, grad, area);
+        active |= 1u << block;
     }
     const Floats zero = Floats(0.0f), one = Floats(1.0f);
-    const Floats least = Floats(kLeastAlpha), most = Floats(kMostAlpha), end = Floats(kLeastTransmittance);
+    const Floats least = Floats(kMinAlpha), most = Floats(kMaxAlpha), end = Floats(kMinTransmittance);
     constexpr int kWidth = kGeometry ? kMomentFloats : kPlainMomentFloats;
     for (uint32_t n = frame.starts[tile]; n < frame.starts[tile + 1]; ++n) {
         const Instance& instance = frame.instances[n];
@@ -208,20 +208,21 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
         const Splat<Floats> s = splat_at(frame.splats + kSplatFloats * static_cast<size_t>(instance.slot));
         Moments<Floats> m = {
             zero, zero, zero, zero, zero, zero, {zero, zero, zero}, zero, zero, zero, zero, zero, {zero, zero, zero}};
-        for (unsigned blocks = instance.blocks & going; blocks != 0; blocks &= blocks - 1) {
+        for (unsigned blocks = instance.blocks & active; blocks != 0; blocks &= blocks - 1) {
             const int block = __builtin_ctz(blocks);
             Rays& r = rays[block];
-            const Seen seen = seen_of(s, r.x, r.y);
-            Floats alpha = lesser(seen.alpha, most);
-            const Floats next = fused(-r.left, alpha, r.left);
+            const SplatSample sample = sample_splat(s, r.x, r.y);
+            Floats alpha = lesser(sample.alpha, most);
+            const Floats next = fused(-r.transmittance, alpha, r.transmittance);
             Mask counts = least <= alpha;
             const Mask ends = counts & (next < end);
             counts = counts & ~ends;
             alpha = select(counts, alpha, zero);
-            const Floats free = select(seen.alpha < most, one, zero);
-            add_pixel<kGeometry>(s, seen.u, seen.v, alpha, free, r.left, r.by, r.error, r.behind, m);
-            r.left = select(ends, zero, select(counts, next, r.left));
-            if (bits(zero < r.left) == 0) going &= ~(1u << block);
+            const Floats unclamped = select(sample.alpha < most, one, zero);
+            add_pixel<kGeometry>(s, sample.u, sample.v, alpha, unclamped, r.transmittance, r.grad, r.error, r.behind,
+                                 m);
+            r.transmittance = select(ends, zero, select(counts, next, r.transmittance));
+            if (bits(zero < r.transmittance) == 0) active &= ~(1u << block);
         }
         float* out = moments + static_cast<size_t>(kWidth) * instance.emission;
         const Floats columns[kLanes] = {m.h,       m.hu,      m.hv,       m.huu,     m.huv,   m.hvv,
@@ -236,11 +237,11 @@ inline void blend_tile_gradient_of(const Frame& frame, const PictureGradients& b
     }
 }
 
-inline void blend_tile_gradient(const Frame& frame, const PictureGradients& by, int tile, float* moments) {
+inline void blend_tile_gradient(const Frame& frame, const ImageGradients& grad, int tile, float* moments) {
     if (frame.geometry)
-        blend_tile_gradient_of<true>(frame, by, tile, moments);
+        blend_tile_gradient_of<true>(frame, grad, tile, moments);
     else
-        blend_tile_gradient_of<false>(frame, by, tile, moments);
+        blend_tile_gradient_of<false>(frame, grad, tile, moments);
 }
 
 }  // namespace PCB_SPACE

@@ -1,5 +1,5 @@
-// What one rendering holds: the Gaussians, the camera, what of them is drawn where, and the pictures. Kernels get it
-// whole and work on a part of it each.
+// The data of one rendering: the Gaussians, the camera, the splats and their tiles, and the images. Each kernel gets
+// all of it and works on a part.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -13,12 +13,12 @@ constexpr int kBlock = 4;  // pixels along a side of a block, which is one SIMD 
 constexpr int kBlocksAcross = kTile / kBlock;
 constexpr int kTileBlocks = kBlocksAcross * kBlocksAcross;
 constexpr int kTilePixels = kTile * kTile;
-constexpr int kGroup = 256;             // Gaussians that are projected at once
-constexpr int kSplatFloats = 16;        // a splat in memory: a cache line
-constexpr int kPlainMomentFloats = 11;  // the sums over pixels of one Gaussian in one tile
+constexpr int kGroup = 256;             // Gaussians that are projected together
+constexpr int kSplatFloats = 16;        // of a stored splat: one cache line
+constexpr int kPlainMomentFloats = 11;  // sums over pixels of one Gaussian in one tile
 constexpr int kMomentFloats = 17;       // the same with geometry
 
-// The Gaussians, by rows.
+// The Gaussians, row-major.
 struct Model {
     int64_t count;
     const float *means, *quaternions, *scales, *opacities;
@@ -26,7 +26,8 @@ struct Model {
     int harmonic_count;
 };
 
-// A drawn splat: its place in the order of depth is a number of its own, its slot is where it is stored.
+// The tiles that the bounding box of a splat overlaps, inclusive. Splats are stored by slot, independent of depth
+// order.
 struct Box {
     int16_t left, top, right, bottom;  // tiles, inclusive
 };
@@ -34,21 +35,21 @@ struct Box {
 // One Gaussian in one tile.
 struct Instance {
     uint32_t slot;
-    uint32_t emission;  // where its sums over the tile's pixels are written
+    uint32_t emission;  // index at which its sums over the tile's pixels are written
     uint32_t blocks;    // a bit for each block of the tile that it may touch
 };
 
-struct Pictures {
+struct Images {
     float* color;          // (height, width, 3)
     float* transmittance;  // (height, width)
-    float* depth;          // those from here are null without geometry
+    float* depth;          // null without geometry, like those that follow
     float* normal;         // (height, width, 3)
     float* median_depth;
 };
 
-struct PictureGradients {  // by the pictures; null for zero
+struct ImageGradients {  // with respect to the images; null for zero
     const float *color, *transmittance, *depth, *normal;
-    const float* error;  // no derivative: what the error sums weigh
+    const float* error;  // not a gradient: the image that the error sums weight
 };
 
 struct Frame {
@@ -57,7 +58,7 @@ struct Frame {
     float background[3];
     int tiles_across, tiles_down;
     bool geometry;
-    // By slot: group g of kGroup Gaussians has the slots from g * kGroup on, of which drawn[g] are in use.
+    // By slot: group g of kGroup Gaussians has the slots from g * kGroup on, the first drawn[g] of which are in use.
     float* splats;
     float* depths;
     Box* boxes;
@@ -66,10 +67,10 @@ struct Frame {
     // By tile.
     const Instance* instances;
     const uint32_t* starts;  // (tiles + 1,)
-    Pictures pictures;
+    Images images;
 };
 
-// The derivatives by the drawn Gaussians, by rows in the order of their slots.
+// The gradients with respect to the drawn Gaussians, row-major in the order of their slots.
 struct ModelGradients {
     float *means, *quaternions, *scales, *opacities, *harmonics, *screen, *weight, *error;
 };

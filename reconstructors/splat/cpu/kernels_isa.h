@@ -1,5 +1,5 @@
-// Compiled once for each instruction set with its own flags (CMakeLists.txt) and its own namespace PCB_ISA, as the
-// search loops of pcbench/native/points are, and for the same reasons.
+// Compiled once for each instruction set with its own flags (CMakeLists.txt) and its own namespace PCB_ISA, like the
+// search loops of pcbench/native/points and for the same reasons.
 #pragma once
 #include "kernels.h"
 

@@ -1,4 +1,4 @@
-// Python's view of the Gaussian rasterizer on the CPU.
+// Python bindings of the Gaussian rasterizer on the CPU.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
@@ -19,12 +19,12 @@ using Rows2 = Out<float, nb::shape<-1, 2>>;
 using Rows3 = Out<float, nb::shape<-1, 3>>;
 using Rows4 = Out<float, nb::shape<-1, 4>>;
 using Values = Out<float, nb::shape<-1>>;
-using Picture = Out<float, nb::shape<-1, -1>>;
-using ColorPicture = Out<float, nb::shape<-1, -1, 3>>;
-using InPicture = In<float, nb::shape<-1, -1>>;
-using InColorPicture = In<float, nb::shape<-1, -1, 3>>;
+using Image = Out<float, nb::shape<-1, -1>>;
+using ColorImage = Out<float, nb::shape<-1, -1, 3>>;
+using InImage = In<float, nb::shape<-1, -1>>;
+using InColorImage = In<float, nb::shape<-1, -1, 3>>;
 
-constexpr int kMostPixels = 1 << 19;  // along a side: tiles are counted in 16 bits
+constexpr int kMaxSide = 1 << 19;  // pixels: tiles are counted in 16 bits
 
 template <typename Array>
 auto* data(std::optional<Array>& array) {
@@ -37,9 +37,8 @@ public:
                  In<float, nb::shape<-1, 3>> scales, In<float, nb::shape<-1>> opacities,
                  In<float, nb::shape<-1, -1, 3>> harmonics, In<float, nb::shape<3, 3>> rotation,
                  In<float, nb::shape<3>> position, In<float, nb::shape<4>> pinhole, In<float, nb::shape<4>> limits,
-                 float nearest, In<float, nb::shape<3>> background, ColorPicture color, Picture transmittance,
-                 std::optional<Picture> depth, std::optional<ColorPicture> normal,
-                 std::optional<Picture> median_depth) {
+                 float nearest, In<float, nb::shape<3>> background, ColorImage color, Image transmittance,
+                 std::optional<Image> depth, std::optional<ColorImage> normal, std::optional<Image> median_depth) {
         const size_t count = means.shape(0), bands = harmonics.shape(1);
         check(quaternions.shape(0) == count && scales.shape(0) == count && opacities.shape(0) == count &&
                   harmonics.shape(0) == count,
@@ -55,17 +54,18 @@ public:
         at.top = limits.data()[2], at.bottom = limits.data()[3];
         at.nearest = nearest;
         height_ = color.shape(0), width_ = color.shape(1);
-        check(height_ >= 1 && width_ >= 1 && height_ <= kMostPixels && width_ <= kMostPixels,
-              "expected a picture of 1 to 2^19 pixels a side");
+        check(height_ >= 1 && width_ >= 1 && height_ <= kMaxSide && width_ <= kMaxSide,
+              "expected an image of 1 to 2^19 pixels a side");
         at.height = static_cast<int>(height_), at.width = static_cast<int>(width_);
         const bool geometry = depth.has_value();
         check(normal.has_value() == geometry && median_depth.has_value() == geometry,
               "expected depth, normal and median_depth together");
-        check(sized(transmittance) && (!geometry || (sized(*depth) && sized(*normal) && sized(*median_depth))),
-              "expected pictures of one size");
-        // The derivative reads them again.
-        ready_ = false;
-        kept_ = {means, quaternions, scales, opacities, harmonics, color, transmittance, depth, normal};
+        check(has_size(transmittance) &&
+                  (!geometry || (has_size(*depth) && has_size(*normal) && has_size(*median_depth))),
+              "expected images of one size");
+        // The backward pass reads these arrays again.
+        has_forward_ = false;
+        inputs_ = {means, quaternions, scales, opacities, harmonics, color, transmittance, depth, normal};
         const Model model = {static_cast<int64_t>(count),
                              means.data(),
                              quaternions.data(),
@@ -73,37 +73,37 @@ public:
                              opacities.data(),
                              harmonics.data(),
                              static_cast<int>(bands)};
-        const Pictures pictures = {color.data(), transmittance.data(), data(depth), data(normal), data(median_depth)};
+        const Images images = {color.data(), transmittance.data(), data(depth), data(normal), data(median_depth)};
         geometry_ = geometry, bands_ = bands;
-        ready_ = false;
+        has_forward_ = false;
         {
             nb::gil_scoped_release release;
-            rasterizer_.forward(model, at, background.data(), pictures, geometry);
+            rasterizer_.forward(model, at, background.data(), images, geometry);
         }
-        ready_ = true;
+        has_forward_ = true;
     }
 
-    void backward(InColorPicture color, std::optional<InPicture> transmittance, std::optional<InPicture> depth,
-                  std::optional<InColorPicture> normal, std::optional<InPicture> error, Out<int64_t, nb::shape<-1>> ids,
+    void backward(InColorImage color, std::optional<InImage> transmittance, std::optional<InImage> depth,
+                  std::optional<InColorImage> normal, std::optional<InImage> error, Out<int64_t, nb::shape<-1>> ids,
                   Rows3 means, Rows4 quaternions, Rows3 scales, Values opacities,
                   Out<float, nb::shape<-1, -1, 3>> harmonics, Rows2 screen, Values weight, Values error_seen) {
-        check(ready_, "expected a forward pass before backward");
-        check(geometry_ || (!depth && !normal), "expected a forward pass with geometry before its derivative");
-        check(sized(color) && (!transmittance || sized(*transmittance)) && (!depth || sized(*depth)) &&
-                  (!normal || sized(*normal)) && (!error || sized(*error)),
-              "expected derivatives of the pictures' size");
+        check(has_forward_, "expected a forward pass before backward");
+        check(geometry_ || (!depth && !normal), "expected a forward pass with geometry before gradients of geometry");
+        check(has_size(color) && (!transmittance || has_size(*transmittance)) && (!depth || has_size(*depth)) &&
+                  (!normal || has_size(*normal)) && (!error || has_size(*error)),
+              "expected gradients of the images' size");
         const size_t rows = rasterizer_.drawn();
         check(ids.shape(0) == rows && means.shape(0) == rows && quaternions.shape(0) == rows &&
                   scales.shape(0) == rows && opacities.shape(0) == rows && harmonics.shape(0) == rows &&
                   harmonics.shape(1) == bands_ && screen.shape(0) == rows && weight.shape(0) == rows &&
                   error_seen.shape(0) == rows,
-              "expected a row for each Gaussian drawn");
-        const PictureGradients by = {color.data(), data(transmittance), data(depth), data(normal), data(error)};
+              "expected one row for each drawn Gaussian");
+        const ImageGradients grad = {color.data(), data(transmittance), data(depth), data(normal), data(error)};
         const ModelGradients out = {means.data(),     quaternions.data(), scales.data(), opacities.data(),
                                     harmonics.data(), screen.data(),      weight.data(), error_seen.data()};
         nb::gil_scoped_release release;
         rasterizer_.write_ids(ids.data());
-        rasterizer_.backward(by, out);
+        rasterizer_.backward(grad, out);
     }
 
     size_t drawn() const { return rasterizer_.drawn(); }
@@ -112,33 +112,32 @@ public:
 
 private:
     template <typename Array>
-    bool sized(const Array& array) const {
+    bool has_size(const Array& array) const {
         return array.shape(0) == height_ && array.shape(1) == width_;
     }
 
     Rasterizer rasterizer_;
     size_t height_ = 0, width_ = 0, bands_ = 0;
-    bool geometry_ = false, ready_ = false;
-    struct Kept {
+    bool geometry_ = false, has_forward_ = false;
+    struct Inputs {
         std::optional<In<float, nb::shape<-1, 3>>> means;
         std::optional<In<float, nb::shape<-1, 4>>> quaternions;
         std::optional<In<float, nb::shape<-1, 3>>> scales;
         std::optional<In<float, nb::shape<-1>>> opacities;
         std::optional<In<float, nb::shape<-1, -1, 3>>> harmonics;
-        std::optional<ColorPicture> color;
-        std::optional<Picture> transmittance, depth;
-        std::optional<ColorPicture> normal;
-    } kept_;
+        std::optional<ColorImage> color;
+        std::optional<Image> transmittance, depth;
+        std::optional<ColorImage> normal;
+    } inputs_;
 };
 
-std::tuple<double, double> loss_of(InColorPicture image, InColorPicture target, float ssim_weight,
-                                   ColorPicture gradient) {
+std::tuple<double, double> loss_of(InColorImage image, InColorImage target, float ssim_weight, ColorImage gradient) {
     const size_t height = image.shape(0), width = image.shape(1);
     check(target.shape(0) == height && target.shape(1) == width && gradient.shape(0) == height &&
               gradient.shape(1) == width,
           "expected an image, a target and a gradient of one size");
-    check(height >= 1 && width >= 1 && height <= kMostPixels && width <= kMostPixels,
-          "expected a picture of 1 to 2^19 pixels a side");
+    check(height >= 1 && width >= 1 && height <= kMaxSide && width <= kMaxSide,
+          "expected an image of 1 to 2^19 pixels a side");
     nb::gil_scoped_release release;
     const LossParts parts = image_loss(image.data(), target.data(), static_cast<int>(height), static_cast<int>(width),
                                        ssim_weight, gradient.data());
@@ -152,8 +151,8 @@ void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first
     const auto same = [&](const auto& array) { return array.shape(1) == columns; };
     check(same(first) && same(second) && same(gradient) && first.shape(0) == parameters.shape(0) &&
               second.shape(0) == parameters.shape(0) && gradient.shape(0) == rows.shape(0),
-          "expected moments of the parameters' shape and a gradient with a row for each of rows");
-    check(rates.shape(0) == columns, "expected a learning rate for each column");
+          "expected moments of the parameters' shape and a gradient with one row for each of rows");
+    check(rates.shape(0) == columns, "expected one learning rate for each column");
     check(step >= 1, "expected step >= 1");
     const int64_t count = static_cast<int64_t>(rows.shape(0)), limit = static_cast<int64_t>(parameters.shape(0));
     int64_t previous = -1;
@@ -180,12 +179,13 @@ void adam_step(Out<float, nb::ndim<2>> parameters, Out<float, nb::ndim<2>> first
 NB_MODULE(_rasterizer, m) {
     m.doc() = "The compiled Gaussian rasterizer; call it through reconstructors.splat.";
     pcbench::one_thread_when_forked();
-    // When Python ends torch keeps the graphs that are still alive, and so their rasterizers: that is no leak of ours.
+    // When Python exits, torch keeps the graphs that are still alive, and so their rasterizers: not a leak of this
+    // module.
     nb::set_leak_warnings(false);
 
     m.def("isa", [] { return kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
 
-    nb::class_<PyRasterizer>(m, "Rasterizer", "Renderings and their derivatives, one after another in the same memory.")
+    nb::class_<PyRasterizer>(m, "Rasterizer", "Renders Gaussians and computes gradients; the buffers are reused.")
         .def(nb::init<>())
         .def("forward", &PyRasterizer::forward, nb::arg("means").noconvert(), nb::arg("quaternions").noconvert(),
              nb::arg("scales").noconvert(), nb::arg("opacities").noconvert(), nb::arg("harmonics").noconvert(),
@@ -193,24 +193,24 @@ NB_MODULE(_rasterizer, m) {
              nb::arg("limits").noconvert(), nb::arg("nearest"), nb::arg("background").noconvert(),
              nb::arg("color").noconvert(), nb::arg("transmittance").noconvert(), nb::arg("depth").noconvert().none(),
              nb::arg("normal").noconvert().none(), nb::arg("median_depth").noconvert().none(),
-             "Fills the pictures. pinhole: fx, fy, cx, cy; limits: left, right, top, bottom of x / z and y / z.")
-        .def("backward", &PyRasterizer::backward, nb::arg("by_color").noconvert(),
-             nb::arg("by_transmittance").noconvert().none(), nb::arg("by_depth").noconvert().none(),
-             nb::arg("by_normal").noconvert().none(), nb::arg("error").noconvert().none(), nb::arg("ids").noconvert(),
+             "Renders the images. pinhole: fx, fy, cx, cy; limits: left, right, top, bottom of x / z and y / z.")
+        .def("backward", &PyRasterizer::backward, nb::arg("grad_color").noconvert(),
+             nb::arg("grad_transmittance").noconvert().none(), nb::arg("by_depth").noconvert().none(),
+             nb::arg("grad_normal").noconvert().none(), nb::arg("error").noconvert().none(), nb::arg("ids").noconvert(),
              nb::arg("means").noconvert(), nb::arg("quaternions").noconvert(), nb::arg("scales").noconvert(),
              nb::arg("opacities").noconvert(), nb::arg("harmonics").noconvert(), nb::arg("screen").noconvert(),
              nb::arg("weight").noconvert(), nb::arg("error_seen").noconvert(),
-             "Fills the derivatives by the Gaussians that the last forward pass drew, a row for each.")
-        .def_prop_ro("drawn", &PyRasterizer::drawn, "How many Gaussians the last forward pass drew.")
-        .def_prop_ro("instances", &PyRasterizer::instances, "Pairs of a Gaussian and a tile that it touches.")
-        .def_prop_ro("bytes", &PyRasterizer::bytes, "Memory held.");
+             "Computes the gradients with respect to the Gaussians of the last forward pass, one row for each.")
+        .def_prop_ro("drawn", &PyRasterizer::drawn, "Number of Gaussians that the last forward pass drew.")
+        .def_prop_ro("instances", &PyRasterizer::instances, "Number of pairs of a Gaussian and a tile that it touches.")
+        .def_prop_ro("bytes", &PyRasterizer::bytes, "Size of the buffers in bytes.");
 
     m.def("image_loss", &loss_of, nb::arg("image").noconvert(), nb::arg("target").noconvert(), nb::arg("ssim_weight"),
           nb::arg("gradient").noconvert(),
-          "Mean absolute difference and mean similarity; fills the derivative of (1 - w) L1 + w (1 - SSIM).");
+          "Mean absolute difference and mean SSIM; writes the gradient of (1 - w) L1 + w (1 - SSIM).");
 
     m.def("adam", &adam_step, nb::arg("parameters").noconvert(), nb::arg("first").noconvert(),
           nb::arg("second").noconvert(), nb::arg("gradient").noconvert(), nb::arg("rows").noconvert(),
           nb::arg("rates").noconvert(), nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
-          "One step of Adam on the given rows, in place.");
+          "One step of Adam on some rows, in place.");
 }

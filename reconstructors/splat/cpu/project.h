@@ -1,10 +1,10 @@
-// From Gaussians to splats in the image, sixteen at a time, and the derivative of that.
+// Projection of Gaussians to splats, sixteen at a time, and its gradient.
 #pragma once
 #include "rows.h"
 
 namespace PCB_SPACE {
 
-// Sixteen Gaussians, by rows: those of a model, or copies of some of them.
+// Sixteen Gaussians, row-major: those of a model, or copies of some of them.
 struct Rows {
     const float *means, *quaternions, *scales, *opacities;
 };
@@ -12,9 +12,9 @@ struct RowCopies {
     float means[3 * kLanes], quaternions[4 * kLanes], scales[3 * kLanes], opacities[kLanes];
 };
 
-// Copies the Gaussians of id(0) to id(count - 1); the lanes that are left repeat the first.
+// Copies the Gaussians id(0) to id(count - 1); the remaining lanes repeat the first.
 template <class Id>
-inline Rows copied(const Model& model, int count, Id id, RowCopies& to) {
+inline Rows copy_rows(const Model& model, int count, Id id, RowCopies& to) {
     for (int i = 0; i < kLanes; ++i) {
         const int64_t from = id(i < count ? i : 0);
         for (int k = 0; k < 3; ++k) to.means[3 * i + k] = model.means[3 * from + k];
@@ -38,7 +38,7 @@ inline Gaussians gaussians_of(const Rows& rows) {
             load(rows.opacities)};
 }
 
-// The spherical harmonics of sixteen drawn Gaussians, by columns, from their slot on.
+// The spherical harmonics coefficients of sixteen drawn Gaussians from a slot on, one vector per coefficient.
 inline void harmonics_of(const Frame& frame, int64_t slot, int count, Vec<Floats>* columns) {
     const int bands = frame.model.harmonic_count;
     float rows[3 * kMaxHarmonics][kLanes];
@@ -54,7 +54,7 @@ inline Vec<Floats> offset_of(const Pinhole& at, Vec<Floats> mean) {
     return mean - Vec<Floats>{Floats(at.position[0]), Floats(at.position[1]), Floats(at.position[2])};
 }
 
-// The colours of drawn Gaussians in the directions in which they are seen.
+// Computes the colours of drawn Gaussians in the directions in which they are seen.
 inline void color_group(const Frame& frame, int64_t begin, int drawn) {
     const int bands = frame.model.harmonic_count;
     const Floats half = Floats(0.5f), zero = Floats(0.0f);
@@ -77,16 +77,16 @@ inline void color_group(const Frame& frame, int64_t begin, int drawn) {
     }
 }
 
-inline float held(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
+inline float clamp(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
 
-// The pixels of a line of `size` whose centres are within `extent` of `center`; none where first > last.
+// The pixels of a row (or column) of `size` whose centres are within `extent` of `center`; none if first > last.
 inline void pixels_within(float center, float extent, int size, int& first, int& last) {
-    const float low = held(center - extent - 0.5f, -1.0f, static_cast<float>(size));
-    const float high = held(center + extent - 0.5f, -1.0f, static_cast<float>(size));
+    const float low = clamp(center - extent - 0.5f, -1.0f, static_cast<float>(size));
+    const float high = clamp(center + extent - 0.5f, -1.0f, static_cast<float>(size));
     first = static_cast<int>(low);
-    first += first < low;  // upwards
+    first += first < low;  // rounds up
     last = static_cast<int>(high);
-    last -= last > high;  // downwards
+    last -= last > high;  // rounds down
     if (first < 0) first = 0;
     if (last > size - 1) last = size - 1;
 }
@@ -101,14 +101,14 @@ inline int project_group(const Frame& frame, int64_t group) {
         RowCopies copies;
         const Rows rows_of = count == kLanes ? Rows{model.means + 3 * at, model.quaternions + 4 * at,
                                                     model.scales + 3 * at, model.opacities + at}
-                                             : copied(model, count, [&](int i) { return at + i; }, copies);
+                                             : copy_rows(model, count, [&](int i) { return at + i; }, copies);
         const Gaussians g = gaussians_of(rows_of);
         Footprint<Floats> f;
         Mask drawn;
         const Splat<Floats> s = project(frame.pinhole, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
-        // Neither comparison holds of what is not a number.
-        const Floats most = Floats(1e8f);
-        drawn = drawn & (f.extent_x < most) & (f.extent_y < most);
+        // Both comparisons are false for NaN.
+        const Floats max_extent = Floats(1e8f);
+        drawn = drawn & (f.extent_x < max_extent) & (f.extent_y < max_extent);
         unsigned lanes = bits(drawn) & ((1u << count) - 1u);
         if (lanes == 0) continue;
 
@@ -149,7 +149,7 @@ inline int cover(const Frame& frame, uint32_t slot, uint32_t* tiles, uint32_t* b
     const Box box = frame.boxes[slot];
     const Floats across = load(kAcross), down = load(kDown), last = Floats(kBlock - 1.0f);
     const Floats uu = Floats(s[2]), uv = Floats(s[3]), vv = Floats(s[4]);
-    // The slack keeps a block whose nearest pixel rounding has put just outside.
+    // The slack keeps a block whose nearest pixel lies just outside by rounding.
     const Floats reach = Floats(s[15] * 1.0001f + 1e-3f);
     int count = 0;
     for (int row = box.top; row <= box.bottom; ++row) {
@@ -159,7 +159,7 @@ inline int cover(const Frame& frame, uint32_t slot, uint32_t* tiles, uint32_t* b
             const Floats x0 = across + Floats(static_cast<float>(column * kTile) + 0.5f - s[0]);
             const int wide = frame.pinhole.width - column * kTile;
             const Mask inside = (across < Floats(static_cast<float>(wide))) & (down < Floats(static_cast<float>(high)));
-            const Mask touched = least_square(uu, uv, vv, x0, x0 + last, y0, y0 + last) <= reach;
+            const Mask touched = min_squared_norm(uu, uv, vv, x0, x0 + last, y0, y0 + last) <= reach;
             const unsigned mask = bits(touched & inside);
             if (mask == 0) continue;
             tiles[count] = static_cast<uint32_t>(row * frame.tiles_across + column);
@@ -169,10 +169,10 @@ inline int cover(const Frame& frame, uint32_t slot, uint32_t* tiles, uint32_t* b
     return count;
 }
 
-// The sums over pixels of sixteen drawn Gaussians, each over all tiles that it is in.
+// The sums over pixels of sixteen drawn Gaussians, each over all of its tiles.
 inline Moments<Floats> moments_of(const Frame& frame, const float* moments, const uint32_t* first,
                                   const uint32_t* count, int rows) {
-    float all[kLanes][2 * kLanes];  // by rows
+    float all[kLanes][2 * kLanes];  // row-major
     const int width = frame.geometry ? kMomentFloats : kPlainMomentFloats;
     for (int i = 0; i < kLanes; ++i) {
         Floats low = Floats(0.0f);
@@ -211,39 +211,39 @@ inline void project_group_gradient(const Frame& frame, int64_t group, const floa
         const int rows = frame.drawn[group] - done < kLanes ? frame.drawn[group] - done : kLanes;
         const int64_t slot = begin + done;
         RowCopies copies;
-        const Gaussians g = gaussians_of(copied(model, rows, [&](int i) { return frame.ids[slot + i]; }, copies));
+        const Gaussians g = gaussians_of(copy_rows(model, rows, [&](int i) { return frame.ids[slot + i]; }, copies));
         Footprint<Floats> f;
         Mask drawn;
         const Splat<Floats> s = project(frame.pinhole, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
         const Moments<Floats> m = moments_of(frame, moments, first + slot, count + slot, rows);
-        Gradient<Floats> by = project_gradient(frame.pinhole, g.scale, g.opacity, f, s, m);
+        Gradient<Floats> grad = project_gradient(frame.pinhole, g.scale, g.opacity, f, s, m);
 
-        // Where a colour is held at zero it does not depend on the harmonics.
+        // A colour clamped at zero does not depend on the spherical harmonics.
         const Floats zero = Floats(0.0f);
         const float* splats = frame.splats + kSplatFloats * slot;
-        const auto free = [&](int k, Floats by_channel) {
-            return select(zero < load_strided(splats + 6 + k, kSplatFloats), by_channel, zero);
+        const auto unclamped = [&](int k, Floats grad_channel) {
+            return select(zero < load_strided(splats + 6 + k, kSplatFloats), grad_channel, zero);
         };
-        const Vec<Floats> by_color = {free(0, m.color.x), free(1, m.color.y), free(2, m.color.z)};
-        Floats basis[kMaxHarmonics], by_basis[kMaxHarmonics];
+        const Vec<Floats> grad_color = {unclamped(0, m.color.x), unclamped(1, m.color.y), unclamped(2, m.color.z)};
+        Floats basis[kMaxHarmonics], grad_basis[kMaxHarmonics];
         const Vec<Floats> direction = unit(f.offset);
         harmonics(direction, harmonic_count, basis);
         const unsigned lanes = (1u << rows) - 1u;
         Vec<Floats> columns[kMaxHarmonics];
         harmonics_of(frame, slot, rows, columns);
         for (int k = 0; k < harmonic_count; ++k) {
-            by_basis[k] = dot(by_color, columns[k]);
-            write_vector(out.harmonics + width * row, width, 3 * k, lanes, basis[k] * by_color);
+            grad_basis[k] = dot(grad_color, columns[k]);
+            write_vector(out.harmonics + width * row, width, 3 * k, lanes, basis[k] * grad_color);
         }
-        by.mean = by.mean + unit_gradient(f.offset, harmonics_gradient(direction, harmonic_count, by_basis));
+        grad.mean = grad.mean + unit_gradient(f.offset, harmonics_gradient(direction, harmonic_count, grad_basis));
 
-        write_vector(out.means + 3 * row, 3, 0, lanes, by.mean);
-        write_vector(out.scales + 3 * row, 3, 0, lanes, by.scale);
-        write_column(out.quaternions + 4 * row, 4, 0, lanes, by.quaternion.w);
-        write_vector(out.quaternions + 4 * row, 4, 1, lanes, {by.quaternion.x, by.quaternion.y, by.quaternion.z});
-        write_column(out.opacities + row, 1, 0, lanes, by.opacity);
-        write_column(out.screen + 2 * row, 2, 0, lanes, by.screen_x);
-        write_column(out.screen + 2 * row, 2, 1, lanes, by.screen_y);
+        write_vector(out.means + 3 * row, 3, 0, lanes, grad.mean);
+        write_vector(out.scales + 3 * row, 3, 0, lanes, grad.scale);
+        write_column(out.quaternions + 4 * row, 4, 0, lanes, grad.quaternion.w);
+        write_vector(out.quaternions + 4 * row, 4, 1, lanes, {grad.quaternion.x, grad.quaternion.y, grad.quaternion.z});
+        write_column(out.opacities + row, 1, 0, lanes, grad.opacity);
+        write_column(out.screen + 2 * row, 2, 0, lanes, grad.screen_x);
+        write_column(out.screen + 2 * row, 2, 1, lanes, grad.screen_y);
         write_column(out.weight + row, 1, 0, lanes, m.weight);
         write_column(out.error + row, 1, 0, lanes, m.error);
     }

@@ -1,4 +1,4 @@
-// One rendering after another in the same memory: projection, sorting, blending, and the derivative of the last.
+// One rendering after another with the same buffers: projection, sorting, blending, and the gradient of the last one.
 #pragma once
 #include <vector>
 
@@ -11,16 +11,16 @@ const Kernels& kernels();
 
 class Rasterizer {
 public:
-    // The model's arrays must live until the derivative has been taken.
-    void forward(const Model& model, const Pinhole& pinhole, const float* background, const Pictures& pictures,
+    // The model's arrays must stay alive until `backward` has returned.
+    void forward(const Model& model, const Pinhole& pinhole, const float* background, const Images& images,
                  bool geometry);
 
     size_t drawn() const { return static_cast<size_t>(rows_.empty() ? 0 : rows_.back()); }
     size_t instances() const { return instances_.size(); }
-    size_t bytes() const;  // of memory held
+    size_t bytes() const;  // size of the buffers
     void write_ids(int64_t* ids) const;
 
-    void backward(const PictureGradients& by, const ModelGradients& out);
+    void backward(const ImageGradients& grad, const ModelGradients& out);
 
 private:
     void project();
@@ -36,21 +36,22 @@ private:
     std::vector<Box> boxes_;
     std::vector<uint32_t> ids_, first_, count_;
     std::vector<int> drawn_;
-    std::vector<int64_t> rows_;    // drawn Gaussians before each group, and all of them
-    std::vector<uint32_t> order_;  // slots by depth
+    std::vector<int64_t> rows_;    // number of drawn Gaussians before each group, and in total
+    std::vector<uint32_t> order_;  // slots in depth order
     std::vector<uint64_t> keys_, sorted_;
     std::vector<Instance> instances_;
     std::vector<uint32_t> starts_;
     std::vector<float> moments_;
-    struct Part {  // of the order of depth: its instances
+    struct Part {  // the instances of a range of the depth order
         std::vector<uint32_t> slots, tiles, blocks;
-        std::vector<uint32_t> next;  // by tile: how many, then where the next one goes
+        std::vector<uint32_t> next;  // by tile: number of instances, then the position of the next one
         size_t count = 0;
     };
     std::vector<Part> parts_;
 };
 
-// Of (1 - weight) mean |x - y| + weight (1 - mean similarity): the two means, and its derivative by x.
+// The two means of (1 - weight) mean |x - y| + weight (1 - mean similarity); also computes its gradient with respect to
+// x.
 struct LossParts {
     double difference, similarity;
 };

@@ -1,4 +1,4 @@
-// Between arrays by rows and SIMD vectors by columns, sixteen rows at a time.
+// Conversion between row-major arrays and SIMD vectors of sixteen rows.
 #pragma once
 
 namespace PCB_SPACE {
@@ -7,7 +7,7 @@ inline Vec<Floats> vector_of(const float* rows) {
     return {load_strided(rows, 3), load_strided(rows + 1, 3), load_strided(rows + 2, 3)};
 }
 
-// Writes the lanes with a bit in `lanes` to consecutive rows.
+// Writes the lanes whose bit in `lanes` is set to consecutive rows.
 inline void write_column(float* rows, int width, int column, unsigned lanes, Floats values) {
     float all[kLanes];
     store(all, values);
@@ -19,7 +19,7 @@ inline void write_vector(float* rows, int width, int column, unsigned lanes, Vec
     write_column(rows, width, column + 2, lanes, values.z);
 }
 
-// The sum of all lanes, in the order of `sums`.
+// The sum of all lanes, added in the same order as in `sums`.
 inline float sum(Floats values) {
     float all[kLanes];
     store(all, values);

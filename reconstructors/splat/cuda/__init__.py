@@ -1,9 +1,9 @@
 """The rasterizer on CUDA.
 
-Its kernels ship as source and are compiled at first use by NVRTC: neither nvcc nor a compiler is needed, and any torch
-will do (`pip install 'pcbench[cuda]'`). Importing this needs neither torch nor CUDA.
+Its kernels ship as source and are compiled at first use by NVRTC. Neither nvcc nor a C++ compiler is needed, and any
+torch with CUDA works (`pip install 'pcbench[cuda]'`). Importing this module needs neither torch nor CUDA.
 
-Compiled for sm_80, sm_90 and sm_120 and emulated on the CPU by the tests; not run on a GPU.
+The tests compile the kernels for sm_80, sm_90 and sm_120 and emulate them on the CPU. They have not been run on a GPU.
 """
 
 from reconstructors.splat.cuda.rasterizer import CudaRasterizer as Rasterizer

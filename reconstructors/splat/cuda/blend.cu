@@ -1,7 +1,8 @@
-// A block a tile, a thread a pixel, from front to back. `gaussians` are those of the tiles' instances, sorted; those of
-// tile t are starts[t] .. starts[t + 1]. Where each bucket of a tile begins the rays are stored in `borders` (those of
-// tile t are the buckets from bucket_ends[t - 1] on), as they end in `ends`; `reached` counts, for each pixel of each
-// tile, the instances up to and with the last that it sees. The backward pass starts from these.
+// Blends front to back, one block per tile, one thread per pixel. `gaussians` are those of the sorted instances; the
+// instances of tile t are starts[t] .. starts[t + 1]. For the backward pass the state of the rays is stored in
+// `borders` at the start of each bucket (the buckets of tile t start at bucket_ends[t - 1]) and in `ends` at the end of
+// the tile; `reached` is, for each pixel of each tile, the number of instances up to and including the last that
+// contributes.
 
 extern "C" __global__ void __launch_bounds__(kThreads)
     blend(const Pinhole* camera, const float* background, const int* starts, const int* bucket_ends,
@@ -18,40 +19,40 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     const bool inside = x < width && y < height;
 
     Ray ray = {};
-    ray.left = 1.0f;
+    ray.transmittance = 1.0f;
     float median = 0.0f;
     int seen_last = 0;
-    bool going = inside;
+    bool active = inside;
     for (int begin = first; begin < last; begin += kThreads) {
-        // Also the barrier before the batch is written over.
-        if (!__syncthreads_or(going)) break;
+        // The barrier also protects the batch, which is overwritten below.
+        if (!__syncthreads_or(active)) break;
         const int size = min(kThreads, last - begin);
         if (pixel < size) batch[pixel] = splats[gaussians[begin + pixel]];
         __syncthreads();
-        for (int k = 0; going && k < size; ++k) {
+        for (int k = 0; active && k < size; ++k) {
             const int n = begin + k - first;
             if (kBorders && n % kLanes == 0) {
                 const long long at = bucket + n / kLanes;
                 store_ray<kGeometry>(borders + at * kFloats * kTilePixels, pixel, ray);
             }
             const Splat<float> s = batch[k].splat;
-            const Seen seen = seen_of(s, center_x, center_y);
-            const float alpha = lesser(seen.alpha, kMostAlpha);
-            if (!(kLeastAlpha <= alpha)) continue;
-            const float next = fused(-ray.left, alpha, ray.left);
-            if (next < kLeastTransmittance) {
-                going = false;
+            const SplatSample sample = sample_splat(s, center_x, center_y);
+            const float alpha = lesser(sample.alpha, kMaxAlpha);
+            if (!(kMinAlpha <= alpha)) continue;
+            const float next = fused(-ray.transmittance, alpha, ray.transmittance);
+            if (next < kMinTransmittance) {
+                active = false;
                 break;
             }
-            const float weight = ray.left * alpha;
+            const float weight = ray.transmittance * alpha;
             ray.color = fused(weight, s.color, ray.color);
             if (kGeometry) {
-                const float plane = fused(s.depth_u, seen.u, fused(s.depth_v, seen.v, s.depth));
+                const float plane = fused(s.depth_u, sample.u, fused(s.depth_v, sample.v, s.depth));
                 ray.depth = fused(weight, plane, ray.depth);
                 ray.normal = fused(weight, s.normal, ray.normal);
-                if (0.5f <= ray.left && next < 0.5f) median = plane;
+                if (0.5f <= ray.transmittance && next < 0.5f) median = plane;
             }
-            ray.left = next;
+            ray.transmittance = next;
             seen_last = n + 1;
         }
     }
@@ -62,10 +63,10 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     }
     if (!inside) return;
     const long long at = static_cast<long long>(y) * width + x;
-    transmittance[at] = ray.left;
-    color[3 * at] = fused(ray.left, background[0], ray.color.x);
-    color[3 * at + 1] = fused(ray.left, background[1], ray.color.y);
-    color[3 * at + 2] = fused(ray.left, background[2], ray.color.z);
+    transmittance[at] = ray.transmittance;
+    color[3 * at] = fused(ray.transmittance, background[0], ray.color.x);
+    color[3 * at + 1] = fused(ray.transmittance, background[1], ray.color.y);
+    color[3 * at + 2] = fused(ray.transmittance, background[2], ray.color.z);
     if (kGeometry) {
         depth[at] = ray.depth;
         normal[3 * at] = ray.normal.x, normal[3 * at + 1] = ray.normal.y, normal[3 * at + 2] = ray.normal.z;

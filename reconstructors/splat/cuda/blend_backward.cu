@@ -1,18 +1,18 @@
-// A warp a bucket, a lane a splat: the pixels of the tile go through the lanes one after the other, so that lane n
-// meets a pixel a step after lane n - 1, takes from it how far the ray has come, and adds what the pixel says to sums
-// that it alone holds. So nothing is added to the same place by two, and the order of each sum is that of the pixels.
+// One warp per bucket, one lane per splat: the pixels of the tile pass through the lanes one after the other. Lane n
+// gets a pixel one step after lane n - 1, with the state of its ray, and adds the pixel's contribution to sums in its
+// own registers. So no two threads add to the same value, and the order of each sum is that of the pixels.
 //
-// `emission` says where among the Gaussian's own instances each sorted instance was written, and so is its record.
-// Where no derivative (of `by_`...) or error is given its pointer is null.
+// `emission` is the index at which a sorted instance was written among those of its Gaussian; its record is written
+// there. The pointer of a gradient (`grad_`...) or error that is not given is null.
 
 constexpr int kMoments = kGeometry ? 17 : 11;
 constexpr int kWarps = kThreads / kLanes;
-constexpr int kRing = 2 * kLanes;  // pixels at hand: those that are in the lanes, and the next
+constexpr int kRing = 2 * kLanes;  // buffered pixels: those in the lanes, and the next ones
 
-// What a pixel brings along. It is read by every lane in turn.
+// The data of the buffered pixels, which all lanes read in turn.
 struct Pixels {
-    float limit[kRing];                // how many of the bucket's splats it sees, the last one counted
-    float left[kRing], behind[kRing];  // at the bucket's beginning
+    float limit[kRing];                         // number of the bucket's splats up to the last that contributes
+    float transmittance[kRing], behind[kRing];  // see add_pixel; at the start of the bucket
     float color[3][kRing], error[kRing];
     float depth[kGeometry ? kRing : 1], normal[3][kGeometry ? kRing : 1];
 };
@@ -20,16 +20,16 @@ struct Pixels {
 extern "C" __global__ void __launch_bounds__(kThreads)
     blend_backward(const Pinhole* camera, const float* background, const int* starts, const int* bucket_ends,
                    int tile_count, const int* gaussians, const long long* emission, const Stored* splats,
-                   const float* borders, const float* ends, const int* reached, const float* by_color,
-                   const float* by_transmittance, const float* by_depth, const float* by_normal, const float* errors,
-                   float* records) {
+                   const float* borders, const float* ends, const int* reached, const float* grad_color,
+                   const float* grad_transmittance, const float* grad_depth, const float* grad_normal,
+                   const float* errors, float* records) {
     constexpr int kFloats = ray_floats(kGeometry);
     __shared__ Pixels shared[kWarps];
     const int lane = threadIdx.x % kLanes, bucket = blockIdx.x * kWarps + threadIdx.x / kLanes;
     if (bucket >= bucket_ends[tile_count - 1]) return;
     Pixels& ring = shared[threadIdx.x / kLanes];
 
-    int tile = 0;  // the first whose buckets end behind this one
+    int tile = 0;  // the first tile whose buckets end after this one
     for (int size = tile_count; size > 0;) {
         const int half = size / 2;
         const bool later = bucket_ends[tile + half] <= bucket;
@@ -50,13 +50,13 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     const Vec<float> behind_all = {background[0], background[1], background[2]};
 
     Moments<float> m = {};
-    float left = 0.0f, behind = 0.0f;
+    float transmittance = 0.0f, behind = 0.0f;
     bool reaches = false;
     for (int pixel = lane; pixel < kTilePixels; pixel += kLanes) reaches = reaches || seen_counts[pixel] > begin;
     const int steps = __any_sync(kWarp, reaches) ? kTilePixels + kLanes - 1 : 0;
     for (int step = 0; step < steps; ++step) {
         if (step % kLanes == 0 && step < kTilePixels) {
-            // The next 32 pixels, a lane each. None is seen beyond the image: `reached` is 0 there.
+            // The next 32 pixels, one per lane. Pixels beyond the image have `reached` = 0.
             const int pixel = step + lane, slot = pixel % kRing;
             const int limit = seen_counts[pixel] - begin;
             __syncwarp();
@@ -64,44 +64,44 @@ extern "C" __global__ void __launch_bounds__(kThreads)
             if (limit > 0) {
                 const long long at = static_cast<long long>(top_y + pixel / kTile) * width + left_x + pixel % kTile;
                 const Ray now = load_ray<kGeometry>(start_rays, pixel), end = load_ray<kGeometry>(end_rays, pixel);
-                const Vec<float> color = {by_color[3 * at], by_color[3 * at + 1], by_color[3 * at + 2]};
-                float by_end = dot(behind_all, color);
-                if (by_transmittance != nullptr) by_end = by_end + by_transmittance[at];
-                float ahead = fused(end.left, by_end, dot(end.color - now.color, color));
+                const Vec<float> color = {grad_color[3 * at], grad_color[3 * at + 1], grad_color[3 * at + 2]};
+                float grad_end = dot(behind_all, color);
+                if (grad_transmittance != nullptr) grad_end = grad_end + grad_transmittance[at];
+                float ahead = fused(end.transmittance, grad_end, dot(end.color - now.color, color));
                 ring.color[0][slot] = color.x, ring.color[1][slot] = color.y, ring.color[2][slot] = color.z;
                 ring.error[slot] = errors != nullptr ? errors[at] : 0.0f;
                 if (kGeometry) {
-                    const float depth = by_depth != nullptr ? by_depth[at] : 0.0f;
+                    const float depth = grad_depth != nullptr ? grad_depth[at] : 0.0f;
                     Vec<float> normal = {0.0f, 0.0f, 0.0f};
-                    if (by_normal != nullptr)
-                        normal = {by_normal[3 * at], by_normal[3 * at + 1], by_normal[3 * at + 2]};
+                    if (grad_normal != nullptr)
+                        normal = {grad_normal[3 * at], grad_normal[3 * at + 1], grad_normal[3 * at + 2]};
                     ahead = fused(end.depth - now.depth, depth, ahead + dot(end.normal - now.normal, normal));
                     ring.depth[slot] = depth;
                     ring.normal[0][slot] = normal.x, ring.normal[1][slot] = normal.y, ring.normal[2][slot] = normal.z;
                 }
-                ring.left[slot] = now.left;
+                ring.transmittance[slot] = now.transmittance;
                 ring.behind[slot] = ahead;
             }
             __syncwarp();
         }
-        left = __shfl_up_sync(kWarp, left, 1);
+        transmittance = __shfl_up_sync(kWarp, transmittance, 1);
         behind = __shfl_up_sync(kWarp, behind, 1);
         const int pixel = step - lane, slot = pixel & (kRing - 1);
         if (pixel < 0 || pixel >= kTilePixels || !any || !(static_cast<float>(lane) < ring.limit[slot])) continue;
-        if (lane == 0) left = ring.left[slot], behind = ring.behind[slot];
-        const Seen seen = seen_of(s, static_cast<float>(left_x + pixel % kTile) + 0.5f,
-                                  static_cast<float>(top_y + pixel / kTile) + 0.5f);
-        const float alpha = lesser(seen.alpha, kMostAlpha);
-        if (!(kLeastAlpha <= alpha)) continue;
-        PixelGradient<float> by = {};
-        by.color = {ring.color[0][slot], ring.color[1][slot], ring.color[2][slot]};
+        if (lane == 0) transmittance = ring.transmittance[slot], behind = ring.behind[slot];
+        const SplatSample sample = sample_splat(s, static_cast<float>(left_x + pixel % kTile) + 0.5f,
+                                                static_cast<float>(top_y + pixel / kTile) + 0.5f);
+        const float alpha = lesser(sample.alpha, kMaxAlpha);
+        if (!(kMinAlpha <= alpha)) continue;
+        PixelGradient<float> grad = {};
+        grad.color = {ring.color[0][slot], ring.color[1][slot], ring.color[2][slot]};
         if (kGeometry) {
-            by.depth = ring.depth[slot];
-            by.normal = {ring.normal[0][slot], ring.normal[1][slot], ring.normal[2][slot]};
+            grad.depth = ring.depth[slot];
+            grad.normal = {ring.normal[0][slot], ring.normal[1][slot], ring.normal[2][slot]};
         }
-        const float free = seen.alpha < kMostAlpha ? 1.0f : 0.0f;
-        add_pixel<kGeometry>(s, seen.u, seen.v, alpha, free, left, by, ring.error[slot], behind, m);
-        left = fused(-left, alpha, left);
+        const float unclamped = sample.alpha < kMaxAlpha ? 1.0f : 0.0f;
+        add_pixel<kGeometry>(s, sample.u, sample.v, alpha, unclamped, transmittance, grad, ring.error[slot], behind, m);
+        transmittance = fused(-transmittance, alpha, transmittance);
     }
     if (!any) return;
     float* out = records + emission[mine] * kMoments;

@@ -1,4 +1,4 @@
-// A thread a Gaussian: those that touch a tile are numbered on. `slots` counts them up to and with each.
+// Compacts the Gaussians that touch a tile, one thread per Gaussian. `slots` is the inclusive prefix sum of those.
 
 extern "C" __global__ void __launch_bounds__(kThreads)
     compact(int count, const int* tiles, const int* slots, const float* depths, long long* ids, float* drawn_depths) {

@@ -1,4 +1,4 @@
-"""Where the kernels of a tensor run, and on how many threads."""
+"""Launching kernels on the GPU of a tensor."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-def launcher_of(tensor: Tensor) -> Launcher:
-    """The GPU that holds a tensor.
+def launcher_for(tensor: Tensor) -> Launcher:
+    """Return the launcher of the GPU that a tensor is on.
 
     Raises:
-        InputError: none does.
+        InputError: the tensor is not on a GPU.
         MissingExtra: cuda-core or NVRTC is not installed.
     """
     if not tensor.is_cuda:
@@ -27,15 +27,15 @@ def launcher_of(tensor: Tensor) -> Launcher:
     return gpu(tensor.get_device())
 
 
-def plain(tensor: Tensor) -> Tensor:
-    """As the kernels read it: float32, side by side, and without a history of derivatives."""
+def kernel_input(tensor: Tensor) -> Tensor:
+    """Return a tensor as the kernels read it: float32, contiguous and without autograd history."""
     import torch
 
     assert tensor.dtype == torch.float32, f"expected a tensor of float32, got {tensor.dtype}"
     return tensor.detach().contiguous()
 
 
-def each(launcher: Launcher, kernel: Kernel, number: int, *arguments: Tensor | Scalar | None) -> None:
-    """Run a kernel with a thread for each of a number of things, which may be none."""
-    if number:
-        launcher.launch(kernel, -(-number // kernel.threads), *arguments)
+def launch_over(launcher: Launcher, kernel: Kernel, count: int, *arguments: Tensor | Scalar | None) -> None:
+    """Launch a kernel with at least `count` threads, one per element; nothing is launched for none."""
+    if count:
+        launcher.launch(kernel, -(-count // kernel.threads), *arguments)

@@ -1,5 +1,6 @@
-// A thread a drawn Gaussian, the nearest first: writes an instance for each tile that it touches, from begins[rank] on,
-// and for each Gaussian where that is. `order` holds the numbers that `compact` gave.
+// Writes an instance for each tile that a drawn Gaussian touches, one thread per Gaussian, nearest first. The instances
+// of a Gaussian start at begins[rank], which is also written to `firsts`. `order` has indices into the compacted
+// Gaussians.
 
 extern "C" __global__ void __launch_bounds__(kThreads)
     instances(const Pinhole* camera, int count, const long long* order, const long long* begins, const long long* ids,

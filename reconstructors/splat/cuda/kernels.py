@@ -1,4 +1,4 @@
-"""The kernels as source: what NVRTC compiles for a GPU, and what tests compile for the CPU to emulate one."""
+"""The kernels as source: NVRTC compiles it for a GPU, the tests compile it for an emulator on the CPU."""
 
 from __future__ import annotations
 
@@ -20,83 +20,95 @@ Scalar = ctypes.c_int32 | ctypes.c_int64 | ctypes.c_float
 
 @dataclass(frozen=True)
 class Kernel:
-    """One function on the GPU.
+    """One CUDA kernel.
 
     Attributes:
-        name: of the function and of its file.
-        threads: of a block; `kThreads` in the source.
-        before: files that the source wants read before its own.
-        constants: further numbers that are fixed when it is compiled.
+        name: name of the function and of its file.
+        threads: threads per block; `kThreads` in the source.
+        headers: files that precede the kernel's own source.
+        constants: names and values of further compile-time constants.
     """
 
     name: str
     threads: int
-    before: tuple[Path, ...] = ()
+    headers: tuple[Path, ...] = ()
     constants: tuple[tuple[str, int], ...] = ()
 
     @property
     def source(self) -> str:
-        """The whole text: it includes nothing."""
+        """The complete source, without includes."""
         constants = (("kThreads", self.threads), *self.constants)
-        files = (_HERE / "prelude.cu", *self.before, _HERE / f"{self.name}.cu")
-        numbers = "".join(f"constexpr int {name} = {value};\n" for name, value in constants)
-        return numbers + "\n".join(_text(file) for file in files)
+        files = (_HERE / "prelude.cu", *self.headers, _HERE / f"{self.name}.cu")
+        definitions = "".join(f"constexpr int {name} = {value};\n" for name, value in constants)
+        return definitions + "\n".join(_text(file) for file in files)
 
 
 class Launcher(Protocol):
-    """What runs a kernel: a GPU, or what stands in for one."""
+    """Runs kernels: a GPU or its emulator."""
 
     def launch(self, kernel: Kernel, blocks: int, *arguments: Tensor | Scalar | None) -> None:
-        """Queue `blocks` blocks of a kernel behind what was queued before.
+        """Queue `blocks` blocks of a kernel after the work queued before.
 
         Args:
-            arguments: as the kernel takes them; tensors are contiguous, None is a null pointer.
+            kernel: the kernel.
+            blocks: number of blocks.
+            arguments: the kernel's arguments; tensors are contiguous, None is a null pointer.
         """
         ...
 
 
 def project_gaussians(harmonics: int) -> Kernel:
+    """Project the Gaussians to splats and count the tiles that each touches."""
     return Kernel("project_gaussians", 128, _MATHS, (("kHarmonics", harmonics),))
 
 
 def compact() -> Kernel:
+    """Compact the Gaussians that touch a tile."""
     return Kernel("compact", 256)
 
 
 def instances() -> Kernel:
+    """Write one instance for each pair of a Gaussian and a tile that it touches."""
     return Kernel("instances", 128, _MATHS)
 
 
 def blend(geometry: bool, borders: bool) -> Kernel:
+    """Blend the tiles; with `borders` it also stores the state of the rays for the backward pass."""
     return Kernel("blend", 256, _MATHS, (("kGeometry", int(geometry)), ("kBorders", int(borders))))
 
 
 def blend_backward(geometry: bool) -> Kernel:
+    """Compute the gradients with respect to the splats, summed over each tile."""
     return Kernel("blend_backward", 128, _MATHS, (("kGeometry", int(geometry)),))
 
 
 def project_backward(harmonics: int, geometry: bool) -> Kernel:
+    """Compute the gradients with respect to the Gaussians from those of the splats."""
     return Kernel("project_backward", 128, _MATHS, (("kHarmonics", harmonics), ("kGeometry", int(geometry))))
 
 
 def image_loss() -> Kernel:
+    """Compute the SSIM and the absolute difference of two images."""
     return Kernel("image_loss", 256, _WINDOW)
 
 
 def image_loss_backward() -> Kernel:
+    """Compute the gradient of the loss with respect to the image."""
     return Kernel("image_loss_backward", 256, _WINDOW)
 
 
 def adam() -> Kernel:
+    """Apply one step of Adam."""
     return Kernel("adam", 256)
 
 
 def morton() -> Kernel:
+    """Compute the Morton codes of points."""
     return Kernel("morton", 256)
 
 
-def every_kernel() -> list[Kernel]:
-    """All of them, with each set of constants that can come up."""
+def all_kernels() -> list[Kernel]:
+    """Return all kernels with all values of their constants."""
     flags = (False, True)
     return [
         *(project_gaussians(count) for count in HARMONICS),
@@ -112,7 +124,7 @@ def every_kernel() -> list[Kernel]:
     ]
 
 
-HARMONICS = (1, 4, 9, 16)  # of degrees 0 to 3
+HARMONICS = (1, 4, 9, 16)  # spherical harmonics of degrees 0 to 3
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Kernels on the GPU, without nvcc: NVRTC compiles them at their first use, and the disk keeps what it gives."""
+"""Kernels on the GPU without nvcc: NVRTC compiles them at first use, and a cache on disk keeps the result."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from reconstructors.splat.cuda.kernels import Kernel, Scalar
 if TYPE_CHECKING:
     from torch import Tensor
 
-# No contraction: only what is written as one operation is rounded once, so that the sums are those of the CPU and a
-# tile that one kernel counts is a tile that the next one writes.
+# No contraction into fused multiply-adds: results are rounded as on the CPU, and the kernels that count and write a
+# splat's tiles agree on them.
 # 177: a constant of maths.h that this kernel does not use.
 _OPTIONS = {"std": "c++17", "fma": False, "diag_suppress": 177}
-_LEGACY_STREAM = 1  # the driver's name for the default stream, which torch calls 0
+_LEGACY_STREAM = 1  # the driver's handle of the default stream, for which torch has 0
 
 
 class Gpu:
-    """The launcher of one CUDA device: it queues on torch's current stream and waits for nothing.
+    """The launcher of one CUDA device: it queues on torch's current stream without synchronisation.
 
     Raises:
         MissingExtra: torch, cuda-core or NVRTC is not installed.
@@ -40,19 +40,20 @@ class Gpu:
         self._loaded: dict[Kernel, Any] = {}
 
     def launch(self, kernel: Kernel, blocks: int, *arguments: Tensor | Scalar | None) -> None:
+        """Queue a kernel on torch's current stream, compiling it at first use."""
         import torch
 
         with torch.cuda.device(self._index):
-            self._core.Device(self._index).set_current()  # of this thread: derivatives are taken on one of torch's
+            self._core.Device(self._index).set_current()  # per thread: autograd runs backward on a thread of its own
             if kernel not in self._loaded:
-                module = self._core.ObjectCode.from_cubin(compiled(kernel, self._architecture))
+                module = self._core.ObjectCode.from_cubin(compile_kernel(kernel, self._architecture))
                 self._loaded[kernel] = module.get_kernel(kernel.name)
             stream = self._core.Stream.from_handle(torch.cuda.current_stream().cuda_stream or _LEGACY_STREAM)
             shape = self._core.LaunchConfig(grid=blocks, block=kernel.threads)
-            self._core.launch(stream, shape, self._loaded[kernel], *map(self._passed, arguments))
+            self._core.launch(stream, shape, self._loaded[kernel], *map(self._kernel_argument, arguments))
 
-    def _passed(self, argument: Tensor | Scalar | None) -> int | Scalar:
-        """As the driver takes it: a pointer is a number."""
+    def _kernel_argument(self, argument: Tensor | Scalar | None) -> int | Scalar:
+        """Return an argument as the driver expects it, a pointer as an integer."""
         import torch
 
         if argument is None:
@@ -65,7 +66,7 @@ class Gpu:
 
 @cache
 def gpu(index: int) -> Gpu:
-    """The launcher of a CUDA device, one for all of its users.
+    """Return the launcher of a CUDA device, shared by all users.
 
     Raises:
         MissingExtra: as `Gpu`.
@@ -73,15 +74,15 @@ def gpu(index: int) -> Gpu:
     return Gpu(index)
 
 
-def compiled(kernel: Kernel, architecture: str) -> bytes:
-    """The cubin of a kernel for an architecture such as sm_90, from the disk where it is known; no GPU is needed.
+def compile_kernel(kernel: Kernel, architecture: str) -> bytes:
+    """Return the cubin of a kernel for an architecture such as sm_90, from the cache if possible; no GPU is needed.
 
-    It is kept in `pcbench` in XDG_CACHE_HOME (~/.cache), under a name made of all that it depends on. Where nothing can
-    be written there it is compiled anew by every process.
+    The cache is the folder `pcbench` in XDG_CACHE_HOME (~/.cache); the file name is a hash of everything that the cubin
+    depends on. If the folder is not writable, each process compiles the kernel again.
 
     Raises:
         MissingExtra: cuda-core or NVRTC is not installed.
-        RuntimeError: it does not compile; the message is NVRTC's log.
+        RuntimeError: the kernel does not compile; the message has NVRTC's log.
     """
     core = _core()
     source = kernel.source
@@ -93,7 +94,7 @@ def compiled(kernel: Kernel, architecture: str) -> bytes:
     options = core.ProgramOptions(name=f"{kernel.name}.cu", arch=architecture, **_OPTIONS)
     try:
         cubin = bytes(core.Program(source, "c++", options).compile("cubin").code)
-    except Exception as error:  # cuda.core has no public name for what NVRTC says
+    except Exception as error:  # cuda.core has no public type for NVRTC's errors
         raise RuntimeError(f"NVRTC does not compile the kernel {kernel.name} for {architecture}: {error}") from error
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -120,7 +121,7 @@ def _nvrtc_version() -> tuple[int, int]:
 
     try:
         status, major, minor = nvrtc.nvrtcVersion()
-    except RuntimeError as error:  # the library itself is not there
+    except RuntimeError as error:  # the library is not installed
         raise MissingExtra("NVRTC", "cuda", str(error).splitlines()[0]) from error
     assert status == nvrtc.nvrtcResult.NVRTC_SUCCESS
     return major, minor

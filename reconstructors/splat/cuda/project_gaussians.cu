@@ -1,7 +1,7 @@
-// A thread a Gaussian: its splat, and how many tiles that touches. What is not drawn touches none.
+// Projects a Gaussian and counts the tiles that its splat touches, one thread per Gaussian; 0 if it is not drawn.
 
-__device__ inline int held(float x, int low, int high) {
-    // What is not a number becomes `low`.
+__device__ inline int clamp_to_int(float x, int low, int high) {
+    // NaN becomes `low`.
     return static_cast<float>(low) < x ? (x < static_cast<float>(high) ? static_cast<int>(x) : high) : low;
 }
 
@@ -16,18 +16,18 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     Footprint<float> f;
     bool drawn = false;
     if (i < count) {
-        const Given g = given_at(i, means, quaternions, scales, opacities);
+        const GaussianRow g = load_gaussian(i, means, quaternions, scales, opacities);
         s.splat = project(at, g.mean, g.quaternion, g.scale, g.opacity, f, drawn);
         s.reach = f.reach;
-        // Neither comparison holds of what is not a number.
-        drawn = drawn && f.extent_x < kMostExtent && f.extent_y < kMostExtent;
+        // Both comparisons are false for NaN.
+        drawn = drawn && f.extent_x < kMaxExtent && f.extent_y < kMaxExtent;
     }
     if (drawn) {
-        // The pixels whose centres are within the ellipse's box.
-        const int left = held(ceilf(s.splat.x - f.extent_x - 0.5f), 0, at.width);
-        const int right = held(floorf(s.splat.x + f.extent_x - 0.5f), -1, at.width - 1);
-        const int top = held(ceilf(s.splat.y - f.extent_y - 0.5f), 0, at.height);
-        const int bottom = held(floorf(s.splat.y + f.extent_y - 0.5f), -1, at.height - 1);
+        // The pixels whose centres lie within the ellipse's bounding box.
+        const int left = clamp_to_int(ceilf(s.splat.x - f.extent_x - 0.5f), 0, at.width);
+        const int right = clamp_to_int(floorf(s.splat.x + f.extent_x - 0.5f), -1, at.width - 1);
+        const int top = clamp_to_int(ceilf(s.splat.y - f.extent_y - 0.5f), 0, at.height);
+        const int bottom = clamp_to_int(floorf(s.splat.y + f.extent_y - 0.5f), -1, at.height - 1);
         drawn = left <= right && top <= bottom;
         box = {static_cast<short>(left / kTile), static_cast<short>(top / kTile), static_cast<short>(right / kTile),
                static_cast<short>(bottom / kTile)};

@@ -1,4 +1,4 @@
-"""What a training step needs beside the rasterizer: the loss of an image, Adam, and an order of the Gaussians."""
+"""The parts of a training step beside the rasterizer on CUDA: image loss, Adam, and the Morton order of Gaussians."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from reconstructors.splat.cuda import kernels
-from reconstructors.splat.cuda.device import each, launcher_of, plain
+from reconstructors.splat.cuda.device import kernel_input, launch_over, launcher_for
 from reconstructors.splat.cuda.kernels import Launcher
 from reconstructors.splat.interface import ImageLoss
 
@@ -15,24 +15,30 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _TILE = 16
-_CELLS = 2.0**21  # of the Z-order curve along an axis
+_MORTON_CELLS = 2.0**21  # cells of the Z-order curve along an axis
 
 
 def image_loss(image: Tensor, target: Tensor, ssim_weight: float, launcher: Launcher | None = None) -> ImageLoss:
-    """(1 - w) mean |x - y| + w (1 - SSIM) of images (H, W, 3), with its derivative by the first (Wang et al. 2004).
+    """Compute (1 - w) mean |x - y| + w (1 - SSIM) of images (H, W, 3) and its gradient with respect to x.
 
-    SSIM has a Gaussian window of 11 pixels and standard deviation 1.5, zeros beyond the border, C1 = 0.01^2 and
-    C2 = 0.03^2, and is taken by channels. Memory: four images beside the two. Nothing waits for the GPU: l1 and ssim
-    are tensors.
+    SSIM (Wang et al. 2004) is computed per channel with a Gaussian window of 11 pixels and standard deviation 1.5,
+    zeros beyond the border, C1 = 0.01^2 and C2 = 0.03^2. Memory: four images beside the two. Nothing synchronises with
+    the GPU: l1 and ssim are tensors.
+
+    Args:
+        image: (H, W, 3) rendered image x.
+        target: (H, W, 3) photograph y.
+        ssim_weight: weight w.
+        launcher: runs the kernels; the GPU that holds the tensors if None.
 
     Raises:
-        InputError: tensors that are not on a CUDA device.
+        InputError: the tensors are not on a CUDA device.
         MissingExtra: cuda-core or NVRTC is not installed.
     """
     import torch
 
-    launch = (launcher or launcher_of(image)).launch
-    image, target = plain(image), plain(target)
+    launch = (launcher or launcher_for(image)).launch
+    image, target = kernel_input(image), kernel_input(target)
     height, width = image.shape[:2]
     blocks = 3 * -(-height // _TILE) * -(-width // _TILE)
     maps = [torch.empty_like(image) for _ in range(3)]
@@ -59,57 +65,67 @@ def adam(
     eps: float = 1e-15,
     launcher: Launcher | None = None,
 ) -> None:
-    """One step of Adam (Kingma and Ba 2015), in place, on the rows `ids` of parameters (N, D) and their moments.
+    """Apply one step of Adam (Kingma and Ba 2015), in place, to the rows `ids` of parameters and their moments.
 
     Args:
-        gradient: (V, D) of those rows.
-        ids: (V,) int64, none twice. Other rows keep their parameters and their moments.
-        learning_rate: of all columns, or of each (D,).
-        step: from 1, of all rows alike.
+        parameters: (N, D) parameters.
+        first: (N, D) first moments.
+        second: (N, D) second moments.
+        gradient: (V, D) gradient of the rows.
+        ids: (V,) int64 indices of the rows, without duplicates. Other rows keep their parameters and moments.
+        learning_rate: one for all columns, or one per column (D,).
+        step: number of steps from 1, for all rows together.
+        betas: decay rates of the two moments.
+        eps: added to the denominator.
+        launcher: runs the kernels; the GPU that holds the tensors if None.
 
     Raises:
-        InputError: tensors that are not on a CUDA device.
+        InputError: the tensors are not on a CUDA device.
         MissingExtra: cuda-core or NVRTC is not installed.
     """
     import torch
 
-    launcher = launcher or launcher_of(parameters)
+    launcher = launcher or launcher_for(parameters)
     columns, count = parameters.shape[1], gradient.numel()
     unbias = math.sqrt(1.0 - betas[1] ** step)
     correction = unbias / (1.0 - betas[0] ** step)
     if isinstance(learning_rate, torch.Tensor):
         scaled = (learning_rate.float().double() * correction).float()
         rates = scaled.to(parameters.device, non_blocking=True).contiguous()
-    else:  # a tensor made of a number of the host would wait for the GPU; this does not
+    else:  # creating a tensor from host data would synchronise with the GPU; this does not
         rate = ctypes.c_float(learning_rate).value * correction
         rates = torch.full((columns,), rate, dtype=torch.float32, device=parameters.device)
-    rests = (1.0 - ctypes.c_float(beta).value for beta in betas)  # of what the kernel multiplies by
-    numbers = (eps * unbias, *betas, *rests)
-    each(
+    complements = (1.0 - ctypes.c_float(beta).value for beta in betas)  # of the float32 values in the kernel
+    constants = (eps * unbias, *betas, *complements)
+    launch_over(
         launcher, kernels.adam(), count,
-        ctypes.c_int64(count), ctypes.c_int32(columns), parameters, first, second, plain(gradient), ids, rates,
-        *map(ctypes.c_float, numbers),
+        ctypes.c_int64(count), ctypes.c_int32(columns), parameters, first, second, kernel_input(gradient), ids, rates,
+        *map(ctypes.c_float, constants),
     )  # fmt: skip
 
 
 def morton_order(means: Tensor, launcher: Launcher | None = None) -> Tensor:
-    """(N,) int64: the order of points (N, 3) along a Z-order curve (Morton 1966), which keeps neighbours together.
+    """Return the order (N,), int64, of points (N, 3) along a Z-order curve (Morton 1966).
 
-    Gaussians in this order are read and written side by side by the threads of a warp. A trainer applies it to all that
-    belongs to its Gaussians every few thousand steps.
+    The curve keeps neighbors close together, so the threads of a warp read and write Gaussians next to each other.
+    Training sorts the Gaussians into this order every few thousand steps.
+
+    Args:
+        means: (N, 3) points.
+        launcher: runs the kernels; the GPU that holds the tensors if None.
 
     Raises:
-        InputError: tensors that are not on a CUDA device.
+        InputError: the tensors are not on a CUDA device.
         MissingExtra: cuda-core or NVRTC is not installed.
     """
     import torch
 
-    launcher, means = launcher or launcher_of(means), plain(means)
+    launcher, means = launcher or launcher_for(means), kernel_input(means)
     codes = torch.empty(len(means), dtype=torch.int64, device=means.device)
     if len(means) == 0:
         return codes
-    least, most = means.amin(dim=0), means.amax(dim=0)
-    cells = _CELLS / (most - least).amax().clamp(min=torch.finfo(torch.float32).tiny)
-    box = torch.cat([least, cells[None]])
-    each(launcher, kernels.morton(), len(means), ctypes.c_int32(len(means)), means, box, codes)
+    lower, upper = means.amin(dim=0), means.amax(dim=0)
+    cells = _MORTON_CELLS / (upper - lower).amax().clamp(min=torch.finfo(torch.float32).tiny)
+    box = torch.cat([lower, cells[None]])
+    launch_over(launcher, kernels.morton(), len(means), ctypes.c_int32(len(means)), means, box, codes)
     return torch.sort(codes, stable=True).indices

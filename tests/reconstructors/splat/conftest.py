@@ -1,11 +1,11 @@
-"""The devices that the rasterizer's tests run on."""
+"""Devices for the tests of the rasterizer."""
 
 import pytest
 from optional import import_or_skip
 from splat_passes import Engine
 
 
-def plain():
+def reference_engine():
     from reconstructors.splat import reference
 
     return Engine(reference, "cpu")
@@ -18,7 +18,7 @@ def on_cpu():
 
 
 def on_emulated_cuda():
-    """The CUDA kernels and all that runs around them, on the CPU."""
+    """The CUDA kernels and the code around them, on the CPU."""
     import_or_skip("torch")
     from cuda_emulator import EmulatedCuda
 
@@ -36,13 +36,13 @@ def on_cuda():
 
 @pytest.fixture(scope="session", params=[on_cpu, on_emulated_cuda, pytest.param(on_cuda, marks=pytest.mark.gpu)])
 def engine(request):
-    """Each device's kernels; `pytest -m gpu` runs those of CUDA."""
+    """The kernels of each device; `pytest -m gpu` runs those of CUDA."""
     import_or_skip("torch")
     return request.param()
 
 
-@pytest.fixture(scope="session", params=[plain, on_cpu, pytest.param(on_cuda, marks=pytest.mark.gpu)])
+@pytest.fixture(scope="session", params=[reference_engine, on_cpu, pytest.param(on_cuda, marks=pytest.mark.gpu)])
 def any_engine(request):
-    """The plain rasterizer as well: what is known in closed form it has to know too."""
+    """The same with the reference rasterizer, which must also meet closed forms."""
     import_or_skip("torch")
     return request.param()

@@ -1,5 +1,5 @@
-// A rasterizer of loops over maths.h alone, pixel by pixel and Gaussian by Gaussian, to be called through ctypes.
-// REAL is float, or double where maths.h has been rewritten for it: the formulas then show to many more digits.
+// A rasterizer of loops over maths.h alone, pixel by pixel and Gaussian by Gaussian, called through ctypes. REAL is
+// float, or double if maths.h has been rewritten for it: in double the formulas can be compared with many more digits.
 
 #include <algorithm>
 #include <cmath>
@@ -23,7 +23,7 @@ inline Real exponent(Real x, Real& mantissa) {
 
 #include MATHS
 
-#ifdef EXACT  // the two polynomials are made for float
+#ifdef EXACT  // the two polynomials have float precision
 template <>
 inline double exp2_of<double>(double x) {
     return std::exp2(x);
@@ -46,7 +46,7 @@ Pinhole pinhole(const Real* view, int width, int height) {  // rotation, positio
     return at;
 }
 
-struct One {
+struct Projected {
     Footprint<Real> footprint;
     Splat<Real> splat;
     bool drawn;
@@ -68,34 +68,35 @@ void exp2_and_log2(int n, const Real* x, Real* powers, Real* logarithms) {
     for (int i = 0; i < n; ++i) powers[i] = exp2_of(x[i]), logarithms[i] = log2_of(std::fabs(x[i]));
 }
 
-void least_squares(int n, const Real* in, Real* out) {  // uu uv vv x0 x1 y0 y1
-    for (int i = 0; i < n; ++i, in += 7) out[i] = least_square(in[0], in[1], in[2], in[3], in[4], in[5], in[6]);
+void min_squared_norms(int n, const Real* in, Real* out) {  // uu uv vv x0 x1 y0 y1
+    for (int i = 0; i < n; ++i, in += 7) out[i] = min_squared_norm(in[0], in[1], in[2], in[3], in[4], in[5], in[6]);
 }
 
-// images: color (3), transmittance, depth, normal (3) of each pixel; sums: the 8 derivatives alike; per Gaussian:
-// mean (3), quaternion (4), scale (3), opacity, screen (2), weight, error; harmonics; box: x0 x1 y0 y1 of each ellipse
-// and the reach. Without `sums` it only draws.
+// images: color (3), transmittance, depth, normal (3) of each pixel; sums: gradients with respect to these 8;
+// gradients, per Gaussian: mean (3), quaternion (4), scale (3), opacity, screen (2), weight, error; sh_gradients:
+// harmonics; boxes: x0 x1 y0 y1 of each ellipse and its reach. Without `sums` it only renders.
 void rasterize(int n, int count, const Real* means, const Real* quats, const Real* scales, const Real* opacities,
                const Real* sh, const Real* view, int width, int height, const Real* background, Real* images,
-               Real* median, Real* boxes, const Real* sums, const Real* errors, Real* pulled, Real* pulled_sh) {
+               Real* median, Real* boxes, const Real* sums, const Real* errors, Real* gradients, Real* sh_gradients) {
     const Pinhole at = pinhole(view, width, height);
-    std::vector<One> all(n);
+    std::vector<Projected> all(n);
     std::vector<Vec<Real>> free_color(n);
     std::vector<int> order;
     for (int i = 0; i < n; ++i) {
-        One& one = all[i];
+        Projected& projected = all[i];
         const Vec<Real> mean{means[3 * i], means[3 * i + 1], means[3 * i + 2]};
         const Vec<Real> scale{scales[3 * i], scales[3 * i + 1], scales[3 * i + 2]};
         const Quaternion<Real> quaternion{quats[4 * i], quats[4 * i + 1], quats[4 * i + 2], quats[4 * i + 3]};
-        one.splat = project(at, mean, quaternion, scale, opacities[i], one.footprint, one.drawn);
-        const Footprint<Real>& f = one.footprint;
+        projected.splat = project(at, mean, quaternion, scale, opacities[i], projected.footprint, projected.drawn);
+        const Footprint<Real>& f = projected.footprint;
         free_color[i] = color_of(sh + 3 * count * i, count, f.offset);
         const Vec<Real> c = free_color[i];
-        one.splat.color = {greater(c.x, Real(0)), greater(c.y, Real(0)), greater(c.z, Real(0))};
-        const Real box[5] = {one.splat.x - f.extent_x, one.splat.x + f.extent_x, one.splat.y - f.extent_y,
-                             one.splat.y + f.extent_y, one.drawn ? f.reach : Real(-1)};
+        projected.splat.color = {greater(c.x, Real(0)), greater(c.y, Real(0)), greater(c.z, Real(0))};
+        const Real box[5] = {projected.splat.x - f.extent_x, projected.splat.x + f.extent_x,
+                             projected.splat.y - f.extent_y, projected.splat.y + f.extent_y,
+                             projected.drawn ? f.reach : Real(-1)};
         std::copy(box, box + 5, boxes + 5 * i);
-        if (one.drawn) order.push_back(i);
+        if (projected.drawn) order.push_back(i);
     }
     std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return all[a].splat.depth < all[b].splat.depth; });
 
@@ -107,10 +108,10 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
             const Splat<Real>& s = all[i].splat;
             const Real dx = Real(pixel % width) + Real(0.5) - s.x, dy = Real(pixel / width) + Real(0.5) - s.y;
             const Real u = fused(s.uu, dx, s.uv * dy), v = s.vv * dy, alpha = alpha_at(s.level, u, v);
-            if (alpha < kLeastAlpha) continue;
-            const Real held = lesser(alpha, Real(kMostAlpha)), next = left * (1 - held);
-            if (next < kLeastTransmittance) break;
-            see(i, u, v, held, alpha > kMostAlpha ? Real(0) : Real(1), left, next);
+            if (alpha < kMinAlpha) continue;
+            const Real clamped = lesser(alpha, Real(kMaxAlpha)), next = left * (1 - clamped);
+            if (next < kMinTransmittance) break;
+            see(i, u, v, clamped, alpha > kMaxAlpha ? Real(0) : Real(1), left, next);
             left = next;
         }
         return left;
@@ -118,7 +119,7 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
     for (int pixel = 0; pixel < width * height; ++pixel) {
         Vec<Real> color{0, 0, 0}, normal{0, 0, 0};
         Real depth = 0, middle = 0;
-        const auto draw = [&](int i, Real u, Real v, Real alpha, Real, Real left, Real next) {
+        const auto blend = [&](int i, Real u, Real v, Real alpha, Real, Real left, Real next) {
             const Splat<Real>& s = all[i].splat;
             const Real plane = fused(s.depth_u, u, fused(s.depth_v, v, s.depth));
             color = fused(alpha * left, s.color, color);
@@ -126,7 +127,7 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
             depth = fused(alpha * left, plane, depth);
             if (left >= Real(0.5) && next < Real(0.5)) middle = plane;
         };
-        const Real left = visit(pixel, draw);
+        const Real left = visit(pixel, blend);
         color = fused(left, Vec<Real>{background[0], background[1], background[2]}, color);
         const Real image[8] = {color.x, color.y, color.z, left, depth, normal.x, normal.y, normal.z};
         std::copy(image, image + 8, images + 8 * pixel);
@@ -136,8 +137,8 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
         Real behind = 0;
         for (int k = 0; k < 8; ++k) behind += d[k] * image[k];
         const PixelGradient<Real> g{{d[0], d[1], d[2]}, d[4], {d[5], d[6], d[7]}};
-        visit(pixel, [&](int i, Real u, Real v, Real alpha, Real free, Real left, Real) {
-            add_pixel<true>(all[i].splat, u, v, alpha, free, left, g, errors[pixel], behind, moments[i]);
+        visit(pixel, [&](int i, Real u, Real v, Real alpha, Real unclamped, Real left, Real) {
+            add_pixel<true>(all[i].splat, u, v, alpha, unclamped, left, g, errors[pixel], behind, moments[i]);
         });
     }
     if (!sums) return;
@@ -146,20 +147,20 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
         const Vec<Real> scale{scales[3 * i], scales[3 * i + 1], scales[3 * i + 2]};
         Gradient<Real> g = project_gradient(at, scale, opacities[i], all[i].footprint, all[i].splat, m);
         const Vec<Real> c = free_color[i], offset = all[i].footprint.offset;
-        const Vec<Real> by_color{c.x > 0 ? m.color.x : 0, c.y > 0 ? m.color.y : 0, c.z > 0 ? m.color.z : 0};
-        Real basis[kMaxHarmonics], by_basis[kMaxHarmonics];
+        const Vec<Real> grad_color{c.x > 0 ? m.color.x : 0, c.y > 0 ? m.color.y : 0, c.z > 0 ? m.color.z : 0};
+        Real basis[kMaxHarmonics], grad_basis[kMaxHarmonics];
         harmonics(unit(offset), count, basis);
         for (int k = 0; k < count; ++k) {
             const Real* one = sh + 3 * (count * i + k);
-            by_basis[k] = dot(Vec<Real>{one[0], one[1], one[2]}, by_color);
-            const Real by[3] = {basis[k] * by_color.x, basis[k] * by_color.y, basis[k] * by_color.z};
-            std::copy(by, by + 3, pulled_sh + 3 * (count * i + k));
+            grad_basis[k] = dot(Vec<Real>{one[0], one[1], one[2]}, grad_color);
+            const Real grad[3] = {basis[k] * grad_color.x, basis[k] * grad_color.y, basis[k] * grad_color.z};
+            std::copy(grad, grad + 3, sh_gradients + 3 * (count * i + k));
         }
-        g.mean = g.mean + unit_gradient(offset, harmonics_gradient(unit(offset), count, by_basis));
+        g.mean = g.mean + unit_gradient(offset, harmonics_gradient(unit(offset), count, grad_basis));
         const Real out[15] = {g.mean.x,       g.mean.y,       g.mean.z,   g.quaternion.w, g.quaternion.x,
                               g.quaternion.y, g.quaternion.z, g.scale.x,  g.scale.y,      g.scale.z,
                               g.opacity,      g.screen_x,     g.screen_y, m.weight,       m.error};
-        std::copy(out, out + 15, pulled + 15 * i);
+        std::copy(out, out + 15, gradients + 15 * i);
     }
 }
 }

@@ -1,9 +1,9 @@
-"""Images that are known without a rasterizer."""
+"""Renderings with known closed forms."""
 
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Wanted, run_pass
+from splat_passes import ImageGradients, run_pass
 from splat_scenes import SplatScene
 
 from pcbench.geometry.cameras import Camera, Intrinsics
@@ -12,11 +12,11 @@ from pcbench.geometry.transform import Similarity
 torch = import_or_skip("torch")
 
 DILATION = 0.3  # square pixels
-LEAST = 1 / 255  # the alpha of what is still drawn
+MIN_ALPHA = 1 / 255  # smaller alphas are not drawn
 
 
 def facing(means, scales, opacities, colors, size=(32, 32), focal=100.0, quats=None, center=None, background=(0, 0, 0)):
-    """Gaussians before a camera at the origin that looks along +z, the image's centre on its axis."""
+    """Gaussians before a camera at the origin that looks along +z, the image's centre on its axis by default."""
     means = np.atleast_2d(means)
     count, (width, height) = len(means), size
     cx, cy = (0.5 * width, 0.5 * height) if center is None else center
@@ -27,8 +27,8 @@ def facing(means, scales, opacities, colors, size=(32, 32), focal=100.0, quats=N
     return SplatScene(*(np.array(a, np.float32) for a in arrays), camera, np.array(background, np.float32))
 
 
-def photograph(engine, scene):
-    """The images (H, W, ...) by name, and alpha."""
+def render_images(engine, scene):
+    """Return the images (H, W, ...) by name, and alpha."""
     k = scene.camera.intrinsics
     images = {
         name: image.reshape(k.height, k.width, -1).squeeze() for name, image in run_pass(engine, scene).images.items()
@@ -37,40 +37,45 @@ def photograph(engine, scene):
 
 
 def test_the_sum_of_a_gaussian_is_its_integral(any_engine):
-    """2 pi sqrt(det) opacity, less what is cut off where alpha is under 1/255: under the ellipse of that height the
-    integral of a Gaussian of height a is 2 pi sqrt(det) (a - 1/255)."""
+    """The integral of a Gaussian of height a above the level 1/255 is 2 pi sqrt(det) (a - 1/255); alphas below 1/255
+    are
+    cut off."""
     wide, high, opacity = 6.0, 4.0, 0.6
     scene = facing([0, 0, 2], [wide * 0.02, high * 0.02, 0.01], opacity, [0.9, 0.5, 0.2], size=(61, 41))
-    images = photograph(any_engine, scene)
-    integral = 2 * np.pi * np.sqrt((wide**2 + DILATION) * (high**2 + DILATION)) * (opacity - LEAST)
-    # The edge, 1/255 high, is cut pixel by pixel.
+    images = render_images(any_engine, scene)
+    integral = 2 * np.pi * np.sqrt((wide**2 + DILATION) * (high**2 + DILATION)) * (opacity - MIN_ALPHA)
+    # The edge, 1/255 high, is cut at pixel boundaries.
     assert images["alpha"].sum() == pytest.approx(integral, rel=1e-3)
     np.testing.assert_allclose(images["color"].sum(axis=(0, 1)), integral * np.array([0.9, 0.5, 0.2]), rtol=1e-3)
 
 
-def test_a_point_is_the_dilation(any_engine):
-    """Of no size itself: exp(-d^2 / (2 0.3)) times its opacity, wherever between the pixel centres it lies."""
+def test_a_point_is_drawn_as_its_dilation(any_engine):
+    """A Gaussian of size zero is exp(-d^2 / (2 0.3)) times its opacity, wherever its mean lies between pixels."""
     for x, y in [(0.0, 0.0), (0.5, 0.5), (0.21, -0.37)]:
         scene = facing([x * 0.02, y * 0.02, 2], 0, 0.8, [1, 1, 1], size=(8, 6))
         u, v = np.meshgrid(np.arange(8) + 0.5 - 4 - x, np.arange(6) + 0.5 - 3 - y)
-        wanted = 0.8 * np.exp(-(u**2 + v**2) / (2 * DILATION))
-        np.testing.assert_allclose(photograph(any_engine, scene)["alpha"], wanted * (wanted >= LEAST), atol=2e-6)
+        expected = 0.8 * np.exp(-(u**2 + v**2) / (2 * DILATION))
+        np.testing.assert_allclose(
+            render_images(any_engine, scene)["alpha"], expected * (expected >= MIN_ALPHA), atol=2e-6
+        )
 
 
 def test_pixel_centres_are_at_a_half(any_engine):
-    """On a pixel's centre the image is symmetric about that pixel; on a corner its four pixels are alike."""
-    alpha = photograph(any_engine, facing([0, 0, 2], 0.02, 0.8, [1, 1, 1], size=(16, 16), center=(8.5, 8.5)))["alpha"]
+    """A Gaussian at a pixel centre is symmetric about that pixel; at a corner its four pixels are equal."""
+    alpha = render_images(any_engine, facing([0, 0, 2], 0.02, 0.8, [1, 1, 1], size=(16, 16), center=(8.5, 8.5)))[
+        "alpha"
+    ]
     assert np.unravel_index(alpha.argmax(), alpha.shape) == (8, 8)
     around = alpha[2:15, 2:15]
     for turned in (around[::-1], around[:, ::-1], around.T):
         np.testing.assert_allclose(turned, around, atol=1e-6)
-    corner = photograph(any_engine, facing([0, 0, 2], 0.02, 0.8, [1, 1, 1], size=(16, 16)))["alpha"]
+    corner = render_images(any_engine, facing([0, 0, 2], 0.02, 0.8, [1, 1, 1], size=(16, 16)))["alpha"]
     np.testing.assert_allclose(corner[7:9, 7:9], corner[7, 7], atol=1e-6)
     np.testing.assert_allclose(corner[::-1, ::-1].T, corner, atol=1e-6)
 
 
-def some_plane(rng, count=40):
-    """Gaussians in the plane z = 3, of one depth each to blend them in one order."""
+def random_plane(rng, count=40):
+    """Gaussians in the plane z = 3, at slightly different depths so that their order is unique."""
     means = np.column_stack([rng.uniform(-0.4, 0.4, (count, 2)), 3 + 1e-3 * np.arange(count)])
     scales = np.column_stack([0.1 * np.exp(rng.uniform(-1.5, 0.5, (count, 2))), np.full(count, 0.001)])
     angles = rng.uniform(0, 2 * np.pi, count)
@@ -78,25 +83,25 @@ def some_plane(rng, count=40):
     return means, scales, rng.uniform(0.1, 1, count), rng.random((count, 3)), quats
 
 
-def test_moved_by_whole_pixels_an_image_is_moved(any_engine):
-    means, scales, opacities, colors, quats = some_plane(np.random.default_rng(1))
+def test_moving_the_principal_point_by_whole_pixels_moves_the_image(any_engine):
+    means, scales, opacities, colors, quats = random_plane(np.random.default_rng(1))
     still, moved = (
-        photograph(any_engine, facing(means, scales, opacities, colors, (48, 40), 60.0, quats, center))
+        render_images(any_engine, facing(means, scales, opacities, colors, (48, 40), 60.0, quats, center))
         for center in [(24, 20), (31, 17)]
     )
     for name in ("color", "alpha", "depth", "normal", "median_depth"):
         np.testing.assert_allclose(moved[name][:-3, 7:], still[name][3:, :-7], atol=2e-5, err_msg=name)
 
 
-def test_a_turned_plane_is_a_turned_image(any_engine):
-    """By 90 degrees about the camera's axis: (x, y) goes to (-y, x), and the image's columns become its rows."""
-    means, scales, opacities, colors, quats = some_plane(np.random.default_rng(2))
-    still = photograph(any_engine, facing(means, scales, opacities, colors, (36, 36), 40.0, quats))
+def test_a_rotated_plane_is_a_rotated_image(any_engine):
+    """By 90 degrees about the camera's axis: (x, y) becomes (-y, x), and the image's columns become its rows."""
+    means, scales, opacities, colors, quats = random_plane(np.random.default_rng(2))
+    still = render_images(any_engine, facing(means, scales, opacities, colors, (36, 36), 40.0, quats))
     turn = np.sqrt(0.5)
     w, _, _, z = quats.T
     turned_quats = np.column_stack([turn * (w - z), 0 * w, 0 * w, turn * (w + z)])
     turned_means = np.column_stack([-means[:, 1], means[:, 0], means[:, 2]])
-    turned = photograph(any_engine, facing(turned_means, scales, opacities, colors, (36, 36), 40.0, turned_quats))
+    turned = render_images(any_engine, facing(turned_means, scales, opacities, colors, (36, 36), 40.0, turned_quats))
     assert still["alpha"].max() > 0.9
     for name in ("color", "alpha", "depth", "median_depth"):
         np.testing.assert_allclose(turned[name], np.rot90(still[name], -1), atol=2e-5, err_msg=name)
@@ -105,40 +110,43 @@ def test_a_turned_plane_is_a_turned_image(any_engine):
 
 
 def test_one_colour_before_itself_is_that_colour(any_engine):
-    """Weights and what is left sum to one, however many are blended."""
-    means, scales, opacities, _, quats = some_plane(np.random.default_rng(3))
+    """Weights and final transmittance sum to one for any number of Gaussians."""
+    means, scales, opacities, _, quats = random_plane(np.random.default_rng(3))
     color = [0.9, 0.3, 0.1]
     scene = facing(means, scales, opacities, color, (36, 36), 40.0, quats, background=color)
-    image = photograph(any_engine, scene)["color"]
+    image = render_images(any_engine, scene)["color"]
     np.testing.assert_allclose(image, np.broadcast_to(color, image.shape), atol=3e-6)
 
 
-def test_the_nearer_one_hides_the_other(any_engine):
-    """In whatever order they are given; at most 0.99 is hidden, and less than 1e-4 is never left."""
+def test_nearer_gaussians_occlude_farther_ones(any_engine):
+    """In any input order; alpha is at most 0.99, and a ray ends before its transmittance falls below 1e-4."""
     colors, opacities = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0.0]]), [0.5, 0.6, 1]
     scene = facing([[0, 0, 3], [0, 0, 1], [0, 0, 2]], 1e3, opacities, colors, (5, 4), background=[1, 1, 1])
-    images = photograph(any_engine, scene)
+    images = render_images(any_engine, scene)
     weights = np.array([0.4 * 0.01 * 0.5, 0.6, 0.4 * 0.99])
-    wanted = weights @ colors + (0.4 * 0.01 * 0.5)
-    np.testing.assert_allclose(images["color"], np.broadcast_to(wanted, (4, 5, 3)), atol=1e-5)
+    expected = weights @ colors + (0.4 * 0.01 * 0.5)
+    np.testing.assert_allclose(images["color"], np.broadcast_to(expected, (4, 5, 3)), atol=1e-5)
     np.testing.assert_allclose(images["depth"], weights @ [3, 1, 2], atol=1e-5)
     np.testing.assert_allclose(images["median_depth"], 1, atol=1e-6)
     opaque = facing([[0, 0, 3], [0, 0, 1], [0, 0, 2]], 1e3, 1, colors, (5, 4), background=[1, 1, 1])
-    # The second of them would leave 1e-4 all but a rounding, and the ray ends before it.
-    wanted = 0.99 * colors[1] + 0.01
-    np.testing.assert_allclose(photograph(any_engine, opaque)["color"], np.broadcast_to(wanted, (4, 5, 3)), atol=1e-5)
+    # The second Gaussian would leave 1e-4 up to rounding, so the ray ends before it.
+    expected = 0.99 * colors[1] + 0.01
+    np.testing.assert_allclose(
+        render_images(any_engine, opaque)["color"], np.broadcast_to(expected, (4, 5, 3)), atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 30, 60])
 @pytest.mark.parametrize("axis", [1, 2])
 def test_a_tilted_disc_has_its_planes_depth(any_engine, axis, tilt_deg):
-    """As the rays meet its plane, but for the 0.3 square pixels by which its depth is flatter, less than a hundredth of
-    its covariance, and for what perspective bends: the square of its depth's deviation to the depth."""
+    """The depth is that of the ray's intersection with its plane. The dilation of 0.3 square pixels flattens the slope
+    by
+    less than a hundredth, and perspective adds the square of the depth's deviation divided by the depth."""
     focal, depth, sigma, tilt = 2000.0, 10.0, 0.2, np.radians(tilt_deg)
     quat = np.zeros((1, 4))
     quat[0, [0, axis]] = np.cos(tilt / 2), np.sin(tilt / 2)
     scene = facing([0.02, -0.01, depth], [sigma, sigma, 0], 0.9, [1, 1, 1], (24, 18), focal, quat)
-    images = photograph(any_engine, scene)
+    images = render_images(any_engine, scene)
     normal = np.array([[0, -np.sin(tilt), np.cos(tilt)], [np.sin(tilt), 0, np.cos(tilt)]][axis - 1])
     u, v = np.meshgrid((np.arange(24) + 0.5 - 12) / focal, (np.arange(18) + 0.5 - 9) / focal)
     ray = np.stack([u, v, np.ones_like(u)], axis=2)
@@ -153,14 +161,14 @@ def test_a_tilted_disc_has_its_planes_depth(any_engine, axis, tilt_deg):
 
 
 def test_a_tilted_plane_of_discs_has_its_depth(any_engine):
-    """To what it changes within a pixel, and towards the camera: the nearer discs hide the farther."""
+    """Up to its change within a pixel, and towards the camera: nearer discs hide farther ones."""
     focal, depth, tilt = 100.0, 10.0, np.radians(35)
-    along = 0.25 * np.arange(-9, 10)  # two and a half pixels apart, and as large
+    along = 0.25 * np.arange(-9, 10)  # spacing of two and a half pixels, equal to the discs' size
     x, s = (grid.ravel() for grid in np.meshgrid(along, along))
     means = np.column_stack([x, s * np.cos(tilt), depth + s * np.sin(tilt)])
     quats = np.tile([np.cos(tilt / 2), np.sin(tilt / 2), 0, 0], (len(means), 1))
     scene = facing(means, [0.25, 0.25, 0], 0.9, [1, 1, 1], (16, 20), focal, quats)
-    images = photograph(any_engine, scene)
+    images = render_images(any_engine, scene)
     assert images["alpha"].min() > 0.99
     down = (np.arange(20) + 0.5 - 10) / focal
     plane = (depth / (1 - down * np.tan(tilt)))[:, None]
@@ -170,17 +178,17 @@ def test_a_tilted_plane_of_discs_has_its_depth(any_engine):
         assert (short > -0.2).all() and (short < 0.8).all() and 0.1 < short.mean() < 0.5
 
 
-def test_what_is_behind_or_beside_is_not_seen(any_engine):
+def test_gaussians_behind_or_beside_the_camera_are_not_drawn(any_engine):
     scene = facing([[0, 0, -2], [0, 0, 0.005], [50, 0, 2], [0, -50, 2]], 0.1, 0.9, [1, 1, 1])
-    images = photograph(any_engine, scene)
+    images = render_images(any_engine, scene)
     assert not any(images[name].any() for name in ("color", "alpha", "depth", "normal", "median_depth"))
 
 
-def test_colours_below_nothing_are_nothing(any_engine):
-    """And have no derivative; the others have."""
+def test_negative_colours_are_clamped_to_zero(any_engine):
+    """A clamped channel has no gradient, the others have one."""
     scene = facing([0, 0, 2], 0.1, 0.9, [-0.2, 0.4, 1.7])
-    image = photograph(any_engine, scene)
+    image = render_images(any_engine, scene)
     assert not image["color"][..., 0].any() and image["color"][..., 2].max() > 1
     ones = np.ones((32, 32, 3), np.float32)
-    pulled = run_pass(any_engine, scene, Wanted(ones, None, None, None, None)).pulled
-    assert pulled["sh"][0, 0, 0] == 0 and (pulled["sh"][0, 0, 1:] > 0).all()
+    gradients = run_pass(any_engine, scene, ImageGradients(ones, None, None, None, None)).gradients
+    assert gradients["sh"][0, 0, 0] == 0 and (gradients["sh"][0, 0, 1:] > 0).all()

@@ -1,4 +1,4 @@
-"""What tests/bench/splat_raster.py times does the same thing by different code."""
+"""The contestants of tests/bench/splat_raster.py compute equivalent training steps."""
 
 import re
 import subprocess
@@ -27,13 +27,13 @@ from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E40
 
 
 @pytest.mark.parametrize(("count", "width", "height"), [(600, 70, 43), (40, 16, 16)])
-def test_a_step_in_plain_torch_has_the_same_picture_and_derivatives(count, width, height):
+def test_a_step_in_plain_torch_has_the_same_image_and_gradients(count, width, height):
     picture = make_picture(count, width, height)
     ours, plain = Ours(picture), PlainTorch(picture)
     for contestant in (ours, plain):
         for part in ("forward", "loss", "backward", "adam"):
             getattr(contestant, part)()
-    # float32 on both sides; a pixel may be on the other side of 1/255, which moves it by that much.
+    # Both are float32; a pixel may lie on the other side of the threshold 1/255, which changes it by that much.
     off = (ours.image - plain.image).abs()
     assert off.mean() < 1e-6 and off.max() < 2 / 255
     for name, a, b in zip(ours.gradients()._fields, ours.gradients(), plain.gradients(), strict=True):
@@ -41,14 +41,14 @@ def test_a_step_in_plain_torch_has_the_same_picture_and_derivatives(count, width
         assert b.any(), name
 
 
-def test_training_takes_the_drawing_of_another():
-    """By plain torch, as gsplat's is taken on a GPU: the two models look alike after the same steps."""
+def test_training_runs_with_another_rasterizer():
+    """With plain torch, as with gsplat on a GPU: both models are equally good after the same steps."""
     picture = make_picture(150, 40, 30)
     photograph = Photograph("view", picture.view, (picture.target * 255).to(torch.uint8), None)
     scores = []
     for drawn_by in (None, draw_plainly):
         model = Gaussians(*(part.clone() for part in picture.parameters._replace(sh=picture.parameters.sh[:, :1])))
-        training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, halved=(0, 0)), Density())
+        training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, downscale_shares=(0, 0)), Density())
         before = evaluate(training.model, [photograph])[0]
         if drawn_by is not None:
             training._rasterizer = RasterizerByAutograd(drawn_by)
@@ -58,8 +58,8 @@ def test_training_takes_the_drawing_of_another():
     assert scores[1] == pytest.approx(scores[0], abs=0.02)
 
 
-def test_no_step_moves_the_picture():
-    """Each run has to draw what the one before drew."""
+def test_no_step_changes_the_image():
+    """All runs have to render the same image."""
     picture = make_picture(200, 40, 30)
     for contestant in (Ours(picture), PlainTorch(picture)):
         images = []

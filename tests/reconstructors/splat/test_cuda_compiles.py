@@ -1,4 +1,4 @@
-"""The CUDA kernels are compiled by NVRTC, on a machine without a GPU: that none was run on one, no test can tell."""
+"""Compilation of the CUDA kernels by NVRTC, which needs no GPU."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import make, whole_tiles
 from wording import refused
 
@@ -18,14 +18,14 @@ from reconstructors.splat import cuda
 from reconstructors.splat.cuda import kernels
 
 ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
-EVERY = kernels.every_kernel()
-# Of each kernel the one that is compiled to most: all harmonics, all images, and what the derivative needs.
+EVERY = kernels.all_kernels()
+# The variant of each kernel with the most code: all harmonics, all images, and the state for the gradient.
 LARGEST = list({kernel.name: kernel for kernel in EVERY}.values())
 
 
 @pytest.fixture
 def nvrtc(monkeypatch, tmp_path):
-    """The module that compiles, with an empty cache."""
+    """The module `nvrtc` with an empty cache."""
     import_or_skip("cuda.core")
     from reconstructors.splat.cuda import nvrtc
 
@@ -41,7 +41,7 @@ def assert_is_code_of(cubin, kernel):
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 @pytest.mark.parametrize("kernel", LARGEST, ids=lambda kernel: kernel.name)
 def test_every_kernel_compiles(nvrtc, kernel, architecture):
-    assert_is_code_of(nvrtc.compiled(kernel, architecture), kernel)
+    assert_is_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
 
 
 @pytest.mark.slow
@@ -50,12 +50,12 @@ def test_every_kernel_compiles(nvrtc, kernel, architecture):
     "kernel", EVERY, ids=lambda kernel: "-".join([kernel.name, *(str(n) for _, n in kernel.constants)])
 )
 def test_every_kernel_compiles_with_all_of_its_constants(nvrtc, kernel, architecture):
-    assert_is_code_of(nvrtc.compiled(kernel, architecture), kernel)
+    assert_is_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
 
 
-def test_what_was_compiled_is_kept(nvrtc, monkeypatch, tmp_path):
+def test_compiled_kernels_are_cached(nvrtc, monkeypatch, tmp_path):
     kernel = kernels.compact()
-    cubin = nvrtc.compiled(kernel, "sm_90")
+    cubin = nvrtc.compile_kernel(kernel, "sm_90")
     (file,) = (tmp_path / "pcbench").iterdir()
     assert file.read_bytes() == cubin
 
@@ -66,27 +66,27 @@ def test_what_was_compiled_is_kept(nvrtc, monkeypatch, tmp_path):
 
     with monkeypatch.context() as patched:
         patched.setattr(core, "Program", refuse)
-        assert nvrtc.compiled(kernel, "sm_90") == cubin
+        assert nvrtc.compile_kernel(kernel, "sm_90") == cubin
         for other, architecture in [(kernel, "sm_80"), (replace(kernel, threads=64), "sm_90")]:
             with pytest.raises(RuntimeError, match=r"compiled again|does not compile"):
-                nvrtc.compiled(other, architecture)
+                nvrtc.compile_kernel(other, architecture)
 
 
-def test_a_cache_that_cannot_be_written_is_done_without(nvrtc, monkeypatch, tmp_path):
+def test_a_cache_folder_that_is_not_writable_is_ignored(nvrtc, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert_is_code_of(nvrtc.compiled(kernels.compact(), "sm_90"), kernels.compact())
+    assert_is_code_of(nvrtc.compile_kernel(kernels.compact(), "sm_90"), kernels.compact())
 
 
-def test_what_does_not_compile_says_why(nvrtc, tmp_path):
+def test_a_compilation_error_has_the_log(nvrtc, tmp_path):
     (tmp_path / "wrong.cu").write_text("constexpr int kAnswer = unheard_of;\n")
-    kernel = replace(kernels.compact(), before=(tmp_path / "wrong.cu",))
+    kernel = replace(kernels.compact(), headers=(tmp_path / "wrong.cu",))
     with pytest.raises(RuntimeError, match=r"compact for sm_90(.|\n)*unheard_of"):
-        nvrtc.compiled(kernel, "sm_90")
+        nvrtc.compile_kernel(kernel, "sm_90")
 
 
 class Driver:
-    """cuda.core but for what needs a GPU: the emulator gets what the driver would get."""
+    """cuda.core without the parts that need a GPU: the emulator runs what the driver would run."""
 
     def __init__(self, nvrtc, core, emulator):
         self.nvrtc, self.core, self.emulator, self.streams = nvrtc, core, emulator, set()
@@ -102,19 +102,19 @@ class Driver:
 
         def kernel(name):
             called = (kernel for kernel in EVERY if kernel.name == name)
-            return next(kernel for kernel in called if self.nvrtc.compiled(kernel, "sm_90") == cubin)
+            return next(kernel for kernel in called if self.nvrtc.compile_kernel(kernel, "sm_90") == cubin)
 
         return SimpleNamespace(get_kernel=kernel)
 
     def launch(self, stream, shape, kernel, *arguments):
-        held = import_or_skip("cuda.core._kernel_arg_handler").ParamHolder(arguments)
+        holder = import_or_skip("cuda.core._kernel_arg_handler").ParamHolder(arguments)
         assert (shape.block, shape.grid[1:]) == ((kernel.threads, 1, 1), (1, 1))
         self.streams.add(stream)
-        self.emulator.run(kernel, shape.grid[0], held.ptr)
+        self.emulator.run(kernel, shape.grid[0], holder.ptr)
 
 
 def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
-    """All of the launcher, and of cuda.core what packs arguments; for want of a GPU the emulator runs the kernels."""
+    """Tests the launcher and cuda.core's argument packing; the emulator runs the kernels instead of a GPU."""
     torch = import_or_skip("torch")
     from contextlib import nullcontext
 
@@ -135,17 +135,19 @@ def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
         cuda.adam(*models[-1], image[1][ids], ids, 0.01, 7, launcher=launcher)
         orders.append([cuda.morton_order(image[0], launcher)])
         rasterizer, scene = cuda.Rasterizer(launcher), make(whole_tiles)
-        wanted = random_wanted(scene)._replace(depth=None, normal=None)
-        passes.append(run_pass(Engine(cuda, "cpu"), scene, wanted, rasterizer, geometry=False).arrays().values())
+        image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
+        passes.append(
+            run_pass(Engine(cuda, "cpu"), scene, image_gradients, rasterizer, geometry=False).arrays().values()
+        )
     for parts in (losses, models, orders):
         assert all(torch.equal(*pair) for pair in zip(*parts, strict=True))
     assert all(np.array_equal(*pair) for pair in zip(*passes, strict=True))
-    assert driver.streams == {1}  # the default one, by the name that the driver has for it
+    assert driver.streams == {1}  # the driver's handle of the default stream
     assert set(driver.emulator.launched) == {kernel.name for kernel in EVERY}
 
 
 def outcome(code):
-    """What a fresh interpreter prints."""
+    """Return what a fresh interpreter prints."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -155,7 +157,7 @@ COMPILE = """
 from pcbench.errors import MissingExtra
 from reconstructors.splat.cuda import kernels, nvrtc
 try:
-    nvrtc.compiled(kernels.compact(), "sm_90")
+    nvrtc.compile_kernel(kernels.compact(), "sm_90")
 except MissingExtra as error:
     print(error)
 """
@@ -176,7 +178,7 @@ nvrtc.nvrtcVersion = fail
     assert outcome(break_it + COMPILE) == "NVRTC is needed for this (no libnvrtc.so): pip install 'pcbench[cuda]'"
 
 
-def test_tensors_of_the_cpu_are_refused():
+def test_cpu_tensors_are_refused():
     torch = import_or_skip("torch")
     image, rows = torch.zeros(4, 4, 3), torch.zeros(2, 3)
     ids = torch.arange(2)
@@ -189,8 +191,8 @@ def test_tensors_of_the_cpu_are_refused():
             call()
 
 
-def test_the_sources_are_ascii_and_their_numbers_are_floats():
-    """NVRTC takes 0.5 for a double, which is slow on a GPU and rounds otherwise than the CPU's."""
+def test_the_sources_are_ascii_and_their_literals_are_floats():
+    """A literal like 0.5 is a double, which is slow on a GPU and rounds differently from the CPU's floats."""
     import re
 
     for file in [*Path(cuda.__file__).parent.glob("*.cu"), Path(cuda.__file__).parents[1] / "maths.h"]:

@@ -1,6 +1,6 @@
-"""The CUDA kernels, emulated: the same bits in every order of threads and blocks, and as the CPU's kernels.
+"""The emulated CUDA kernels give the same bits in every order of threads and blocks, and the same as the CPU's kernels.
 
-That they are right is tested with the other devices' (test_twins.py, where the emulator is one of them).
+Their correctness is tested with that of the other devices (test_twins.py, where the emulator is one of them).
 """
 
 from dataclasses import replace
@@ -8,22 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, crowd, huge, make, opaque, scattered
 
 torch = import_or_skip("torch")
 
-from cuda_emulator import ORDERS, EmulatedCuda, Emulator, spoilt_memory  # noqa: E402
+from cuda_emulator import ORDERS, EmulatedCuda, Emulator, nan_filled_memory  # noqa: E402
 
 from reconstructors.splat import cpu  # noqa: E402
 from reconstructors.splat.cuda import kernels  # noqa: E402
 
 
 def training_step(engine, scene):
-    """All that an engine computes, in arrays by name: with geometry and without, the loss, Adam, and a new order."""
-    wanted = random_wanted(scene)
-    full = run_pass(engine, scene, wanted)
-    plain = run_pass(engine, scene, wanted._replace(depth=None, normal=None), geometry=False)
+    """Return all results of an engine by name: with and without geometry, the loss, and Adam."""
+    image_gradients = random_image_gradients(scene)
+    full = run_pass(engine, scene, image_gradients)
+    plain = run_pass(engine, scene, image_gradients._replace(depth=None, normal=None), geometry=False)
     k = scene.camera.intrinsics
     image = torch.from_numpy(plain.images["color"].reshape(k.height, k.width, 3)).float()
     loss = engine.kernels.image_loss(image, image.flip(1).contiguous(), 0.2)
@@ -50,7 +50,7 @@ def assert_same_bits(ours, theirs, context):
         np.testing.assert_array_equal(ours[name], array, err_msg=f"{context} {name}")
 
 
-# More than one batch of splats a tile, rays that end, splats all over the image, and an image of several tiles.
+# Several batches of splats per tile, rays that end, splats across the image, and an image of several tiles.
 ORDERED = [
     pytest.param(make(huge), id="huge"),
     pytest.param(make(opaque), id="opaque"),
@@ -65,8 +65,8 @@ ORDERED = [
 
 @pytest.mark.parametrize("scene", ORDERED)
 def test_every_order_gives_the_same_bits(scene):
-    """And nothing is read before it was written, on the device or in what blocks share: it would not be a number."""
-    with spoilt_memory():
+    """Memory is filled with NaN, so reading shared or device memory before it is written would give NaN."""
+    with nan_filled_memory():
         results = [training_step(emulated(*order), scene) for order in ORDERS]
     for order, result in zip(ORDERS[1:], results[1:], strict=True):
         assert_same_bits(result, results[0], order)
@@ -77,7 +77,7 @@ def test_all_kernels_are_run():
     engine = emulated("forward", 0)
     training_step(engine, make(huge))
     engine.kernels.morton_order(torch.zeros(3, 3))
-    assert set(engine.kernels.emulator.launched) == {kernel.name for kernel in kernels.every_kernel()}
+    assert set(engine.kernels.emulator.launched) == {kernel.name for kernel in kernels.all_kernels()}
 
 
 class Mutant(Emulator):
@@ -95,7 +95,7 @@ class Mutant(Emulator):
 
 
 class Source(tuple):
-    """A kernel of which the source is given."""
+    """A kernel with the given source."""
 
     def __new__(cls, name, threads, source):
         return super().__new__(cls, (name, threads, source))
@@ -109,12 +109,12 @@ class Source(tuple):
     "kernel, barrier",
     [("blend", 0), *(("image_loss", n) for n in range(3)), *(("image_loss_backward", n) for n in range(2))],
 )
-def test_a_missing_barrier_would_show(kernel, barrier):
+def test_a_missing_barrier_is_detected(kernel, barrier):
     mutant = type("Mutant", (Mutant,), {"kernel": kernel, "barrier": barrier})
     image = torch.rand(20, 24, 3, generator=torch.Generator().manual_seed(2))
     results = []
     for order in ORDERS:
-        with spoilt_memory():
+        with nan_filled_memory():
             engine = emulated(*order, mutant)
             if kernel == "blend":
                 results.append(run_pass(engine, make(scattered)).images["color"])
@@ -125,19 +125,22 @@ def test_a_missing_barrier_would_show(kernel, barrier):
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_images_are_bit_for_bit_those_of_the_cpu(kind):
-    """One header of mathematics, rounded alike; derivatives are sums in another order."""
+def test_images_equal_the_cpus_bit_for_bit(kind):
+    """Both use the same header of mathematics with the same rounding; gradients are summed in another order."""
     scene = make(kind)
-    wanted = random_wanted(scene)
-    ours, theirs = run_pass(emulated("forward", 0), scene, wanted), run_pass(Engine(cpu, "cpu"), scene, wanted)
+    image_gradients = random_image_gradients(scene)
+    ours, theirs = (
+        run_pass(emulated("forward", 0), scene, image_gradients),
+        run_pass(Engine(cpu, "cpu"), scene, image_gradients),
+    )
     assert_same_bits(ours.images, theirs.images, kind.__name__)
-    for name, array in theirs.pulled.items():
+    for name, array in theirs.gradients.items():
         size = np.abs(array).max(initial=0)
-        np.testing.assert_allclose(ours.pulled[name], array, rtol=1e-3, atol=1e-5 * size, err_msg=name)
+        np.testing.assert_allclose(ours.gradients[name], array, rtol=1e-3, atol=1e-5 * size, err_msg=name)
 
 
 @pytest.mark.parametrize("rates", [0.01, torch.linspace(0.001, 0.1, 7)], ids=["one", "each"])
-def test_steps_of_adam_are_bit_for_bit_those_of_the_cpu(rates):
+def test_adam_steps_equal_the_cpus_bit_for_bit(rates):
     rng = np.random.default_rng(6)
     ids, gradient = torch.arange(0, 40, 3), torch.from_numpy(rng.normal(size=(14, 7)).astype(np.float32))
     results = []
@@ -148,7 +151,7 @@ def test_steps_of_adam_are_bit_for_bit_those_of_the_cpu(rates):
     assert all(torch.equal(*pair) for pair in zip(*results, strict=True))
 
 
-def test_without_a_derivative_to_come_nothing_is_kept_for_it():
+def test_without_gradient_nothing_is_stored_for_the_backward_pass():
     scene = make(scattered)
     engine = emulated("forward", 0)
     rasterizer = engine.kernels.Rasterizer()
@@ -160,7 +163,7 @@ def test_without_a_derivative_to_come_nothing_is_kept_for_it():
         rasterizer.backward(torch.zeros(22, 37, 3), None, None, None, None)
 
 
-def test_the_order_of_the_points_is_that_of_interleaved_bits():
+def test_the_morton_order_sorts_interleaved_bits():
     rng = np.random.default_rng(7)
     points = rng.normal(size=(200, 3)).astype(np.float32)
     points[50:60] = points[40:50]
@@ -172,7 +175,7 @@ def test_the_order_of_the_points_is_that_of_interleaved_bits():
     np.testing.assert_array_equal(order, np.argsort(codes, kind="stable"))
 
 
-def test_the_order_of_points_at_one_place_and_of_none():
+def test_the_morton_order_of_equal_points_and_of_none():
     kernels_of = emulated("forward", 0).kernels
     assert kernels_of.morton_order(torch.ones(5, 3)).tolist() == [0, 1, 2, 3, 4]
     assert kernels_of.morton_order(torch.zeros(0, 3)).tolist() == []

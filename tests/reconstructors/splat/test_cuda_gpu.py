@@ -1,12 +1,12 @@
-"""On a GPU: each operation against the CPU's, and bit for bit against the emulation of the same kernels.
+"""On a GPU: each operation against the CPU, and bit for bit against the emulation of the same kernels.
 
-test_twins.py runs there, too, against the plain rasterizer. The command for both: python -m pytest -m gpu
+test_twins.py also runs there, against the reference rasterizer. Command for both: python -m pytest -m gpu
 """
 
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, huge, make, scattered
 
 from reconstructors.splat.interface import GaussianTensors
@@ -42,44 +42,46 @@ def cpu():
 
 
 def city(count=100_000, width=480, height=270):
-    """As many as a training step has: about 20 in each pixel."""
+    """A scene of the size of a training step: about 20 Gaussians at each pixel."""
     return scattered(np.random.default_rng(11), count, width, height, size=0.012)
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_a_pass_is_bit_for_bit_that_of_the_emulator(gpu, emulated, kind):
-    """Every operation is rounded by IEEE 754, nothing is contracted, and the order of every sum is fixed."""
+def test_a_pass_equals_the_emulators_bit_for_bit(gpu, emulated, kind):
+    """Each operation is rounded by IEEE 754, nothing is contracted, and the order of each sum is fixed."""
     scene = make(kind)
-    wanted = random_wanted(scene)
+    image_gradients = random_image_gradients(scene)
     for geometry in (True, False):
-        given = wanted if geometry else wanted._replace(depth=None, normal=None)
+        given = image_gradients if geometry else image_gradients._replace(depth=None, normal=None)
         ours, theirs = (run_pass(engine, scene, given, geometry=geometry) for engine in (gpu, emulated))
         for name, array in theirs.arrays().items():
             np.testing.assert_array_equal(ours.arrays()[name], array, err_msg=name)
 
 
-def test_a_large_pass_is_that_of_the_cpu(gpu, cpu):
-    """Images bit for bit; derivatives are sums in another order."""
+def test_a_large_pass_equals_the_cpus(gpu, cpu):
+    """Images are equal bit for bit; gradients are summed in another order."""
     scene = city()
-    wanted = random_wanted(scene)
-    ours, theirs = run_pass(gpu, scene, wanted), run_pass(cpu, scene, wanted)
+    image_gradients = random_image_gradients(scene)
+    ours, theirs = run_pass(gpu, scene, image_gradients), run_pass(cpu, scene, image_gradients)
     for name, image in theirs.images.items():
         np.testing.assert_array_equal(ours.images[name], image, err_msg=name)
-    for name, array in theirs.pulled.items():
-        np.testing.assert_allclose(ours.pulled[name], array, rtol=1e-3, atol=1e-4 * np.abs(array).max(), err_msg=name)
+    for name, array in theirs.gradients.items():
+        np.testing.assert_allclose(
+            ours.gradients[name], array, rtol=1e-3, atol=1e-4 * np.abs(array).max(), err_msg=name
+        )
 
 
-def test_the_same_bits_again(gpu):
+def test_repeated_passes_give_the_same_bits(gpu):
     scene = city()
-    wanted, used = random_wanted(scene), gpu.kernels.Rasterizer()
-    first = run_pass(gpu, scene, wanted, used).arrays()
+    image_gradients, used = random_image_gradients(scene), gpu.kernels.Rasterizer()
+    first = run_pass(gpu, scene, image_gradients, used).arrays()
     for _ in range(5):
-        for name, array in run_pass(gpu, scene, wanted, used).arrays().items():
+        for name, array in run_pass(gpu, scene, image_gradients, used).arrays().items():
             np.testing.assert_array_equal(array, first[name], err_msg=name)
 
 
 @pytest.mark.parametrize("height, width", [(1, 1), (37, 50), (270, 480)])
-def test_the_loss_is_that_of_the_cpu_and_of_the_emulator(gpu, cpu, emulated, height, width):
+def test_the_loss_equals_that_of_the_cpu_and_of_the_emulator(gpu, cpu, emulated, height, width):
     rng = np.random.default_rng(4)
     image, target = (rng.random((height, width, 3), dtype=np.float32) for _ in range(2))
     ours, theirs, same = (
@@ -93,8 +95,8 @@ def test_the_loss_is_that_of_the_cpu_and_of_the_emulator(gpu, cpu, emulated, hei
 
 
 @pytest.mark.parametrize("rates", [0.01, torch.linspace(0.001, 0.1, 48)], ids=["one", "each"])
-def test_adam_is_that_of_the_cpu(gpu, cpu, rates):
-    """Bit for bit. Rates that are on the host are brought to the device."""
+def test_adam_equals_the_cpus(gpu, cpu, rates):
+    """Bit for bit. Rates on the host are copied to the device."""
     rng = np.random.default_rng(6)
     ids, gradient = np.flatnonzero(rng.random(5000) < 0.5), rng.normal(size=(5000, 48)).astype(np.float32)
     results = []
@@ -107,14 +109,14 @@ def test_adam_is_that_of_the_cpu(gpu, cpu, rates):
         assert torch.equal(ours, theirs)
 
 
-def test_the_morton_order_is_that_of_the_emulator(gpu, emulated):
+def test_the_morton_order_equals_the_emulators(gpu, emulated):
     points = np.random.default_rng(7).normal(size=(10_000, 3)).astype(np.float32)
     orders = [engine.kernels.morton_order(engine.tensor(points)).cpu() for engine in (gpu, emulated)]
     assert torch.equal(*orders)
 
 
 def test_kernels_run_on_the_current_stream(gpu):
-    """Behind what was queued there: on another one they would read the scales before they are set."""
+    """On another stream the kernels would read the scales before they are set."""
     scene = make(huge)
     view = View.of(scene.camera)
     gaussians, background = GaussianTensors(*map(gpu.tensor, scene.arrays)), gpu.tensor(scene.background)
@@ -130,8 +132,8 @@ def test_kernels_run_on_the_current_stream(gpu):
         assert torch.equal(ours, theirs)
 
 
-def test_the_derivative_reaches_a_leaf_through_autograd(gpu):
-    """Whose backward pass torch runs on a thread of its own."""
+def test_gradients_reach_the_leaves_through_autograd(gpu):
+    """Torch runs the backward pass on a thread of its own."""
     scene = make(scattered)
     results = []
     for device in ("cuda", "cpu"):

@@ -1,4 +1,4 @@
-"""Clouds of Gaussians: surfaces known in closed form, and what has to agree."""
+"""Clouds of Gaussians: surfaces with closed forms, and the agreement of images."""
 
 from dataclasses import replace
 
@@ -13,17 +13,17 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 torch = import_or_skip("torch")
 
 from reconstructors.splat import depths as depths_module  # noqa: E402
-from reconstructors.splat.depths import Depths, overlap  # noqa: E402
-from reconstructors.splat.extract import AGREEMENT, means, surface  # noqa: E402
+from reconstructors.splat.depths import RenderedMaps, find_overlap  # noqa: E402
+from reconstructors.splat.extract import SURFACE_CRITERIA, means, surface  # noqa: E402
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame  # noqa: E402
 from reconstructors.splat.voxels import Points, Voxels  # noqa: E402
 
-PIXELS, FOCAL, DISTANCE = 48, 6000.0, 400.0  # far away: a Gaussian is projected all but affinely
+PIXELS, FOCAL, DISTANCE = 48, 6000.0, 400.0  # far away, so that the projection of a Gaussian is nearly affine
 FOOTPRINT = DISTANCE / FOCAL
 
 
 def around(count=6, distance=DISTANCE, tilt_deg=35.0, target=(0.0, 0.0, 0.0)):
-    """Cameras on a circle that look down at a target, by name."""
+    """Return cameras on a circle that look down at a target, by name."""
     k = Intrinsics(PIXELS, PIXELS - 8, FOCAL, FOCAL, 0.47 * PIXELS, 0.4 * PIXELS)
     tilt, turns = np.radians(tilt_deg), 2 * np.pi * np.arange(count) / count
     away = np.stack([np.sin(tilt) * np.cos(turns), np.sin(tilt) * np.sin(turns), np.full(count, np.cos(tilt))], axis=1)
@@ -32,8 +32,8 @@ def around(count=6, distance=DISTANCE, tilt_deg=35.0, target=(0.0, 0.0, 0.0)):
 
 
 def discs(points, normals, size, color=(0.2, 0.5, 0.8), opacity=0.95):
-    """Flat round Gaussians on a surface, as if trained in the world's frame."""
-    w = 1 + normals[:, 2]  # the turn from +z to the normal
+    """Return flat round Gaussians on a surface, in the world's frame."""
+    w = 1 + normals[:, 2]  # of the rotation from +z to the normal
     quats = np.stack([w, -normals[:, 1], normals[:, 0], np.zeros(len(w))], axis=1)
     scales = np.tile(np.log([size, size, 1e-4 * size]), (len(points), 1))
     logits = np.full(len(points), np.log(opacity / (1 - opacity)))
@@ -42,7 +42,7 @@ def discs(points, normals, size, color=(0.2, 0.5, 0.8), opacity=0.95):
 
 
 def plane(half=3.0, spacing=0.5, size=1.0):
-    """Of z = 0: tilted by 35 degrees in each of the cameras."""
+    """The plane z = 0, tilted by 35 degrees in each of the cameras."""
     grid = np.arange(-half, half, spacing) + spacing / 2
     points = np.stack([*(a.ravel() for a in np.meshgrid(grid, grid)), np.zeros(len(grid) ** 2)], axis=1)
     return discs(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), size)
@@ -52,9 +52,8 @@ WORLD = LocalFrame(np.zeros(3), 1.0)
 
 
 def test_a_plane_of_flat_gaussians_is_that_plane():
-    """Half a pixel is 0.3 footprints of height at this tilt. What is left is of the 0.3 square pixels that widen
-    what is drawn: they flatten its slope in depth, 0.7, by 0.3 over the square of 12 pixels, at up to 36 pixels from a
-    mean."""
+    """Half a pixel is 0.3 footprints of height at this tilt. The remaining error comes from the dilation of 0.3 square
+    pixels: it flattens the slope in depth, 0.7, by 0.3 over the square of 12 pixels, up to 36 pixels from a mean."""
     cloud = surface(plane(), WORLD, around())
     heights = cloud.points[:, 2] / FOOTPRINT
     assert len(cloud) > 1000
@@ -73,15 +72,15 @@ def test_a_sphere_of_gaussians_is_that_sphere_and_normals_point_outwards():
     cloud = surface(discs(normals, normals, 0.1), WORLD, around(10, tilt_deg=50))
     radii = np.linalg.norm(cloud.points, axis=1)
     out = cloud.points / radii[:, None]
-    tangent = (3 * 0.1) ** 2 / 2  # discs touch the sphere from outside: so far from it at three standard deviations
+    tangent = (3 * 0.1) ** 2 / 2  # distance of a tangent disc from the sphere at three standard deviations
     assert 0 < np.median(radii) - 1 < tangent
     assert np.percentile(np.abs(radii - 1), 95) < tangent + 0.5 * FOOTPRINT
     assert np.degrees(np.arccos(np.clip(np.einsum("ni,ni->n", out, cloud.normals), -1, 1))).max() < 30
     assert np.percentile(cloud.points[:, 2], 1) < 0.1  # below the equator too
 
 
-def test_the_frame_of_training_and_the_size_of_the_world_do_not_matter():
-    """Projected coordinates, and a model in a unit of its own."""
+def test_the_surface_does_not_depend_on_the_local_frame():
+    """In projected coordinates and with another unit."""
     model, cameras = plane(half=1.5), around()
     expected = surface(model, WORLD, cameras)
     origin, unit = np.array([448_262.0, 5_411_932.0, 120.0]), 50.0
@@ -95,11 +94,11 @@ def test_the_frame_of_training_and_the_size_of_the_world_do_not_matter():
     assert np.abs((found.points.min(axis=0) - origin) / unit - expected.points.min(axis=0)).max() < FOOTPRINT
 
 
-def test_what_too_few_images_see_is_left_out():
-    """Two of six cameras look at another part of the plane."""
+def test_surface_that_too_few_images_see_is_left_out():
+    """Two of six cameras see another part of the plane."""
     aside = np.array([20.0, 0.0, 0.0])
     model = plane()
-    model = model.joined(replace(model, means=model.means + torch.tensor([20.0, 0.0, 0.0])))
+    model = model.concatenate(replace(model, means=model.means + torch.tensor([20.0, 0.0, 0.0])))
     there = {f"there {name}": camera for name, camera in list(around(target=aside).items())[:2]}
     cloud = surface(model, WORLD, around(4) | there)
     assert cloud.points[:, 0].max() < 3
@@ -107,11 +106,11 @@ def test_what_too_few_images_see_is_left_out():
     assert surface(model, WORLD, around(4) | there | third).points[:, 0].max() > 19
 
 
-def test_a_gaussian_before_one_camera_alone_is_no_surface():
+def test_a_gaussian_in_front_of_one_camera_only_is_no_surface():
     model, cameras = plane(), around()
-    before = next(iter(cameras.values())).position * 0.9
-    floater = discs(before[None], (before / np.linalg.norm(before))[None], 0.2)
-    cloud = surface(model.joined(floater), WORLD, cameras)
+    position = next(iter(cameras.values())).position * 0.9
+    floater = discs(position[None], (position / np.linalg.norm(position))[None], 0.2)
+    cloud = surface(model.concatenate(floater), WORLD, cameras)
     assert cloud.points[:, 2].max() < 0.1 * FOOTPRINT
 
 
@@ -122,12 +121,12 @@ def test_the_voxel_sets_the_spacing():
         surface(plane(), WORLD, around(), voxel=0.0)
 
 
-def test_what_all_of_few_cameras_see_is_sure():
-    """Three that agree are few of six, and all of three."""
+def test_surface_that_all_of_few_cameras_see_is_certain():
+    """Three cameras that agree are few of six, but all of three."""
     assert len(surface(plane(), WORLD, around(3))) > 0.7 * len(surface(plane(), WORLD, around(6)))
 
 
-def test_no_surface_is_an_error_that_says_so():
+def test_no_surface_is_an_error():
     cameras = around()
     with refused():
         surface(plane(), WORLD, dict(list(cameras.items())[:2]))
@@ -135,19 +134,19 @@ def test_no_surface_is_an_error_that_says_so():
     with refused(ReconstructionError):
         surface(faint, WORLD, cameras)
     with refused(ReconstructionError):
-        surface(plane(), WORLD, cameras, criteria=replace(AGREEMENT, views=6, depth=1e-12))
+        surface(plane(), WORLD, cameras, criteria=replace(SURFACE_CRITERIA, views=6, depth=1e-12))
 
 
-def test_memory_holds_few_maps_and_the_cloud_is_the_same(monkeypatch):
+def test_a_small_cache_of_maps_gives_the_same_cloud(monkeypatch):
     expected = surface(plane(), WORLD, around())
-    monkeypatch.setattr(depths_module, "_MEMORY", 0)
-    depths = Depths(plane(), WORLD, around(20), 12)
-    overlap(plane(), depths, 12)
+    monkeypatch.setattr(depths_module, "_CACHE_BYTES", 0)
+    depths = RenderedMaps(plane(), WORLD, around(20), 12)
+    find_overlap(plane(), depths, 12)
     assert depths.of.cache_info().currsize == 13
     assert np.array_equal(surface(plane(), WORLD, around()).points, expected.points)
 
 
-def test_points_become_means_by_weight_and_a_coarse_one_fills_only_what_is_empty():
+def test_points_are_averaged_by_weight_and_coarse_ones_only_fill_gaps():
     def points(*rows, views=3):
         n = len(rows)
         up = np.tile([0.0, 0.0, 1.0], (n, 1))
@@ -158,13 +157,13 @@ def test_points_become_means_by_weight_and_a_coarse_one_fills_only_what_is_empty
     voxels.add(points((0.4, 0.5, 0.5), views=5), np.array([1e-9]), np.zeros(1))
     coarse = points((1.5, 0.5, 0.5), (1.4, 0.5, 0.5), (-1.5, 0.5, 0.5), (-1.3, 0.5, 0.5))
     voxels.add(coarse, np.ones(4), np.full(4, 1.7))
-    found = voxels.fused()
-    # Those at 1.5 and 1.4 are in the cell of two units that has a finer point.
+    found = voxels.fuse()
+    # The points at 1.5 and 1.4 are in the cell of two units that has a finer point.
     assert np.allclose(found.points, [[0.3, 0.5, 0.5], [-1.4, 0.5, 0.5]])
     assert found.views.tolist() == [5, 3] and np.allclose(found.normals, [0, 0, 1])
 
 
-def test_means_are_the_centres():
+def test_means_are_those_of_the_gaussians():
     frame = LocalFrame(np.array([500_000.0, 5_000_000.0, 100.0]), 10.0)
     model = plane(half=2.5)
     cloud = means(model, frame)

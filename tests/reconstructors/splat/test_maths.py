@@ -1,4 +1,4 @@
-"""The header of mathematics, in loops of its own, against the plain rasterizer."""
+"""The shared header of mathematics, compiled in simple loops, against the reference rasterizer."""
 
 import ctypes
 import os
@@ -27,12 +27,12 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 
 
 def in_double(text):
-    """The header for double, its constants with all their digits: what is left of differences is a mistake. Thresholds
-    stay as they are."""
+    """Return the header for double precision, its constants with all digits, so that remaining differences are errors.
+    Thresholds keep their float values."""
     exact = {
         "kWhitening": "0.84932180028801904",
         "kLn2": "0.69314718055994531",
-        "kLeastLevel": "-7.99435343685885794",
+        "kMinLevel": "-7.99435343685885794",
         "0.282094792": "0.28209479177387814",
         "0.488602512": "0.48860251190291992",
         "1.09254843": "1.09254843059207907",
@@ -45,7 +45,7 @@ def in_double(text):
         "0.373176333": "0.37317633259011539",
         "1.44530572": "1.44530572132027702",
     }
-    thresholds = r"constexpr float (?:kLeastAlpha|kMostAlpha|kLeastTransmittance) .*\n"
+    thresholds = r"constexpr float (?:kMinAlpha|kMaxAlpha|kMinTransmittance) .*\n"
     parts = zip(re.split(thresholds, text), [*re.findall(thresholds, text), ""], strict=True)
     text = "".join(re.sub(r"(?<=[\d.])f\b", "", part) + kept for part, kept in parts)
     text = re.sub(r"\bfloat\b", "double", text)
@@ -59,7 +59,7 @@ def in_double(text):
 
 
 class Loops:
-    """The compiled loops in one type."""
+    """The compiled loops in one floating type."""
 
     def __init__(self, folder, real):
         header, library = folder / f"maths_{real}.h", folder / f"maths_{real}.so"
@@ -99,22 +99,22 @@ class Loops:
         numbers = [*view.rotation.ravel(), *view.position, view.fx, view.fy, view.cx, view.cy, *view.limits, view.near]
         pixels = view.width * view.height
         images, median, boxes = (np.zeros(s, self.type) for s in ((pixels, 8), pixels, (count, 5)))
-        pulled, pulled_sh = np.zeros((count, 15), self.type), np.zeros((count, harmonics, 3), self.type)
+        gradients, sh_gradients = np.zeros((count, 15), self.type), np.zeros((count, harmonics, 3), self.type)
         self.call(
             "rasterize", count, harmonics, *arrays, np.array(numbers, self.type), view.width, view.height,
             scene.background.astype(self.type), images, median, boxes, sums.astype(self.type), errors.astype(self.type),
-            pulled, pulled_sh,
+            gradients, sh_gradients,
         )  # fmt: skip
-        return Answers(images, median, pulled, pulled_sh, boxes)
+        return Answers(images, median, gradients, sh_gradients, boxes)
 
 
 class Answers(NamedTuple):
-    """Images (P, 8), median depth (P,), gradients and sums (N, 15), those of harmonics, and boxes (N, 5)."""
+    """Images (P, 8), median depth (P,), gradients and sums (N, 15), gradients of harmonics, and boxes (N, 5)."""
 
     images: np.ndarray
     median: np.ndarray
-    pulled: np.ndarray
-    pulled_sh: np.ndarray
+    gradients: np.ndarray
+    sh_gradients: np.ndarray
     boxes: np.ndarray | None = None
 
 
@@ -129,7 +129,7 @@ def single(tmp_path_factory):
 
 
 def plain(scene, view, sums, errors):
-    """The same of the plain rasterizer."""
+    """Return the same results from the reference rasterizer."""
     size, n = (view.height, view.width), len(scene.means)
     rasterizer = reference.Rasterizer()
     given = [torch.from_numpy(a) for a in (*scene.arrays, scene.background)]
@@ -138,12 +138,12 @@ def plain(scene, view, sums, errors):
     shapes = [by[:, :3].reshape(*size, 3), by[:, 3].reshape(size), by[:, 4].reshape(size), by[:, 5:].reshape(*size, 3)]
     back = rasterizer.backward(*shapes, torch.from_numpy(errors).reshape(size))
     images = torch.cat([image.reshape(size[0] * size[1], -1) for image in drawn[:4]], dim=1).numpy()
-    pulled = np.zeros((n, 15))
+    gradients = np.zeros((n, 15))
     parts = [back.means, back.quats, back.scales, back.opacities, back.screen, back.weight, back.error]
-    pulled[back.ids] = torch.cat([part if part.ndim == 2 else part[:, None] for part in parts], dim=1).numpy()
-    pulled_sh = np.zeros(scene.sh.shape)
-    pulled_sh[back.ids] = back.sh.numpy()
-    return Answers(images, drawn.median_depth.numpy().ravel(), pulled, pulled_sh)
+    gradients[back.ids] = torch.cat([part if part.ndim == 2 else part[:, None] for part in parts], dim=1).numpy()
+    sh_gradients = np.zeros(scene.sh.shape)
+    sh_gradients[back.ids] = back.sh.numpy()
+    return Answers(images, drawn.median_depth.numpy().ravel(), gradients, sh_gradients)
 
 
 def some_gradients(scene, seed=3):
@@ -152,21 +152,22 @@ def some_gradients(scene, seed=3):
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_formulas_are_those_of_the_plain_rasterizer(exact, kind):
+def test_formulas_agree_with_the_reference(exact, kind):
     """In float64: images, gradients and sums."""
     scene = make(kind)
     view, by = View.of(scene.camera), some_gradients(scene)
     ours, theirs = exact.rasterize(scene, view, *by), plain(scene, view, *by)
     assert worst(ours, theirs) < rounding_bound(scene, view)
-    seen = np.abs(theirs.pulled).sum(axis=1) > 0
+    seen = np.abs(theirs.gradients).sum(axis=1) > 0
     assert (ours.boxes[seen, 4] > 0).all()
     assert kind is nothing or (theirs.median.any() and seen.any())
 
 
 @pytest.mark.parametrize("kind", [kind for kind in SCENES if kind not in (crowd, needles, opaque)])
-def test_so_they_are_in_float(single, kind):
-    """The polynomials are right to 2e-7, the rest to some roundings, and hundreds of Gaussians and pixels are summed: a
-    few 1e-5 of the greatest are left. Scenes full of thresholds, which may go either way, have their own tests."""
+def test_formulas_agree_in_float(single, kind):
+    """The polynomials have errors of 2e-7, the rest some roundings; sums over hundreds of Gaussians and pixels leave a
+    few
+    1e-5 of the maximum. Scenes with many values at thresholds, which rounding can flip, have their own tests."""
     scene = make(kind)
     view, by = View.of(scene.camera), some_gradients(scene)
     assert worst(single.rasterize(scene, view, *by), plain(scene, view, *by)) < 1e-4
@@ -187,7 +188,7 @@ def rounding_bound(scene, view):
 def worst(ours, theirs):
     """The greatest difference of any number, to the greatest of its column."""
     pairs = [(ours.images, theirs.images), (ours.median[:, None], theirs.median[:, None])]
-    pairs += [(ours.pulled, theirs.pulled), (ours.pulled_sh, theirs.pulled_sh)]
+    pairs += [(ours.gradients, theirs.gradients), (ours.sh_gradients, theirs.sh_gradients)]
     return max((np.abs(a - b) / np.abs(b).max(axis=0, initial=1e-30)).max(initial=0) for a, b in pairs)
 
 
@@ -228,7 +229,7 @@ def test_the_least_of_a_box(exact):
     corner, size = rng.uniform(-12, 8, (300, 2)), rng.uniform(0, 8, (300, 2))
     boxes = np.column_stack([corner[:, 0], corner[:, 0] + size[:, 0], corner[:, 1], corner[:, 1] + size[:, 1]])
     found = np.empty(300)
-    exact.call("least_squares", 300, np.column_stack([shapes, boxes]), found)
+    exact.call("min_squared_norms", 300, np.column_stack([shapes, boxes]), found)
     share = np.linspace(0, 1, 201)
     x = corner[:, 0, None, None] + size[:, 0, None, None] * share[:, None]
     y = corner[:, 1, None, None] + size[:, 1, None, None] * share

@@ -1,4 +1,4 @@
-"""The number of Gaussians: the smallest model within one standard error of the best is taken and trained on."""
+"""The number of Gaussians: the smallest model within one standard error of the best is selected and trained further."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from splat_training import grey, numbers, truth  # noqa: E402
 from wording import refused, said  # noqa: E402
 
 from reconstructors.splat.model import Gaussians  # noqa: E402
-from reconstructors.splat.parsimony import Budget, Curve, Loss, Parsimonious, chosen  # noqa: E402
-from reconstructors.splat.resume import trained  # noqa: E402
+from reconstructors.splat.parsimony import Budget, Curve, Loss, Parsimonious, select_budget  # noqa: E402
+from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 
 
@@ -19,28 +19,28 @@ def budget(gaussians, *psnr, degree=2):
     return Budget(gaussians, degree, psnr, 1.0)
 
 
-def test_a_loss_is_that_of_the_blocks_and_what_they_share_does_not_count():
+def test_a_loss_is_the_mean_over_the_blocks_without_their_common_part():
     hard, easy = 20.0, 35.0
     loss = Loss.of(budget(100, hard - 0.1, easy - 0.3), budget(200, hard, easy))
     assert loss.mean == pytest.approx(0.2)
     assert loss.error == pytest.approx(np.std([0.1, 0.3], ddof=1) / np.sqrt(2))
 
 
-def test_the_smallest_within_one_standard_error_is_chosen():
+def test_the_smallest_within_one_standard_error_is_selected():
     best = budget(800, 30.0, 20.0, 25.0)
     within = budget(200, 30.1, 19.8, 24.9)  # 0.067 less, standard error 0.088
-    less = budget(100, 29.9, 19.9, 24.9)  # 0.1 less in each: no doubt
-    assert chosen([best, within, less]) == 1
-    assert chosen([best, less]) == 0
-    # The same number with plainer colours is smaller.
-    assert chosen([best, within, less, within._replace(degree=0)]) == 3
+    less = budget(100, 29.9, 19.9, 24.9)  # 0.1 less in each block: standard error 0
+    assert select_budget([best, within, less]) == 1
+    assert select_budget([best, less]) == 0
+    # The same number with spherical harmonics of a lower degree is smaller.
+    assert select_budget([best, within, less, within._replace(degree=0)]) == 3
     assert "800 Gaussians" in said(Curve((best, less)).sentence)
     said(Curve((best,)).sentence)
-    assert said(Curve((best, within, less)).sentence).startswith("200 Gaussians of degree 2 ")
+    assert said(Curve((best, within, less)).sentence).startswith("200 Gaussians with spherical harmonics of degree 2 ")
     assert "24.93 dB" in Curve((best, within, less)).sentence
 
 
-def test_a_curve_is_read_as_it_was_written(tmp_path):
+def test_a_curve_is_read_as_written(tmp_path):
     curve = Curve((budget(800, 30.0, 20.0), budget(400, 29.123456789, 19.0, degree=1)))
     curve.write(tmp_path / "curve.csv")
     assert Curve.read(tmp_path / "curve.csv") == curve
@@ -48,21 +48,21 @@ def test_a_curve_is_read_as_it_was_written(tmp_path):
 
 
 def copies(model, count):
-    """Each Gaussian so many times, side by side: more than are needed."""
+    """Return each Gaussian `count` times with noise in the position: more than are needed."""
     parts = [part.repeat_interleave(count, dim=0) for part in vars(model).values()]
     parts[0] = parts[0] + torch.from_numpy(np.random.default_rng(1).normal(0, 0.05, parts[0].shape).astype(np.float32))
     return Gaussians(*parts)
 
 
-def begun(steps=120):
+def new_training(steps=120):
     model, pictures = truth()
     density = Parsimonious([pictures[0:1], pictures[4:5]])
     rest = [pictures[k] for k in (1, 2, 3, 5, 6, 7)]
-    return Training(copies(grey(model), 8), rest, Schedule(steps=steps, sh_degree=1, halved=(0, 0)), density)
+    return Training(copies(grey(model), 8), rest, Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0)), density)
 
 
-def test_what_is_chosen_is_trained_on_with_all_photographs():
-    training = begun()
+def test_the_selected_model_is_trained_on_all_photographs():
+    training = new_training()
     training.run(120)
     curve = training.density.curve
     assert [b.gaussians for b in curve.budgets[:3]] == [480, 240, 120]
@@ -72,30 +72,30 @@ def test_what_is_chosen_is_trained_on_with_all_photographs():
     assert len(training.photographs) == 8
 
 
-def test_each_budget_has_as_many_steps():
-    training, seen = begun(), []
+def test_each_budget_has_the_same_number_of_steps():
+    training, seen = new_training(), []
 
-    def each(now):
+    def on_step(now):
         if now.density.curve is None:
             seen.append((now.step, len(now.model), now.model.degree))
 
-    training.run(120, each)
+    training.run(120, on_step)
     curve = training.density.curve
-    # After half of the steps every model has the same ten more; the last of them is judged within `control`.
+    # After half of the steps each model has the same ten further steps; the last one is evaluated within `control`.
     for budget in curve.budgets:
         steps = [step for step, gaussians, degree in seen if (gaussians, degree) == (budget.gaussians, budget.degree)]
         assert set(range(61, 70)) <= set(steps) <= set(range(121))
         assert max(steps) < 70
 
 
-def test_a_choice_that_goes_on_equals_an_unbroken_one(tmp_path):
-    whole = begun()
-    whole.run(120)
-    for worked in (62, 90, 118):  # steps made before the kill: the search goes back
-        first, second = begun(), begun()
-        left = worked
+def test_a_resumed_selection_equals_an_uninterrupted_one(tmp_path):
+    uninterrupted = new_training()
+    uninterrupted.run(120)
+    for steps_run in (62, 90, 118):  # steps before the interruption; the selection goes back in steps
+        first, second = new_training(), new_training()
+        left = steps_run
 
-        def each(now, path=tmp_path / "checkpoint.pt"):
+        def on_step(now, path=tmp_path / "checkpoint.pt"):
             nonlocal left
             left -= 1
             if left == 0:
@@ -103,19 +103,19 @@ def test_a_choice_that_goes_on_equals_an_unbroken_one(tmp_path):
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            first.run(120, each)
-        assert numbers(trained(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
+            first.run(120, on_step)
+        assert numbers(run_with_checkpoints(second, tmp_path / "checkpoint.pt", "key")) == numbers(uninterrupted.model)
         theirs = [b._replace(step_ms=0) for b in second.density.curve.budgets]
-        assert theirs == [b._replace(step_ms=0) for b in whole.density.curve.budgets]
+        assert theirs == [b._replace(step_ms=0) for b in uninterrupted.density.curve.budgets]
 
 
-def test_a_run_of_one_step_ends_with_a_choice():
-    training = begun(steps=1)
+def test_a_run_of_one_step_ends_with_a_selection():
+    training = new_training(steps=1)
     training.run(1)
     assert (training.step, len(training.model)) == (1, training.density.curve.chosen.gaussians)
 
 
-def test_one_block_cannot_judge():
+def test_one_held_out_block_is_refused():
     _, pictures = truth()
     with refused(ValueError):
         Parsimonious([pictures[:2]])

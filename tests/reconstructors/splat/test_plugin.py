@@ -1,4 +1,4 @@
-"""The reconstructor around the training: what masks hide, what a checkpoint is of, what memory is asked for."""
+"""The reconstructor around the training: masks, keys of checkpoints, and the limit of memory."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ QUICK = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "
 
 
 class Points:
-    """Stands in for `sfm`: points at random."""
+    """Replaces `sfm`: random points."""
 
     def __init__(self, **_):
         pass
@@ -32,7 +32,7 @@ class Points:
 
 @pytest.fixture
 def train(tmp_path, monkeypatch):
-    """Trains with settings on eight photographs, of which masks hide some whole."""
+    """Train with settings on eight photographs, some of which are completely hidden by masks."""
     monkeypatch.setattr(plugin, "ColmapSfm", Points)
     folder = tmp_path / "corner"
     folder.mkdir()
@@ -51,47 +51,47 @@ def train(tmp_path, monkeypatch):
     return run
 
 
-def test_a_photograph_that_is_hidden_judges_nothing(train, tmp_path):
+def test_a_hidden_photograph_is_not_used_for_evaluation(train, tmp_path):
     assert "nan" not in " ".join(train(hidden=[0, 3]).notes)
     assert "nan" not in (tmp_path / "work/model/curve.csv").read_text()
     with refused():
         train(hidden=range(8))
 
 
-def test_a_checkpoint_of_other_photographs_is_not_gone_on_from(train, monkeypatch):
+def test_a_checkpoint_of_other_photographs_is_not_resumed(train, monkeypatch):
     keys = []
 
     def stopped(training, checkpoint, key):
         keys.append(key)
         raise InterruptedError
 
-    monkeypatch.setattr(plugin, "trained", stopped)
+    monkeypatch.setattr(plugin, "run_with_checkpoints", stopped)
     for hidden in ((), (2,), ()):
         with pytest.raises(InterruptedError):
             train(hidden)
     assert keys[0] == keys[2] != keys[1]
 
 
-def test_memory_is_asked_for_in_numbers_that_are_so(train):
+def test_too_little_memory_is_refused_with_figures(train):
     with refused(masked=True):
         train(memory=1e-6)
 
 
-def test_what_cannot_be_is_refused_before_any_work(train, monkeypatch):
+def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
     with refused(ValueError):
         train(cloud="surface", min_opacity=0.5)
-    monkeypatch.setattr(Points, "reconstruct", lambda *_: pytest.fail("work was begun"))
+    monkeypatch.setattr(Points, "reconstruct", lambda *_: pytest.fail("work was started"))
     with refused():
         train(hold_out="every")
 
 
-def test_the_note_says_after_which_step_training_ended(train, monkeypatch):
+def test_the_note_gives_the_last_step(train, monkeypatch):
     said(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
-    monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, halved=(0, 0)))
+    monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, downscale_shares=(0, 0)))
     said(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
 
 
-def test_rules_that_a_training_is_too_short_for_are_told(train):
+def test_a_note_reports_that_training_is_too_short_to_densify(train):
     (note,) = [note for note in train(density="classic").notes if "density=classic" in note]
     assert "at step 500" in said(note)
     assert not any("density=" in note for note in train(density="fixed").notes)

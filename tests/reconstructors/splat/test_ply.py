@@ -1,4 +1,4 @@
-"""Models as PLY files: the layout byte by byte, and there and back."""
+"""Models as PLY files: the layout byte by byte, and round trips."""
 
 import struct
 from dataclasses import fields
@@ -28,7 +28,7 @@ def parts(model):
 
 
 def test_the_layout_is_that_of_kerbl_et_al(tmp_path):
-    """Written by hand: 62 floats a Gaussian, harmonics channel after channel."""
+    """Written by hand: 62 floats per Gaussian, harmonics channel after channel."""
     sh = torch.arange(48.0).reshape(1, 16, 3)  # of coefficient k and channel c: 3 k + c
     model = Gaussians(
         torch.tensor([[1.0, 2.0, 3.0]]),
@@ -55,7 +55,7 @@ def test_the_layout_is_that_of_kerbl_et_al(tmp_path):
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_there_and_back(tmp_path, degree):
+def test_round_trip(tmp_path, degree):
     given, frame = gaussians(np.random.default_rng(3), degree=degree), LocalFrame(np.array([3.0, -2.0, 1.0]), 4.0)
     write_model(tmp_path / "model.ply", given, frame)
     found, world = read_model(tmp_path / "model.ply")
@@ -70,7 +70,7 @@ def test_there_and_back(tmp_path, degree):
 
 
 def test_projected_coordinates_keep_their_digits(tmp_path):
-    """Floats of UTM coordinates are half a metre apart."""
+    """The spacing of float32 numbers at UTM coordinates is half a metre."""
     given, frame = (
         gaussians(np.random.default_rng(4), 200),
         LocalFrame(np.array([448_262.5, 5_411_932.25, 117.0]), 80.0),
@@ -92,7 +92,7 @@ def test_discs_become_flat_gaussians(tmp_path):
     assert (found.scales[:, 2] < 1e-3 * found.scales[:, :2].amin(dim=1)).all()
 
 
-def test_others_models_are_read(tmp_path):
+def test_models_of_other_programs_are_read(tmp_path):
     cloud = splat_models.some(6)
     write_cloud(tmp_path / "model.ply", cloud)
     found, frame = read_model(tmp_path / "model.ply")
@@ -102,7 +102,7 @@ def test_others_models_are_read(tmp_path):
     assert found.degree == 3 and np.allclose(found.sh[:, 0].numpy(), 0.5)
 
 
-def test_splats_that_are_no_numbers_are_left_out(tmp_path):
+def test_splats_with_nan_are_dropped(tmp_path):
     cloud = splat_models.some(4)
     scales = cloud.attributes["scale_1"].copy()
     scales[2] = np.nan
@@ -113,7 +113,7 @@ def test_splats_that_are_no_numbers_are_left_out(tmp_path):
 
 
 @pytest.mark.parametrize("missing", ["opacity", "rot_3", "f_dc_1", "scale_1"])
-def test_what_is_no_model_is_refused(tmp_path, missing):
+def test_files_without_a_model_are_refused(tmp_path, missing):
     cloud = splat_models.some(4)
     attributes = {name: values for name, values in cloud.attributes.items() if name != missing}
     write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=attributes))
@@ -122,7 +122,7 @@ def test_what_is_no_model_is_refused(tmp_path, missing):
 
 
 @pytest.mark.parametrize("degree", [0.5, 4])
-def test_harmonics_of_no_known_degree_are_refused(tmp_path, degree):
+def test_harmonics_of_an_unknown_degree_are_refused(tmp_path, degree):
     cloud = splat_models.some(4, degree=3)
     attributes = {name: values for name, values in cloud.attributes.items() if not name.startswith("f_rest_")}
     count = {0.5: 5, 4: 72}[degree]

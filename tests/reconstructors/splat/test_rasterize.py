@@ -1,4 +1,4 @@
-"""`rasterize` as torch sees it: derivatives, types, far coordinates, and what it says of wrong input."""
+"""`rasterize` with torch: gradients, types, distant coordinates, and refusal of wrong input."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ reference = pytest.importorskip("reconstructors.splat.reference")
 
 @pytest.fixture
 def device(engine, monkeypatch):
-    """`rasterize` itself takes the device's kernels; those that are emulated are put in their place."""
+    """Make `rasterize` use the engine's kernels if they are emulated; it selects the others itself."""
     if not isinstance(engine.kernels, ModuleType):
         monkeypatch.setattr(sys.modules[rasterize.__module__], "kernels_of", lambda _: engine.kernels)
     return engine
@@ -35,23 +35,23 @@ def given(device, scene, dtype=torch.float32):
     return [device.tensor(array).to(dtype).requires_grad_() for array in scene.arrays]
 
 
-def some_loss(rendering, seed=5):
-    """A random sum of all that has a derivative, as a tensor, in the rendering's type."""
+def random_loss(rendering, seed=5):
+    """Return a random linear combination of all images with a gradient."""
     rng = np.random.default_rng(seed)
     images = (rendering.color, rendering.alpha, rendering.depth, rendering.normal)
     return sum((image * torch.from_numpy(rng.normal(size=image.shape)).to(image)).sum() for image in images)
 
 
-def test_images_and_derivatives_are_those_of_the_plain_rasterizer(device):
-    """Depth is the mean, which has a derivative through alpha too; the background has one."""
+def test_images_and_gradients_equal_those_of_the_reference(device):
+    """Depth is the mean, whose gradient also passes through alpha; the background has a gradient, too."""
     scene = make(scattered)
     background = device.tensor(scene.background).requires_grad_()
     tensors = given(device, scene)
     ours = rasterize(*tensors, scene.camera, background=background)
-    some_loss(ours).backward()
+    random_loss(ours).backward()
 
     exact = [torch.from_numpy(array).double().requires_grad_() for array in (*scene.arrays, scene.background)]
-    drawn = reference.draw(GaussianTensors(*exact[:5]), View.of(scene.camera), exact[5])
+    drawn = reference.render(GaussianTensors(*exact[:5]), View.of(scene.camera), exact[5])
     alpha = 1 - drawn.transmittance
     theirs = ours._replace(
         color=drawn.color,
@@ -60,21 +60,21 @@ def test_images_and_derivatives_are_those_of_the_plain_rasterizer(device):
         normal=drawn.normal,
         median_depth=drawn.median_depth,
     )
-    some_loss(theirs).backward()
+    random_loss(theirs).backward()
     assert (theirs.alpha == 0).any() and (ours.depth[ours.alpha == 0] == 0).all()
     for name, image in ours._asdict().items():
         assert image.dtype == torch.float32 and image.requires_grad == (name != "median_depth")
         wanted = getattr(theirs, name).detach().numpy()
-        # Where alpha is a few thousandths its rounding is 1e-5 of it, and of the depth.
+        # Where alpha is a few thousandths its rounding error is 1e-5 of it, and of the depth.
         np.testing.assert_allclose(image.detach().cpu().numpy(), wanted, rtol=0, atol=1e-4, err_msg=name)
     for ours_by, theirs_by in zip([*tensors, background], exact, strict=True):
         scale = theirs_by.grad.abs().max().item()
-        # Of depth divided by such an alpha, too.
+        # Likewise the gradient of a depth divided by such an alpha.
         np.testing.assert_allclose(ours_by.grad.cpu().numpy(), theirs_by.grad.numpy(), rtol=1e-3, atol=3e-5 * scale)
 
 
-def test_a_scene_far_from_the_origin_is_drawn_alike(device):
-    """In UTM-sized coordinates of float64 a float32 would be off by half a metre."""
+def test_a_scene_far_from_the_origin_has_the_same_images(device):
+    """In float64 UTM coordinates; float32 would be wrong by half a metre."""
     scene = make(scattered)
     far = np.array([654_321.0, 5_432_109.0, 512.0])
     motion = scene.camera.cam_from_world
@@ -86,10 +86,10 @@ def test_a_scene_far_from_the_origin_is_drawn_alike(device):
     far_means = (means.detach() + device.tensor(far)).requires_grad_()
     there = rasterize(far_means, *others, moved)
     for ours, theirs in zip(there, near, strict=True):
-        # 1e-9 of the coordinates is left; a pixel may change sides at a threshold of 1/255.
+        # The coordinates are exact to 1e-9; a pixel may change sides at the threshold of 1/255.
         assert (ours - theirs).abs().max() < 5e-3 and ((ours - theirs).abs() > 1e-5).float().mean() < 1e-3
-    some_loss(near).backward()
-    some_loss(there).backward()
+    random_loss(near).backward()
+    random_loss(there).backward()
     assert means.grad.dtype == torch.float64
     assert torch.allclose(far_means.grad, means.grad, rtol=1e-3, atol=1e-4 * means.grad.abs().max().item())
 
@@ -99,10 +99,10 @@ def test_other_types_are_drawn_in_float32(device, dtype):
     scene = make(scattered)
     tensors = given(device, scene, dtype)
     rendering = rasterize(*tensors, scene.camera)
-    some_loss(rendering).backward()
+    random_loss(rendering).backward()
     again = [tensor.detach().float().requires_grad_() for tensor in tensors]
     wanted = rasterize(*again, scene.camera)
-    some_loss(wanted).backward()
+    random_loss(wanted).backward()
     assert rendering.color.dtype == torch.float32 and torch.equal(rendering.color, wanted.color)
     for ours, theirs in zip(tensors, again, strict=True):
         assert ours.grad.dtype == dtype
@@ -115,21 +115,21 @@ def test_rows_that_are_not_contiguous(device):
     spread = [torch.stack([tensor.detach()] * 2, dim=-1)[..., 0].requires_grad_() for tensor in tensors]
     assert not any(tensor.is_contiguous() for tensor in spread)
     for each in (tensors, spread):
-        some_loss(rasterize(*each, scene.camera)).backward()
+        random_loss(rasterize(*each, scene.camera)).backward()
     for ours, theirs in zip(spread, tensors, strict=True):
         assert torch.equal(ours.grad, theirs.grad)
 
 
 def test_two_renderings_at_once(device):
-    """Each keeps what its own derivative needs, in whatever order these are taken, and twice if that is asked for."""
+    """Each keeps the data for its own gradient, which can be computed in any order and twice."""
     scenes = make(scattered), make(scattered, seed=1)
     apart = []
     for scene in scenes:
         tensors = given(device, scene)
-        some_loss(rasterize(*tensors, scene.camera)).backward()
+        random_loss(rasterize(*tensors, scene.camera)).backward()
         apart.append([tensor.grad for tensor in tensors])
     tensors = [given(device, scene) for scene in scenes]
-    losses = [some_loss(rasterize(*each, scene.camera)) for each, scene in zip(tensors, scenes, strict=True)]
+    losses = [random_loss(rasterize(*each, scene.camera)) for each, scene in zip(tensors, scenes, strict=True)]
     (losses[0] + losses[1]).backward(retain_graph=True)
     losses[0].backward()
     for tensor, grad in zip(tensors[0], apart[0], strict=True):
@@ -138,39 +138,39 @@ def test_two_renderings_at_once(device):
         assert torch.equal(tensor.grad, grad)
 
 
-def test_what_was_overwritten_has_no_derivative(device):
-    """Torch refuses it, whether a parameter has been stepped or an image been painted over."""
+def test_overwritten_tensors_have_no_gradient(device):
+    """Torch raises an error if a parameter or an image was changed in place."""
     scene = make(scattered)
     tensors = given(device, scene)
-    loss = some_loss(rasterize(*tensors, scene.camera))
+    loss = random_loss(rasterize(*tensors, scene.camera))
     with torch.no_grad():
         tensors[2] *= 0.5
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
     rendering = rasterize(*given(device, scene), scene.camera)
-    loss = some_loss(rendering._replace(color=rendering.color.clamp_(0, 1)))
+    loss = random_loss(rendering._replace(color=rendering.color.clamp_(0, 1)))
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
     background = device.tensor(scene.background)
-    loss = some_loss(rasterize(*given(device, scene), scene.camera, background=background))
+    loss = random_loss(rasterize(*given(device, scene), scene.camera, background=background))
     background += 1
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
 
 
-def test_derivatives_of_some_tensors_alone(device):
+def test_gradients_with_respect_to_one_tensor_only(device):
     scene = make(scattered)
     everything = given(device, scene)
-    some_loss(rasterize(*everything, scene.camera)).backward()
+    random_loss(rasterize(*everything, scene.camera)).backward()
     for only in range(5):
         tensors = [tensor.requires_grad_(n == only) for n, tensor in enumerate(given(device, scene))]
-        some_loss(rasterize(*tensors, scene.camera)).backward()
+        random_loss(rasterize(*tensors, scene.camera)).backward()
         assert [tensor.grad is not None for tensor in tensors] == [n == only for n in range(5)]
         assert torch.equal(tensors[only].grad, everything[only].grad)
 
 
-def test_a_derivative_is_prepared_where_one_may_be_asked_for(device, monkeypatch):
-    """On CUDA it takes memory."""
+def test_a_gradient_is_prepared_only_if_one_may_follow(device, monkeypatch):
+    """On CUDA it needs memory."""
     prepared = []
 
     class Spy:
@@ -189,8 +189,8 @@ def test_a_derivative_is_prepared_where_one_may_be_asked_for(device, monkeypatch
     assert prepared == [False, True]
 
 
-def test_a_rendering_that_is_let_go_is_gone(device):
-    """With all its memory, at once: nothing holds it in a circle."""
+def test_a_deleted_rendering_is_freed(device):
+    """With all its memory, immediately: there is no reference cycle."""
     scene = make(scattered)
     rendering = rasterize(*given(device, scene), scene.camera)
     node = rendering.color.grad_fn
@@ -210,12 +210,12 @@ def test_without_gradients_and_without_gaussians(device):
     rendering = rasterize(*tensors, empty.camera, background=background)
     assert torch.equal(rendering.color.cpu(), torch.tensor(background).expand(22, 37, 3))
     assert not any(image.any() for image in rendering[1:])
-    some_loss(rendering).backward()
+    random_loss(rendering).backward()
     assert [tensor.grad.shape for tensor in tensors] == [tensor.shape for tensor in tensors]
 
 
 def check_refusal(change, **options):
-    """A scene of five Gaussians is refused after `change` of its tensors by name."""
+    """Expect a refusal of a scene of five Gaussians after `change` of its tensors by name."""
     scene = scattered(np.random.default_rng(0), 5)
     names = ("means", "quats", "scales", "opacities", "sh")
     tensors = {name: torch.from_numpy(array) for name, array in zip(names, scene.arrays, strict=True)}
@@ -257,14 +257,14 @@ def with_one(value):
         {"scales": lambda t: t.to("meta")},
     ],
 )
-def test_wrong_tensors_are_named(change):
+def test_wrong_tensors_are_refused(change):
     check_refusal(change)
 
 
-def test_other_wrong_input_is_named():
+def test_other_wrong_input_is_refused():
     camera = make(scattered).camera
-    bent = replace(camera, intrinsics=replace(camera.intrinsics, distortion=(0.1, 0.0, 0.0, 0.0)))
-    check_refusal({}, camera=bent)
+    distorted = replace(camera, intrinsics=replace(camera.intrinsics, distortion=(0.1, 0.0, 0.0, 0.0)))
+    check_refusal({}, camera=distorted)
     check_refusal({}, camera=View.of(camera))
     scaled = replace(camera, cam_from_world=Similarity(np.eye(3), np.zeros(3), 2.0))
     check_refusal({}, camera=scaled)
@@ -279,7 +279,7 @@ def test_other_wrong_input_is_named():
     check_refusal(meta)
 
 
-def test_torch_is_imported_when_it_is_used(monkeypatch):
+def test_torch_is_imported_on_first_use(monkeypatch):
     script = "import sys; import reconstructors.splat; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "False\n", done.stderr
@@ -289,8 +289,8 @@ def test_torch_is_imported_when_it_is_used(monkeypatch):
         rasterize(*scene.arrays, scene.camera)
 
 
-def test_a_graph_that_is_alive_when_python_ends_says_nothing():
-    """Torch keeps it, and what it holds; nobody wants to hear of it."""
+def test_a_graph_alive_at_exit_prints_nothing():
+    """Torch keeps it and its rasterizer; nanobind must not report them as leaks."""
     script = """
 import sys
 sys.path[:0] = [{path!r}]

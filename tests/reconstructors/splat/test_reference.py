@@ -1,4 +1,4 @@
-"""The plain rasterizer against finite differences, scipy, torch's optimizer and the camera's own projection."""
+"""The reference rasterizer against finite differences, scipy, torch's optimizer and the camera's own projection."""
 
 import numpy as np
 import pytest
@@ -20,17 +20,17 @@ def in_double(scene):
 
 
 @pytest.mark.parametrize("kind", [scattered, on_the_border])
-def test_gradients_are_finite_differences(kind):
-    """Of a random sum of the images of 30, along random directions for each tensor; no alpha is on a threshold here.
+def test_gradients_equal_finite_differences(kind):
+    """For a random sum of the images of 30 Gaussians, along random directions; no alpha is at a threshold here.
 
-    Differences of sums of about 1e3 over 2e-6 are right to 1e-7.
+    Differences of sums of about 1e3 over 2e-6 are exact to 1e-7.
     """
     scene, rng = make(kind), np.random.default_rng(1)
     view, background = View.of(scene.camera), torch.from_numpy(scene.background).double()
     weights = [torch.from_numpy(rng.normal(size=(view.height, view.width, *rest))) for rest in [(3,), (), (), (3,)]]
 
     def loss(tensors):
-        images = reference.draw(GaussianTensors(*tensors[:5]), view, tensors[5])[:4]
+        images = reference.render(GaussianTensors(*tensors[:5]), view, tensors[5])[:4]
         return sum((image * weight).sum() for image, weight in zip(images, weights, strict=True))
 
     inputs = [tensor.requires_grad_() for tensor in (*(given[-30:] for given in in_double(scene)), background)]
@@ -46,59 +46,59 @@ def test_gradients_are_finite_differences(kind):
             assert slope == pytest.approx((gradient * direction).sum().item(), abs=1e-6), place
 
 
-def test_the_pass_back_is_what_autograd_gives():
-    """Of a sum over all images; the screen's gradient is that of moving one Gaussian's image over the pixels."""
+def test_the_backward_pass_equals_autograd():
+    """For a sum over all images; the screen gradient is that of moving one Gaussian's image over the pixels."""
     scene = make(scattered)
     view, leaves = View.of(scene.camera), [tensor.requires_grad_() for tensor in in_double(scene)]
     background = torch.from_numpy(scene.background).double()
-    drawn = reference.draw(GaussianTensors(*leaves), view, background)
+    drawn = reference.render(GaussianTensors(*leaves), view, background)
     rng = np.random.default_rng(1)
     by = [torch.from_numpy(rng.normal(size=image.shape)) for image in drawn[:4]]
     torch.autograd.backward([(image * weight).sum() for image, weight in zip(drawn[:4], by, strict=True)])
     rasterizer = reference.Rasterizer()
     rasterizer.forward(GaussianTensors(*leaves), view, background, geometry=True)
-    pulled = rasterizer.backward(*by, None)
-    for leaf, rows in zip(leaves, pulled[1:6], strict=True):
+    gradients = rasterizer.backward(*by, None)
+    for leaf, rows in zip(leaves, gradients[1:6], strict=True):
         full = torch.zeros_like(leaf)
-        full[pulled.ids] = rows
+        full[gradients.ids] = rows
         # 100 roundings, times the covariances' largest condition number of 30 (see rounding_bound in test_maths.py).
         assert (full - leaf.grad).abs().max() < 1e-12 * leaf.grad.abs().max()
     splats = reference.project(GaussianTensors(*leaves), view)
     nothing = torch.zeros_like(splats.depth)
 
     def loss(xy):
-        images = reference.blend(splats._replace(xy=xy), nothing, view, background).drawn
+        images = reference.blend(splats._replace(xy=xy), nothing, view, background).output
         return sum((image * weight).sum() for image, weight in zip(images[:4], by, strict=True)).item()
 
     with torch.no_grad():
         for row in (0, 11, 30):
-            place = int((splats.ids == pulled.ids[row]).nonzero()[0, 0])
+            place = int((splats.ids == gradients.ids[row]).nonzero()[0, 0])
             for axis in range(2):
                 step = torch.zeros_like(splats.xy)
                 step[place, axis] = 1e-6
                 slope = (loss(splats.xy + step) - loss(splats.xy - step)) / 2e-6
-                assert slope == pytest.approx(pulled.screen[row, axis].item(), rel=1e-5, abs=1e-5)
+                assert slope == pytest.approx(gradients.screen[row, axis].item(), rel=1e-5, abs=1e-5)
 
 
 def test_weights_and_errors_are_sums_over_pixels():
-    """The weights of all Gaussians are what is hidden of the background, and so it is of the error."""
+    """The weights of all Gaussians sum to alpha at each pixel, and likewise for the error."""
     scene = make(scattered)
     rasterizer, view = reference.Rasterizer(), View.of(scene.camera)
     drawn = rasterizer.forward(in_double(scene), view, torch.zeros(3), geometry=True)
     error = torch.rand(view.height, view.width, generator=torch.Generator().manual_seed(1))
-    pulled = rasterizer.backward(drawn.color, None, None, None, error)
-    assert pulled.weight.sum().item() == pytest.approx((1 - drawn.transmittance).sum().item(), rel=1e-12)
-    assert pulled.error.sum().item() == pytest.approx(((1 - drawn.transmittance) * error).sum().item(), rel=1e-12)
+    gradients = rasterizer.backward(drawn.color, None, None, None, error)
+    assert gradients.weight.sum().item() == pytest.approx((1 - drawn.transmittance).sum().item(), rel=1e-12)
+    assert gradients.error.sum().item() == pytest.approx(((1 - drawn.transmittance) * error).sum().item(), rel=1e-12)
 
 
-def test_rotations_are_those_of_scipy():
+def test_rotations_equal_scipys():
     quats = make(odd_quaternions).quats[10:].astype(np.float64)
     ours = reference.rotations(torch.from_numpy(quats)).numpy()
     np.testing.assert_allclose(ours, Rotation.from_quat(quats, scalar_first=True).as_matrix(), atol=1e-12)
 
 
-def test_harmonics_are_those_of_scipy():
-    """Real ones are sqrt(2) times the real or the imaginary part of the complex ones."""
+def test_harmonics_equal_scipys():
+    """Real harmonics are sqrt(2) times the real or the imaginary part of the complex ones."""
     directions = np.random.default_rng(3).normal(size=(50, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     polar, azimuth = np.arccos(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
@@ -115,8 +115,8 @@ def test_harmonics_are_those_of_scipy():
         np.testing.assert_array_equal(reference.harmonics(torch.from_numpy(directions), count).numpy(), ours[:, :count])
 
 
-def test_a_small_gaussian_is_projected_as_its_points_are():
-    """Each axis a thousandth: the spread of its ends in the image, and of their depths, as the camera projects them."""
+def test_a_small_gaussian_is_projected_like_its_points():
+    """For offsets of a thousandth of each axis: the spread of the ends in the image, and of their depths."""
     scene = make(scattered)
     view, gaussians = View.of(scene.camera), in_double(scene)
     splats = reference.project(gaussians, view)
@@ -125,9 +125,9 @@ def test_a_small_gaussian_is_projected_as_its_points_are():
     turns = Rotation.from_quat(scene.quats[splats.ids].astype(np.float64), scalar_first=True).as_matrix()
     covariance, with_depth = np.zeros((len(center), 2, 2)), np.zeros((len(center), 2))
     for axis in range(3):
-        arm = 1e-3 * turns[:, :, axis] * scene.scales[splats.ids, axis, None].astype(np.float64)
+        offset = 1e-3 * turns[:, :, axis] * scene.scales[splats.ids, axis, None].astype(np.float64)
         (there, deep), (back, shallow) = (
-            scene.camera.project(gaussians.means.numpy()[splats.ids] + sign * arm) for sign in (1, -1)
+            scene.camera.project(gaussians.means.numpy()[splats.ids] + sign * offset) for sign in (1, -1)
         )
         half, depth = (there - back) / 2e-3, (deep - shallow) / 2e-3
         covariance += half[:, :, None] * half[:, None]
@@ -142,7 +142,7 @@ def test_a_small_gaussian_is_projected_as_its_points_are():
     np.testing.assert_allclose(splats.slope.numpy()[within], slope[within], rtol=1e-3, atol=1e-5)
 
 
-def test_ssim_is_that_of_filters_of_scipy():
+def test_ssim_equals_that_of_scipys_filters():
     rng = np.random.default_rng(2)
     x, y = rng.random((2, 23, 31, 3))
 
@@ -155,7 +155,7 @@ def test_ssim_is_that_of_filters_of_scipy():
     loss = reference.image_loss(torch.from_numpy(x), torch.from_numpy(y), 0.2)
     assert loss.ssim.item() == pytest.approx(ssim, rel=1e-10)
     assert loss.l1.item() == pytest.approx(np.abs(x - y).mean(), rel=1e-12)
-    # Its derivative, by moving one value.
+    # The gradient, by finite differences of one value.
     moved = [torch.from_numpy(x.copy()) for _ in range(2)]
     moved[0][0, 12, 1] += 1e-6
     moved[1][0, 12, 1] -= 1e-6
@@ -164,7 +164,7 @@ def test_ssim_is_that_of_filters_of_scipy():
     assert (values[0] - values[1]) / 2e-6 == pytest.approx(loss.gradient[0, 12, 1].item(), rel=1e-5)
 
 
-def test_adam_is_that_of_torch_where_all_rows_are_seen():
+def test_adam_equals_torchs_if_all_rows_are_updated():
     rng = np.random.default_rng(7)
     ours = torch.from_numpy(rng.normal(size=(6, 4)))
     theirs = ours.clone().requires_grad_()

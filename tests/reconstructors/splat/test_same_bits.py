@@ -15,7 +15,7 @@ ANSWERS = """
 import hashlib, json, sys
 import numpy as np, torch
 sys.path[:0] = {path!r}
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, make, scattered
 from reconstructors.splat import cpu
 from reconstructors.splat.cpu import _rasterizer
@@ -27,12 +27,12 @@ def note(name, *arrays):
 engine, rng = Engine(cpu, "cpu"), np.random.default_rng(1)
 for kind in SCENES:
     scene = make(kind)
-    note(kind.__name__, *run_pass(engine, scene, random_wanted(scene)).arrays().values())
-    wanted = random_wanted(scene)._replace(depth=None, normal=None)
-    note(kind.__name__ + " plain", *run_pass(engine, scene, wanted, geometry=False).arrays().values())
-# Enough Gaussians and tiles for several threads at once.
+    note(kind.__name__, *run_pass(engine, scene, random_image_gradients(scene)).arrays().values())
+    image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
+    note(kind.__name__ + " plain", *run_pass(engine, scene, image_gradients, geometry=False).arrays().values())
+# Enough Gaussians and tiles for several threads.
 many = scattered(rng, 3000, 210, 130, size=0.06)
-note("many", *run_pass(engine, many, random_wanted(many)).arrays().values())
+note("many", *run_pass(engine, many, random_image_gradients(many)).arrays().values())
 image, target = (torch.from_numpy(rng.random((131, 207, 3), np.float32)) for _ in range(2))
 loss = cpu.image_loss(image, target, 0.2)
 note("loss", float(loss.l1), float(loss.ssim), loss.gradient.numpy())
@@ -45,7 +45,7 @@ print(json.dumps([_rasterizer.isa(), digests]))
 
 
 def answers_with(**environment):
-    """Digests from a fresh process."""
+    """Return the results of a fresh process."""
     script = ANSWERS.format(path=[str(TESTS)])
     return subprocess.run(
         [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
@@ -62,8 +62,8 @@ def baseline_answers():
 
 
 @pytest.mark.parametrize("isa, threads", [("avx2", "2"), ("avx512", "3")])
-def test_the_same_bits_from_any_threads_and_instructions(baseline_answers, isa, threads):
-    """As from one thread of the baseline; where there are no such instructions, of several threads of the baseline."""
+def test_threads_and_instruction_sets_give_the_same_bits(baseline_answers, isa, threads):
+    """As one thread of the baseline; on a machine without these instructions, several threads of the baseline."""
     done = answers_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
     if "PCBENCH_ISA: expected an instruction set that this machine supports" in done.stderr:
         isa, done = "baseline", answers_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)

@@ -1,4 +1,4 @@
-"""What the compiled rasterizer does where memory ends."""
+"""The compiled rasterizer when memory runs out."""
 
 import os
 import subprocess
@@ -51,7 +51,7 @@ def run(what, count, width, height):
     return pass_
 
 what, *size = sys.argv[1], *map(int, sys.argv[2:])
-run(what, 10, 64, 64)()  # all threads are there
+run(what, 10, 64, 64)()  # starts all threads
 work = run(what, *size)
 failed, room = 0, 0
 _, most = resource.getrlimit(resource.RLIMIT_AS)
@@ -75,9 +75,9 @@ print(failed, result == work())
 @pytest.mark.parametrize(
     ("what", "size"), [("forward", (20_000, 96, 64)), ("backward", (5_000, 96, 64)), ("image_loss", (1, 30_000, 2))]
 )
-def test_memory_that_ends_is_a_memory_error(what, size, threads):
-    """A little more memory each time, so that every large allocation is once the one that fails; what is computed in
-    the end is what is computed with memory enough."""
+def test_running_out_of_memory_raises_a_memory_error(what, size, threads):
+    """The limit rises in small steps, so that each large allocation fails once; the final result is that without a
+    limit."""
     done = subprocess.run(
         [sys.executable, "-c", CODE, what, *map(str, size)],
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},

@@ -1,4 +1,4 @@
-"""Supervision by depths: what a map says at the pixels of a view, the loss's derivative, and what training gains."""
+"""Depth supervision: resampling of maps, the gradient of the loss, and the effect on training."""
 
 from dataclasses import dataclass, replace
 
@@ -25,7 +25,7 @@ from reconstructors.splat.density import Density  # noqa: E402
 from reconstructors.splat.interface import GaussianTensors  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
-from reconstructors.splat.supervision import Supervision, depths_at, read_supervision  # noqa: E402
+from reconstructors.splat.supervision import Supervision, read_supervision, resample_depths  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 from reconstructors.splat.view import View  # noqa: E402
 
@@ -37,59 +37,63 @@ def pinhole(width, height, focal, cx=0.5, cy=0.5, name="a/b.png"):
 
 
 @pytest.mark.parametrize("size", [(30, 20), (60, 40), (97, 61), (240, 160)])
-def test_a_slope_is_met_by_a_map_of_any_size(size):
-    """The map's pixels are larger and smaller than the view's, and their centres elsewhere."""
+def test_a_slope_is_resampled_exactly_from_a_map_of_any_size(size):
+    """The map's pixels are larger and smaller than the view's, with other centres."""
     width, height = size
     camera, mapped = pinhole(60, 40, 55.0, 0.47, 0.55), pinhole(width, height, 55.0 * width / 60, 0.47, 0.55)
     normal = np.array([0.5, -0.8, -0.3]) / np.sqrt(0.98)
-    found = depths_at(View.of(camera), mapped, plane_map(mapped, normal, 0.4))
+    resampled = resample_depths(View.of(camera), mapped, plane_map(mapped, normal, 0.4))
     expected = plane_map(camera, normal, 0.4).depth
-    seen = found > 0
+    seen = resampled > 0
     assert seen.mean() >= 0.95  # a size that is no multiple covers a little less
-    np.testing.assert_allclose(found[seen], expected[seen], rtol=1e-5)
+    np.testing.assert_allclose(resampled[seen], expected[seen], rtol=1e-5)
 
 
-def test_nothing_is_mixed_across_an_edge_and_what_is_unknown_stays_so():
+def test_depths_are_not_mixed_across_an_edge_and_unknown_ones_stay_unknown():
     camera, mapped = pinhole(60, 40, 55.0), pinhole(97, 65, 55.0 * 97 / 60)
     depth = np.where(np.arange(97) < 40, 2.0, 5.0) * np.ones((65, 1))
     depth[:10] = 0
     facing = np.broadcast_to(np.float32([0, 0, -1]), (65, 97, 3))
-    made = DepthMap(depth.astype(np.float32), facing, np.ones((65, 97), np.float32))
-    found = depths_at(View.of(camera), mapped, made.where(depth > 0))
-    assert set(np.unique(found)) == {0.0, 2.0, 5.0}
-    assert (found[:6] == 0).all() and (found[7:] > 0).all()
+    depth_map = DepthMap(depth.astype(np.float32), facing, np.ones((65, 97), np.float32))
+    resampled = resample_depths(View.of(camera), mapped, depth_map.where(depth > 0))
+    assert set(np.unique(resampled)) == {0.0, 2.0, 5.0}
+    assert (resampled[:6] == 0).all() and (resampled[7:] > 0).all()
 
 
-def test_the_derivative_is_that_of_the_loss():
-    """Of the mean relative difference, by every number of the Gaussians, against torch's own through `rasterize`."""
+def test_the_gradient_equals_that_of_the_loss():
+    """Of the mean relative difference, with respect to all parameters, against torch autograd through `rasterize`."""
     scene = scattered(np.random.default_rng(3), 60)
     leaves = [torch.from_numpy(a).clone().requires_grad_() for a in scene.arrays]
     view = View.of(scene.camera)
     rng = np.random.default_rng(1)
     target = torch.from_numpy(rng.uniform(2, 6, (view.height, view.width)).astype(np.float32))
     target[rng.random(target.shape) < 0.3] = 0
-    held = target > 0
+    known = target > 0
     shown = rasterize(*leaves, scene.camera)
-    off = (shown.depth * shown.alpha - shown.alpha * target)[held]
-    (0.7 * (off.abs() / target[held]).mean()).backward()
+    difference = (shown.depth * shown.alpha - shown.alpha * target)[known]
+    (0.7 * (difference.abs() / target[known]).mean()).backward()
 
     rasterizer = cpu.CpuRasterizer()
-    drawn = rasterizer.forward(
+    rendering = rasterizer.forward(
         GaussianTensors(*(leaf.detach() for leaf in leaves)), view, torch.zeros(3), geometry=True
     )
     photograph = Photograph("view", view, torch.zeros(view.height, view.width, 3, dtype=torch.uint8), None)
-    pull = Supervision({"view": [target]}, 0.7).pull(photograph, drawn)
-    pulled = rasterizer.backward(torch.zeros_like(drawn.color), pull.transmittance, pull.depth, None, None)
-    for leaf, rows in zip(leaves[:4], (pulled.means, pulled.quats, pulled.scales, pulled.opacities), strict=True):
-        expected = leaf.grad[pulled.ids]
+    depth_gradients = Supervision({"view": [target]}, 0.7).gradients(photograph, rendering)
+    gradients = rasterizer.backward(
+        torch.zeros_like(rendering.color), depth_gradients.transmittance, depth_gradients.depth, None, None
+    )
+    for leaf, rows in zip(
+        leaves[:4], (gradients.means, gradients.quats, gradients.scales, gradients.opacities), strict=True
+    ):
+        expected = leaf.grad[gradients.ids]
         assert float(expected.abs().max()) > 0
         np.testing.assert_allclose(rows, expected, atol=2e-4 * float(expected.abs().max()))
     unknown = photograph._replace(name="another")
-    assert Supervision({"view": [target]}).pull(unknown, drawn) == (None, None)
+    assert Supervision({"view": [target]}).gradients(unknown, rendering) == (None, None)
 
 
 def wall():
-    """A grey wall at y = 0, which no photograph tells from one anywhere else, and Gaussians half a unit before it."""
+    """A grey wall at y = 0, whose depth no photograph shows, and Gaussians half a unit in front of it."""
     rng = np.random.default_rng(2)
     means = np.column_stack([rng.uniform(-2, 2, 150), np.full(150, -0.5), rng.uniform(-1.5, 1.5, 150)])
     model = Gaussians(
@@ -106,35 +110,35 @@ def wall():
     return model, cameras
 
 
-def keep_map(folder, made, counts):
+def save_map(folder, depth_map, counts):
     folder.mkdir()
-    write_map(folder, made)
-    np.save(folder / COUNTS, np.broadcast_to(np.uint8(counts), made.depth.shape))
+    write_map(folder, depth_map)
+    np.save(folder / COUNTS, np.broadcast_to(np.uint8(counts), depth_map.depth.shape))
 
 
-def test_what_is_not_sure_is_not_held_to(tmp_path):
-    """Points to begin at may be of two images, and of little confidence."""
+def test_uncertain_depths_are_not_used(tmp_path):
+    """Initial points may come from two images and have a low confidence."""
     camera = pinhole(60, 40, 55.0)
-    made = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
-    counts = np.full(made.depth.shape, 3, np.uint8)
+    depth_map = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
+    counts = np.full(depth_map.depth.shape, 3, np.uint8)
     counts[:, :20] = 2
-    made.confidence[30:] = 0.2
+    depth_map.confidence[30:] = 0.2
     write_colmap_model(tmp_path, [camera])
     (tmp_path / "a").mkdir()
-    keep_map(tmp_path / camera.name, made, counts)
+    save_map(tmp_path / camera.name, depth_map, counts)
     picture = Photograph(camera.name, View.of(camera), torch.zeros(40, 60, 3, dtype=torch.uint8), None)
-    (found,) = read_supervision(tmp_path, [[picture]], 1.0).depths[camera.name]
-    np.testing.assert_array_equal(found > 0, (counts == 3) & (made.confidence > 0.5))
+    (resampled,) = read_supervision(tmp_path, [[picture]], 1.0).depths[camera.name]
+    np.testing.assert_array_equal(resampled > 0, (counts == 3) & (depth_map.confidence > 0.5))
 
 
-def test_depths_hold_what_photographs_do_not(tmp_path):
-    """Read from the folder that `mvs` keeps, in a world whose unit is not the model's."""
+def test_depths_constrain_what_photographs_do_not(tmp_path):
+    """Read from the folder of `mvs`, in a world whose unit is not the model's."""
     unit, errors = 50.0, []
     model, cameras = wall()
     write_colmap_model(tmp_path, cameras)
     for camera in cameras:
-        made = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
-        keep_map(tmp_path / camera.name, replace(made, depth=np.float32(unit) * made.depth), 3)
+        depth_map = plane_map(camera, (0.0, -1.0, 0.0), 0.0)
+        save_map(tmp_path / camera.name, replace(depth_map, depth=np.float32(unit) * depth_map.depth), 3)
     pictures = [
         [Photograph(camera.name, View.of(camera), torch.full((32, 48, 3), 128, dtype=torch.uint8), None)]
         for camera in cameras
@@ -144,22 +148,24 @@ def test_depths_hold_what_photographs_do_not(tmp_path):
         training = Training(
             Gaussians(*(part.clone() for part in vars(model).values())),
             pictures,
-            Schedule(steps=200, sh_degree=0, halved=(0, 0)),
+            Schedule(steps=200, sh_degree=0, downscale_shares=(0, 0)),
             Density(),
             given,
         )
         training.run(200)
         now = training.model
-        drawn = rasterize(now.means, now.quats, now.scales, now.opacities, now.sh, cameras[1])
-        off = (drawn.depth - torch.from_numpy(plane_map(cameras[1], (0.0, -1.0, 0.0), 0.0).depth))[drawn.alpha > 0.5]
-        errors.append(float(off.abs().mean()))
-    assert errors[0] > 0.3  # the photographs leave them where they were
+        rendering = rasterize(now.means, now.quats, now.scales, now.opacities, now.sh, cameras[1])
+        difference = (rendering.depth - torch.from_numpy(plane_map(cameras[1], (0.0, -1.0, 0.0), 0.0).depth))[
+            rendering.alpha > 0.5
+        ]
+        errors.append(float(difference.abs().mean()))
+    assert errors[0] > 0.3  # photographs alone leave the Gaussians where they were
     assert errors[1] < 0.1
 
 
 @dataclass(frozen=True)
 class BluntMvs:
-    """Stands in for `mvs`: maps that are exact, and points that are not."""
+    """Replaces `mvs`: exact maps and inexact points."""
 
     poses: str = "given"
     seed: int = 0
@@ -168,7 +174,7 @@ class BluntMvs:
         pinholes = [replace(c, intrinsics=corner.standard_intrinsics(72, 54)) for c in scene.cameras.values()]
         write_colmap_model(workspace / MAPS, pinholes)
         for camera in pinholes:
-            keep_map(workspace / MAPS / camera.name, corner_map(camera), 3)
+            save_map(workspace / MAPS / camera.name, corner_map(camera), 3)
         rng = np.random.default_rng(4)
         points = rng.uniform(0, corner.SIDE / 2, (3, 300, 3))
         points[range(3), :, range(3)] = rng.normal(0, 0.15, (3, 300))
@@ -176,15 +182,15 @@ class BluntMvs:
         return Reconstruction(cloud, "georeferenced", scene.cameras)
 
 
-def test_the_surface_of_a_model_that_is_held_to_depths_is_nearer(tmp_path, monkeypatch):
+def test_the_surface_is_more_accurate_with_depth_supervision(tmp_path, monkeypatch):
     monkeypatch.setattr(plugin, "BEGINNING", BluntMvs())
     scene_folder = tmp_path / "corner"
     scene_folder.mkdir()
     scene = read_scene(corner.write_scene(scene_folder, corner.cameras(6, corner.standard_intrinsics(96, 72))))
     errors = {}
-    for chosen in ("mvs", "none"):
-        workspace = tmp_path / chosen
+    for supervision_setting in ("mvs", "none"):
+        workspace = tmp_path / supervision_setting
         workspace.mkdir()
-        splat = plugin.GaussianSplatting(supervision=chosen, density="fixed", steps=100, gaussians=900)
-        errors[chosen] = corner.distances(splat.reconstruct(scene, workspace).cloud.points).mean()
+        splat = plugin.GaussianSplatting(supervision=supervision_setting, density="fixed", steps=100, gaussians=900)
+        errors[supervision_setting] = corner.distances(splat.reconstruct(scene, workspace).cloud.points).mean()
     assert errors["mvs"] < 0.6 * errors["none"]

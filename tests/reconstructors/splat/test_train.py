@@ -1,4 +1,4 @@
-"""Training: images become like the photographs, a run that goes on equals an unbroken one, density obeys its rules."""
+"""Training: images approach the photographs, a resumed run equals an uninterrupted one, densification and pruning."""
 
 from dataclasses import replace
 
@@ -17,18 +17,20 @@ from splat_training import grey, numbers, truth  # noqa: E402
 
 from reconstructors.splat.density import Classic, Density, split  # noqa: E402
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
-from reconstructors.splat.resume import load_model, save_model, trained  # noqa: E402
-from reconstructors.splat.rotations import rotated  # noqa: E402
+from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model  # noqa: E402
+from reconstructors.splat.rotations import rotate  # noqa: E402
 from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
 
 
-def begun(density=Density(), steps=160, **schedule):  # noqa: B008
+def new_training(density=Density(), steps=160, **schedule):  # noqa: B008
     model, pictures = truth()
-    return Training(grey(model), pictures, Schedule(steps=steps, sh_degree=1, halved=(0, 0), **schedule), density)
+    return Training(
+        grey(model), pictures, Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0), **schedule), density
+    )
 
 
-def test_images_become_like_the_photographs():
-    training = begun()
+def test_images_approach_the_photographs():
+    training = new_training()
     pictures = [pyramid[0] for pyramid in training.photographs]
     before = np.mean(evaluate(training.model, pictures))
     training.run(160)
@@ -36,50 +38,59 @@ def test_images_become_like_the_photographs():
     assert training.model.degree == 1
 
 
-def test_a_run_that_goes_on_equals_an_unbroken_one(tmp_path):
-    rules = Classic(first=20, every=10, gradient=1e-6, last=0.8, reset=40, faint=0.0, large=10, most=150)
-    whole = begun(rules, steps=90)
-    whole.run(90)
-    assert len(whole.model) > 60  # otherwise nothing random was drawn
-    first = begun(rules, steps=90)
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
+    density = Classic(
+        refine_start=20,
+        refine_interval=10,
+        grow_gradient=1e-6,
+        refine_stop_share=0.8,
+        reset_interval=40,
+        prune_opacity=0.0,
+        prune_scale=10,
+        max_gaussians=150,
+    )
+    uninterrupted = new_training(density, steps=90)
+    uninterrupted.run(90)
+    assert len(uninterrupted.model) > 60  # so random numbers were used
+    first = new_training(density, steps=90)
     first.run(47)
     first.save(tmp_path / "checkpoint.pt", "key")
-    second = begun(rules, steps=90)
+    second = new_training(density, steps=90)
     assert not second.load(tmp_path / "checkpoint.pt", "another key")
     assert second.step == 0
-    assert numbers(trained(second, tmp_path / "checkpoint.pt", "key")) == numbers(whole.model)
+    assert numbers(run_with_checkpoints(second, tmp_path / "checkpoint.pt", "key")) == numbers(uninterrupted.model)
     assert not (tmp_path / "checkpoint.pt").exists()
 
 
-def test_the_same_seed_gives_the_same_model_and_another_one_another():
-    runs = [begun(steps=20, seed=seed) for seed in (0, 0, 1)]
+def test_the_model_is_determined_by_the_seed():
+    runs = [new_training(steps=20, seed=seed) for seed in (0, 0, 1)]
     for run in runs:
         run.run(20)
     first, again, other = (numbers(run.model) for run in runs)
     assert first == again != other
 
 
-def test_training_ends_where_the_photographs_get_no_better(tmp_path):
-    eager, whole = begun(steps=400, plateau=2.0), begun(steps=400, plateau=-np.inf)
+def test_training_converges_when_the_photographs_no_longer_improve(tmp_path):
+    eager, uninterrupted = new_training(steps=400, plateau=2.0), new_training(steps=400, plateau=-np.inf)
     eager.run(400)
-    whole.run(400)
-    assert (whole.ended, whole.step) == (False, 400)
-    assert eager.ended and 120 <= eager.step < 400 and eager.step % 40 == 0
-    looks = []
+    uninterrupted.run(400)
+    assert (uninterrupted.converged, uninterrupted.step) == (False, 400)
+    assert eager.converged and 120 <= eager.step < 400 and eager.step % 40 == 0
+    mean_psnr = []
     for step in (eager.step - 80, eager.step - 40, eager.step):
-        again = begun(steps=400, plateau=-np.inf)
+        again = new_training(steps=400, plateau=-np.inf)
         again.run(step)
-        looks.append(np.mean(again.psnr))
-    assert looks[2] - min(looks[:2]) < 2.0
+        mean_psnr.append(np.mean(again.psnr))
+    assert mean_psnr[2] - min(mean_psnr[:2]) < 2.0
     assert numbers(again.model) == numbers(eager.model)
     eager.save(tmp_path / "checkpoint.pt", "key")
-    again = begun(steps=400, plateau=2.0)
-    assert numbers(trained(again, tmp_path / "checkpoint.pt", "key")) == numbers(eager.model)
+    again = new_training(steps=400, plateau=2.0)
+    assert numbers(run_with_checkpoints(again, tmp_path / "checkpoint.pt", "key")) == numbers(eager.model)
 
 
-def test_a_mask_hides_what_it_covers():
-    """Black rectangles over the photographs leave no trace where a mask covers them."""
-    plain, masked = begun(steps=60), begun(steps=60)
+def test_masked_pixels_do_not_influence_training():
+    """Black rectangles in the photographs have no effect if a mask covers them."""
+    plain, masked = new_training(steps=60), new_training(steps=60)
     for pyramid in masked.photographs:
         photograph = pyramid[0]
         valid = torch.ones(photograph.color.shape[:2], dtype=torch.bool)
@@ -88,7 +99,7 @@ def test_a_mask_hides_what_it_covers():
     plain_views = [pyramid[0] for pyramid in plain.photographs]
     plain.run(60)
     masked.run(60)
-    hidden = begun(steps=60)
+    hidden = new_training(steps=60)
     for mine, theirs in zip(hidden.photographs, masked.photographs, strict=True):
         mine[0] = theirs[0]._replace(valid=None)
     hidden.run(60)
@@ -96,45 +107,55 @@ def test_a_mask_hides_what_it_covers():
     assert with_mask > without + 2
 
 
-def test_what_is_not_finite_ends_with_a_sentence():
-    training = begun()
+def test_parameters_that_are_not_finite_are_an_error():
+    training = new_training()
     training.model.sh[3] = float("nan")
     with refused(ReconstructionError):
         training.run(5)
 
 
-def test_what_is_not_finite_does_not_end_as_a_plateau():
-    training = begun(steps=100, plateau=np.inf)
+def test_parameters_that_are_not_finite_are_no_convergence():
+    training = new_training(steps=100, plateau=np.inf)
 
-    def spoiled(now):
+    def set_nan(now):
         if now.step == 29:
             now.model.means[3] = np.nan  # the rasterizer skips it
 
     with refused(ReconstructionError):
-        training.run(100, spoiled)
+        training.run(100, set_nan)
 
 
-def test_a_model_that_vanished_ends_with_a_sentence():
-    training = begun(Classic(first=5, every=5, faint=1.0))
+def test_a_model_without_gaussians_is_an_error():
+    training = new_training(Classic(refine_start=5, refine_interval=5, prune_opacity=1.0))
     with refused(ReconstructionError):
         training.run(5)
 
 
-def test_splitting_keeps_the_place_and_shrinks():
+def test_splitting_keeps_the_distribution_and_shrinks():
     model, _ = truth()
     many = Gaussians(*(part[:1].repeat(4000, *[1] * (part.ndim - 1)) for part in vars(model).values()))
     halves = split(many, 1.6, np.random.default_rng(0))
     assert len(halves) == 8000
     torch.testing.assert_close(halves.scales, many.scales.repeat(2, 1) / 1.6)
-    # Their places are drawn from the Gaussian: in its axes they deviate by its scales, to what 8000 draws can tell.
+    # Their positions are sampled from the Gaussian: along its axes they deviate by its scales, up to sampling error.
     turned_back = many.quats[0] * torch.tensor([1.0, -1, -1, -1])
-    local = rotated(turned_back.repeat(8000, 1), halves.means - many.means[0])
+    local = rotate(turned_back.repeat(8000, 1), halves.means - many.means[0])
     np.testing.assert_allclose(local.std(dim=0), many.scales[0], rtol=0.04)
     np.testing.assert_allclose(local.mean(dim=0) / many.scales[0], 0, atol=0.05)
 
 
-def test_classic_control_adds_no_more_than_it_may_and_takes_the_faint_away():
-    training = begun(Classic(first=5, every=5, gradient=0.0, last=1.0, reset=0, most=100), steps=40)
+def test_classic_density_respects_the_maximum_and_prunes_low_opacities():
+    training = new_training(
+        Classic(
+            refine_start=5,
+            refine_interval=5,
+            grow_gradient=0.0,
+            refine_stop_share=1.0,
+            reset_interval=0,
+            max_gaussians=100,
+        ),
+        steps=40,
+    )
     training.run(25)
     assert 60 < len(training.model) <= 100
     training.model.logits[::2] = -20.0
@@ -145,7 +166,7 @@ def test_classic_control_adds_no_more_than_it_may_and_takes_the_faint_away():
     assert count > 60
 
 
-def test_a_frame_brings_projected_coordinates_to_unit_size():
+def test_a_local_frame_scales_projected_coordinates_to_unit_size():
     scene = scattered(np.random.default_rng(0))
     origin = np.array([500_000.0, 5_400_000.0, 200.0])
     cameras = []
@@ -155,14 +176,14 @@ def test_a_frame_brings_projected_coordinates_to_unit_size():
     frame = LocalFrame.of(cameras)
     points = origin + np.random.default_rng(1).uniform(-50, 50, size=(100, 3))
     assert frame.unit == pytest.approx(330)
-    np.testing.assert_allclose(frame.to_world(frame.to_local(points)), points, atol=1e-7)  # the digits of float64
+    np.testing.assert_allclose(frame.to_world(frame.to_local(points)), points, atol=1e-7)  # the precision of float64
     at, depth = cameras[0].project(points)
     local_at, local_depth = frame.camera(cameras[0]).project(frame.to_local(points))
     np.testing.assert_allclose(local_at, at, atol=1e-6)
     np.testing.assert_allclose(local_depth * frame.unit, depth, atol=1e-6)
 
 
-def test_a_model_is_kept_as_it_is(tmp_path):
+def test_a_saved_model_is_loaded_unchanged(tmp_path):
     model, _ = truth()
     save_model(tmp_path / "model.pt", model)
     assert numbers(load_model(tmp_path / "model.pt")) == numbers(model)

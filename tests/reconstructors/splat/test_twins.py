@@ -1,38 +1,38 @@
-"""Each device's kernels against the plain rasterizer, and against themselves where they should not differ."""
+"""The kernels of each device against the reference rasterizer, and against themselves."""
 
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_passes import Engine, random_wanted, run_pass
+from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, crowd, huge, make, needles, nothing, one_pixel, scattered, tall, whole_tiles
 
 torch = import_or_skip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
 
-PLAIN = Engine(reference, "cpu")
+REFERENCE = Engine(reference, "cpu")
 
 
 def disagreeing(ours, theirs, part, whole):
-    """The share of numbers that differ by more than `part` of themselves plus `whole` of the greatest."""
+    """Return the share of values that differ by more than `part` of themselves plus `whole` of the maximum."""
     allowed = part * np.abs(theirs) + whole * np.abs(theirs).max(initial=0)
     return (np.abs(ours - theirs) > allowed).mean() if theirs.size else 0.0
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_images_and_gradients_are_those_of_the_plain_rasterizer(engine, kind):
-    """float32 against float64: a number is a sum of up to a thousand parts that cancel in it, each right to some 1e-6.
+def test_images_and_gradients_equal_those_of_the_reference(engine, kind):
+    """float32 against float64: a value is a sum of up to a thousand terms that cancel, each exact to about 1e-6.
 
-    In a crowd the depths of means are closer than a float32 tells, and are blended in another order: one in a hundred
-    gradients shows it there. Elsewhere at most one number in a thousand may be off, by a pixel on the other side
-    of a threshold.
+    In a crowd the depths of means are closer than the precision of float32, so the order of blending differs; this
+    shows in one of a hundred gradients. Elsewhere at most one value in a thousand may differ, by a pixel on the other
+    side of a threshold.
     """
     scene = make(kind)
-    wanted = random_wanted(scene)
-    ours, theirs = run_pass(engine, scene, wanted), run_pass(PLAIN, scene, wanted)
+    image_gradients = random_image_gradients(scene)
+    ours, theirs = run_pass(engine, scene, image_gradients), run_pass(REFERENCE, scene, image_gradients)
     whole, flips = (1e-4, 1e-2) if kind is crowd else (1e-5, 1e-3)
     off = {name: disagreeing(array, theirs.arrays()[name], 1e-3, whole) for name, array in ours.arrays().items()}
     assert max(off.values()) <= flips, off
-    # Of what shows, all is drawn; and of what does not, no more than bounds on tiles rather than on pixels let through.
+    # All visible Gaussians are drawn; of the others only those that pass the bounds of tiles, which are wider.
     assert ours.drawn[theirs.drawn].all()
     assert all(np.isfinite(array).all() for array in ours.arrays().values())
     if kind is not nothing:
@@ -40,10 +40,10 @@ def test_images_and_gradients_are_those_of_the_plain_rasterizer(engine, kind):
 
 
 def test_planes_of_long_needles(engine):
-    """A hundred times as long as they are far, a thousandth as wide: depth grows along them and not across."""
+    """A hundred times as long as their distance and a thousandth as wide: depth grows along them, not across."""
     scene = make(needles)
     scene.scales[np.arange(60), scene.scales.argmax(axis=1)] = 300
-    ours, theirs = run_pass(engine, scene).images, run_pass(PLAIN, scene).images
+    ours, theirs = run_pass(engine, scene).images, run_pass(REFERENCE, scene).images
     for name, image in theirs.items():
         assert disagreeing(ours[name], image, 0, 1e-5) <= 1e-3, name
 
@@ -51,47 +51,47 @@ def test_planes_of_long_needles(engine):
 @pytest.mark.parametrize("kind", [scattered, tall])
 def test_without_geometry_colour_is_the_same(engine, kind):
     scene = make(kind)
-    zero = random_wanted(scene)._replace(depth=None, normal=None)
+    zero = random_image_gradients(scene)._replace(depth=None, normal=None)
     full, plain = run_pass(engine, scene, zero), run_pass(engine, scene, zero, geometry=False)
     assert plain.images.keys() == {"color", "transmittance"}
     for name, array in plain.arrays().items():
         np.testing.assert_allclose(array, full.arrays()[name], rtol=0, atol=1e-6 * np.abs(array).max(), err_msg=name)
 
 
-def test_a_derivative_that_is_not_given_is_zero(engine):
+def test_a_missing_gradient_equals_zero(engine):
     scene = make(scattered)
-    none = random_wanted(scene)._replace(transmittance=None, depth=None, normal=None, error=None)
+    none = random_image_gradients(scene)._replace(transmittance=None, depth=None, normal=None, error=None)
     zeros = none._replace(**{name: np.zeros((22, 37), np.float32) for name in ("transmittance", "depth", "error")})
     zeros = zeros._replace(normal=np.zeros((22, 37, 3), np.float32))
     ours, theirs = run_pass(engine, scene, none), run_pass(engine, scene, zeros)
     for name, array in ours.arrays().items():
         np.testing.assert_array_equal(array, theirs.arrays()[name], err_msg=name)
-    assert not ours.pulled["error"].any() and ours.pulled["weight"].any()
+    assert not ours.gradients["error"].any() and ours.gradients["weight"].any()
 
 
-def test_one_rasterizer_draws_one_view_after_another(engine):
-    """Of other sizes, numbers of Gaussians and of harmonics: its buffers keep nothing of the view before."""
+def test_one_rasterizer_renders_one_view_after_another(engine):
+    """With other sizes and numbers of Gaussians and harmonics: the buffers keep nothing of the view before."""
     used = engine.kernels.Rasterizer()
     for kind in (huge, one_pixel, crowd, nothing, tall, whole_tiles, scattered):
         scene = make(kind)
-        wanted = random_wanted(scene)
-        again, fresh = run_pass(engine, scene, wanted, used), run_pass(engine, scene, wanted)
+        image_gradients = random_image_gradients(scene)
+        again, fresh = run_pass(engine, scene, image_gradients, used), run_pass(engine, scene, image_gradients)
         for name, array in fresh.arrays().items():
             np.testing.assert_array_equal(again.arrays()[name], array, err_msg=f"{kind.__name__} {name}")
 
 
-def test_the_derivative_can_be_taken_twice(engine):
-    """Another one of the same image: the first has not used it up."""
+def test_the_gradient_can_be_computed_twice(engine):
+    """Another gradient of the same image: the first one does not consume the stored data."""
     scene, used = make(scattered), engine.kernels.Rasterizer()
-    run_pass(engine, scene, random_wanted(scene, seed=8), used)
-    first = run_pass(engine, scene, random_wanted(scene), used)
-    by = [engine.tensor(image) for image in random_wanted(scene)]
-    for name, rows in zip(first.pulled, used.backward(*by)[1:], strict=True):
-        np.testing.assert_array_equal(rows.cpu().numpy(), first.pulled[name][first.drawn], err_msg=name)
+    run_pass(engine, scene, random_image_gradients(scene, seed=8), used)
+    first = run_pass(engine, scene, random_image_gradients(scene), used)
+    by = [engine.tensor(image) for image in random_image_gradients(scene)]
+    for name, rows in zip(first.gradients, used.backward(*by)[1:], strict=True):
+        np.testing.assert_array_equal(rows.cpu().numpy(), first.gradients[name][first.drawn], err_msg=name)
 
 
-def photographs(rng, height, width):
-    """An image and a target that is like it, of values beyond 0..1 as well."""
+def similar_images(rng, height, width):
+    """Return an image and a similar target, with values beyond 0..1, too."""
     smooth = np.cumsum(np.cumsum(rng.normal(size=(height, width, 3)), axis=0), axis=1)
     target = 0.5 + 0.2 * smooth / (smooth.std() or 1)
     image = target + 0.1 * rng.normal(size=target.shape)
@@ -101,34 +101,33 @@ def photographs(rng, height, width):
 @pytest.mark.parametrize("height, width", [(1, 1), (3, 7), (11, 5), (16, 32), (37, 50)])
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
 def test_loss_of_an_image(engine, height, width, weight):
-    """Squares of values about 1 are subtracted from each other in float32: 1e-7 of them is 1e-4 of the constant 9e-4 to
-    which they are added."""
-    image, target = (engine.tensor(array) for array in photographs(np.random.default_rng(4), height, width))
+    """Squares of values about 1 are subtracted in float32: 1e-7 of them is 1e-4 of the constant 9e-4 that is added."""
+    image, target = (engine.tensor(array) for array in similar_images(np.random.default_rng(4), height, width))
     ours, theirs = engine.kernels.image_loss(image, target, weight), reference.image_loss(image, target, weight)
     assert float(ours.l1) == pytest.approx(float(theirs.l1), rel=1e-6)
     assert float(ours.ssim) == pytest.approx(float(theirs.ssim), abs=1e-5)
     assert disagreeing(ours.gradient.cpu().numpy(), theirs.gradient.cpu().numpy(), 0, 1e-4) == 0
 
 
-def test_loss_of_the_image_itself_is_nothing(engine):
-    image, _ = (engine.tensor(array) for array in photographs(np.random.default_rng(4), 20, 30))
+def test_the_loss_of_equal_images_is_zero(engine):
+    image, _ = (engine.tensor(array) for array in similar_images(np.random.default_rng(4), 20, 30))
     loss = engine.kernels.image_loss(image, image.clone(), 0.2)
     assert float(loss.l1) == 0
     assert float(loss.ssim) == pytest.approx(1, abs=1e-5)
-    # At its greatest SSIM is flat.
+    # SSIM is flat at its maximum.
     assert float(loss.gradient.abs().max()) < 1e-5 / (20 * 30)
 
 
 @pytest.mark.parametrize("columns", [1, 3, 4, 48])
 def test_steps_of_adam(engine, columns):
-    """Of the rows that were seen; from the first step on, whose moments begin at nothing."""
+    """On the rows with a gradient, from the first step on, whose moments are zero."""
     rng = np.random.default_rng(6)
     tensors = [engine.tensor(rng.normal(size=(40, columns)).astype(np.float32)), *[None] * 2]
     tensors[1:] = [torch.zeros_like(tensors[0]) for _ in range(2)]
     exact = [tensor.double() for tensor in tensors]
     start = tensors[0].clone()
     for step in range(1, 6):
-        ids = np.flatnonzero(rng.random(30) < 0.6)  # the last ten are never seen
+        ids = np.flatnonzero(rng.random(30) < 0.6)  # the last ten rows never have a gradient
         gradient = (rng.normal(size=(len(ids), columns)) * 10.0 ** rng.integers(-8, 4, (len(ids), 1))).astype(
             np.float32
         )
