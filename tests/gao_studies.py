@@ -12,13 +12,13 @@ from pcbench.report import to_json
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import (
     TRUTH,
-    Against,
     CameraErrors,
     CloudResult,
+    GaoStudy,
     NewViews,
+    ReferenceEvaluation,
     SceneResult,
-    Study,
-    SurfaceMoved,
+    SurfaceDeformation,
     document,
 )
 from pcbench.studies.gao.sentences import sentences
@@ -38,7 +38,7 @@ def against(reference, forth, back, bend=None):
     """RMS lengths both ways."""
     d2_poisson = 0.4 * forth**2 if reference == MVS else None
     measures = Gao2025(forth**2, 0.5 * forth**2, d2_poisson, 3.0, forth**2 + back**2, back**2)
-    return Against(reference, 900, measures, 0.001, bend or verdict("none"))
+    return ReferenceEvaluation(reference, 900, measures, 0.001, bend or verdict("none"))
 
 
 def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
@@ -60,7 +60,7 @@ def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
     views = NewViews(ViewScores(30.0, 0.9), ViewScores(25.0, 0.8), 35, 5, 0.5)
     references = {MVS: (5000, 4000), **({TRUTH: (9000, 8000)} if truth else {})}
     rings = tuple((10 * math.cos(a), 10 * math.sin(a), 5.0 + a) for a in np.linspace(0, 6, 12))
-    alone = SurfaceMoved(0.5, 0.25, ((5.0, 0.01), (30.0, -0.01)), ((1.0, 0.0), (9.0, 0.02)))
+    alone = SurfaceDeformation(0.5, 0.25, ((5.0, 0.01), (30.0, -0.01)), ((1.0, 0.0), (9.0, 0.02)))
     errors = CameraErrors(40, 40, 0.1, 0.3, 1.001, 0, alone)
     made = SceneResult(
         name, f"/x/{name}", "m", 40, rings, (0.0, 0.0, 2.0), "sphere:0,0,2,50", errors, references, clouds, views
@@ -69,7 +69,7 @@ def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
 
 
 def study(*scenes, poses="solve"):
-    found = Study(poses, {"steps": "2000", "density": "classic"}, scenes, provenance={})
+    found = GaoStudy(poses, {"steps": "2000", "density": "classic"}, scenes, provenance={})
     return replace(found, sentences=tuple(sentences(found)))
 
 

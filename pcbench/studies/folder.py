@@ -5,7 +5,7 @@ A study of many runs takes hours, so that all of them work in the same way:
 1. `check_folder` refuses a folder of something else before any work, and `study_folder` claims it for one run. It marks
    the folder by `study.json`, which also holds the settings of the last run.
 2. What takes long is kept for the next run: as a folder by `pcbench.plugins.stages.stage`, or as a JSON file by
-   `keep_record`, which `kept_record` returns for the same inputs only. A failure that may pass (a full disk, a library
+   `write_record`, which `read_record` returns for the same inputs only. A failure that may pass (a full disk, a library
    that is not installed) is raised and never kept.
 3. `write_pages` writes the results, the document that others read last.
 """
@@ -54,7 +54,7 @@ def check_folder(out: Path, kind: StudyKind) -> None:
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder for `{kind.name}`, got a file")
-    if out.is_dir() and any(out.iterdir()) and not _holds(out, kind):
+    if out.is_dir() and any(out.iterdir()) and not _is_study_folder(out, kind):
         raise InputError(
             f"{out}: the folder is not empty and holds no results of `{kind.name}`: choose another one, or empty it"
         )
@@ -80,8 +80,8 @@ def study_folder(out: Path, kind: StudyKind, settings: DataclassInstance) -> Ite
         yield
 
 
-def kept_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The values that `keep_record` wrote for the same inputs; None where there are none."""
+def read_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The values that `write_record` wrote for the same inputs; None where there are none."""
     try:
         values = read_json(path)
     except (FileNotFoundError, InputError):
@@ -91,7 +91,7 @@ def kept_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
     return values
 
 
-def keep_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+def write_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) -> None:
     """Keep values for the next run with the same inputs.
 
     Args:
@@ -114,17 +114,17 @@ def write_pages(out: Path, texts: Mapping[str, str]) -> None:
             file.write(text.encode(errors="backslashreplace"))
 
 
-def named_folders(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[str, Path]:
+def folders_by_name(paths: Iterable[Path], reserved: Iterable[str] = ()) -> dict[str, Path]:
     """Paths by the names of their folders, numbered where several are alike or are taken already."""
     named: dict[str, Path] = {}
     for path in paths:
-        named[free_name(path.resolve().name or "scene", {*named, *taken})] = path
+        named[unique_name(path.resolve().name or "scene", {*named, *reserved})] = path
     return named
 
 
-def free_name(stem: str, taken: Iterable[str]) -> str:
+def unique_name(stem: str, reserved: Iterable[str]) -> str:
     """The stem, or with the first number from 2 that makes it unlike all names that are taken."""
-    known = set(taken)
+    known = set(reserved)
     name, number = stem, 1
     while name in known:
         number += 1
@@ -132,7 +132,7 @@ def free_name(stem: str, taken: Iterable[str]) -> str:
     return name
 
 
-def _holds(out: Path, kind: StudyKind) -> bool:
+def _is_study_folder(out: Path, kind: StudyKind) -> bool:
     mark = json_object(out / MARK)
     if mark.get("schema") == SCHEMA:
         return bool(mark.get("study") == kind.name)

@@ -11,7 +11,7 @@ from wording import refused
 from pcbench.report.markup import csv_text, markdown_table
 from pcbench.studies.bench.runs import KIND as BENCH
 from pcbench.studies.bend.bend import KIND as BEND
-from pcbench.studies.folder import MARK, check_folder, keep_record, kept_record, named_folders, study_folder
+from pcbench.studies.folder import MARK, check_folder, folders_by_name, read_record, study_folder, write_record
 from pcbench.studies.gao.gao import KIND as GAO
 from pcbench.studies.views.runs import KIND as VIEWS
 from pcbench.studies.views.runs import ViewsJob, run_views
@@ -105,17 +105,17 @@ def test_folders_of_earlier_versions_are_gone_on_with(tmp_path, kind, left):
 
 def test_records_are_those_of_the_same_inputs(tmp_path):
     path = tmp_path / "run.json"
-    assert kept_record(path, {"a": 1}) is None
-    keep_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
-    assert kept_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
-    assert kept_record(path, {"a": 2, "b": (2, 3)}) is None
+    assert read_record(path, {"a": 1}) is None
+    write_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
+    assert read_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
+    assert read_record(path, {"a": 2, "b": (2, 3)}) is None
     for damaged in ("", "{", "[]", "{}"):
         path.write_text(damaged)
-        assert kept_record(path, {"a": 1}) is None
+        assert read_record(path, {"a": 1}) is None
 
 
 def test_tables_and_names():
     assert csv_text(["a", "b"], [(1, None), ("x,y", 0.5)]) == 'a,b\n1,\n"x,y",0.5\n'
     assert markdown_table([["a|b", "n"], ["x", "1"]], 1) == "| a\\|b | n |\n| --- | ---: |\n| x | 1 |"
     paths = [Path(text) for text in ("/x/city", "/y/city", "/z/runs", "/z/city_2")]
-    assert list(named_folders(paths, ["runs"])) == ["city", "city_2", "runs_2", "city_2_2"]
+    assert list(folders_by_name(paths, ["runs"])) == ["city", "city_2", "runs_2", "city_2_2"]

@@ -16,8 +16,8 @@ from pcbench.studies.bench.plan import Axis
 from pcbench.studies.bench.runs import BenchJob
 from pcbench.studies.bench.score import Rules
 
-_OURS = ".demo"  # in a folder that the demo may remove
-_SIDE = 120.0  # metres: the smallest city with streets between blocks
+_MARK_FILE = ".demo"  # in a folder that the demo may remove
+_EXTENT_M = 120.0  # metres: the smallest city with streets between blocks
 
 
 def why_not() -> str | None:
@@ -36,14 +36,14 @@ def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:
     Raises:
         PcbenchError: no pictures can be taken, or the folder holds what no demo made.
     """
-    mark = folder / _OURS
+    mark = folder / _MARK_FILE
     if mark.is_file():
         shutil.rmtree(folder)
-    city = CitySettings(extent=_SIDE, seed=seed)
+    city = CitySettings(extent=_EXTENT_M, seed=seed)
     camera = Intrinsics.from_fov(640, 360, 40.0)
     write_scene(folder, SceneSettings(city, 20, camera, "oblique", points=200_000), step)
     mark.touch()
-    half = _SIDE / 2  # the fields around it are in few images
+    half = _EXTENT_M / 2  # the fields around it are in few images
     return BenchJob(
         folder,
         folder / "truth" / "cloud.ply",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def choice_words(choices: Mapping[str, str]) -> str:
+def choice_text(choices: Mapping[str, str]) -> str:
     """The settings that were chosen, as text."""
     return " ".join(f"{key}={value}" for key, value in choices.items())
 
@@ -24,18 +24,18 @@ class Configuration:
     rows: Sequence[Mapping[str, Any]]
 
     @property
-    def done(self) -> list[Mapping[str, Any]]:
+    def measured_rows(self) -> list[Mapping[str, Any]]:
         """Those that were measured."""
         return [row for row in self.rows if row["status"] == "ok"]
 
     @property
     def is_reliable(self) -> bool:
         """Whether every seed was measured: what a lucky one of three scores is no choice."""
-        return len(self.done) == len(self.rows)
+        return len(self.measured_rows) == len(self.rows)
 
     def values(self, column: str) -> list[float]:
         """Of the rows that were measured and have one."""
-        return [row[column] for row in self.done if row.get(column) is not None]
+        return [row[column] for row in self.measured_rows if row.get(column) is not None]
 
     def median(self, column: str) -> float | None:
         values = self.values(column)
@@ -61,15 +61,15 @@ def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
     return ~beaten
 
 
-def front_of(found: Sequence[Configuration], column: str, *, high: bool) -> list[Configuration]:
+def front_configurations(found: Sequence[Configuration], column: str, *, higher_is_better: bool) -> list[Configuration]:
     """The configurations, measured with every seed, that no other such beats in both median wall time and the median of
-    `column` (`high`: more is better), by time.
+    `column` (`higher_is_better`: more is better), by time.
     """
     measured = [c for c in found if c.is_reliable and c.median("wall_s") is not None and c.median(column) is not None]
     if not measured:
         return []
     costs = np.array([[c.median("wall_s"), c.median(column)] for c in measured], dtype=np.float64)
-    costs[:, 1] *= -1 if high else 1
+    costs[:, 1] *= -1 if higher_is_better else 1
     on_front = [c for c, on in zip(measured, pareto_front(costs), strict=True) if on]
     return sorted(on_front, key=lambda c: c.median("wall_s") or 0.0)
 
@@ -79,6 +79,10 @@ def mark_front(rows: Sequence[dict[str, Any]]) -> None:
     was not measured.
     """
     found = configurations(rows)
-    best = {id(row) for configuration in front_of(found, "fscore", high=True) for row in configuration.rows}
+    best = {
+        id(row)
+        for configuration in front_configurations(found, "fscore", higher_is_better=True)
+        for row in configuration.rows
+    }
     for row in rows:
         row["pareto"] = (id(row) in best) if row["status"] == "ok" else None

@@ -9,11 +9,11 @@ from itertools import product
 
 from pcbench.errors import InputError
 from pcbench.plugins.run import Description
-from pcbench.studies.bench.pareto import choice_words
+from pcbench.studies.bench.pareto import choice_text
 
 IMAGE_SCALE = "image_scale"  # of the scene; every other name is a setting of the method
-_MAX_RUNS = 10_000  # of a method
-_SEED = "seed"
+_MAX_RUNS_PER_METHOD = 10_000  # of a method
+_SEED_SETTING = "seed"
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Axis:
             raise InputError(f"expected {expected}, got {text!r}")
         if len(set(values)) < len(values):
             raise InputError(f"{text!r}: a value is there twice")
-        if key == _SEED:
+        if key == _SEED_SETTING:
             raise InputError(f"{text!r}: seeds are 0 to N-1 by --seeds N")
         if key == IMAGE_SCALE:
             for value in values:
@@ -84,7 +84,7 @@ class Method:
 
     label: str
     spec: str
-    described: Description
+    description: Description
 
 
 @dataclass(frozen=True)
@@ -108,12 +108,12 @@ class Trial:
     def settings(self) -> dict[str, str]:
         """Those of the reconstructor."""
         own = {key: value for key, value in self.choices.items() if key != IMAGE_SCALE}
-        return own if self.seed is None else {**own, _SEED: str(self.seed)}
+        return own if self.seed is None else {**own, _SEED_SETTING: str(self.seed)}
 
     @property
     def words(self) -> str:
         seed = () if self.seed is None else (f"seed {self.seed}",)
-        return " ".join(filter(None, (self.method.label, choice_words(self.choices), *seed)))
+        return " ".join(filter(None, (self.method.label, choice_text(self.choices), *seed)))
 
 
 def labels(specs: Sequence[str]) -> list[str]:
@@ -146,12 +146,14 @@ def trials(methods: Sequence[Method], axes: Sequence[Axis], seeds: int) -> tuple
             for axis in axes
             if axis.method is None and axis.key not in chosen
         ]
-        seeded = _has(method, _SEED)
+        seeded = _has_setting(method, _SEED_SETTING)
         if seeds > 1 and not seeded:
             notes.append(f"{method.label} has no setting 'seed': one run instead of {seeds}")
         runs = math.prod(map(len, chosen.values())) * (seeds if seeded else 1)
-        if runs > _MAX_RUNS:
-            raise InputError(f"{method.label}: {runs:,} runs are asked for, expected at most {_MAX_RUNS:,}: sweep less")
+        if runs > _MAX_RUNS_PER_METHOD:
+            raise InputError(
+                f"{method.label}: {runs:,} runs are asked for, expected at most {_MAX_RUNS_PER_METHOD:,}: sweep less"
+            )
         for values in product(*chosen.values()):
             choices = dict(zip(chosen, values, strict=True))
             result += [Trial(method, choices, seed) for seed in (range(seeds) if seeded else (None,))]
@@ -162,14 +164,14 @@ def _choices(method: Method, axes: Sequence[Axis]) -> Iterator[tuple[str, tuple[
     """The settings that vary or are set, with their values; what names the method goes before what is for all."""
     own = {axis.key: axis.values for axis in axes if axis.method in (method.label, method.spec)}
     for axis in axes:
-        if axis.method is None and (axis.key == IMAGE_SCALE or _has(method, axis.key)):
+        if axis.method is None and (axis.key == IMAGE_SCALE or _has_setting(method, axis.key)):
             yield axis.key, own.get(axis.key, axis.values)
         elif axis.method in (method.label, method.spec):
             yield axis.key, axis.values
 
 
-def _has(method: Method, key: str) -> bool:
-    return key in method.described.settings
+def _has_setting(method: Method, key: str) -> bool:
+    return key in method.description.settings
 
 
 def _check_axes(methods: Sequence[Method], axes: Sequence[Axis]) -> None:
@@ -182,7 +184,7 @@ def _check_axes(methods: Sequence[Method], axes: Sequence[Axis]) -> None:
             there = ", ".join(method.label for method in methods)
             raise InputError(f"{axis.name}: there is no method {axis.method!r} in this bench: there are {there}")
         # What could not be looked at may have it: its run will tell.
-        unknown = all(m.described.problem is None and not _has(m, axis.key) for m in theirs)
+        unknown = all(m.description.problem is None and not _has_setting(m, axis.key) for m in theirs)
         if axis.key != IMAGE_SCALE and unknown:
-            there = "; ".join(f"{m.label} has {', '.join(m.described.settings) or 'none'}" for m in theirs)
+            there = "; ".join(f"{m.label} has {', '.join(m.description.settings) or 'none'}" for m in theirs)
             raise InputError(f"no method has the setting {axis.key!r}: {there}; the scene has image_scale")

@@ -26,18 +26,18 @@ from pcbench.regular_files import is_regular_file
 from pcbench.report.document import provenance, to_json
 from pcbench.report.markup import csv_text
 from pcbench.scenes import Scene, read_scene
-from pcbench.studies.bench.pareto import choice_words, mark_front
+from pcbench.studies.bench.pareto import choice_text, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
-from pcbench.studies.bench.score import Rules, Yardstick, score
-from pcbench.studies.bench.table import bench_markdown, row_words
+from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
+from pcbench.studies.bench.table import bench_markdown, row_title
 from pcbench.studies.bench.truth import mesh_of, read_truth
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
-    keep_record,
-    kept_record,
+    read_record,
     study_folder,
     write_pages,
+    write_record,
 )
 from pcbench.systems import cpus
 
@@ -76,9 +76,9 @@ COLUMNS = (
     "pareto",
     "message",
 )
-_MEASURES = 2  # raised when clouds are measured in another way: scores from before are measured again
-_RUN_S = 60.0  # that one run takes, roughly, for progress bars
-_RUNS, _RUN, _SCORE = "runs", "run.json", "score.json"
+_MEASURE_VERSION = 2  # raised when clouds are measured in another way: scores from before are measured again
+_EXPECTED_RUN_S = 60.0  # that one run takes, roughly, for progress bars
+_RUNS_FOLDER, _RUN_FILE, _SCORE_FILE = "runs", "run.json", "score.json"
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Done:
         end = f"F-score {row['fscore']:.4g}" if row["status"] == "ok" else f"{row['status']}: {row['message']}"
         points = "" if row["points"] is None else f"{row['points']:,} points, "
         kept = " (done before)" if self.kept else ""
-        return f"{row_words(row)}: {row['wall_s']:.1f} s, {points}{end}{kept}"
+        return f"{row_title(row)}: {row['wall_s']:.1f} s, {points}{end}{kept}"
 
 
 def bench(
@@ -163,26 +163,28 @@ def bench(
         job = replace(job, mesh=mesh_of(job.scene, job.reference))
     truth = read_truth(job.reference, job.mesh, _true_cameras(job, scene, on_warning), on_warning)
     on_step("looking at what the cameras saw")
-    yardstick = Yardstick.of(truth, job.rules)
+    protocol = EvaluationProtocol.of(truth, job.rules)
     if truth.visible is None:
         notes.append(f"no recall_visible: {truth.visibility}")
-    inputs = _Inputs.of(job, scene, yardstick)
+    inputs = _Inputs.of(job, scene, protocol)
     with study_folder(out, KIND, job):
-        (out / _RUNS).mkdir(exist_ok=True)
+        (out / _RUNS_FOLDER).mkdir(exist_ok=True)
         rows: list[dict[str, Any]] = []
         for number, trial in enumerate(todo, 1):
             # All alike, until those that are done say how long one takes.
-            on_step(Step(f"{number} of {len(todo)}: {trial.words}", _RUN_S, _RUN_S * (len(todo) - number)))
-            row, kept = _row(job, trial, inputs, yardstick, out)
+            on_step(
+                Step(f"{number} of {len(todo)}: {trial.words}", _EXPECTED_RUN_S, _EXPECTED_RUN_S * (len(todo) - number))
+            )
+            row, kept = _row(job, trial, inputs, protocol, out)
             rows.append(row)
             mark_front(rows)
-            doc = _document(job, inputs, yardstick, methods, rows, notes)
+            doc = _document(job, inputs, protocol, methods, rows, notes)
             _write(out, doc)
             on_row(Done(row, number, len(todo), kept))
-        stale = {p.name for p in (out / _RUNS).iterdir()} - {_folder_name(trial) for trial in todo}
+        stale = {p.name for p in (out / _RUNS_FOLDER).iterdir()} - {_folder_name(trial) for trial in todo}
         if stale:
-            notes.append(f"{len(stale)} runs in {out / _RUNS} are of other settings: they are not in the tables")
-            doc = _document(job, inputs, yardstick, methods, rows, notes)
+            notes.append(f"{len(stale)} runs in {out / _RUNS_FOLDER} are of other settings: they are not in the tables")
+            doc = _document(job, inputs, protocol, methods, rows, notes)
             _write(out, doc)
     return doc
 
@@ -206,8 +208,8 @@ class _Inputs:
     score: Mapping[str, Any]
 
     @classmethod
-    def of(cls, job: BenchJob, scene: Scene, yardstick: Yardstick) -> _Inputs:
-        truth = yardstick.truth
+    def of(cls, job: BenchJob, scene: Scene, protocol: EvaluationProtocol) -> _Inputs:
+        truth = protocol.truth
         points = scene.points.points.tobytes() if scene.points is not None else b""
         true = b"".join(truth.cameras[name].cam_from_world.matrix.tobytes() for name in sorted(truth.cameras))
         run = {
@@ -221,7 +223,7 @@ class _Inputs:
             "mesh": None if job.mesh is None else digest(job.mesh),
             "cameras": hashlib.sha256(true).hexdigest(),
             "rules": asdict(job.rules),
-            "measures": _MEASURES,
+            "measures": _MEASURE_VERSION,
             "named_files": [digest(path) for path in _named_files(job.rules)],
             "global": unavailable("kiss_matcher") is None,
         }
@@ -234,9 +236,11 @@ def _named_files(rules: Rules) -> list[Path]:
     return [path for path in paths if is_regular_file(path)]
 
 
-def _row(job: BenchJob, trial: Trial, inputs: _Inputs, yardstick: Yardstick, out: Path) -> tuple[dict[str, Any], bool]:
+def _row(
+    job: BenchJob, trial: Trial, inputs: _Inputs, protocol: EvaluationProtocol, out: Path
+) -> tuple[dict[str, Any], bool]:
     """The row of a trial, and whether it was there already."""
-    folder = out / _RUNS / _folder_name(trial)
+    folder = out / _RUNS_FOLDER / _folder_name(trial)
     record, kept = _reconstruct(job, trial, inputs, folder)
     row = {
         "method": trial.method.label,
@@ -247,7 +251,7 @@ def _row(job: BenchJob, trial: Trial, inputs: _Inputs, yardstick: Yardstick, out
     }
     if record["status"] != "ok":
         return row, kept
-    measured, as_before = _measure(inputs, yardstick, folder, record["id"])
+    measured, as_before = _measure(inputs, protocol, folder, record["id"])
     return {**row, **measured}, kept and as_before
 
 
@@ -255,14 +259,14 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
     key = {
         **inputs.run,
         "plugin": trial.method.spec,
-        "plugin_sha256": trial.method.described.sha256,
-        "origin": trial.method.described.origin,
+        "plugin_sha256": trial.method.description.sha256,
+        "origin": trial.method.description.origin,
         "image_scale": trial.image_scale,
         "settings": trial.settings,
         "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if is_regular_file(text)},
     }
-    old = kept_record(folder / _RUN, key)
-    if old is not None and _still_stands(old, job.time_limit_s, folder):
+    old = read_record(folder / _RUN_FILE, key)
+    if old is not None and _is_still_valid(old, job.time_limit_s, folder):
         return old, True
     # From nothing: the time of a run that goes on where another stopped says nothing.
     shutil.rmtree(folder, ignore_errors=True)
@@ -296,11 +300,11 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
     folder.mkdir(parents=True, exist_ok=True)  # a plugin may have removed it
     if made is not None:
         shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes that nobody asks for again
-    keep_record(folder / _RUN, key, record)
+    write_record(folder / _RUN_FILE, key, record)
     return record, False
 
 
-def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
+def _is_still_valid(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
     """Whether a run with the same inputs would end as the recorded one did."""
     # What is missing may have been installed since, and a full disk or too little memory may have crashed it.
     if record["status"] in ("refused", "crashed"):
@@ -318,9 +322,9 @@ def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) 
     return True
 
 
-def _measure(inputs: _Inputs, yardstick: Yardstick, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
+def _measure(inputs: _Inputs, protocol: EvaluationProtocol, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
     key = {"run": identity, **inputs.score}
-    old = kept_record(folder / _SCORE, key)
+    old = read_record(folder / _SCORE_FILE, key)
     if old is not None:
         return old, True
     try:
@@ -328,14 +332,14 @@ def _measure(inputs: _Inputs, yardstick: Yardstick, folder: Path, identity: str)
     except (PcbenchError, OSError, ValueError, MemoryError) as error:  # not kept: the next run tries again
         return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
     try:
-        values = score(yardstick, made, folder).row()
+        values = score(protocol, made, folder).row()
     except (InputError, RegistrationError) as error:
         values = {"status": "unmeasured", "message": recorded(error)}
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # nonsense has many forms
         values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(recorded(error).split())}"}
     except (PcbenchError, MemoryError) as error:  # may pass: not kept, so that the next run measures the cloud again
         return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
-    keep_record(folder / _SCORE, key, values)
+    write_record(folder / _SCORE_FILE, key, values)
     return values, False
 
 
@@ -349,12 +353,12 @@ def _folder_name(trial: Trial) -> str:
 def _document(
     job: BenchJob,
     inputs: _Inputs,
-    yardstick: Yardstick,
+    protocol: EvaluationProtocol,
     methods: Sequence[Method],
     rows: Sequence[Mapping[str, Any]],
     notes: Sequence[str],
 ) -> dict[str, Any]:
-    truth = yardstick.truth
+    truth = protocol.truth
     return {
         "schema": SCHEMA,
         "scene": {"path": str(job.scene), "sha256": inputs.run["scene"]},
@@ -367,10 +371,10 @@ def _document(
             "visible_share": None if truth.visible is None else float(truth.visible.mean()),
             "visibility": truth.visibility,
             "pixel": truth.pixel,
-            "seen_points": None if yardstick.seen is None else len(yardstick.seen),
-            "seen_spacing": yardstick.seen_spacing,
+            "seen_points": None if protocol.visible_points is None else len(protocol.visible_points),
+            "seen_spacing": protocol.visible_spacing,
         },
-        "methods": [{"method": m.label, "spec": m.spec, **_known(m.described)} for m in methods],
+        "methods": [{"method": m.label, "spec": m.spec, **_description_values(m.description)} for m in methods],
         "settings": {
             "axes": [asdict(axis) for axis in job.axes],
             "seeds": job.seeds,
@@ -385,12 +389,12 @@ def _document(
     }
 
 
-def _known(described: Description) -> dict[str, Any]:
-    return {name: getattr(described, name) for name in ("settings", "origin", "sha256", "problem")}
+def _description_values(description: Description) -> dict[str, Any]:
+    return {name: getattr(description, name) for name in ("settings", "origin", "sha256", "problem")}
 
 
 def _write(out: Path, doc: dict[str, Any]) -> None:
-    rows = [{**row, "settings": choice_words(row["choices"])} for row in doc["rows"]]
+    rows = [{**row, "settings": choice_text(row["choices"])} for row in doc["rows"]]
     pages = {
         "bench.csv": csv_text(COLUMNS, ([row.get(column) for column in COLUMNS] for row in rows)),
         "bench.md": bench_markdown(doc),

@@ -28,8 +28,8 @@ from pcbench.report import compare, document
 from pcbench.studies.bench.truth import Truth
 
 BY_GAUGE = "gauge"
-PIXELS = (1.0, 2.0, 5.0)  # thresholds by default, in pixels on the ground; the last one heads tables and charts
-_NEIGHBORS = 16  # that the density of the reference is taken from
+DEFAULT_PIXELS = (1.0, 2.0, 5.0)  # thresholds by default, in pixels on the ground; the last one heads tables and charts
+_DENSITY_NEIGHBORS = 16  # that the density of the reference is taken from
 
 
 class Alignment(NamedTuple):
@@ -37,12 +37,12 @@ class Alignment(NamedTuple):
     and what is to be said of it.
     """
 
-    how: str
+    method: str
     transform: Similarity | None = None
     notes: tuple[str, ...] = ()
 
 
-def alignment(made: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
+def choose_alignment(reconstruction: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
     """The registration that a cloud's gauge asks for.
 
     What is in the world of the scene is measured as it stands: where it lies is part of what it claims, and fitting
@@ -50,13 +50,13 @@ def alignment(made: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
     cameras, which does not depend on the cloud that is judged. Without them the surfaces decide, from any pose where
     KISS-Matcher is installed. Only an arbitrary gauge gets a scale.
     """
-    if made.gauge == "georeferenced":
+    if reconstruction.gauge == "georeferenced":
         return Alignment("none")
-    free_scale = made.gauge == "arbitrary"
-    names = sorted(set(made.cameras) & set(cameras))
+    free_scale = reconstruction.gauge == "arbitrary"
+    names = sorted(set(reconstruction.cameras) & set(cameras))
     notes: tuple[str, ...] = ()
     if names:
-        found = np.stack([made.cameras[name].position for name in names])
+        found = np.stack([reconstruction.cameras[name].position for name in names])
         true = np.stack([cameras[name].position for name in names])
         try:
             fit = robust_similarity(found, true, with_scale=free_scale)
@@ -98,7 +98,7 @@ class Threshold(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Yardstick:
+class EvaluationProtocol:
     """A truth, the rules by which clouds are held against it, and what follows from both.
 
     Args:
@@ -112,11 +112,11 @@ class Yardstick:
     rules: Rules
     thresholds: tuple[Threshold, ...]
     region: Region | None
-    seen: FloatArray | None
-    seen_spacing: float | None
+    visible_points: FloatArray | None
+    visible_spacing: float | None
 
     @classmethod
-    def of(cls, truth: Truth, rules: Rules) -> Yardstick:
+    def of(cls, truth: Truth, rules: Rules) -> EvaluationProtocol:
         """Check the rules, and say before anything runs that no cloud could be measured by them.
 
         Raises:
@@ -133,17 +133,17 @@ class Yardstick:
         region = parse_region(rules.crop, truth.cloud)
         points_inside(truth.cloud.points, region, rules.crop, "the reference's")
         thresholds = _thresholds(rules.threshold, truth)
-        seen = truth.seen(min(t.length for t in thresholds), region)
-        return cls(truth, rules, thresholds, region, *(seen or (None, None)))
+        visible = truth.sample_visible(min(t.length for t in thresholds), region)
+        return cls(truth, rules, thresholds, region, *(visible or (None, None)))
 
 
 def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
     if text is None and truth.pixel is not None:
-        return tuple(Threshold(n * truth.pixel, n) for n in PIXELS)
+        return tuple(Threshold(n * truth.pixel, n) for n in DEFAULT_PIXELS)
     if text is None:
         if truth.spacing == 0:
             raise InputError("the reference has no two points apart, so no spacing: give --threshold")
-        return tuple(Threshold(n * truth.spacing) for n in PIXELS)
+        return tuple(Threshold(n * truth.spacing) for n in DEFAULT_PIXELS)
     found = []
     for word in text.split(","):
         number, in_pixels = (word.strip().removesuffix("px"), word.strip().endswith("px"))
@@ -212,7 +212,7 @@ class Score:
     d1_c2r: float
     d1_r2c: float
     hausdorff: float
-    at: tuple[ThresholdScore, ...]
+    threshold_scores: tuple[ThresholdScore, ...]
     notes: tuple[str, ...]
     comparison: dict[str, Any]
 
@@ -223,68 +223,76 @@ class Score:
 
     def row(self) -> dict[str, Any]:
         """For bench.json: the columns of bench.csv, what is at every threshold, and the whole comparison."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("at", "notes", "comparison")}
+        values = {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in ("threshold_scores", "notes", "comparison")
+        }
         return {
             **values,
             "chamfer": self.chamfer,
-            **asdict(self.at[-1]),
-            "thresholds": [asdict(at) for at in self.at],
+            **asdict(self.threshold_scores[-1]),
+            "thresholds": [asdict(at) for at in self.threshold_scores],
             "notes": list(self.notes),
             "comparison": self.comparison,
         }
 
 
-def score(yardstick: Yardstick, made: Reconstruction, folder: Path) -> Score:
+def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: Path) -> Score:
     """Measure one cloud; writes T.txt, the matrix candidate -> reference, into the folder.
 
     Raises:
         InputError, RegistrationError: it cannot be measured.
     """
-    truth, rules = yardstick.truth, yardstick.rules
-    chosen = alignment(made, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
-    settings = Settings(
-        register=chosen.how if chosen.transform is None else chosen.transform,
-        crop=rules.crop,
-        thresholds=tuple(t.length for t in yardstick.thresholds),
+    truth, rules = protocol.truth, protocol.rules
+    chosen = (
+        choose_alignment(reconstruction, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
     )
-    comparison = compare(truth.cloud, {"cloud": made.cloud}, settings)
+    settings = Settings(
+        register=chosen.method if chosen.transform is None else chosen.transform,
+        crop=rules.crop,
+        thresholds=tuple(t.length for t in protocol.thresholds),
+    )
+    comparison = compare(truth.cloud, {"cloud": reconstruction.cloud}, settings)
     result = comparison.candidates[0]
     with atomic_write(folder / "T.txt") as file:
         file.write(format_matrix(result.registration.T_reference_candidate).encode())
     metrics = result.metrics
-    forth, exact = _accuracy(yardstick, result.registration.T_local.apply(made.cloud.points - truth.origin))
-    by_surface = exact is not None
+    to_truth, error_free = _distances_to_truth(
+        protocol, result.registration.T_local.apply(reconstruction.cloud.points - truth.origin)
+    )
+    by_surface = error_free is not None
     mean, square, farthest = (
-        (float(forth.distances.mean()), float(np.square(forth.distances).mean()), float(forth.distances.max()))
+        (float(to_truth.distances.mean()), float(np.square(to_truth.distances).mean()), float(to_truth.distances.max()))
         if by_surface
         else (
-            _known(metrics.mean_distance.accuracy.value),
-            _known(metrics.d1_mse.accuracy.value),
+            _required(metrics.mean_distance.accuracy.value),
+            _required(metrics.d1_mse.accuracy.value),
             metrics.hausdorff.accuracy.largest,
         )
     )
     return Score(
-        registration=chosen.how,
+        registration=chosen.method,
         accuracy_to="surface" if by_surface else "points",
         mean_c2r=mean,
         mean_c2r_floor=0.0 if by_surface else metrics.mean_distance.accuracy.floor,
-        mean_r2c=_known(metrics.mean_distance.completeness.value),
+        mean_r2c=_required(metrics.mean_distance.completeness.value),
         mean_r2c_floor=metrics.mean_distance.completeness.floor,
         d1_c2r=square,
-        d1_r2c=_known(metrics.d1_mse.completeness.value),
+        d1_r2c=_required(metrics.d1_mse.completeness.value),
         hausdorff=max(farthest, metrics.hausdorff.completeness.largest),
-        at=tuple(_at_thresholds(yardstick, forth, exact)),
+        threshold_scores=tuple(_threshold_scores(protocol, to_truth, error_free)),
         notes=(
             *chosen.notes,
-            *made.residuals.rmse_lines(made.cloud.unit),
+            *reconstruction.residuals.rmse_lines(reconstruction.cloud.unit),
             *map(str, result.warnings),
-            *_of_registration(result.registration),
+            *_registration_notes(result.registration),
         ),
         comparison=document(comparison)["candidates"][0],
     )
 
 
-class _Accuracy(NamedTuple):
+class _CloudDistances(NamedTuple):
     """Of a cloud on the reference, minus its origin.
 
     Attributes:
@@ -298,43 +306,45 @@ class _Accuracy(NamedTuple):
     spacings: FloatArray
 
 
-def _accuracy(yardstick: Yardstick, points: FloatArray) -> tuple[_Accuracy, FloatArray | None]:
+def _distances_to_truth(protocol: EvaluationProtocol, points: FloatArray) -> tuple[_CloudDistances, FloatArray | None]:
     """Distances of a cloud's points, and where they would be without errors (N, 3): None without the surface."""
-    truth = yardstick.truth
-    local = None if yardstick.region is None else yardstick.region.shifted(truth.origin)
+    truth = protocol.truth
+    local = None if protocol.region is None else protocol.region.shifted(truth.origin)
     inside = np.ones(len(points), dtype=bool) if local is None else local.contains(points)
     if truth.local_surface is not None:
         matches = truth.local_surface.query(points)
         # What is far off would be nowhere, and not at the nearest wall.
-        near = matches.distances <= max(t.length for t in yardstick.thresholds)
+        near = matches.distances <= max(t.length for t in protocol.thresholds)
         distances = matches.distances[inside]
-        return _Accuracy(points, distances, np.zeros(len(distances))), matches.closest[near]
+        return _CloudDistances(points, distances, np.zeros(len(distances))), matches.closest[near]
     distances, nearest = truth.local_index.query(points[inside])
-    others = min(_NEIGHBORS, len(truth.cloud) - 1)
+    others = min(_DENSITY_NEIGHBORS, len(truth.cloud) - 1)
     # The nearest point is one with much room around it: its density is taken from a neighbour, which chance chose.
     places = truth.local_index.query(truth.local_index.points[nearest], k=others + 1).indices[:, -1]
     radii = truth.local_index.query(truth.local_index.points[places], k=others + 1).distances[:, -1]
     # Of k others within r, (k - 1) / (pi r^2) is an unbiased density.
-    return _Accuracy(points, distances, radii * np.sqrt(np.pi / max(1, others - 1))), None
+    return _CloudDistances(points, distances, radii * np.sqrt(np.pi / max(1, others - 1))), None
 
 
-def _at_thresholds(yardstick: Yardstick, forth: _Accuracy, exact: FloatArray | None) -> Iterator[ThresholdScore]:
-    truth, region = yardstick.truth, yardstick.region
+def _threshold_scores(
+    protocol: EvaluationProtocol, to_truth: _CloudDistances, error_free: FloatArray | None
+) -> Iterator[ThresholdScore]:
+    truth, region = protocol.truth, protocol.region
     whole = truth.cloud.points if region is None else truth.cloud.points[region.contains(truth.cloud.points)]
     places = {"recall": whole - truth.origin}
-    if yardstick.seen is not None:
-        places["recall_visible"] = yardstick.seen - truth.origin
-    back = {name: _distances(forth.points, at) for name, at in places.items()}
-    if exact is not None:
-        back |= {f"{name}_floor": _distances(exact, at) for name, at in places.items()}
-    for threshold in yardstick.thresholds:
+    if protocol.visible_points is not None:
+        places["recall_visible"] = protocol.visible_points - truth.origin
+    back = {name: _nearest_distances(to_truth.points, at) for name, at in places.items()}
+    if error_free is not None:
+        back |= {f"{name}_floor": _nearest_distances(error_free, at) for name, at in places.items()}
+    for threshold in protocol.thresholds:
         t = threshold.length
-        precision = float(np.mean(forth.distances <= t))
+        precision = float(np.mean(to_truth.distances <= t))
         shares = {name: float(np.mean(distances <= t)) for name, distances in back.items()}
         seen = shares.get("recall_visible")
         # Random places of a density d have a point within t with probability 1 - exp(-pi d t^2).
         with np.errstate(divide="ignore"):
-            chances = -np.expm1(-np.pi * np.square(t / forth.spacings))
+            chances = -np.expm1(-np.pi * np.square(t / to_truth.spacings))
         yield ThresholdScore(
             threshold=t,
             pixels=threshold.pixels,
@@ -349,17 +359,17 @@ def _at_thresholds(yardstick: Yardstick, forth: _Accuracy, exact: FloatArray | N
         )
 
 
-def _distances(points: FloatArray, places: FloatArray) -> FloatArray:
+def _nearest_distances(points: FloatArray, places: FloatArray) -> FloatArray:
     """From places (M, 3) to the nearest of points (N, 3); infinite where there are none."""
     return Index(points).query(places).distances if len(points) else np.full(len(places), np.inf)
 
 
-def _known(value: float | None) -> float:
+def _required(value: float | None) -> float:
     assert value is not None  # distances to points always exist
     return value
 
 
-def _of_registration(registration: Registration) -> list[str]:
+def _registration_notes(registration: Registration) -> list[str]:
     """Its warnings. What the geometry does not fix is none where the pose is not from the geometry."""
     left_out = (UNOBSERVABLE, WEAKLY_OBSERVABLE) if registration.converged is None else ()
     return [notice.text for notice in registration.warnings if notice.code not in left_out]

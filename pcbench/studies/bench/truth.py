@@ -24,9 +24,9 @@ from pcbench.io.files import Warn
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.registration import local_origin
 
-_MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-_FOOTPRINT_POINTS = 20_000  # whose median pixel is that of the scene to a fraction of a percent
-_MOST_SAMPLES = 1_000_000  # of what was seen: shares of them are right to 0.1 %
+_MESH_SAMPLE_COUNT = 1_000_000  # points that stand for a mesh as the reference
+_PIXEL_SIZE_POINTS = 20_000  # whose median pixel is that of the scene to a fraction of a percent
+_MAX_VISIBLE_SAMPLES = 1_000_000  # of what was seen: shares of them are right to 0.1 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Truth:
         """
         rows = np.arange(len(self.cloud)) if self.visible is None else np.flatnonzero(self.visible)
         rng = np.random.default_rng(0)
-        points = self.cloud.points[rng.permutation(rows)[:_FOOTPRINT_POINTS]]
+        points = self.cloud.points[rng.permutation(rows)[:_PIXEL_SIZE_POINTS]]
         normals: FloatArray | None = None
         index = None
         if self.surface is not None:
@@ -92,7 +92,7 @@ class Truth:
         together = np.concatenate(sizes) if sizes else np.empty(0)
         return float(np.median(together)) if len(together) else None
 
-    def seen(self, spacing: float, region: Region | None) -> tuple[FloatArray, float] | None:
+    def sample_visible(self, spacing: float, region: Region | None) -> tuple[FloatArray, float] | None:
         """Points (M, 3) evenly spread over what the cameras saw inside the region, and how far apart they are: as
         asked, or as close as a million of them can be. None where that cannot be said.
 
@@ -105,7 +105,7 @@ class Truth:
         if apart <= spacing or self.surface is None or not self.cameras:
             return (own, apart) if len(own) else None
         area = self.surface.area * len(own) / len(self.cloud)  # about what the cameras saw
-        spacing = max(spacing, float(np.sqrt(area / _MOST_SAMPLES)))
+        spacing = max(spacing, float(np.sqrt(area / _MAX_VISIBLE_SAMPLES)))
         drawn = self.surface.sample(int(self.surface.area / spacing**2) + 1)
         assert drawn.normals is not None
         inside = np.flatnonzero(np.ones(len(drawn), bool) if region is None else region.contains(drawn.points))
@@ -131,18 +131,18 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
     if holds_mesh(reference):
         whole = read_mesh(reference, on_warning=warn)
         surface = whole if surface is None else surface
-        cloud = whole.sample(_MESH_SAMPLES)
+        cloud = whole.sample(_MESH_SAMPLE_COUNT)
     else:
         cloud = read_cloud(reference, on_warning=warn)
     if "visible" in cloud.attributes:
         seen = np.asarray(cloud.attributes["visible"]) != 0
-        return Truth(cloud, cameras, *_some(seen, "the reference's attribute `visible`"), surface)
+        return Truth(cloud, cameras, *_visibility_if_any(seen, "the reference's attribute `visible`"), surface)
     if surface is None:
         return Truth(cloud, cameras, None, "the reference has no attribute `visible`, and no mesh is given")
     if not cameras:
         return Truth(cloud, cameras, None, "the scene has no cameras", surface)
     how = f"seen by {SEEN_BY} of the scene's {len(cameras)} cameras: rays against {mesh or reference}"
-    return Truth(cloud, cameras, *_some(seen_points(cloud, surface, cameras), how), surface)
+    return Truth(cloud, cameras, *_visibility_if_any(visible_mask(cloud, surface, cameras), how), surface)
 
 
 def mesh_of(scene: Path, reference: Path) -> Path | None:
@@ -153,11 +153,11 @@ def mesh_of(scene: Path, reference: Path) -> Path | None:
     return None
 
 
-def _some(seen: NDArray[np.bool_], how: str) -> tuple[NDArray[np.bool_] | None, str]:
+def _visibility_if_any(seen: NDArray[np.bool_], how: str) -> tuple[NDArray[np.bool_] | None, str]:
     return (seen, how) if seen.any() else (None, f"none of its points is visible ({how})")
 
 
-def seen_points(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDArray[np.bool_]:
+def visible_mask(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDArray[np.bool_]:
     """Which points (N,) of a cloud of the mesh's surface at least three cameras see: from the place on the mesh that is
     nearest to them, which takes a scanner's noise out.
     """

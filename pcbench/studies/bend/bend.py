@@ -30,24 +30,24 @@ from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
-from pcbench.studies.bend.findings import MEASURING_S, Solution, Variant, csv_text, explain, findings
+from pcbench.studies.bend.findings import MEASURE_S, Solution, Variant, csv_text, explain, measure_solutions
 from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, Lens, SurveyedScene, document
 from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_pages
 
 PLUGIN = "sfm"
 KIND = StudyKind("experiment bend", DOCUMENT, SCHEMA, (".experiment", "lenses"))
-_INTRINSICS = "lenses"  # in the folder of an experiment
+_INTRINSICS_FOLDER = "lenses"  # in the folder of an experiment
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # of the lens that synthetic scenes are photographed with
-_FOV = 60.0  # degrees, vertically: a drone's
-_POINTS = 400_000  # of the synthetic truth
-_NADIR = 10.0  # degrees from the vertical: an image that looks straight down
+_FOV_DEG = 60.0  # degrees, vertically: a drone's
+_TRUTH_POINTS = 400_000  # of the synthetic truth
+_MAX_NADIR_DEG = 10.0  # degrees from the vertical: an image that looks straight down
 _MIN_IMAGES = 6
-_MARK = 0.5  # pixels, standard deviation of a control point's mark
-_SOLVING_S = 60.0  # that one solution takes, roughly, for progress bars
-_SURVEY = 0.01  # in the truth's unit, of its position
-_LIFT = 1e-4  # in the truth's unit, off the surface to where lines of sight start
+_MARK_SIGMA_PX = 0.5  # pixels, standard deviation of a control point's mark
+_SOLVE_S = 60.0  # that one solution takes, roughly, for progress bars
+_SURVEY_SIGMA = 0.01  # in the truth's unit, of its position
+_RAY_OFFSET = 1e-4  # in the truth's unit, off the surface to where lines of sight start
 # SIFT at the images' own size: a third of the time, and points enough.
-_COMMON = {"poses": "solve", "upsample": "false", "matching": "exhaustive"}
+_COMMON_SETTINGS = {"poses": "solve", "upsample": "false", "matching": "exhaustive"}
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ def run_bend(
         raise InputError(missing)
     if scene is None and settings.images < 2 * _MIN_IMAGES:
         raise InputError(f"expected at least {2 * _MIN_IMAGES} images, got {settings.images}")
-    given = None if scene is None else _SurveyFiles.read(scene)
+    given = None if scene is None else _Survey.read(scene)
     with study_folder(out, KIND, settings):
-        survey = given or _SurveyFiles.read(_synthetic(out, settings, step))
+        survey = given or _Survey.read(_synthetic_scene(out, settings, step))
         return _run(out, survey, settings.seed, figures, step)
 
 
 @dataclass(frozen=True, eq=False)
-class _SurveyFiles:
+class _Survey:
     """A scene with its truth, and the variants that are solved of it."""
 
     folder: Path
@@ -104,38 +104,38 @@ class _SurveyFiles:
     surface: MeshIndex
 
     @classmethod
-    def read(cls, folder: Path) -> _SurveyFiles:
+    def read(cls, folder: Path) -> _Survey:
         """Raises:
         InputError: the scene has no truth, or too few images or cameras.
         """
         scene = read_scene(folder)
         plan = tuple(variants(scene))
-        truth = read_cloud(_truth(folder, "cloud.ply"))
-        return cls(folder, scene, plan, truth, MeshIndex(read_mesh(_truth(folder, "mesh.ply"))))
+        truth = read_cloud(_truth_file(folder, "cloud.ply"))
+        return cls(folder, scene, plan, truth, MeshIndex(read_mesh(_truth_file(folder, "mesh.ply"))))
 
 
 def _run(
-    out: Path, survey: _SurveyFiles, seed: int, figures: bool, step: Callable[[str], None]
+    out: Path, survey: _Survey, seed: int, figures: bool, step: Callable[[str], None]
 ) -> tuple[BendStudy, str | None]:
     data, plan, truth = survey.scene, survey.plan, survey.truth
-    inputs = _BendInputs(out, survey.folder, data, seed, describe(PLUGIN).sha256)
+    inputs = _SolveInputs(out, survey.folder, data, seed, describe(PLUGIN).sha256)
     inputs.write(survey.surface, truth)
     solutions = []
     for number, variant in enumerate(plan, 1):
-        left = _SOLVING_S * (len(plan) - number) + MEASURING_S * len(plan)
-        step(Step(f"solving {number} of {len(plan)}: {variant.name}", _SOLVING_S, left))
+        left = _SOLVE_S * (len(plan) - number) + MEASURE_S * len(plan)
+        step(Step(f"solving {number} of {len(plan)}: {variant.name}", _SOLVE_S, left))
         solutions.append(_solve(inputs, variant, survey.surface))
     intrinsics = data.cameras[data.images[0]].intrinsics
-    rows = findings(solutions, truth, intrinsics, seed, step)
+    rows = measure_solutions(solutions, truth, intrinsics, seed, step)
     study = BendStudy(
-        scene=SurveyedScene(str(survey.folder), len(data), Lens.of(intrinsics), truth.unit),
+        scene=SurveyedScene(str(survey.folder), len(data), Lens.from_intrinsics(intrinsics), truth.unit),
         plugin=PLUGIN,
         rows=rows,
         sentences=tuple(explain(rows, truth.unit or "")),
         provenance=provenance(seed),
     )
     for solution in solutions:
-        file = out / f"{slug(solution.variant.name)}.ply"
+        file = out / f"{file_stem(solution.variant.name)}.ply"
         if solution.cloud is not None:
             write_cloud(file, solution.cloud)
         else:
@@ -155,7 +155,7 @@ def _run(
 
 def variants(scene: Scene) -> Iterator[Variant]:
     """What is solved: one thing is changed at a time, from what is known best to what is known least."""
-    nadir, oblique = _looking_down(scene)
+    nadir, oblique = _split_nadir(scene)
     down = "nadir" if oblique else "all"
     yield Variant("true lens", down, "true", "true", control=False)
     yield Variant("no distortion", down, "true", "zero", control=False)
@@ -172,24 +172,24 @@ def variants(scene: Scene) -> Iterator[Variant]:
         yield Variant("lens free, oblique images too", "oblique", "free", "free", control=False)
 
 
-def slug(name: str) -> str:
+def file_stem(name: str) -> str:
     """A variant's name as a file's."""
     return "-".join("".join(c if c.isalnum() else " " for c in name).split())
 
 
-def _synthetic(out: Path, settings: Experiment, step: Callable[[str], None]) -> Path:
+def _synthetic_scene(out: Path, settings: Experiment, step: Callable[[str], None]) -> Path:
     """A city under a drone's nadir images and some oblique ones, through a lens with distortion."""
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
 
-    intrinsics = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV), distortion=DISTORTION)
+    intrinsics = replace(Intrinsics.from_fov(settings.width, settings.height, _FOV_DEG), distortion=DISTORTION)
     town = CitySettings(seed=settings.seed)
-    made = SceneSettings(town, settings.images, intrinsics, "drone", points=_POINTS)
+    made = SceneSettings(town, settings.images, intrinsics, "drone", points=_TRUTH_POINTS)
     key = {"settings": repr(made)}
     return stage(out, "scene", key, lambda folder: write_scene(folder, made, step))
 
 
-def _truth(folder: Path, name: str) -> Path:
+def _truth_file(folder: Path, name: str) -> Path:
     path = folder / "truth" / name
     if not path.is_file():
         raise InputError(
@@ -198,7 +198,7 @@ def _truth(folder: Path, name: str) -> Path:
     return path
 
 
-def _looking_down(scene: Scene) -> tuple[list[str], list[str]]:
+def _split_nadir(scene: Scene) -> tuple[list[str], list[str]]:
     """Names of the nadir images and of the others; all are of one kind where hardly any looks straight down.
 
     Raises:
@@ -210,14 +210,14 @@ def _looking_down(scene: Scene) -> tuple[list[str], list[str]]:
         raise InputError(f"{scene.folder}: expected images of one lens")
     if len(scene) < _MIN_IMAGES:
         raise InputError(f"{scene.folder}: expected at least {_MIN_IMAGES} images, got {len(scene)}")
-    down = [name for name in scene.images if -scene.cameras[name].direction[2] >= np.cos(np.radians(_NADIR))]
+    down = [name for name in scene.images if -scene.cameras[name].direction[2] >= np.cos(np.radians(_MAX_NADIR_DEG))]
     if len(down) < _MIN_IMAGES:
         return list(scene.images), []
     return down, [name for name in scene.images if name not in set(down)]
 
 
 @dataclass(frozen=True)
-class _BendInputs:
+class _SolveInputs:
     """What the solutions share: the scene, its intrinsics as the variants are told them, and control points."""
 
     out: Path
@@ -227,19 +227,19 @@ class _BendInputs:
     plugin_sha256: str | None
 
     def images(self, variant: Variant) -> list[str]:
-        nadir, oblique = _looking_down(self.scene)
+        nadir, oblique = _split_nadir(self.scene)
         return {"oblique": [*nadir, *oblique], "half": nadir[::2]}.get(variant.images, nadir)
 
     def cameras(self, variant: Variant) -> str:
         """The argument `cameras` of a job: nothing, or the true poses (which are not used) with intrinsics."""
         if variant.focal == "guessed":
             return "none"
-        return str(self.out / _INTRINSICS / ("true" if variant.distortion == "true" else "undistorted"))
+        return str(self.out / _INTRINSICS_FOLDER / ("true" if variant.distortion == "true" else "undistorted"))
 
     def settings(self, variant: Variant) -> dict[str, str]:
         focal, distortion = variant.focal != "true", variant.distortion == "free"
         refine = {(True, True): "all", (True, False): "focal", (False, True): "distortion"}.get((focal, distortion))
-        values = {**_COMMON, "refine": refine or "none", "seed": str(self.seed)}
+        values = {**_COMMON_SETTINGS, "refine": refine or "none", "seed": str(self.seed)}
         control = str((self.out / "control.txt").absolute())
         return {**values, "control": control, "align": "control"} if variant.control else {**values, "align": "none"}
 
@@ -247,9 +247,9 @@ class _BendInputs:
         """The intrinsics and the control points as files."""
         cameras = [self.scene.cameras[name] for name in self.scene.images]
         plain = [replace(c, intrinsics=replace(c.intrinsics, distortion=(0.0, 0.0, 0.0, 0.0))) for c in cameras]
-        (self.out / _INTRINSICS).mkdir(exist_ok=True)
-        write_colmap_model(self.out / _INTRINSICS / "true", cameras)
-        write_colmap_model(self.out / _INTRINSICS / "undistorted", plain)
+        (self.out / _INTRINSICS_FOLDER).mkdir(exist_ok=True)
+        write_colmap_model(self.out / _INTRINSICS_FOLDER / "true", cameras)
+        write_colmap_model(self.out / _INTRINSICS_FOLDER / "undistorted", plain)
         lines = list(_control_lines(cameras, mesh, truth, self.seed))
         write_pages(self.out, {"control.txt": "\n".join(["# NAME X Y Z IMAGE U V", *lines, ""])})
 
@@ -266,20 +266,20 @@ def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, see
     for number in range(9):
         goal = middle + reach * (np.array(divmod(number, 3)) - 1)
         near = np.argsort(np.square(level.points[:, :2] - goal).sum(axis=1))[:50]
-        points, starts = level.points[near], level.points[near] + _LIFT * level.normals[near]
+        points, starts = level.points[near], level.points[near] + _RAY_OFFSET * level.normals[near]
         seen = np.stack(
             [in_frame(c, points) & ~mesh.blocked(starts, c.position - starts, limit=1.0) for c in cameras], axis=1
         )
         best = int(seen.sum(axis=1).argmax())
         if seen[best].sum() < 3:
             continue
-        place = " ".join(repr(float(x)) for x in points[best] + rng.normal(0, _SURVEY, 3))
+        place = " ".join(repr(float(x)) for x in points[best] + rng.normal(0, _SURVEY_SIGMA, 3))
         for index in np.flatnonzero(seen[best]).tolist():
-            u, v = cameras[index].project(points[best : best + 1])[0][0] + rng.normal(0, _MARK, 2)
+            u, v = cameras[index].project(points[best : best + 1])[0][0] + rng.normal(0, _MARK_SIGMA_PX, 2)
             yield f"P{number + 1} {place} {cameras[index].name} {float(u)!r} {float(v)!r}"
 
 
-def _solve(inputs: _BendInputs, variant: Variant, surface: MeshIndex) -> Solution:
+def _solve(inputs: _SolveInputs, variant: Variant, surface: MeshIndex) -> Solution:
     """One variant's cloud in the world of the truth and its intrinsics; the reconstruction is kept for the next run."""
     images = inputs.images(variant)
     cameras_from = inputs.cameras(variant)
@@ -302,9 +302,9 @@ def _solve(inputs: _BendInputs, variant: Variant, surface: MeshIndex) -> Solutio
         (folder / "notes.json").write_text(json.dumps(list(made.notes)), encoding="utf-8")
 
     try:
-        folder = stage(runs, slug(variant.name), key, make)
+        folder = stage(runs, file_stem(variant.name), key, make)
         cameras = {camera.name: camera for camera in read_colmap_cameras(folder / "cameras")}
-        cloud = in_the_world(read_cloud(folder / "cloud.ply"), cameras, inputs.scene.cameras, surface)
+        cloud = register_by_rays(read_cloud(folder / "cloud.ply"), cameras, inputs.scene.cameras, surface)
     except (InputError, ReconstructionError) as error:  # not kept: the next run tries again
         return Solution(variant, len(images), failure=recorded(error))
     notes = json.loads((folder / "notes.json").read_text(encoding="utf-8"))
@@ -312,7 +312,9 @@ def _solve(inputs: _BendInputs, variant: Variant, surface: MeshIndex) -> Solutio
     return Solution(variant, len(images), len(cameras), cloud, intrinsics, tuple(notes))
 
 
-def in_the_world(cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, Camera], surface: MeshIndex) -> Cloud:
+def register_by_rays(
+    cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, Camera], surface: MeshIndex
+) -> Cloud:
     """The cloud where the true cameras see its points on the true surface, as near as a similarity brings it.
 
     The cameras' positions would not do: those of a survey lie in one plane, and with a wrong focal length the ground is

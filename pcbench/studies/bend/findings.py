@@ -16,7 +16,7 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
 from pcbench.report.markup import csv_text as csv_of
-from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, judged
+from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, SolutionResult, measured_bends
 
 FACTORS = {
     "images": (
@@ -27,9 +27,9 @@ FACTORS = {
     "distortion": ("the lens distortion", {"true": "at its true value", "zero": "left at zero", "free": "solved for"}),
     "control": ("control points", {"True": "with them", "False": "without them"}),
 }
-MEASURING_S = 5.0  # that one solution takes, roughly, for progress bars
-_TOGETHER = 0.5  # rank correlation
-_GRID = 24  # pixels that intrinsics are compared at, along each side
+MEASURE_S = 5.0  # that one solution takes, roughly, for progress bars
+_MIN_RANK_CORRELATION = 0.5  # rank correlation
+_GRID_SIZE = 24  # pixels that intrinsics are compared at, along each side
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,15 @@ class Solution:
     """
 
     variant: Variant
-    given: int
-    registered: int = 0
+    images_given: int
+    images_registered: int = 0
     cloud: Cloud | None = None
     intrinsics: Intrinsics | None = None
     notes: tuple[str, ...] = ()
     failure: str = ""
 
 
-def findings(
+def measure_solutions(
     solutions: Sequence[Solution],
     truth: Cloud,
     intrinsics: Intrinsics,
@@ -93,31 +93,31 @@ def findings(
     rows = []
     for number, solution in enumerate(solutions, 1):
         name, cloud, k = solution.variant.name, solution.cloud, solution.intrinsics
-        step(Step(f"measuring {name}", MEASURING_S, MEASURING_S * (len(solutions) - number)))
+        step(Step(f"measuring {name}", MEASURE_S, MEASURE_S * (len(solutions) - number)))
         row = SolutionResult(
             name,
             solution.variant.factors,
-            solution.given,
-            solution.registered,
+            solution.images_given,
+            solution.images_registered,
             failure=solution.failure or None,
             notes=solution.notes,
         )
         if cloud is not None:
-            found, placed = _deformation(truth, cloud, "similarity", seed)
+            found, placed = _measure_deformation(truth, cloud, "similarity", seed)
             mutual = None
             if first is None:
                 first = name, placed
             else:
                 # Sparse points that a dome moves by metres have no neighbours to register them by anew.
-                mutual = Bend.of(_deformation(first[1], placed, "none", seed)[0], first[0])
+                mutual = BendVerdict.from_deformation(_measure_deformation(first[1], placed, "none", seed)[0], first[0])
             errors = cloud.attributes.get("reprojection_error")
             row = replace(
                 row,
                 points=len(cloud),
                 reprojection_error=None if errors is None else float(np.mean(errors)),
-                lens=None if k is None else Lens.of(k),
+                lens=None if k is None else Lens.from_intrinsics(k),
                 lens_error_px=None if k is None else intrinsics_error(k, intrinsics),
-                truth=Bend.of(found),
+                truth=BendVerdict.from_deformation(found),
                 mutual=mutual,
                 cells=_cells(found),
             )
@@ -136,7 +136,7 @@ def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
     """RMS in pixels, over the image, of what intrinsics do wrong beyond a wrong focal length: images of a flat scene
     from above do not tell that from another height.
     """
-    middles = (np.arange(_GRID) + 0.5) / _GRID
+    middles = (np.arange(_GRID_SIZE) + 0.5) / _GRID_SIZE
     u, v = np.meshgrid(truth.width * middles, truth.height * middles)
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
     ours, true = intrinsics.directions(pixels)[:, :2], truth.directions(pixels)[:, :2]
@@ -145,8 +145,8 @@ def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
 
 
 def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
-    """Sentences on what bends the scene, from the rows of `findings` alone."""
-    known = judged(rows)
+    """Sentences on what bends the scene, from the rows of `measure_solutions` alone."""
+    known = measured_bends(rows)
     if not known:
         yield "No solution could be judged."
         return
@@ -157,14 +157,14 @@ def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
         else:
             yield "No solution is bent beyond what noise would do."
         return
-    changes = sorted(_changes(rows), key=lambda change: -change.by)
-    main = next((change for change in changes if change.is_sure), None)
+    changes = sorted(_bend_changes(rows), key=lambda change: -change.difference)
+    main = next((change for change in changes if change.is_significant), None)
     if main is None:
         yield "Solutions are bent, but no two that differ in one setting differ by more than their intervals."
         return
     words, values = FACTORS[main.factor]
     names = [values.get(row.factors[main.factor], row.factors[main.factor]) for row in (main.worse, main.better)]
-    sizes = [row.truth.size(unit) for row in (main.worse, main.better) if row.truth is not None]
+    sizes = [row.truth.size_text(unit) for row in (main.worse, main.better) if row.truth is not None]
     yield (
         f"The cause is {words}: {names[0]}, the cloud is bent by {sizes[0]} RMS; {names[1]}, by {sizes[1]},"
         f" all else equal ({main.worse.name!r} against {main.better.name!r})."
@@ -173,12 +173,12 @@ def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
         own = [change for change in changes if change.factor == factor]
         if factor != main.factor and own:
             yield (
-                f"Changing {words} alone changes the bend by at most {own[0].by:.3g} {unit} RMS".rstrip()
+                f"Changing {words} alone changes the bend by at most {own[0].difference:.3g} {unit} RMS".rstrip()
                 + f" ({own[0].worse.name!r} against {own[0].better.name!r})."
             )
-    yield from _shape(main.worse, unit)
-    yield from _intrinsics_words(rows)
-    yield from _mutual_words(rows, unit)
+    yield from _shape_sentence(main.worse, unit)
+    yield from _correlation_sentence(rows)
+    yield from _mutual_sentence(rows, unit)
 
 
 def table(study: BendStudy) -> Iterator[list[str]]:
@@ -196,7 +196,7 @@ def table(study: BendStudy) -> Iterator[list[str]]:
             _number(row.reprojection_error),
             _number(row.lens_error_px),
             row.truth.verdict,
-            row.truth.size(),
+            row.truth.size_text(),
             _number(row.truth.detectable),
             "" if row.mutual is None else f"{row.mutual.verdict}, {_number(row.mutual.rms)}",
         ]
@@ -221,14 +221,14 @@ def csv_text(study: BendStudy) -> str:
     return csv_of([*header, "failure", "images_registered"], rows)
 
 
-def _bend_cells(bend: Bend | None) -> tuple[object, ...]:
+def _bend_cells(bend: BendVerdict | None) -> tuple[object, ...]:
     if bend is None:
         return (None,) * 6
     low, high = bend.ci or (None, None)
     return bend.verdict, bend.model, bend.rms, low, high, bend.detectable
 
 
-def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
+def _measure_deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
     """The verdict, and the candidate as it was registered."""
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
@@ -243,12 +243,12 @@ class _BendChange(NamedTuple):
     factor: str
     worse: SolutionResult
     better: SolutionResult
-    by: float
-    is_sure: bool  # the worse one is bent, and their intervals are apart
+    difference: float
+    is_significant: bool  # the worse one is bent, and their intervals are apart
 
 
-def _changes(rows: Sequence[SolutionResult]) -> Iterator[_BendChange]:
-    for pair in combinations(judged(rows), 2):
+def _bend_changes(rows: Sequence[SolutionResult]) -> Iterator[_BendChange]:
+    for pair in combinations(measured_bends(rows), 2):
         differ = [factor for factor in FACTORS if pair[0][0].factors[factor] != pair[1][0].factors[factor]]
         if len(differ) == 1:
             (worse, more), (better, less) = sorted(pair, key=lambda of: -(of[1].rms or 0.0))
@@ -256,7 +256,7 @@ def _changes(rows: Sequence[SolutionResult]) -> Iterator[_BendChange]:
             yield _BendChange(differ[0], worse, better, (more.rms or 0.0) - (less.rms or 0.0), more.is_bent and apart)
 
 
-def _shape(row: SolutionResult, unit: str) -> Iterator[str]:
+def _shape_sentence(row: SolutionResult, unit: str) -> Iterator[str]:
     """Is it a dome or a bowl? By the vertical displacement in the middle and at the edge."""
     growth = None if row.truth is None or row.truth.growth is None else row.truth.growth.with_distance
     if growth is None:
@@ -271,16 +271,16 @@ def _shape(row: SolutionResult, unit: str) -> Iterator[str]:
         ).replace("  ", " ")
 
 
-def _intrinsics_words(rows: Sequence[SolutionResult]) -> Iterator[str]:
+def _correlation_sentence(rows: Sequence[SolutionResult]) -> Iterator[str]:
     """How the bend goes with the error of the intrinsics: Spearman's rank correlation."""
-    known = [(row.lens_error_px, bend.rms) for row, bend in judged(rows) if row.lens_error_px is not None]
+    known = [(row.lens_error_px, bend.rms) for row, bend in measured_bends(rows) if row.lens_error_px is not None]
     if len(known) < 4:
         return
     a, b = (_ranks(column) for column in np.array(known, dtype=np.float64).T)
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return
     rho = float(np.corrcoef(a, b)[0, 1])
-    words = "go together" if rho >= _TOGETHER else "do not go together"
+    words = "go together" if rho >= _MIN_RANK_CORRELATION else "do not go together"
     yield f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over {len(known)} solutions."
 
 
@@ -291,9 +291,9 @@ def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return ranks
 
 
-def _mutual_words(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
+def _mutual_sentence(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
     """The observation: two solutions of the same images that no affine motion brings together."""
-    named = {row.name: row for row, _ in judged(rows)}
+    named = {row.name: row for row, _ in measured_bends(rows)}
     same = [
         (first, row, row.mutual)
         for row in named.values()
@@ -306,7 +306,7 @@ def _mutual_words(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
         first, worst, bend = max(same, key=lambda found: found[2].rms or 0.0)
         errors = [_number(row.reprojection_error) for row in (first, worst)]
         yield (
-            f"Solutions of the same images differ by {bend.size(unit)} RMS that no affine motion explains,"
+            f"Solutions of the same images differ by {bend.size_text(unit)} RMS that no affine motion explains,"
             f" with reprojection errors of {errors[0]} and {errors[1]} px ({first.name!r} and {worst.name!r})."
         )
 

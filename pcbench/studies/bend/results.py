@@ -27,14 +27,14 @@ class Lens:
     size: tuple[int, int]
 
     @classmethod
-    def of(cls, intrinsics: Intrinsics) -> Lens:
+    def from_intrinsics(cls, intrinsics: Intrinsics) -> Lens:
         """The intrinsics without their principal point."""
         k = intrinsics
         return cls(k.fx, k.fy, tuple(k.distortion), (k.width, k.height))
 
 
 @dataclass(frozen=True)
-class Bend:
+class BendVerdict:
     """The verdict on a solution's cloud against another cloud, without its field.
 
     Attributes:
@@ -56,7 +56,7 @@ class Bend:
     against: str | None = None
 
     @classmethod
-    def of(cls, found: Deformation, against: str | None = None) -> Bend:
+    def from_deformation(cls, found: Deformation, against: str | None = None) -> BendVerdict:
         """What is kept of a verdict."""
         size = found.amplitude
         return cls(
@@ -76,7 +76,7 @@ class Bend:
         """Whether the cloud is bent beyond what noise would do."""
         return self.verdict == "non-affine"
 
-    def size(self, unit: str = "") -> str:
+    def size_text(self, unit: str = "") -> str:
         """RMS and interval in words; a dash where there is none."""
         if self.rms is None or self.ci is None:
             return "–"
@@ -107,8 +107,8 @@ class SolutionResult:
     reprojection_error: float | None = None
     lens: Lens | None = None
     lens_error_px: float | None = None
-    truth: Bend | None = None
-    mutual: Bend | None = None
+    truth: BendVerdict | None = None
+    mutual: BendVerdict | None = None
     cells: tuple[tuple[float, ...], ...] | None = None
 
 
@@ -145,17 +145,17 @@ class BendStudy:
     @property
     def is_judged(self) -> bool:
         """Whether the bend of any solution is known."""
-        return bool(judged(self.rows))
+        return bool(measured_bends(self.rows))
 
 
-def judged(rows: Sequence[SolutionResult]) -> list[tuple[SolutionResult, Bend]]:
+def measured_bends(rows: Sequence[SolutionResult]) -> list[tuple[SolutionResult, BendVerdict]]:
     """Solutions whose bend against the truth has a size, with that bend."""
     return [(row, row.truth) for row in rows if row.truth is not None and row.truth.rms is not None]
 
 
 def document(study: BendStudy) -> dict[str, Any]:
     """What experiment.json holds of a study."""
-    return {"schema": SCHEMA, **_plain(study), "rows": [_row_values(row) for row in study.rows]}
+    return {"schema": SCHEMA, **_field_values(study), "rows": [_row_values(row) for row in study.rows]}
 
 
 def read_study(folder: Path) -> BendStudy:
@@ -182,16 +182,16 @@ def read_study(folder: Path) -> BendStudy:
         raise InputError(f"{path}: it is damaged: {type(error).__name__}: {error}") from error
 
 
-def _plain(of: Any) -> dict[str, Any]:
+def _field_values(of: Any) -> dict[str, Any]:
     return {field.name: getattr(of, field.name) for field in fields(of)}
 
 
 def _row_values(row: SolutionResult) -> dict[str, Any]:
     bends = {"truth": row.truth, "mutual": row.mutual}
-    return {**_plain(row), **{key: None if bend is None else _bend_values(bend) for key, bend in bends.items()}}
+    return {**_field_values(row), **{key: None if bend is None else _bend_values(bend) for key, bend in bends.items()}}
 
 
-def _bend_values(bend: Bend) -> dict[str, Any]:
+def _bend_values(bend: BendVerdict) -> dict[str, Any]:
     values = asdict(bend)
     against = values.pop("against")
     return values if against is None else {"against": against, **values}
@@ -213,14 +213,14 @@ def _lens(values: Mapping[str, Any]) -> Lens:
     return Lens(values["fx"], values["fy"], tuple(values["distortion"]), (width, height))
 
 
-def _bend(values: Mapping[str, Any]) -> Bend:
+def _bend(values: Mapping[str, Any]) -> BendVerdict:
     ci, growth = values["ci"], values["growth"]
     parts = {
         "ci": None if ci is None else (ci[0], ci[1]),
         "growth": None if growth is None else Growth(_trend(growth["with_distance"]), _trend(growth["with_height"])),
         "warnings": tuple(values["warnings"]),
     }
-    return Bend(**{**values, **parts})
+    return BendVerdict(**{**values, **parts})
 
 
 def _trend(values: Mapping[str, Any] | None) -> Trend | None:

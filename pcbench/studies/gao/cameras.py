@@ -13,15 +13,15 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import robust_similarity
 from pcbench.geometry.visibility import SEEN_BY, in_frame
-from pcbench.studies.gao.results import CameraErrors, SurfaceMoved
+from pcbench.studies.gao.results import CameraErrors, SurfaceDeformation
 
-_MOST = 20_000  # points that tell how a surface is bent
-_FIXED = 1e-4  # of the information that rays at right angles would give: less leaves a place open
-_FEWEST = 100  # points
-_ROUNDING = 1e-6  # of the scene: less is no error
-_SAME_FRAME = 0.1  # of the extent of the cameras: a solution in another frame is further off
-_ASTRAY = 10.0  # times the median error: a camera that is further off is lost
-_BINS = 8  # of a profile
+_MAX_SURFACE_POINTS = 20_000  # points that tell how a surface is bent
+_MIN_EIGENVALUE_RATIO = 1e-4  # of the information that rays at right angles would give: less leaves a place open
+_MIN_SURFACE_POINTS = 100  # points
+_ROUNDING_SHARE = 1e-6  # of the scene: less is no error
+_SAME_FRAME_SHARE = 0.1  # of the extent of the cameras: a solution in another frame is further off
+_OUTLIER_RATIO = 10.0  # times the median error: a camera that is further off is lost
+_PROFILE_BINS = 8  # of a profile
 
 
 def camera_errors(
@@ -42,7 +42,7 @@ def camera_errors(
     except InputError:
         return None
     focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
-    near = apart <= max(_ASTRAY * float(np.median(apart)), _ROUNDING * float(np.ptp(theirs)))
+    near = apart <= max(_OUTLIER_RATIO * float(np.median(apart)), _ROUNDING_SHARE * float(np.ptp(theirs)))
     # One that stands elsewhere agrees with no other: it makes few points, and no method believes it.
     kept = {name: solved[name] for name, agrees in zip(names, near, strict=True) if agrees}
     return CameraErrors(
@@ -52,11 +52,11 @@ def camera_errors(
         largest=float(apart.max()),
         focal_ratio=float(np.median(focal)),
         astray=len(names) - len(kept),
-        surface=None if surface is None else bent_by(kept, true, surface),
+        surface=None if surface is None else camera_deformation(kept, true, surface),
     )
 
 
-def placed_cameras(solved: Mapping[str, Camera], given: Mapping[str, Camera]) -> Mapping[str, Camera]:
+def cameras_in_cloud_frame(solved: Mapping[str, Camera], given: Mapping[str, Camera]) -> Mapping[str, Camera]:
     """Those by which a scene is described in the frame of its clouds: the given ones where solved ones are in their
     frame, or there are none, for a solved camera may be lost.
     """
@@ -65,20 +65,22 @@ def placed_cameras(solved: Mapping[str, Camera], given: Mapping[str, Camera]) ->
         return solved or given
     theirs = np.stack([given[name].position for name in names])
     apart = np.linalg.norm(np.stack([solved[name].position for name in names]) - theirs, axis=1)
-    return given if np.median(apart) < _SAME_FRAME * float(np.ptp(theirs, axis=0).max()) else solved
+    return given if np.median(apart) < _SAME_FRAME_SHARE * float(np.ptp(theirs, axis=0).max()) else solved
 
 
-def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> SurfaceMoved | None:
+def camera_deformation(
+    solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud
+) -> SurfaceDeformation | None:
     """What solved cameras make of a surface by themselves. No match and no noise takes part: each point is where its
     pixels in the true cameras, seen through the solved ones, put it. None where too few points are seen.
 
     Without normals, all three components of the displacement count.
     """
     rng = np.random.default_rng(0)
-    chosen = np.sort(rng.permutation(len(surface))[:_MOST])
+    chosen = np.sort(rng.permutation(len(surface))[:_MAX_SURFACE_POINTS])
     points = surface.points[chosen]
-    placed, known = seen_through(solved, true, points)
-    if known.sum() < _FEWEST:
+    placed, known = retriangulate(solved, true, points)
+    if known.sum() < _MIN_SURFACE_POINTS:
         return None
     points, moved = points[known], (placed - points)[known]
     x, u = points - points.mean(axis=0), moved
@@ -93,7 +95,7 @@ def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: C
     motion = np.linalg.lstsq(rigid, along, rcond=None)[0]
     off = points - points.mean(axis=0)
     rise = (moved - motion[:3] - np.cross(motion[3:], off / scale))[:, 2]
-    return SurfaceMoved(
+    return SurfaceDeformation(
         moved=_rms(along - rigid @ motion),
         bent=_rms(along - affine @ np.linalg.lstsq(affine, along, rcond=None)[0]),
         with_distance=_profile(np.hypot(off[:, 0], off[:, 1]), rise),
@@ -101,7 +103,7 @@ def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: C
     )
 
 
-def seen_through(
+def retriangulate(
     solved: Mapping[str, Camera], true: Mapping[str, Camera], points: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where solved cameras put points (N, 3) that have their pixels in the true ones, and which (N,) of them at least
@@ -124,7 +126,7 @@ def seen_through(
         count[rows] += 1
     known = count >= SEEN_BY
     least, most = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
-    known &= least > _FIXED * most
+    known &= least > _MIN_EIGENVALUE_RATIO * most
     placed = points.copy()
     placed[known] = np.linalg.solve(matrix[known], vector[known][:, :, None])[:, :, 0]
     return placed, known
@@ -132,7 +134,7 @@ def seen_through(
 
 def _profile(along: FloatArray, values: FloatArray) -> tuple[tuple[float, float], ...]:
     """Where, and mean value, in bins of equal numbers (N,)."""
-    bins = np.array_split(np.argsort(along, kind="stable"), _BINS)
+    bins = np.array_split(np.argsort(along, kind="stable"), _PROFILE_BINS)
     return tuple((float(along[rows].mean()), float(values[rows].mean())) for rows in bins)
 
 

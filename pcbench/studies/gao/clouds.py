@@ -22,13 +22,13 @@ from pcbench.progress import Step
 from pcbench.scenes import Scene
 from pcbench.studies.gao.plan import SPARSE, CloudMethod, GaoJob, methods
 
-CLOUD, CAMERAS = "cloud.ply", "cameras"
-_RUN, _RUNS, WORK = "run.json", "runs", "work"
-_SECONDS = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # roughly, for progress bars
+CLOUD_FILE, CAMERAS_FOLDER = "cloud.ply", "cameras"
+_RUN_FILE, _RUNS_FOLDER, WORK_FOLDER = "run.json", "runs", "work"
+_EXPECTED_S = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # roughly, for progress bars
 
 
 @dataclass(frozen=True)
-class Made:
+class CloudRun:
     """What became of one method.
 
     Attributes:
@@ -50,18 +50,18 @@ class Made:
 
     @property
     def cloud(self) -> Path | None:
-        return None if self.folder is None else self.folder / CLOUD
+        return None if self.folder is None else self.folder / CLOUD_FILE
 
     def cameras(self) -> dict[str, Camera]:
         """By image name; none where there is no cloud."""
         if self.folder is None:
             return {}
-        return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS)}
+        return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS_FOLDER)}
 
 
 def make_clouds(
-    job: GaoJob, scene: Scene, path: Path, out: Path, unit: str | None, tell: Callable[[Step], None]
-) -> list[Made]:
+    job: GaoJob, scene: Scene, path: Path, out: Path, unit: str | None, step: Callable[[Step], None]
+) -> list[CloudRun]:
     """All clouds of a scene, in the order of `methods`; what fails is said in its place.
 
     Args:
@@ -74,12 +74,12 @@ def make_clouds(
         InputError: the crop holds nothing of the sparse cloud, which is made first.
         OSError: a file cannot be written.
     """
-    maker = _Maker(job, scene, path, out, unit, tell)
-    done: list[Made] = []
+    maker = _CloudMaker(job, scene, path, out, unit, step)
+    done: list[CloudRun] = []
     for number, method in enumerate(plan := methods(job)):
-        seconds = _SECONDS[method.plugin]
-        later = sum(_SECONDS[m.plugin] for m in plan[number + 1 :])
-        tell(Step(f"{scene.name}: {method.name}", seconds, later))
+        seconds = _EXPECTED_S[method.plugin]
+        later = sum(_EXPECTED_S[m.plugin] for m in plan[number + 1 :])
+        step(Step(f"{scene.name}: {method.name}", seconds, later))
         made = maker.make(method, done)
         if method.name == SPARSE and made.cloud is not None and job.crop is not None:
             check_crop(job.crop, read_cloud(made.cloud), f"{scene.name}: the sparse cloud's")
@@ -95,22 +95,22 @@ def check_crop(crop: str, cloud: Cloud, whose: str) -> None:
 
 
 @dataclass(frozen=True)
-class _Maker:
+class _CloudMaker:
     job: GaoJob
     scene: Scene
     path: Path
     out: Path
     unit: str | None
-    tell: Callable[[Step], None]
+    step: Callable[[Step], None]
 
-    def make(self, method: CloudMethod, before: Sequence[Made]) -> Made:
+    def make(self, method: CloudMethod, before: Sequence[CloudRun]) -> CloudRun:
         sparse = next((made for made in before if made.method.name == SPARSE), None)
         if sparse is not None and self.job.poses == "solve" and sparse.folder is None:
-            return Made(method, failure=f"no cameras: {sparse.failure}")
+            return CloudRun(method, failure=f"no cameras: {sparse.failure}")
         if twin := next((m for m in before if m.method.workspace == method.workspace and m.failure), None):
-            return Made(method, failure=twin.failure)
+            return CloudRun(method, failure=twin.failure)
         solved = sparse.folder if sparse is not None and self.job.poses == "solve" else None
-        for place in (_RUNS, WORK):
+        for place in (_RUNS_FOLDER, WORK_FOLDER):
             (self.out / place).mkdir(exist_ok=True)
         key = {
             "plugin": describe(method.plugin).sha256,
@@ -120,34 +120,34 @@ class _Maker:
             "unit": self.unit,
         }
         try:
-            folder = stage(self.out / _RUNS, method.name, key, lambda target: self._run(method, solved, target))
+            folder = stage(self.out / _RUNS_FOLDER, method.name, key, lambda target: self._run(method, solved, target))
         except (InputError, ReconstructionError) as error:  # not kept: the next run tries again
-            return Made(method, failure=recorded(error))
-        known: Mapping[str, Any] = read_json(folder / _RUN)
-        return Made(method, folder, **{**known, "notes": tuple(known["notes"])})
+            return CloudRun(method, failure=recorded(error))
+        known: Mapping[str, Any] = read_json(folder / _RUN_FILE)
+        return CloudRun(method, folder, **{**known, "notes": tuple(known["notes"])})
 
     def _run(self, method: CloudMethod, solved: Path | None, target: Path) -> None:
-        workspace, begun = self.out / WORK / method.workspace, self.out / WORK / f"{method.name}.begun"
+        workspace, begun = self.out / WORK_FOLDER / method.workspace, self.out / WORK_FOLDER / f"{method.name}.begun"
         resumed = begun.exists()
         begun.touch()
-        cameras = "auto" if solved is None else str(solved / CAMERAS)
+        cameras = "auto" if solved is None else str(solved / CAMERAS_FOLDER)
         scale = self.scene.image_scale
         made = run(
             ReconstructionJob(method.plugin, self.path, method.settings, cameras=cameras, image_scale=scale),
             workspace,
             self.job.time_limit,
-            lambda text: self.tell(Step(f"{self.scene.name}: {method.name}: {text}")),
+            lambda text: self.step(Step(f"{self.scene.name}: {method.name}: {text}")),
         )
         result = made.required()
         cloud = result.cloud
         if cloud.unit is None and result.gauge == "georeferenced":
             cloud = replace(cloud, unit=self.unit)
-        write_cloud(target / CLOUD, cloud)
-        write_colmap_model(target / CAMERAS, list(result.cameras.values()))
+        write_cloud(target / CLOUD_FILE, cloud)
+        write_colmap_model(target / CAMERAS_FOLDER, list(result.cameras.values()))
         known = {
             "seconds": made.wall_s,
             "resumed": resumed,
             "memory_bytes": made.peak_rss_bytes,
             "notes": [*made.warnings, *result.notes],
         }
-        (target / _RUN).write_text(json.dumps(known, indent=1), encoding="utf-8")
+        (target / _RUN_FILE).write_text(json.dumps(known, indent=1), encoding="utf-8")

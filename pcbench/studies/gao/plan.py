@@ -16,13 +16,13 @@ from pcbench.geometry.regions import Sphere
 
 SPARSE, MVS, MEANS, SURFACE = "sparse", "mvs", "splat-means", "splat-surface"
 SPLAT = "splat"  # the workspace of both
-_REACH = 0.4  # of the farthest camera's distance from what all look at: on the paper's circles, the inner city
-_FIXED = 0.01  # of a direction: what axes that are so nearly parallel meet at is left to chance
+_REGION_SHARE = 0.4  # of the farthest camera's distance from what all look at: on the paper's circles, the inner city
+_MIN_EIGENVALUE = 0.01  # of a direction: what axes that are so nearly parallel meet at is left to chance
 
 # As the paper has it, as far as two cores get: its densification begins at step 1000 of 30,000 and more, so the rules
 # of the method that it follows are the default, whose rates here are for fewer steps.
 SPLAT_SETTINGS = {"start": "sfm", "density": "classic", "hold_out": "every", "steps": "2000", "sh_degree": "3"}
-_OURS = ("cloud", "seed", "poses")  # settings that the experiment makes itself
+_RESERVED_SETTINGS = ("cloud", "seed", "poses")  # settings that the experiment makes itself
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def methods(job: GaoJob) -> list[CloudMethod]:
     Raises:
         InputError: a setting of `splat` is one that the experiment makes.
     """
-    if taken := [key for key in _OURS if key in job.settings]:
+    if taken := [key for key in _RESERVED_SETTINGS if key in job.settings]:
         raise InputError(f"expected settings of splat that the experiment leaves open, got {taken[0]}")
     if job.settings.get("hold_out") == "none":
         raise InputError("expected hold_out=every or hold_out=blocks: new views are measured too")
@@ -97,7 +97,7 @@ def methods(job: GaoJob) -> list[CloudMethod]:
     ]
 
 
-def looked_at(cameras: Iterable[Camera]) -> FloatArray | None:
+def focus_point(cameras: Iterable[Camera]) -> FloatArray | None:
     """The place (3,) that is nearest to the axes of cameras, in least squares; None where these are nearly parallel, or
     where it lies behind cameras.
     """
@@ -108,20 +108,20 @@ def looked_at(cameras: Iterable[Camera]) -> FloatArray | None:
     axes = np.stack([camera.direction for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix = across.mean(axis=0)
-    if float(np.linalg.eigvalsh(matrix)[0]) < _FIXED:
+    if float(np.linalg.eigvalsh(matrix)[0]) < _MIN_EIGENVALUE:
         return None
     place: FloatArray = np.linalg.solve(matrix, np.einsum("nij,nj->i", across, positions) / len(cameras))
     ahead = np.einsum("ni,ni->n", place - positions, axes)
     return place if np.median(ahead) > 0 else None
 
 
-def region_of(cameras: Iterable[Camera]) -> str:
+def default_region(cameras: Iterable[Camera]) -> str:
     """What is measured of a scene: a sphere about the place that its cameras look at, which is the same in any frame;
     half of the reference where there is no such place.
     """
     cameras = list(cameras)
-    place = looked_at(cameras)
+    place = focus_point(cameras)
     if place is None:
         return "quantile:0.5"
     farthest = max(float(np.linalg.norm(camera.position - place)) for camera in cameras)
-    return Sphere(place.round(3) + 0.0, round(_REACH * farthest, 3)).text
+    return Sphere(place.round(3) + 0.0, round(_REGION_SHARE * farthest, 3)).text

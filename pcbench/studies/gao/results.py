@@ -21,7 +21,7 @@ TRUTH = "truth"  # beside mvs, what clouds are held against
 
 
 @dataclass(frozen=True)
-class Against:
+class ReferenceEvaluation:
     """A cloud held against a reference.
 
     Attributes:
@@ -43,19 +43,19 @@ class Against:
     failure: str = ""
 
     @property
-    def back_mse(self) -> float | None:
+    def r2c_mse(self) -> float | None:
         """Mean squared distance from the reference to the cloud, which the paper's D1 leaves out."""
         return None if self.measures is None else self.measures.d1_back_mse
 
     @property
-    def forth_rms(self) -> float | None:
+    def c2r_rms(self) -> float | None:
         """Root mean square distance from the cloud to the reference."""
         return None if self.measures is None else math.sqrt(self.measures.d1_mse)
 
     @property
-    def back_rms(self) -> float | None:
+    def r2c_rms(self) -> float | None:
         """Root mean square distance from the reference to the cloud."""
-        return None if self.back_mse is None else math.sqrt(self.back_mse)
+        return None if self.r2c_mse is None else math.sqrt(self.r2c_mse)
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,17 @@ class CloudResult:
     resumed: bool = False
     memory_bytes: int | None = None
     extra: bool = False
-    against: tuple[Against, ...] = ()
+    against: tuple[ReferenceEvaluation, ...] = ()
     notes: tuple[str, ...] = ()
     failure: str = ""
 
-    def held(self, reference: str) -> Against | None:
+    def evaluation(self, reference: str) -> ReferenceEvaluation | None:
         """Against one reference; None where it was not, or could not be."""
         return next((a for a in self.against if a.reference == reference and a.measures is not None), None)
 
 
 @dataclass(frozen=True)
-class SurfaceMoved:
+class SurfaceDeformation:
     """Displacement of the true surface that solved cameras make by themselves.
 
     Attributes:
@@ -117,7 +117,7 @@ class CameraErrors:
     largest: float
     focal_ratio: float
     astray: int = 0
-    surface: SurfaceMoved | None = None
+    surface: SurfaceDeformation | None = None
 
 
 @dataclass(frozen=True)
@@ -168,9 +168,9 @@ class SceneResult:
                 return cloud
         raise KeyError(name)
 
-    def held(self, name: str, reference: str) -> Against | None:
+    def evaluation(self, name: str, reference: str) -> ReferenceEvaluation | None:
         """A cloud against a reference; None where it was not, or could not be."""
-        return self.cloud(name).held(reference)
+        return self.cloud(name).evaluation(reference)
 
     @property
     def has_truth(self) -> bool:
@@ -178,7 +178,7 @@ class SceneResult:
 
 
 @dataclass(frozen=True)
-class Study:
+class GaoStudy:
     """All scenes, and what follows.
 
     Attributes:
@@ -205,7 +205,7 @@ def references(scene: SceneResult) -> Sequence[str]:
     return [name for name in (MVS, TRUTH) if name in scene.references]
 
 
-def document(study: Study) -> dict[str, Any]:
+def document(study: GaoStudy) -> dict[str, Any]:
     """What experiment.json holds of a study."""
 
     def values(of: Any) -> dict[str, Any]:
@@ -223,7 +223,7 @@ def document(study: Study) -> dict[str, Any]:
     return {"schema": SCHEMA, **values(study), "scenes": scenes}
 
 
-def read_study(folder: Path) -> Study:
+def read_study(folder: Path) -> GaoStudy:
     """What experiment.json in a folder holds.
 
     Raises:
@@ -235,7 +235,7 @@ def read_study(folder: Path) -> Study:
         raise InputError(f"{folder / DOCUMENT}: expected the schema {SCHEMA}")
     try:
         scenes = tuple(_scene(scene) for scene in values["scenes"])
-        return Study(values["poses"], values["splat"], scenes, tuple(values["sentences"]), values["provenance"])
+        return GaoStudy(values["poses"], values["splat"], scenes, tuple(values["sentences"]), values["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / DOCUMENT}: it is damaged: {type(error).__name__}: {error}") from error
 
@@ -258,15 +258,15 @@ def _cameras(values: dict[str, Any]) -> CameraErrors:
     if of is None:
         return CameraErrors(**values)
     profiles = {key: tuple(map(tuple, of[key])) for key in ("with_distance", "with_height")}
-    return CameraErrors(**{**values, "surface": SurfaceMoved(of["moved"], of["bent"], **profiles)})
+    return CameraErrors(**{**values, "surface": SurfaceDeformation(of["moved"], of["bent"], **profiles)})
 
 
 def _cloud(values: dict[str, Any]) -> CloudResult:
-    against = tuple(against_from(row) for row in values["against"])
+    against = tuple(evaluation_from_json(row) for row in values["against"])
     return CloudResult(**{**values, "against": against, "notes": tuple(values["notes"])})
 
 
-def against_from(values: Mapping[str, Any]) -> Against:
+def evaluation_from_json(values: Mapping[str, Any]) -> ReferenceEvaluation:
     """A cloud held against a reference, as JSON holds it."""
     measures, bend = values["measures"], values["deformation"]
     parts = {
@@ -274,7 +274,7 @@ def against_from(values: Mapping[str, Any]) -> Against:
         "deformation": None if bend is None else Deformation.from_json(bend),
         "doubts": tuple(values["doubts"]),
     }
-    return Against(**{**values, **parts})
+    return ReferenceEvaluation(**{**values, **parts})
 
 
 def _measures(values: Mapping[str, float]) -> Gao2025:

@@ -10,13 +10,13 @@ from pcbench.errors import InputError, Notice, ReconstructionError, recorded
 from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
 from pcbench.scenes.views import find_views
-from pcbench.studies.folder import StudyKind, check_folder, named_folders, study_folder, write_pages
+from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_pages
 from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_views, write_scores
 from pcbench.studies.views.table import markdown
 
 KIND = StudyKind("views", DOCUMENT, SCHEMA)
-_RUNS = "runs"
-_MAKING_S = 300.0  # that one scene takes, roughly, for progress bars
+_RUNS_FOLDER = "runs"
+_EXPECTED_SCENE_S = 300.0  # that one scene takes, roughly, for progress bars
 
 
 @dataclass(frozen=True)
@@ -51,17 +51,17 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
         MissingExtra: a library that measures views is not installed.
         OSError: a file cannot be written.
     """
-    _check(job, out)
+    _check_job(job, out)
     with study_folder(out, KIND, job):
-        (out / _RUNS).mkdir(exist_ok=True)
+        (out / _RUNS_FOLDER).mkdir(exist_ok=True)
         folders, failed = [], []
-        for number, (name, scene) in enumerate(named_folders(job.scenes).items(), 1):
+        for number, (name, scene) in enumerate(folders_by_name(job.scenes).items(), 1):
             if (found := find_views(scene)) is not None:
                 folders.append(found)
                 continue
-            step(Step(f"{job.method} {number} of {len(job.scenes)}: {name}", _MAKING_S))
+            step(Step(f"{job.method} {number} of {len(job.scenes)}: {name}", _EXPECTED_SCENE_S))
             try:
-                folders.append(_make(job, scene, out / _RUNS / name, step))
+                folders.append(_render_views(job, scene, out / _RUNS_FOLDER / name, step))
             except (InputError, ReconstructionError) as error:
                 failed.append(Notice("no-views", f"{scene}: {recorded(error)}"))
         if not folders:
@@ -73,7 +73,7 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
     return study
 
 
-def _make(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], None]) -> Path:
+def _render_views(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], None]) -> Path:
     """The folder of views that the reconstructor makes of one scene.
 
     Raises:
@@ -88,7 +88,7 @@ def _make(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], Non
     return found
 
 
-def _check(job: ViewsJob, out: Path) -> None:
+def _check_job(job: ViewsJob, out: Path) -> None:
     if not job.scenes:
         raise InputError("expected at least one scene or folder of rendered views")
     if job.settings.get("hold_out") == "none":  # before hours of work

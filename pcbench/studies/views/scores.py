@@ -22,7 +22,7 @@ from pcbench.studies.folder import write_pages
 
 SCHEMA = "pcbench.view-scores/1"
 DOCUMENT = "scores.json"
-_SECONDS = 0.3  # that a view takes, roughly, for progress bars
+_EXPECTED_VIEW_S = 0.3  # that a view takes, roughly, for progress bars
 
 
 class ScoredView(NamedTuple):
@@ -39,7 +39,7 @@ class ScoredScene:
     views: RenderedViews
     scores: tuple[ViewScores, ...]
 
-    def of(self, *, test: bool) -> tuple[ScoredView, ...]:
+    def select(self, *, test: bool) -> tuple[ScoredView, ...]:
         """Those that were held out, or those that were trained on."""
         both = zip(self.views.views, self.scores, strict=True)
         return tuple(ScoredView(view, scores) for view, scores in both if view.is_test == test)
@@ -47,7 +47,7 @@ class ScoredScene:
     def mean(self, *, test: bool) -> ViewScores | None:
         """Means over the views that were held out, or trained on; None where there are none. A view of which nothing
         counts is left out."""
-        found = [scored.scores for scored in self.of(test=test)]
+        found = [scored.scores for scored in self.select(test=test)]
         return mean_scores(found) if found else None
 
     def standard_error(self) -> float | None:
@@ -55,7 +55,7 @@ class ScoredScene:
         near each other are well or badly made together. None for fewer than two blocks.
         """
         blocks: dict[int, list[float]] = {}
-        for scored in self.of(test=True):
+        for scored in self.select(test=True):
             if math.isfinite(scored.scores.psnr):
                 blocks.setdefault(scored.view.block or 0, []).append(scored.scores.psnr)
         means = [sum(block) / len(block) for block in blocks.values()]
@@ -94,14 +94,14 @@ def score_views(
         scores = []
         for view in views.views:
             left -= 1
-            on_step(Step(f"measuring the views of {views.scene}", _SECONDS, _SECONDS * left))
+            on_step(Step(f"measuring the views of {views.scene}", _EXPECTED_VIEW_S, _EXPECTED_VIEW_S * left))
             pictures = view.read()
             scores.append(measured.scores(pictures.rendering, pictures.photograph, pictures.mask))
         scenes.append(ScoredScene(views, tuple(scores)))
-    return ViewStudy(tuple(scenes), (*measured.missing, *_uncounted(scenes)))
+    return ViewStudy(tuple(scenes), (*measured.missing, *_masked_view_notices(scenes)))
 
 
-def _uncounted(scenes: Iterable[ScoredScene]) -> Iterable[Notice]:
+def _masked_view_notices(scenes: Iterable[ScoredScene]) -> Iterable[Notice]:
     for scene in scenes:
         if bare := [v.name for v, s in zip(scene.views.views, scene.scores, strict=True) if math.isnan(s.ssim)]:
             yield Notice(
@@ -118,7 +118,7 @@ def write_scores(out: Path, study: ViewStudy) -> None:
         OSError: a file cannot be written.
     """
     notes = [{"code": note.code, "text": note.text} for note in study.notes]
-    document = {"schema": SCHEMA, "scenes": [_plain(scene) for scene in study.scenes], "notes": notes}
+    document = {"schema": SCHEMA, "scenes": [_scene_values(scene) for scene in study.scenes], "notes": notes}
     write_pages(out, {"scores.csv": _csv(study), DOCUMENT: to_json(document)})
 
 
@@ -141,21 +141,23 @@ def read_scores(out: Path) -> ViewStudy:
     return ViewStudy(tuple(scenes), tuple(Notice(**note) for note in document["notes"]))
 
 
-def _plain(scene: ScoredScene) -> dict[str, Any]:
+def _scene_values(scene: ScoredScene) -> dict[str, Any]:
     views = scene.views
     rows = [
-        {"name": view.name, "block": view.block, **_numbers(scores)}
+        {"name": view.name, "block": view.block, **_score_values(scores)}
         for view, scores in zip(views.views, scene.scores, strict=True)
     ]
     means = {
-        key: None if (mean := scene.mean(test=test)) is None else {"views": len(scene.of(test=test)), **_numbers(mean)}
+        key: None
+        if (mean := scene.mean(test=test)) is None
+        else {"views": len(scene.select(test=test)), **_score_values(mean)}
         for key, test in (("train", False), ("test", True))
     }
     named = {"scene": views.scene, "method": views.method, "split": views.split, "folder": str(views.folder.absolute())}
     return {**named, **means, "test_psnr_standard_error": scene.standard_error(), "views": rows}
 
 
-def _numbers(scores: ViewScores) -> dict[str, float | str | None]:
+def _score_values(scores: ViewScores) -> dict[str, float | str | None]:
     """Infinity, which JSON has no number for, as a word."""
     return {key: "inf" if value == math.inf else value for key, value in scores._asdict().items()}
 

@@ -10,7 +10,7 @@ from pcbench.measure.images import ViewScores
 from pcbench.report.markup import markdown_table
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, mean_scores
 
-_NONE = "–"
+_DASH = "–"
 
 
 class _Metric(NamedTuple):
@@ -41,11 +41,11 @@ def table(study: ViewStudy) -> list[list[str]]:
     names = [f"{kind} {metric.header}" for kind in ("train", "test") for metric in known]
     rows = [[*head, "views", *names]]
     for scene, pair in zip(study.scenes, means, strict=True):
-        counts = " + ".join(str(len(scene.of(test=test))) for test in (False, True))
+        counts = " + ".join(str(len(scene.select(test=test))) for test in (False, True))
         method = [scene.views.method] if several else []
         rows.append([scene.views.scene, *method, scene.views.split, counts, *_cells(pair, known, scene)])
     if len(study.scenes) > 1:
-        over = [_over([pair[k] for pair in means]) for k in (0, 1)]
+        over = [_mean_over_scenes([pair[k] for pair in means]) for k in (0, 1)]
         blank = [""] * (len(head) - 1)
         rows.append([f"mean of {len(study.scenes)}", *blank, "", *_cells(over, known)])
     return rows
@@ -59,7 +59,7 @@ def sentences(study: ViewStudy) -> list[str]:
     ]
     if any(scene.standard_error() is not None for scene in study.scenes):
         lines.append("±: one standard error, over the blocks of held-out views")
-    if bare := [scene.views.scene for scene in study.scenes if not scene.of(test=True)]:
+    if bare := [scene.views.scene for scene in study.scenes if not scene.select(test=True)]:
         lines.append(f"no view was held out of {', '.join(bare)}: views that were trained on say little of new ones")
     return [*lines, *(f"note: {note.text}" for note in study.notes)]
 
@@ -79,16 +79,16 @@ def _cells(
         for metric in known:
             value = None if mean is None else getattr(mean, metric.field)
             of_error = error is not None and number == 1 and metric.field == "psnr"
-            yield _text(value, metric) + (f" ± {error:.2f}" if of_error else "")
+            yield _format(value, metric) + (f" ± {error:.2f}" if of_error else "")
 
 
-def _text(value: float | None, metric: _Metric) -> str:
+def _format(value: float | None, metric: _Metric) -> str:
     if value is None or math.isnan(value):
-        return _NONE
+        return _DASH
     return "∞" if math.isinf(value) else f"{value:.{metric.decimals}f}"
 
 
-def _over(means: Sequence[ViewScores | None]) -> ViewScores | None:
+def _mean_over_scenes(means: Sequence[ViewScores | None]) -> ViewScores | None:
     """Mean over scenes, where all of them have views of the kind."""
     there = [mean for mean in means if mean is not None]
     return mean_scores(there) if len(there) == len(means) else None

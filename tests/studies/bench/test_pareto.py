@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benches import row
 
-from pcbench.studies.bench.pareto import configurations, front_of, mark_front, pareto_front
+from pcbench.studies.bench.pareto import configurations, front_configurations, mark_front, pareto_front
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -32,8 +32,8 @@ def test_the_front_is_of_medians_over_seeds():
     assert [r["pareto"] for r in rows] == [True] * 6 + [False, False, None]
     found = configurations(rows)
     assert [c.method for c in found] == ["slow", "fast", "worse", "lucky", "dead"]
-    assert [c.method for c in front_of(found, "chamfer", high=False)] == ["fast", "slow"]
-    assert front_of(found[-1:], "fscore", high=True) == []
+    assert [c.method for c in front_configurations(found, "chamfer", higher_is_better=False)] == ["fast", "slow"]
+    assert front_configurations(found[-1:], "fscore", higher_is_better=True) == []
 
 
 def test_what_one_of_three_seeds_scores_is_no_choice():

@@ -17,12 +17,12 @@ from pcbench.geometry.transform import Similarity
 from pcbench.plugins import Reconstruction
 from pcbench.studies.bench import score as scoring
 from pcbench.studies.bench import truth as truths
-from pcbench.studies.bench.score import Rules, Yardstick, alignment
-from pcbench.studies.bench.truth import read_truth, seen_points
+from pcbench.studies.bench.score import EvaluationProtocol, Rules, choose_alignment
+from pcbench.studies.bench.truth import read_truth, visible_mask
 
 
 def score(truth, made, folder, rules=None):
-    return scoring.score(Yardstick.of(truth, rules or Rules()), made, folder).row()
+    return scoring.score(EvaluationProtocol.of(truth, rules or Rules()), made, folder).row()
 
 
 def test_an_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
@@ -38,7 +38,7 @@ def test_an_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
     cameras = dict(wrong.cameras)
     camera = cameras["2.png"].cam_from_world
     cameras["2.png"] = Camera("2.png", K, Similarity(camera.rotation, camera.translation + 5))
-    found = alignment(Reconstruction(wrong.cloud, "arbitrary", cameras), truth.cameras)
+    found = choose_alignment(Reconstruction(wrong.cloud, "arbitrary", cameras), truth.cameras)
     moved = found.transform.apply(wrong.cloud.points)
     assert np.linalg.norm(moved - POINTS, axis=1).max() < 0.2  # least squares would be off by metres
 
@@ -69,19 +69,19 @@ def test_a_metric_cloud_gets_no_scale(truth, tmp_path):
 
 def test_without_cameras_the_surfaces_decide(truth, tmp_path, monkeypatch):
     cloud = Reconstruction(Cloud(POINTS), "arbitrary")
-    assert alignment(cloud, truth.cameras).how in ("global-similarity", "similarity")
+    assert choose_alignment(cloud, truth.cameras).method in ("global-similarity", "similarity")
     break_library(monkeypatch, tmp_path / "packages", "kiss_matcher", None)
-    assert alignment(Reconstruction(Cloud(POINTS), "metric"), truth.cameras).how == "icp"
-    found = alignment(cloud, truth.cameras)
-    assert found.how == "similarity"
+    assert choose_alignment(Reconstruction(Cloud(POINTS), "metric"), truth.cameras).method == "icp"
+    found = choose_alignment(cloud, truth.cameras)
+    assert found.method == "similarity"
     assert "kiss-matcher" in found.notes[0]
     near = Similarity(shapes.rotation([0, 0, 1], 1.0), np.array([0.1, 0.2, 0.0]), 1.02)
     values = score(truth, made_of(POINTS, "arbitrary", near, cameras=()), tmp_path)
     assert values["registration"] == "similarity"
     assert values["comparison"]["registration"]["scale"] == pytest.approx(1 / 1.02, rel=2e-3)
     # Two cameras, or cameras on one line, fix no similarity: said, and the surfaces decide.
-    two = alignment(made_of(POINTS, "arbitrary", OWN, cameras=RIG[:2]), truth.cameras)
-    assert two.how == "similarity"
+    two = choose_alignment(made_of(POINTS, "arbitrary", OWN, cameras=RIG[:2]), truth.cameras)
+    assert two.method == "similarity"
     said(two.notes[0])
 
 
@@ -109,7 +109,7 @@ def test_visibility_by_rays_is_that_of_brute_force():
     mesh = wall_and_ground()
     sample = mesh.sample(500, seed=3)
     cameras = {camera.name: camera for camera in RIG}
-    found = seen_points(Cloud(sample.points + 0.001 * sample.normals), mesh, cameras)
+    found = visible_mask(Cloud(sample.points + 0.001 * sample.normals), mesh, cameras)
     counts = np.zeros(len(sample), dtype=int)
     for camera in RIG:
         pixels, depths = camera.project(sample.points)
@@ -123,7 +123,7 @@ def test_visibility_by_rays_is_that_of_brute_force():
 
 
 def test_where_visibility_comes_from(here, monkeypatch):
-    monkeypatch.setattr(truths, "_MESH_SAMPLES", 20_000)  # enough for the tolerance below
+    monkeypatch.setattr(truths, "_MESH_SAMPLE_COUNT", 20_000)  # enough for the tolerance below
     cameras = {camera.name: camera for camera in RIG}
     by_attribute = read_truth(Path("truth.ply"), None, cameras, print)
     np.testing.assert_array_equal(by_attribute.visible, TRUTH.attributes["visible"] != 0)
@@ -134,7 +134,7 @@ def test_where_visibility_comes_from(here, monkeypatch):
     lines = [" ".join(map(str, v)) for v in mesh.vertices] + [f"3 {a} {b} {c}" for a, b, c in mesh.faces]
     Path("wall.off").write_text(f"OFF\n{len(mesh.vertices)} {len(mesh)} 0\n" + "\n".join(lines) + "\n")
     by_rays = read_truth(Path("bare.ply"), Path("wall.off"), cameras, print)
-    np.testing.assert_array_equal(by_rays.visible, seen_points(Cloud(sample.points), mesh, cameras))
+    np.testing.assert_array_equal(by_rays.visible, visible_mask(Cloud(sample.points), mesh, cameras))
     assert "wall.off" in said(by_rays.visibility)
     of_mesh = read_truth(Path("wall.off"), None, cameras, print)
     assert of_mesh.visible.mean() == pytest.approx(by_rays.visible.mean(), abs=0.06)

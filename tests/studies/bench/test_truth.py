@@ -10,7 +10,7 @@ from pcbench import Cloud
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import Mesh
 from pcbench.plugins import Reconstruction
-from pcbench.studies.bench.score import Rules, Yardstick, score
+from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
 from pcbench.studies.bench.truth import Truth
 
 K = Intrinsics(200, 200, 100, 100, 100, 100)
@@ -36,7 +36,7 @@ def truth_of(mesh, points, cameras=(), visible=None):
 
 def values(truth, points, tmp_path, **rules):
     made = Reconstruction(Cloud(points), "georeferenced")
-    return score(Yardstick.of(truth, Rules(**rules)), made, tmp_path)
+    return score(EvaluationProtocol.of(truth, Rules(**rules)), made, tmp_path)
 
 
 @pytest.mark.parametrize("error", [0.056, 0.110, 0.190])
@@ -51,8 +51,8 @@ def test_accuracy_is_the_true_one_however_sparse_the_reference(tmp_path, error):
     assert found.mean_c2r == pytest.approx(np.abs(offsets).mean(), rel=1e-9)
     assert found.mean_c2r == pytest.approx(error, rel=0.03)
     assert found.d1_c2r == pytest.approx(np.mean(offsets**2), rel=1e-9)
-    assert (found.mean_c2r_floor, found.at[0].precision_floor) == (0, 1)
-    for at in found.at:
+    assert (found.mean_c2r_floor, found.threshold_scores[0].precision_floor) == (0, 1)
+    for at in found.threshold_scores:
         assert at.precision == pytest.approx(np.mean(np.abs(offsets) <= at.threshold), abs=1e-12)
     assert found.row()["threshold"] == 0.5  # the last one heads
     assert [at["threshold"] for at in found.row()["thresholds"]] == [0.1, 0.2, 0.5]
@@ -61,7 +61,7 @@ def test_accuracy_is_the_true_one_however_sparse_the_reference(tmp_path, error):
     assert bare.accuracy_to == "points"
     assert bare.mean_c2r > 0.45
     assert bare.mean_c2r_floor > 0.45
-    for at in bare.at:
+    for at in bare.threshold_scores:
         assert at.precision_floor == pytest.approx(1 - np.exp(-np.pi * at.threshold**2), rel=0.06)
         assert at.recall_floor is None
 
@@ -74,7 +74,7 @@ def test_the_floor_of_precision_is_what_no_error_scores(tmp_path):
     for points, off in ((uneven, 0.03), (np.column_stack([jittered * 40 / 55, np.zeros(55**2)]), 0.15)):
         candidate = square(40.0).sample(8000, seed=4).points
         found = values(Truth(Cloud(points), {}, None, ""), candidate, tmp_path, threshold="0.3,0.6,1")
-        for at in found.at:
+        for at in found.threshold_scores:
             assert at.precision_floor == pytest.approx(at.precision, abs=off)
 
 
@@ -85,17 +85,17 @@ def test_completeness_is_of_areas_not_of_the_references_points(tmp_path):
     truth = truth_of(mesh, 500, from_above(30.0, 31.0, 32.0), visible)
     lattice = np.stack(np.meshgrid(np.arange(-0.5, 41), np.arange(-0.5, 41), [0.0]), axis=-1).reshape(-1, 3)
     found = values(truth, lattice, tmp_path, threshold="0.05,0.1,0.4")
-    for at in found.at:
+    for at in found.threshold_scores:
         assert at.recall_visible == pytest.approx(np.pi * at.threshold**2, rel=0.02)
         assert at.recall_visible_floor == pytest.approx(at.recall_visible, rel=1e-9)  # it has no error
         assert at.fscore_visible == pytest.approx(2 / (1 / at.precision + 1 / at.recall_visible), rel=1e-9)
     # Errors cost what is between recall and its floor.
-    lifted = values(truth, lattice + [0, 0, 0.3], tmp_path, threshold="0.05,0.1,0.4").at[-1]
+    lifted = values(truth, lattice + [0, 0, 0.3], tmp_path, threshold="0.05,0.1,0.4").threshold_scores[-1]
     assert lifted.recall_visible == pytest.approx(np.pi * (0.4**2 - 0.3**2), rel=0.02)
-    assert lifted.recall_visible_floor == pytest.approx(found.at[-1].recall_visible, rel=1e-9)
+    assert lifted.recall_visible_floor == pytest.approx(found.threshold_scores[-1].recall_visible, rel=1e-9)
     # What is far from the surface stands for no place on it.
-    astray = values(truth, lattice + [0, 0, 1] * (lattice[:, :1] > 20), tmp_path, threshold="0.4").at[-1]
-    assert astray.recall_visible_floor == pytest.approx(found.at[-1].recall_visible / 2, rel=0.03)
+    astray = values(truth, lattice + [0, 0, 1] * (lattice[:, :1] > 20), tmp_path, threshold="0.4").threshold_scores[-1]
+    assert astray.recall_visible_floor == pytest.approx(found.threshold_scores[-1].recall_visible / 2, rel=0.03)
 
 
 def test_what_was_seen_is_sampled_as_densely_as_thresholds_ask(monkeypatch):
@@ -103,18 +103,20 @@ def test_what_was_seen_is_sampled_as_densely_as_thresholds_ask(monkeypatch):
 
     mesh = square(40.0)
     truth = truth_of(mesh, 500, from_above(15.0, 15.0, 15.0))  # they see the middle 30 m
-    stick = Yardstick.of(truth, Rules(threshold="0.2,1"))
-    assert stick.seen_spacing == pytest.approx(0.2)
-    assert len(stick.seen) == pytest.approx(900 / 0.2**2, rel=0.03)
-    assert np.abs(stick.seen[:, :2] - 20).max() <= 15.03
-    part = Yardstick.of(truth, Rules(threshold="0.2", crop="box:10,10,-1,20,20,1"))
-    assert len(part.seen) == pytest.approx(100 / 0.2**2, rel=0.06)
+    stick = EvaluationProtocol.of(truth, Rules(threshold="0.2,1"))
+    assert stick.visible_spacing == pytest.approx(0.2)
+    assert len(stick.visible_points) == pytest.approx(900 / 0.2**2, rel=0.03)
+    assert np.abs(stick.visible_points[:, :2] - 20).max() <= 15.03
+    part = EvaluationProtocol.of(truth, Rules(threshold="0.2", crop="box:10,10,-1,20,20,1"))
+    assert len(part.visible_points) == pytest.approx(100 / 0.2**2, rel=0.06)
     # The reference's own points where they do.
-    own = Yardstick.of(truth, Rules(threshold="5"))
-    np.testing.assert_array_equal(own.seen, truth.cloud.points)
-    monkeypatch.setattr(module, "_MOST_SAMPLES", 10_000)
-    assert Yardstick.of(truth, Rules(threshold="0.01")).seen_spacing == pytest.approx(np.sqrt(1600 / 10_000))
-    assert Yardstick.of(Truth(truth.cloud, {}, None, ""), Rules(threshold="0.2")).seen is None
+    own = EvaluationProtocol.of(truth, Rules(threshold="5"))
+    np.testing.assert_array_equal(own.visible_points, truth.cloud.points)
+    monkeypatch.setattr(module, "_MAX_VISIBLE_SAMPLES", 10_000)
+    assert EvaluationProtocol.of(truth, Rules(threshold="0.01")).visible_spacing == pytest.approx(
+        np.sqrt(1600 / 10_000)
+    )
+    assert EvaluationProtocol.of(Truth(truth.cloud, {}, None, ""), Rules(threshold="0.2")).visible_points is None
 
 
 def test_a_pixel_is_depth_over_focal_length_on_what_was_seen():
@@ -135,18 +137,24 @@ def test_a_pixel_is_depth_over_focal_length_on_what_was_seen():
 
 def test_thresholds_are_lengths_or_pixels():
     truth = truth_of(square(40.0), 500, from_above(50.0))
-    assert [(t.length, t.pixels) for t in Yardstick.of(truth, Rules()).thresholds] == [(0.5, 1), (1.0, 2), (2.5, 5)]
-    mixed = Yardstick.of(truth, Rules(threshold="0.3, 3px")).thresholds
+    assert [(t.length, t.pixels) for t in EvaluationProtocol.of(truth, Rules()).thresholds] == [
+        (0.5, 1),
+        (1.0, 2),
+        (2.5, 5),
+    ]
+    mixed = EvaluationProtocol.of(truth, Rules(threshold="0.3, 3px")).thresholds
     assert [(t.length, t.pixels) for t in mixed] == [(0.3, None), (pytest.approx(1.5), 3)]
     bare = Truth(truth.cloud, {}, None, "")
-    assert [t.length / bare.spacing for t in Yardstick.of(bare, Rules()).thresholds] == pytest.approx([1, 2, 5])
+    assert [t.length / bare.spacing for t in EvaluationProtocol.of(bare, Rules()).thresholds] == pytest.approx(
+        [1, 2, 5]
+    )
     for text in ("0", "-1px", "a", "1,,2", "nan", "inf", ""):
         with refused():
-            Yardstick.of(truth, Rules(threshold=text))
+            EvaluationProtocol.of(truth, Rules(threshold=text))
     with refused():
-        Yardstick.of(bare, Rules(threshold="2px"))
+        EvaluationProtocol.of(bare, Rules(threshold="2px"))
     with refused():
-        Yardstick.of(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
+        EvaluationProtocol.of(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
 
 
 def test_far_from_the_origin_nothing_changes(tmp_path):
@@ -158,7 +166,7 @@ def test_far_from_the_origin_nothing_changes(tmp_path):
     moved = Mesh(mesh.vertices + far, mesh.faces, unit="m")
     there = values(truth_of(moved, 2000), points + far, tmp_path, threshold="0.1")
     assert there.mean_c2r == pytest.approx(near.mean_c2r, rel=1e-6)
-    assert there.at[0].precision == near.at[0].precision
+    assert there.threshold_scores[0].precision == near.threshold_scores[0].precision
 
 
 def test_the_scenes_own_mesh_is_found(here, one_process):

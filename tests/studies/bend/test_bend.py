@@ -22,18 +22,26 @@ from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import surface_cloud
 from pcbench.scenes.synthetic.warp import turn, warp_of
-from pcbench.studies.bend.bend import in_the_world
+from pcbench.studies.bend.bend import register_by_rays
 from pcbench.studies.bend.findings import (
     Solution,
     Variant,
     _intrinsics_words,
     csv_text,
     explain,
-    findings,
     intrinsics_error,
+    measure_solutions,
     table,
 )
-from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, SurveyedScene, document, read_study
+from pcbench.studies.bend.results import (
+    BendStudy,
+    BendVerdict,
+    Lens,
+    SolutionResult,
+    SurveyedScene,
+    document,
+    read_study,
+)
 from reconstructors.sfm.alignment import moved
 
 INTRINSICS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
@@ -63,8 +71,8 @@ def study():
         solution("no distortion, control points", "nadir", "true", "zero", True, bend=0.35, seed=3, intrinsics=PLAIN),
         Solution(Variant("every second", "half", "true", "true", False), 6, failure="nothing registers"),
     ]
-    rows = findings(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
-    scene = SurveyedScene("photos", 12, Lens.of(INTRINSICS), "m")
+    rows = measure_solutions(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
+    scene = SurveyedScene("photos", 12, Lens.from_intrinsics(INTRINSICS), "m")
     return BendStudy(scene, "sfm", rows, tuple(explain(rows, "m")), {"seed": 0})
 
 
@@ -147,7 +155,9 @@ def test_no_solution_that_could_be_judged_is_an_error(study, run, monkeypatch, t
 @pytest.mark.parametrize("errors", [[1, 2, 3, 3], [4, 3, 2, 1], [1, 1, 1, 1]], ids=["together", "opposite", "constant"])
 def test_lens_and_bend_go_together_only_if_they_do(errors):
     rows = [
-        SolutionResult(str(k), {}, 9, 9, lens_error_px=e, truth=Bend("none", "rigid", k + 1.0, None, None, None, None))
+        SolutionResult(
+            str(k), {}, 9, 9, lens_error_px=e, truth=BendVerdict("none", "rigid", k + 1.0, None, None, None, None)
+        )
         for k, e in enumerate(errors)
     ]
     words = list(_intrinsics_words(rows))
@@ -197,7 +207,7 @@ def test_clouds_come_into_the_world_by_what_cameras_see():
     cloud = Cloud(
         frame.apply(points), attributes={"reprojection_error": np.ones(len(points)), "other": np.ones(len(points))}
     )
-    back = in_the_world(cloud, found, cameras, surface)
+    back = register_by_rays(cloud, found, cameras, surface)
     error = np.linalg.norm(back.points - points, axis=1)
     assert error.max() < 0.01  # points that are hidden from their camera are strays among the pairs
     assert set(back.attributes) == {"reprojection_error"}

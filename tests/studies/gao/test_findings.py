@@ -14,7 +14,7 @@ from pcbench.errors import Notice
 from pcbench.report import Figures
 from pcbench.studies.gao.figures import pictures
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
-from pcbench.studies.gao.results import SCHEMA, TRUTH, Against, CloudResult, read_study
+from pcbench.studies.gao.results import SCHEMA, TRUTH, CloudResult, ReferenceEvaluation, read_study
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import cost_table, csv_text, failures, markdown, measures_table
 
@@ -121,7 +121,7 @@ def test_what_fails_is_a_row_and_a_sentence():
             sparse,
             mvs,
             CloudResult(MEANS, failure="out of memory"),
-            replace(surface, against=(Against(MVS, failure="too few points"), *surface.against[1:])),
+            replace(surface, against=(ReferenceEvaluation(MVS, failure="too few points"), *surface.against[1:])),
         ),
         views=None,
     )

@@ -22,10 +22,10 @@ from pcbench.scenes.synthetic import city
 from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.warp import turn, warp_of
 from pcbench.studies.gao import clouds, gao
-from pcbench.studies.gao.cameras import bent_by, camera_errors, placed_cameras, seen_through
+from pcbench.studies.gao.cameras import camera_deformation, camera_errors, cameras_in_cloud_frame, retriangulate
+from pcbench.studies.gao.evaluation import evaluate_against, visible_truth
 from pcbench.studies.gao.gao import run_gao
-from pcbench.studies.gao.held import hold, visible_truth
-from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE, GaoJob, looked_at, methods, region_of
+from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE, GaoJob, default_region, focus_point, methods
 from pcbench.studies.gao.results import (
     TRUTH,
     read_study,
@@ -41,16 +41,16 @@ def points_of(path):
 
 def test_the_region_is_about_what_cameras_look_at():
     cameras = rig("circles", 14, Site(100.0, 2.0, 30.0), K)
-    np.testing.assert_allclose(looked_at(cameras), [0, 0, 16], atol=1e-9)
-    x, y, z, radius = map(float, region_of(cameras).removeprefix("sphere:").split(","))
+    np.testing.assert_allclose(focus_point(cameras), [0, 0, 16], atol=1e-9)
+    x, y, z, radius = map(float, default_region(cameras).removeprefix("sphere:").split(","))
     assert (x, y, z) == (0, 0, 16)
     farthest = max(np.linalg.norm(camera.position - [0, 0, 16]) for camera in cameras)
     assert radius == pytest.approx(0.4 * farthest, abs=1e-3)
     down = [Camera(f"{k}.png", K, look_at([10.0 * k, 0, 50], [10.0 * k, 0, 0], up=[0, 1, 0])) for k in range(4)]
-    assert looked_at(down) is None
-    assert region_of(down) == "quantile:0.5"
+    assert focus_point(down) is None
+    assert default_region(down) == "quantile:0.5"
     outward = [Camera(c.name, K, look_at(c.position, 2 * c.position)) for c in orbit([f"{k}.png" for k in range(6)])]
-    assert looked_at(outward) is None
+    assert focus_point(outward) is None
 
 
 def cameras_with(move):
@@ -63,19 +63,19 @@ def test_what_cameras_do_to_what_they_see():
     surface = Cloud(points[np.linalg.norm(points, axis=1) < 40])
     motion = Similarity(turn((3, 5, 20), (1, 2, 3), 1.0).rotation, np.array([3.0, -2.0, 1.0]), 1.03)
     solved, true = cameras_with(lambda camera: moved(camera, motion))
-    placed, known = seen_through(solved, true, surface.points)
+    placed, known = retriangulate(solved, true, surface.points)
     assert known.mean() > 0.9
     np.testing.assert_allclose(placed[known], motion.apply(surface.points[known]), atol=1e-8)
     small = Similarity(np.eye(3), np.array([0.3, 0.2, -0.1]), 1.01)
-    scaled = bent_by(*cameras_with(lambda camera: moved(camera, small)), surface)
+    scaled = camera_deformation(*cameras_with(lambda camera: moved(camera, small)), surface)
     assert scaled.bent < 1e-9  # another scale is no bend, but no rigid motion either
     assert scaled.moved == pytest.approx(0.01 * np.std(surface.points[known] - surface.points[known].mean(0)), rel=0.05)
 
     # A lens taken for longer than it is, by two fits of another kind: Kabsch, and an affine map an axis.
     longer = replace(K, fx=1.02 * K.fx, fy=1.02 * K.fy, distortion=(0.02, 0.0, 0.0, 0.0))
     wrong, true = cameras_with(lambda camera: replace(camera, intrinsics=longer))
-    found = bent_by(wrong, true, surface)
-    placed, known = seen_through(wrong, true, surface.points)
+    found = camera_deformation(wrong, true, surface)
+    placed, known = retriangulate(wrong, true, surface.points)
     before, after = surface.points[known], placed[known]
     rigid = fit_similarity(before, after, with_scale=False).apply(before) - after
     assert found.moved == pytest.approx(np.sqrt(np.mean(rigid**2)), rel=0.01)
@@ -84,7 +84,7 @@ def test_what_cameras_do_to_what_they_see():
     assert found.bent == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-6)
     assert 0.01 < found.bent < found.moved
     up = Cloud(surface.points, normals=np.tile([0.0, 0.0, 1.0], (len(surface), 1)))
-    assert bent_by(wrong, true, up).bent == pytest.approx(np.sqrt(np.mean(rest[:, 2] ** 2)), rel=1e-6)
+    assert camera_deformation(wrong, true, up).bent == pytest.approx(np.sqrt(np.mean(rest[:, 2] ** 2)), rel=1e-6)
 
     # How it grows, by hand: eight rings of as many points.
     far = np.hypot(*(before - before.mean(axis=0))[:, :2].T)
@@ -107,10 +107,10 @@ def test_what_cameras_do_to_what_they_see():
     errors = camera_errors(jittered, true, surface)
     assert (errors.astray, errors.largest) == (1, pytest.approx(200, abs=0.1))
     assert errors.surface.bent == pytest.approx(found.bent, rel=0.1)
-    assert placed_cameras(lost, true) is true
-    assert placed_cameras({}, true) is true
+    assert cameras_in_cloud_frame(lost, true) is true
+    assert cameras_in_cloud_frame({}, true) is true
     far = {name: moved(camera, Similarity(np.eye(3), np.zeros(3), 0.01)) for name, camera in true.items()}
-    assert placed_cameras(far, true) is far
+    assert cameras_in_cloud_frame(far, true) is far
     errors = camera_errors(wrong, true, surface)
     assert errors.focal_ratio == pytest.approx(1.02)
     assert camera_errors(wrong, true, None).surface is None
@@ -135,24 +135,26 @@ def test_clouds_are_held_against_a_reference_and_kept(tmp_path):
         write_cloud(tmp_path / f"{name}.ply", Cloud(points, unit="m"))
     clouds = {name: tmp_path / f"{name}.ply" for name in ("straight", "bent", "nowhere")}
     region = "sphere:0,0,0,150"
-    found = hold(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    found = evaluate_against(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
     inside = np.linalg.norm(points_of(tmp_path / "reference.ply"), axis=1) <= 150
     assert found.counts == (20_000, inside.sum())
     straight, bent = found.clouds["straight"], found.clouds["bent"]
     assert (straight.deformation.verdict, bent.deformation.verdict) == ("none", "non-affine")
     assert straight.measures.d2_poisson_mse is None
     assert straight.measures.d2_mse < bent.measures.d2_mse
-    assert 0 < straight.back_mse < straight.measures.chamfer
+    assert 0 < straight.r2c_mse < straight.measures.chamfer
     assert "expected" in found.clouds["nowhere"].failure
     stamp = (found.folder / "comparison.json").stat().st_mtime_ns
-    again = hold(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    again = evaluate_against(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
     assert again == found
     assert (again.folder / "comparison.json").stat().st_mtime_ns == stamp
     # Another question is asked anew.
-    nowhere = hold(tmp_path / "reference.ply", TRUTH, {"nowhere": clouds["nowhere"]}, region, tmp_path, 0)
+    nowhere = evaluate_against(tmp_path / "reference.ply", TRUTH, {"nowhere": clouds["nowhere"]}, region, tmp_path, 0)
     assert (nowhere.folder, nowhere.counts) == (None, None)
     assert "expected" in nowhere.clouds["nowhere"].failure
-    outside = hold(tmp_path / "reference.ply", TRUTH, {"bent": clouds["bent"]}, "sphere:900,0,0,1", tmp_path, 0)
+    outside = evaluate_against(
+        tmp_path / "reference.ply", TRUTH, {"bent": clouds["bent"]}, "sphere:900,0,0,1", tmp_path, 0
+    )
     assert "6,000 points" in said(outside.clouds["bent"].failure)
 
 
@@ -238,9 +240,9 @@ def test_a_crop_without_sparse_points_ends_the_work_early(tmp_path, monkeypatch)
         folder = tmp_path / method.name
         folder.mkdir()
         write_cloud(folder / "cloud.ply", Cloud(np.arange(30.0).reshape(10, 3)))
-        return clouds.Made(method, folder)
+        return clouds.CloudRun(method, folder)
 
-    monkeypatch.setattr(clouds._Maker, "make", make)
+    monkeypatch.setattr(clouds._CloudMaker, "make", make)
     job = GaoJob((scene.folder,), crop="sphere:900,0,0,1")
     with refused():
         clouds.make_clouds(job, scene, scene.folder, tmp_path, None, lambda _: None)
@@ -280,7 +282,7 @@ def test_a_small_experiment(run, renderer, tmp_path):
     sparse, mvs, means, surface = scene.clouds
     assert means.points > 1.2 * sparse.points  # it was densified
     assert surface.seconds < means.seconds  # and trained once
-    assert mvs.held(TRUTH).back_rms < sparse.held(TRUTH).back_rms
+    assert mvs.evaluation(TRUTH).r2c_rms < sparse.evaluation(TRUTH).r2c_rms
     assert (scene.views.train_views, scene.views.test_views) == (24, 4)
     for name in ("rings", "directions", "growth"):
         assert (out / f"figures/{name}.png").stat().st_size > 10_000

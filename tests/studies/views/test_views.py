@@ -20,7 +20,7 @@ from pcbench.measure.perceptual import Perceptual
 from pcbench.report.figures import Figures
 from pcbench.scenes.splits import every
 from pcbench.scenes.views import Pictures, write_views
-from pcbench.studies.views.pictures import chosen, draw_views
+from pcbench.studies.views.pictures import draw_views, select_views
 from pcbench.studies.views.runs import ViewsJob, run_views
 from pcbench.studies.views.scores import read_scores, score_views, write_scores
 from pcbench.studies.views.table import markdown, sentences, table
@@ -70,7 +70,7 @@ PAINTER = textwrap.dedent(
 def test_scores_of_views_and_their_means(tmp_path):
     (scene,) = score_views([views_of(tmp_path)], perceptual=PLAIN).scenes
     test, train = (0, 8, 16), [k for k in range(18) if k % 8]
-    for scored in (*scene.of(test=True), *scene.of(test=False)):
+    for scored in (*scene.select(test=True), *scene.select(test=False)):
         number = int(scored.view.name.removesuffix(".png"))
         truth = photograph(number)
         assert scored.scores.psnr == pytest.approx(psnr_of(number))
@@ -84,7 +84,7 @@ def test_scores_of_views_and_their_means(tmp_path):
 def test_a_block_counts_once_in_the_standard_error(tmp_path):
     (scene,) = score_views([views_of(tmp_path, count=40, blocks=2)], perceptual=PLAIN).scenes
     found = {}
-    for scored in scene.of(test=True):
+    for scored in scene.select(test=True):
         found.setdefault(scored.view.block, []).append(int(scored.view.name[:-4]))
     means = [np.mean([psnr_of(k) for k in block]) for block in found.values()]
     assert [len(block) for block in found.values()] == [2, 2]
@@ -142,13 +142,13 @@ def test_metrics_that_are_there_have_columns(tmp_path):
 
 def test_worst_median_and_best_are_chosen(tmp_path):
     (scene,) = score_views([views_of(tmp_path / "a", count=40)], perceptual=PLAIN).scenes
-    assert {word: s.view.name for word, s in chosen(scene).items()} == {
+    assert {word: s.view.name for word, s in select_views(scene).items()} == {
         "worst": "32.png",
         "median": "16.png",
         "best": "0.png",
     }
     (scene,) = score_views([views_of(tmp_path / "b", count=9)], perceptual=PLAIN).scenes
-    assert {word: s.view.name for word, s in chosen(scene).items()} == {"median": "8.png", "best": "0.png"}
+    assert {word: s.view.name for word, s in select_views(scene).items()} == {"median": "8.png", "best": "0.png"}
 
 
 def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
@@ -163,7 +163,7 @@ def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
     write_views(tmp_path / "v", "city", "splat", split, lambda name: Pictures(name, image, truth, mask))
     (scene,) = score_views([tmp_path / "v"], perceptual=PLAIN).scenes
     path = tmp_path / "p.png"
-    draw_views({"best": scene.of(test=True)[0]}, "a title", path, Figures(range=50.0))
+    draw_views({"best": scene.select(test=True)[0]}, "a title", path, Figures(range=50.0))
     drawn = np.array(Image.open(path).convert("RGB")).astype(int)
 
     def share(color):
@@ -188,10 +188,10 @@ def test_views_are_made_where_there_are_none(tmp_path):
     job = ViewsJob((*scenes, there, tmp_path / "empty"), f"{plugin}:Painter", {"hold_out": "every", "grey": "0.25"})
     study = run_views(job, out)
     assert [scene.views.scene for scene in study.scenes] == ["one", "two", "three"]
-    assert [len(scene.of(test=True)) for scene in study.scenes] == [2, 2, 2]
+    assert [len(scene.select(test=True)) for scene in study.scenes] == [2, 2, 2]
     assert study.notes[0].code == "no-views"
     assert "empty" in study.notes[0].text
-    first = study.scenes[0].of(test=True)[0]
+    first = study.scenes[0].select(test=True)[0]
     assert (first.view.read().rendering == 64).all()
     assert (out / "views.md").read_text().count("\n| ") == 5
     with refused():

@@ -24,12 +24,12 @@ from pcbench.report import Comparison, to_json
 from pcbench.report.compare_files import ComparisonJob, Outputs, compare_files
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.gao.plan import MVS
-from pcbench.studies.gao.results import Against, against_from
+from pcbench.studies.gao.results import ReferenceEvaluation, evaluation_from_json
 
-_RESULTS = "held.json"
+_RESULTS_FILE = "held.json"
 
 
-class Held(NamedTuple):
+class CloudEvaluation(NamedTuple):
     """Clouds against one reference.
 
     Attributes:
@@ -40,10 +40,12 @@ class Held(NamedTuple):
 
     folder: Path | None
     counts: tuple[int, int] | None
-    clouds: dict[str, Against]
+    clouds: dict[str, ReferenceEvaluation]
 
 
-def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int) -> Held:
+def evaluate_against(
+    reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int
+) -> CloudEvaluation:
     """Register clouds to a reference, crop both and measure; kept in `out`/against-NAME for the next run.
 
     Each is registered by ICP, and all are cropped to the same region. Against `mvs` its Poisson mesh is made too.
@@ -61,7 +63,7 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         "reference": digest(reference),
         "clouds": {cloud: digest(path) for cloud, path in clouds.items()},
         "settings": settings.plain(),
-        "results": _RESULTS,
+        "results": _RESULTS_FILE,
     }
 
     def compare(those: dict[str, Path], folder: Path) -> Comparison | str:
@@ -77,30 +79,34 @@ def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out:
         # A comparison has all candidates or none: where it has none, those that cannot be measured are found.
         found = compare(dict(clouds), folder)
         if isinstance(found, str):
-            asked = _Asked.of(read_cloud(reference), crop)
-            failed = {cloud: why for cloud, path in clouds.items() if (why := asked.why_not(path)) is not None}
+            asked = _ReferenceRegion.of(read_cloud(reference), crop)
+            failed = {cloud: why for cloud, path in clouds.items() if (why := asked.problem(path)) is not None}
             others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
             if others and isinstance(found := compare(others, folder), str):  # the reference cannot
                 failed |= dict.fromkeys(others, found)
-        (folder / _RESULTS).write_text(to_json(_document(name, found, failed)), encoding="utf-8")
+        (folder / _RESULTS_FILE).write_text(to_json(_document(name, found, failed)), encoding="utf-8")
 
     return _read(stage(out, f"against-{name}", key, make))
 
 
 def _document(name: str, found: Comparison | str, failed: Mapping[str, str]) -> dict[str, object]:
     """What `_read` reads."""
-    clouds = {cloud: Against(name, failure=why) for cloud, why in failed.items()}
+    clouds = {cloud: ReferenceEvaluation(name, failure=why) for cloud, why in failed.items()}
     if isinstance(found, str):
         return {"counts": None, "clouds": clouds}
-    clouds |= {candidate.name: _against(name, candidate) for candidate in found}
+    clouds |= {candidate.name: _evaluation(name, candidate) for candidate in found}
     return {"counts": (found.reference.points, found.reference.points_in_region), "clouds": clouds}
 
 
-def _read(folder: Path) -> Held:
-    values = read_json(folder / _RESULTS)
-    clouds = {cloud: against_from(row) for cloud, row in values["clouds"].items()}
+def _read(folder: Path) -> CloudEvaluation:
+    values = read_json(folder / _RESULTS_FILE)
+    clouds = {cloud: evaluation_from_json(row) for cloud, row in values["clouds"].items()}
     counts = values["counts"]
-    return Held(None, None, clouds) if counts is None else Held(folder, (counts[0], counts[1]), clouds)
+    return (
+        CloudEvaluation(None, None, clouds)
+        if counts is None
+        else CloudEvaluation(folder, (counts[0], counts[1]), clouds)
+    )
 
 
 def draw_maps(folder: Path) -> str | None:
@@ -121,7 +127,7 @@ def visible_truth(truth: Path, out: Path) -> Path:
     return stage(out, "truth", {"cloud": digest(truth)}, make) / "truth.ply"
 
 
-class _Asked(NamedTuple):
+class _ReferenceRegion(NamedTuple):
     """A reference and the region of it that is asked for."""
 
     target: Target
@@ -129,10 +135,10 @@ class _Asked(NamedTuple):
     region: Region | None
 
     @classmethod
-    def of(cls, cloud: Cloud, crop: str) -> _Asked:
+    def of(cls, cloud: Cloud, crop: str) -> _ReferenceRegion:
         return cls(Target.of(cloud, local_origin(cloud)), cloud, as_region(crop, cloud))
 
-    def why_not(self, path: Path) -> str | None:
+    def problem(self, path: Path) -> str | None:
         """One line if a cloud cannot be held against it."""
         cloud = read_cloud(path)
         try:
@@ -144,10 +150,10 @@ class _Asked(NamedTuple):
         return f"the region {self.region.describe()} holds none of its {len(cloud):,} points"
 
 
-def _against(name: str, candidate: Candidate) -> Against:
+def _evaluation(name: str, candidate: Candidate) -> ReferenceEvaluation:
     measures = candidate.metrics.presets["gao2025"]
     assert isinstance(measures, Gao2025)
-    return Against(
+    return ReferenceEvaluation(
         reference=name,
         points=candidate.points_in_region,
         measures=measures,
