@@ -1,4 +1,4 @@
-"""Charts of a bench: what time and memory buy, in both directions, and which runs are worth theirs."""
+"""Charts of a bench: accuracy and completeness against wall time and memory, with the Pareto front."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from pcbench.studies.bench.plan import IMAGE_SCALE
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _DOMINATED_COLOR = "#d9dbde"
-_FRONT_COLOR = "#6b717b"  # read on light and dark
-_MIN_AREA, _MAX_AREA = 40.0, 380.0  # points squared: a marker's area grows with memory between them
-_MIN_LOG_RATIO = 10  # times the smallest length, from which on lengths are drawn on a logarithmic scale
+_FRONT_COLOR = "#6b717b"  # legible on light and dark backgrounds
+_MIN_AREA, _MAX_AREA = 40.0, 380.0  # of a marker, in square points; grows with peak memory
+_MIN_LOG_RATIO = 10  # largest to smallest length from which the axis is logarithmic
 
 
 class _Quantity(NamedTuple):
     column: str
     title: str
-    label: str  # {unit} and {threshold} are filled in
-    higher_is_better: bool  # more is better
+    label: str  # a format string with {unit} and {threshold}
+    higher_is_better: bool
 
 
 _SPEED_QUANTITIES = (
@@ -36,19 +36,19 @@ _SPEED_QUANTITIES = (
     _Quantity("chamfer", "Chamfer distance", "sum of the mean distances [{unit}]", False),
 )
 _ACCURACY_COMPLETENESS = (
-    _Quantity("precision", "accuracy: how much of the cloud is right", "precision at {threshold}", True),
-    _Quantity("recall", "completeness: how much of the reference is there", "recall at {threshold}", True),
+    _Quantity("precision", "accuracy: share of the cloud near the reference", "precision at {threshold}", True),
+    _Quantity("recall", "completeness: share of the reference near the cloud", "recall at {threshold}", True),
     _Quantity("mean_c2r", "accuracy: cloud to reference", "mean distance c→r [{unit}]", False),
     _Quantity("mean_r2c", "completeness: reference to cloud", "mean distance r→c [{unit}]", False),
 )
 
 
-# Draws the charts of a bench's folder.
+# Draws the charts of a bench folder.
 CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",))
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
-    """The charts of a folder that `pcbench bench` wrote."""
+    """Return the charts of a folder that `pcbench bench` wrote."""
     document = read_json(folder / "bench.json")
     why_not = "no run was measured"
     return {
@@ -58,27 +58,30 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
 
 
 def draw_speed(document: dict[str, Any], path: Path) -> bool:
-    """Time against F-score and Chamfer distance."""
+    """Draw F-score and Chamfer distance against wall time; false if there is nothing to draw."""
     return _draw(document, path, _SPEED_QUANTITIES)
 
 
 def draw_accuracy_completeness(document: dict[str, Any], path: Path) -> bool:
-    """Time against both directions of each; the recall also of what the cameras saw."""
+    """Draw accuracy and completeness against wall time; recall also over the part that the cameras saw."""
     return _draw(document, path, _ACCURACY_COMPLETENESS)
 
 
 class _ChartLook(NamedTuple):
-    """What all panels share. A series is a method with its settings that are words; numbers label its markers."""
+    """Settings that all panels share.
+
+    A series is a method with its non-numeric settings. Numeric settings label its markers.
+    """
 
     configurations: list[Configuration]
-    numeric_settings: frozenset[str]  # settings that vary and are numbers
-    text_settings: frozenset[str]  # those that vary and are not
-    color: dict[str, str]  # by series
+    numeric_settings: frozenset[str]  # names of the varying settings whose values are all numbers
+    text_settings: frozenset[str]  # names of the other varying settings
+    color: dict[str, str]  # by series, as the markers
     shape: dict[str, str]
     max_memory: float
     unit: str
     threshold: str
-    time_limits: tuple[float, float]  # of the time
+    time_limits: tuple[float, float]  # of the time axis, in seconds
 
     def area(self, configuration: Configuration) -> float:
         return self.area_of_memory(configuration.median("peak_rss_bytes") or 0.0)
@@ -90,7 +93,7 @@ class _ChartLook(NamedTuple):
         return _series(method, choices, self.text_settings)
 
     def label(self, c: Configuration) -> str:
-        """The numbers that vary among the configurations of its method."""
+        """Numeric settings that vary among the configurations of this method, as text."""
         others = [other.choices for other in self.configurations if other.method == c.method]
         varied = [key for key in c.choices if key in self.numeric_settings and len({o.get(key) for o in others}) > 1]
         return " ".join(f"×{c.choices[key]}" if key == IMAGE_SCALE else f"{key}={c.choices[key]}" for key in varied)
@@ -114,10 +117,10 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
     figure = Figure(dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     failure_marks = _failure_marks(figure, look, failed)
-    height = 0.12 + 0.16 * (1 + max((failure.line for failure in failure_marks), default=0))  # inches, of the strip
+    height = 0.12 + 0.16 * (1 + max((failure.line for failure in failure_marks), default=0))  # of the strip, in inches
     strip = [height / 4.2] if failed else []
     figure.set_size_inches(12.5, 0.8 + 4.5 * rows + (height + 0.1 if failed else 0))
-    # A strip for failures below the last row of panels.
+    # Failures are drawn in a strip below the last row of panels.
     grid = figure.add_gridspec(rows + len(strip), 2, height_ratios=[1.0] * rows + strip)
     panels = [figure.add_subplot(grid[number // 2, number % 2]) for number in range(len(quantities))]
     for axis, quantity in zip(panels, quantities, strict=True):
@@ -125,7 +128,7 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
     for column in range(2 if failed else 0):
         _draw_failures(figure.add_subplot(grid[rows, column]), look, failure_marks)
     _draw_legend(figure, look, quantities, bool(failed))
-    figure.draw_without_rendering()  # labels are placed where the layout has put the markers
+    figure.draw_without_rendering()  # fixes the marker positions, which the labels depend on
     figure.set_layout_engine("none")
     for axis, quantity in zip(panels, quantities, strict=True):
         _draw_labels(axis, look, quantity)
@@ -172,9 +175,9 @@ def _draw_panel(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
     if front:
         x = [_median(c, "wall_s") for c in front]
         y = [_median(c, quantity.column) for c in front]
-        # Until the next one is done, the last one is the best there is.
+        # A step function: each front member is the best result until the next one finishes.
         axis.step([*x, look.time_limits[1]], [*y, y[-1]], where="post", color=_FRONT_COLOR, linewidth=1.3, zorder=1)
-    for name, color in look.color.items():  # what a series buys with more time
+    for name, color in look.color.items():  # connect the markers of a series by time
         places = [
             (_median(c, "wall_s"), _median(c, quantity.column))
             for c in measured
@@ -204,7 +207,7 @@ def _draw_panel(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
 
 
 def _set_plain_log_ticks(axis: Any) -> None:
-    """Ticks at 1, 2 and 5, written as plain numbers."""
+    """Put ticks at 1, 2 and 5 times powers of ten, written as plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -229,7 +232,7 @@ def _draw_marker(axis: Any, look: _ChartLook, quantity: _Quantity, c: Configurat
 
 
 def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
-    """Each marker's settings beside it, where nothing else is; nowhere if there is no such place."""
+    """Label each marker with its settings where that overlaps nothing; omit the label if no such position exists."""
     from matplotlib.transforms import Bbox
 
     scale = axis.figure.dpi / 72
@@ -257,7 +260,7 @@ def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
         (x, y), gap = 0.5 * (low + high), 3 * scale
         above, below = (x, high[1] + gap, "center", "bottom"), (x, low[1] - gap, "center", "top")
         spots = (
-            *((above, below) if quantity.higher_is_better else (below, above)),  # the front comes from the other side
+            *((above, below) if quantity.higher_is_better else (below, above)),  # away from the front
             (high[0] + gap, y, "left", "center"),
             (low[0] - gap, y, "right", "center"),
             (high[0] + 1, high[1] + 1, "left", "bottom"),
@@ -277,20 +280,20 @@ def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
 
 
 class _FailureMark(NamedTuple):
-    """Failures of one kind at nearly one time: where in the strip, and what is said of them."""
+    """Failures of one series and status at nearly the same time, drawn as one cross in the strip."""
 
     time: float
     line: int
     color: str
     text: str
-    left: bool  # whether the text stands to the left
+    left: bool  # whether the text is left of the cross
 
 
 def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[dict[str, Any]]) -> list[_FailureMark]:
-    """Each with its word on the first line where it touches no other."""
-    wide = 4.6 * figure.dpi  # pixels of a strip, at least
+    """Group failures and place each label on the first line where it overlaps no other."""
+    wide = 4.6 * figure.dpi  # minimum width of a strip, in pixels
     low, high = np.log(look.time_limits)
-    groups: dict[tuple[str, str, int], list[float]] = {}  # those of one series that a marker's width would hide
+    groups: dict[tuple[str, str, int], list[float]] = {}  # failures of a series within one marker's width
     for row in sorted(failed, key=lambda row: row["wall_s"]):
         at = (np.log(row["wall_s"]) - low) / (high - low) * wide
         series = look.series(row["method"], row["choices"])
@@ -306,7 +309,7 @@ def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[dict[str, Any
         at, gap = float((np.log(time) - low) / (high - low) * wide), 8 * figure.dpi / 72
         right = (at - gap, at + gap + length), False
         leftward = (at - gap - length, at + gap), True
-        # Left of its cross where the word would leave the strip, or where only there it touches no other.
+        # Place the label left of its cross if it would leave the strip on the right or overlap another label there.
         ways = [way for way in (right, leftward) if way[0][0] >= 0 and way[0][1] <= wide] or [right]
         lines.append([])
         line, (ends, left) = next(
@@ -322,7 +325,7 @@ def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[dict[str, Any
 
 
 def _draw_failures(axis: Any, look: _ChartLook, failure_marks: Sequence[_FailureMark]) -> None:
-    """Crosses at the times when runs failed."""
+    """Draw crosses at the times of failed runs."""
     lines = 1 + max(failure.line for failure in failure_marks)
     for failure in failure_marks:
         place = failure.time, 1 - (failure.line + 0.5) / lines
@@ -360,10 +363,10 @@ def _draw_legend(figure: Any, look: _ChartLook, quantities: Sequence[_Quantity],
         < len(look.configurations)
         for q in quantities
     ):
-        handles.append(dot("o", _DOMINATED_COLOR, "#8a8f96", 80, "beaten in time and score"))
+        handles.append(dot("o", _DOMINATED_COLOR, "#8a8f96", 80, "dominated in time and score"))
     with_seen = any(q.column == "recall" for q in quantities)
     if with_seen and any(c.median("recall_visible") is not None for c in look.configurations):
-        handles.append(dot("o", "white", _FRONT_COLOR, 25, "recall of what the cameras saw"))
+        handles.append(dot("o", "white", _FRONT_COLOR, 25, "recall of the part that cameras saw"))
     if failures:
         handles.append(Line2D([], [], linestyle="", marker="x", markeredgewidth=2, color=_FRONT_COLOR, label="failed"))
     for memory in (_round_memory(0.25 * look.max_memory), _round_memory(look.max_memory)):
@@ -377,7 +380,7 @@ def _draw_legend(figure: Any, look: _ChartLook, quantities: Sequence[_Quantity],
 
 
 def _round_memory(memory: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten MiB that is not more."""
+    """Largest 1, 2 or 5 times a power of ten MiB that is at most `memory`, in bytes."""
     mib = memory / 2**20
     power = 10.0 ** np.floor(np.log10(mib))
     return float(max(step * power for step in (1, 2, 5) if step * power <= mib) * 2**20)

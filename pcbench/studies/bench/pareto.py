@@ -1,4 +1,4 @@
-"""Configurations of a bench: the runs that differ in their seeds alone; and which of them nothing else beats."""
+"""Configurations of a bench, the runs that differ only in their seeds, and the Pareto front of configurations."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def choice_text(choices: Mapping[str, str]) -> str:
-    """The settings that were chosen, as text."""
+    """Return chosen settings as text."""
     return " ".join(f"{key}={value}" for key, value in choices.items())
 
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """One method with one choice of settings; a row for each seed."""
+    """One method with one choice of settings, with one row per seed."""
 
     method: str
     choices: Mapping[str, str]
@@ -25,25 +25,26 @@ class Configuration:
 
     @property
     def measured_rows(self) -> list[Mapping[str, Any]]:
-        """Those that were measured."""
+        """Rows with a measured cloud."""
         return [row for row in self.rows if row["status"] == "ok"]
 
     @property
     def is_reliable(self) -> bool:
-        """Whether every seed was measured: what a lucky one of three scores is no choice."""
+        """Whether the runs of all seeds were measured. One lucky seed of three does not make a reliable method."""
         return len(self.measured_rows) == len(self.rows)
 
     def values(self, column: str) -> list[float]:
-        """Of the rows that were measured and have one."""
+        """Values of a column in the measured rows that have one."""
         return [row[column] for row in self.measured_rows if row.get(column) is not None]
 
     def median(self, column: str) -> float | None:
+        """Return the median of a column over the measured rows, or None."""
         values = self.values(column)
         return float(np.median(values)) if values else None
 
 
 def configurations(rows: Iterable[Mapping[str, Any]]) -> list[Configuration]:
-    """Rows of one method and one choice of settings together, in the order of their first."""
+    """Group rows by method and settings, in the order of their first row."""
     found: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         found.setdefault((row["method"], *row["choices"].items()), []).append(row)
@@ -51,9 +52,7 @@ def configurations(rows: Iterable[Mapping[str, Any]]) -> list[Configuration]:
 
 
 def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
-    """Which of costs (N, K), all of which should be small, are not beaten: no other is as small in all K and smaller in
-    one.
-    """
+    """Mark the costs (N, K) on the Pareto front: no other row is at most as large in all K and smaller in one."""
     c = np.asarray(costs, dtype=np.float64)
     as_small = np.all(c[None] <= c[:, None], axis=2)
     smaller = np.any(c[None] < c[:, None], axis=2)
@@ -62,8 +61,14 @@ def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
 
 
 def front_configurations(found: Sequence[Configuration], column: str, *, higher_is_better: bool) -> list[Configuration]:
-    """The configurations, measured with every seed, that no other such beats in both median wall time and the median of
-    `column` (`higher_is_better`: more is better), by time.
+    """Return the configurations on the Pareto front of median wall time and the median of a column, sorted by time.
+
+    Only configurations that were measured with every seed take part.
+
+    Args:
+        found: all configurations.
+        column: name of the column.
+        higher_is_better: whether larger values of the column are better.
     """
     measured = [c for c in found if c.is_reliable and c.median("wall_s") is not None and c.median(column) is not None]
     if not measured:
@@ -75,8 +80,8 @@ def front_configurations(found: Sequence[Configuration], column: str, *, higher_
 
 
 def mark_front(rows: Sequence[dict[str, Any]]) -> None:
-    """Set `pareto` of every row: true where its configuration is on the front of wall time and F-score; None where it
-    was not measured.
+    """Set `pareto` of each row: whether its configuration is on the front of wall time and F-score; None if the row was
+    not measured.
     """
     found = configurations(rows)
     best = {

@@ -1,4 +1,4 @@
-"""The table of a bench: a row for each method at each budget, medians over seeds, best and second marked."""
+"""The table of a bench: one row per configuration, medians over seeds, with the best and second-best values marked."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _BEST_MARK, _SECOND_MARK = "¹", "²"
 class _Column(NamedTuple):
     header: str
     key: str
-    direction: int  # 1 more, -1 less, 0 neither
+    direction: int  # 1: higher is better, -1: lower is better, 0: neither
     divisor: float = 1.0
     in_terminal: bool = True
-    floor: str | None = None  # the key of what a cloud without errors would score: stands beside it in brackets
+    floor: str | None = None  # key of the value that a cloud without errors would have, printed in brackets
 
 
 _COLUMNS = (
@@ -42,7 +42,7 @@ _COLUMNS = (
 
 class _TableRow(NamedTuple):
     head: tuple[str, str, str, str]  # method, settings, runs, registration
-    cells: list[tuple[str, int]]  # text, and 1 or 2 for the best and the second
+    cells: list[tuple[str, int]]  # text, and rank: 1 for the best, 2 for the second, else 0
     on_front: bool
 
 
@@ -68,7 +68,7 @@ def _table_rows(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_Ta
 
 
 def _ranks(values: Sequence[float | None], direction: int) -> list[int]:
-    """1 for the best, 2 for the second, else 0; nothing where there is nothing to choose from."""
+    """Rank values: 1 for the best, 2 for the second, else 0; all 0 if fewer than two values differ."""
     known = sorted({value for value in values if value is not None}, reverse=direction > 0)
     if direction == 0 or len(known) < 2:
         return [0] * len(values)
@@ -79,13 +79,13 @@ def _cell_text(value: float | None, column: _Column, c: Configuration) -> str:
     if value is None:
         return "–"
     floor = None if column.floor is None else c.median(column.floor)
-    is_perfect = floor is not None and column.direction > 0 and floor > 0.995  # says nothing
+    is_perfect = floor is not None and column.direction > 0 and floor > 0.995  # a floor of 1 is no information
     beside = "" if floor is None or is_perfect else f" ({floor / column.divisor:.2g})"
     return (f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}") + beside
 
 
 def print_bench(doc: dict[str, Any]) -> None:
-    """The table on the terminal, followed by what failed and what is to be known."""
+    """Print the table, followed by failures and notes."""
     from rich.text import Text
 
     columns = [column for column in _COLUMNS if column.in_terminal]
@@ -101,7 +101,7 @@ def print_bench(doc: dict[str, Any]) -> None:
 
 
 def bench_markdown(doc: dict[str, Any]) -> str:
-    """`bench.md`: the table with every column, and the sentences below it."""
+    """Return the text of `bench.md`: the table with all columns, and the notes."""
     header = [*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]
     lines = [f"# {doc['scene']['path']} against {doc['reference']['path']}", "", markdown_row(header)]
     lines.append(markdown_row(["---"] * len(_HEAD) + ["---:"] * len(_COLUMNS) + [":---:"]))
@@ -114,9 +114,9 @@ def bench_markdown(doc: dict[str, Any]) -> str:
 
 
 def _threshold_table(doc: dict[str, Any]) -> Iterator[str]:
-    """Precision, recall and F-score at every threshold, over what the cameras saw where that is known."""
+    """Yield a table of precision, recall and F-score at each threshold, also over what the cameras saw if known."""
     found = [c for c in configurations(doc["rows"]) if any(row.get("thresholds") for row in c.measured_rows)]
-    if not found:  # written before there were several
+    if not found:  # written by a version with a single threshold
         return
     unit = doc["reference"].get("unit") or "the files' unit"
     yield markdown_row(
@@ -138,19 +138,19 @@ def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
     if threshold is not None:
         pixels = next((f", {row['pixels']:g} pixels" for row in doc["rows"] if row.get("pixels") is not None), "")
         yield (
-            f"medians over the seeds that were measured; * on the front of time and F-score; marked where all were"
-            f" measured; precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in {unit}, D1 in its"
-            f" square; in brackets what a cloud as dense as this one would score without errors"
+            f"medians over the measured seeds; *: on the Pareto front of wall time and F-score; only configurations with"
+            f" all seeds measured are marked; precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in"
+            f" {unit}, D1 in {unit} squared; in brackets: the score of an error-free cloud of the same density"
         )
         if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
             to = "the true surface" if measured[0] == "surface" else "the reference's points"
-            yield f"accuracy (c→r, precision) is measured to {to}"
+            yield f"accuracy (c→r, precision) is measured against {to}"
         if doc["reference"]["visible_share"] is not None:
             share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]
-            yield f"of seen: recall over the {share:.1%} of the reference that cameras saw ({how})"
+            yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
     for note in doc["notes"]:
         yield f"note: {note}"
-    said: dict[tuple[str, str], list[str]] = {}  # of seeds that say the same, one line
+    said: dict[tuple[str, str], list[str]] = {}  # one line for all seeds with the same text
     for row in doc["rows"]:
         of = " ".join(filter(None, (row["method"], choice_text(row["choices"]))))
         texts = [] if row["status"] == "ok" else [f"{row['status']}: {row['message']}"]
@@ -161,6 +161,6 @@ def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
 
 
 def row_title(row: Mapping[str, Any]) -> str:
-    """A row's method, settings and seed."""
+    """Return method, settings and seed of a row as text."""
     seed = () if row["seed"] is None else (f"seed {row['seed']}",)
     return " ".join(filter(None, (row["method"], choice_text(row["choices"]), *seed)))
