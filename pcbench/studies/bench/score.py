@@ -331,7 +331,7 @@ class _CloudDistances(NamedTuple):
 
 
 def _distances_to_truth(protocol: EvaluationProtocol, points: FloatArray) -> tuple[_CloudDistances, FloatArray | None]:
-    """Measure distances to the truth; also return the points (N, 3) moved onto the surface, or None without a surface."""
+    """Return the distances to the truth, and the points (N, 3) moved onto the surface, or None without a surface."""
     truth = protocol.truth
     local = None if protocol.region is None else protocol.region.shifted(truth.origin)
     inside = np.ones(len(points), dtype=bool) if local is None else local.contains(points)

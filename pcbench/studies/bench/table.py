@@ -138,9 +138,9 @@ def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
     if threshold is not None:
         pixels = next((f", {row['pixels']:g} pixels" for row in doc["rows"] if row.get("pixels") is not None), "")
         yield (
-            f"medians over the measured seeds; *: on the Pareto front of wall time and F-score; only configurations with"
-            f" all seeds measured are marked; precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in"
-            f" {unit}, D1 in {unit} squared; in brackets: the score of an error-free cloud of the same density"
+            f"medians over the measured seeds; *: on the Pareto front of wall time and F-score; only configurations"
+            f" with all seeds measured are marked; precision, recall and F-score at {threshold:.4g} {unit}{pixels};"
+            f" lengths in {unit}, D1 in {unit} squared; in brackets: score of an error-free cloud of the same density"
         )
         if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
             to = "the true surface" if measured[0] == "surface" else "the reference's points"

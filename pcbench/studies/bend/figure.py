@@ -1,4 +1,4 @@
-"""The picture of `pcbench experiment bend`: how each solution rises and sinks, what goes with it, and where."""
+"""The picture of `pcbench experiment bend`: displacement by distance, deformation by lens error, and maps."""
 
 from __future__ import annotations
 
@@ -28,13 +28,19 @@ _COLORS = (
     "#b5a000",
 )
 _GREY = "#777777"
-_MAP_COLUMNS = 6  # of maps
+_MAP_COLUMNS = 6
 _SMALL_BEND_SHARE = 0.1
 
 
 def draw_bend(study: BendStudy, path: Path) -> None:
-    """Draw an experiment as a PNG: vertical displacement against distance with the band that noise
-    alone would fill, the bend's size against the error of the intrinsics, and a map a solution.
+    """Draw the results of an experiment as a PNG.
+
+    It shows vertical displacement against distance with the band of noise, the deformation against the error of the
+    intrinsics, and one map per solution.
+
+    Args:
+        study: results to draw.
+        path: PNG file to write.
 
     Raises:
         MissingExtra: matplotlib is not installed.
@@ -57,15 +63,17 @@ def draw_bend(study: BendStudy, path: Path) -> None:
     sizes = {row.name: bend.rms or 0.0 for row, bend in measured_bends(rows)}
     small = [row for row in rows if sizes.get(row.name, 0.0) <= _SMALL_BEND_SHARE * max(sizes.values(), default=0.0)]
     grown, *nearer, sized = upper.subplots(1, 3 if small else 2)
-    _draw_growth(grown, rows, colors, unit, "Growth: means over rings; shaded, what noise would do")
+    _draw_growth(grown, rows, colors, unit, "Displacement by distance: means over rings; shaded: noise alone")
     for axis in nearer:
-        _draw_growth(axis, small, colors, unit, f"Nearer: bends below {100 * _SMALL_BEND_SHARE:.0f} % of the largest")
+        _draw_growth(
+            axis, small, colors, unit, f"Zoom: deformations below {100 * _SMALL_BEND_SHARE:.0f} % of the largest"
+        )
     _draw_sizes(sized, rows, colors, unit)
     if rows:
         upper.legend(*grown.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
         heights = [np.array(row.cells, dtype=np.float64)[:, 3] for row in rows]
         highest = {row.name: largest_but_strays(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
-        # One bar for all: the range of most of them. One that is bent far more is all red and blue.
+        # All maps share one scale, the most common range. Maps of much larger deformations saturate.
         limit = mode(scale.high for scale in ranges(highest).values())
         axes = np.atleast_1d(lower.subplots(below, _MAP_COLUMNS, sharex=True, sharey=True)).ravel()
         for axis, row, z in zip(axes, rows, heights, strict=False):
@@ -105,7 +113,7 @@ def _draw_growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str,
 
 
 def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str) -> None:
-    """Bend against the error of the intrinsics, logarithmic, with intervals; hollow where no verdict says so."""
+    """Draw deformation against the error of the intrinsics with 95 % intervals; hollow markers: not significant."""
     shown = [
         (row.lens_error_px, bend.rms, bend.ci, bend, row)
         for row, bend in measured_bends(rows)
@@ -120,8 +128,8 @@ def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, 
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlabel("error of the lens beyond its focal length, RMS [px]; none: left")
-    axis.set_ylabel(f"bend beyond affine, RMS [{unit}]")
-    axis.set_title("Against the lens (filled: a verdict; squares: control)", fontsize=10, loc="left")
+    axis.set_xlabel("lens error beyond focal length, RMS [px]; at the left: no error")
+    axis.set_ylabel(f"deformation beyond affine, RMS [{unit}]")
+    axis.set_title("Deformation by lens error (filled: significant; squares: control points)", fontsize=10, loc="left")
     axis.grid(alpha=0.25, which="both")
     axis.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,4 @@
-"""What the experiment found, as types; experiment.json holds them as they are."""
+"""Results of the experiment as types; their fields are the keys of experiment.json."""
 
 from __future__ import annotations
 
@@ -28,21 +28,25 @@ class Lens:
 
     @classmethod
     def from_intrinsics(cls, intrinsics: Intrinsics) -> Lens:
-        """The intrinsics without their principal point."""
+        """Take focal lengths, distortion and image size from intrinsics."""
         k = intrinsics
         return cls(k.fx, k.fy, tuple(k.distortion), (k.width, k.height))
 
 
 @dataclass(frozen=True)
 class BendVerdict:
-    """The verdict on a solution's cloud against another cloud, without its field.
+    """Verdict on the deformation of a solution's cloud, without the displacement field.
 
     Attributes:
-        verdict, model, p_value, growth: as of `Deformation`.
-        rms: of the deformation beyond an affine one, with `ci`, its 95 % interval; None where the verdict has none.
+        verdict: verdict, as in `Deformation`.
+        model: selected model, as in `Deformation`.
+        rms: RMS of the deformation beyond an affine one; None if the verdict has none.
+        ci: 95 % confidence interval of `rms`.
+        p_value: p-value, as in `Deformation`.
         detectable: RMS of the smallest dome that would have been detected.
+        growth: trends with distance and height, as in `Deformation`.
         warnings: one line each.
-        against: name of the solution whose cloud is the other one; None for the truth.
+        against: name of the solution that it is compared with; None for the truth.
     """
 
     verdict: str
@@ -57,7 +61,7 @@ class BendVerdict:
 
     @classmethod
     def from_deformation(cls, found: Deformation, against: str | None = None) -> BendVerdict:
-        """What is kept of a verdict."""
+        """Take the verdict without its field."""
         size = found.amplitude
         return cls(
             found.verdict,
@@ -73,11 +77,11 @@ class BendVerdict:
 
     @property
     def is_bent(self) -> bool:
-        """Whether the cloud is bent beyond what noise would do."""
+        """Whether the deformation is beyond an affine one and beyond noise."""
         return self.verdict == "non-affine"
 
     def size_text(self, unit: str = "") -> str:
-        """RMS and interval in words; a dash where there is none."""
+        """Return RMS and interval as text, or a dash."""
         if self.rms is None or self.ci is None:
             return "–"
         return f"{self.rms:.3g} [{self.ci[0]:.3g}, {self.ci[1]:.3g}] {unit}".rstrip()
@@ -85,16 +89,22 @@ class BendVerdict:
 
 @dataclass(frozen=True)
 class SolutionResult:
-    """One solution: its settings, and what became of it.
+    """Settings and results of one solution.
 
     Attributes:
-        name: of the variant; factors: its settings by name.
-        images_given, images: photographs, and those that were registered.
-        failure: one line where there is no cloud.
-        points: of the cloud; reprojection_error: its mean, in pixels.
-        lens: as it was solved; lens_error_px: RMS error beyond the focal length.
-        truth: the verdict against the truth; mutual: against the first solution.
-        cells: x, y, z, vertical displacement and its standard deviation, a row for each cell; NaN where unknown.
+        name: name of the variant.
+        factors: settings of the variant by name.
+        images_given: number of images.
+        images: number of registered images.
+        failure: one line if there is no cloud.
+        notes: notes of the reconstructor.
+        points: number of points of the cloud.
+        reprojection_error: mean reprojection error, in pixels.
+        lens: solved intrinsics.
+        lens_error_px: RMS error of the intrinsics beyond the focal length, in pixels.
+        truth: verdict against the truth.
+        mutual: verdict against the first solution.
+        cells: rows of x, y, z, vertical displacement and its standard deviation; NaN if unknown.
     """
 
     name: str
@@ -114,7 +124,7 @@ class SolutionResult:
 
 @dataclass(frozen=True)
 class SurveyedScene:
-    """The scene: its folder, number of images, true lens, and unit of lengths."""
+    """A scene: folder, number of images, true lens, and unit of lengths."""
 
     path: str
     images: int
@@ -124,11 +134,14 @@ class SurveyedScene:
 
 @dataclass(frozen=True)
 class BendStudy:
-    """All solutions of a scene, and what follows.
+    """Results of all solutions of a scene.
 
     Attributes:
-        plugin: the reconstructor.
-        sentences: on the cause, computed from the rows.
+        scene: the scene.
+        plugin: name of the reconstructor.
+        rows: one per solution.
+        sentences: conclusions on the cause, computed from the rows.
+        provenance: versions, machine and seed.
     """
 
     scene: SurveyedScene
@@ -139,31 +152,31 @@ class BendStudy:
 
     @property
     def unit(self) -> str:
-        """Of lengths, for words; nothing where it is not known."""
+        """Unit of lengths; empty if unknown."""
         return self.scene.unit or ""
 
     @property
     def is_judged(self) -> bool:
-        """Whether the bend of any solution is known."""
+        """Whether the deformation of any solution was measured."""
         return bool(measured_bends(self.rows))
 
 
 def measured_bends(rows: Sequence[SolutionResult]) -> list[tuple[SolutionResult, BendVerdict]]:
-    """Solutions whose bend against the truth has a size, with that bend."""
+    """Return the solutions whose deformation against the truth was measured, with their verdicts."""
     return [(row, row.truth) for row in rows if row.truth is not None and row.truth.rms is not None]
 
 
 def document(study: BendStudy) -> dict[str, Any]:
-    """What experiment.json holds of a study."""
+    """Return a study as the document of experiment.json."""
     return {"schema": SCHEMA, **_field_values(study), "rows": [_row_values(row) for row in study.rows]}
 
 
 def read_study(folder: Path) -> BendStudy:
-    """What experiment.json in a folder holds.
+    """Read experiment.json of a folder.
 
     Raises:
-        InputError: it is another one, or damaged.
-        OSError: it cannot be read.
+        InputError: the file has another schema or is damaged.
+        OSError: the file cannot be read.
     """
     path = folder / DOCUMENT
     values = read_json(path)
@@ -179,7 +192,7 @@ def read_study(folder: Path) -> BendStudy:
             values["provenance"],
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: it is damaged: {type(error).__name__}: {error}") from error
+        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
 
 
 def _field_values(of: Any) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Errors of solved cameras, and what these do by themselves to the surface that they see."""
+"""Errors of solved cameras, and the deformation of the surface that they cause by themselves."""
 
 from __future__ import annotations
 
@@ -15,22 +15,26 @@ from pcbench.geometry.transform import robust_similarity
 from pcbench.geometry.visibility import SEEN_BY, in_frame
 from pcbench.studies.gao.results import CameraErrors, SurfaceDeformation
 
-_MAX_SURFACE_POINTS = 20_000  # points that tell how a surface is bent
-_MIN_EIGENVALUE_RATIO = 1e-4  # of the information that rays at right angles would give: less leaves a place open
-_MIN_SURFACE_POINTS = 100  # points
-_ROUNDING_SHARE = 1e-6  # of the scene: less is no error
-_SAME_FRAME_SHARE = 0.1  # of the extent of the cameras: a solution in another frame is further off
-_OUTLIER_RATIO = 10.0  # times the median error: a camera that is further off is lost
-_PROFILE_BINS = 8  # of a profile
+_MAX_SURFACE_POINTS = 20_000  # sample of the surface whose deformation is computed
+_MIN_EIGENVALUE_RATIO = 1e-4  # smallest to largest; below, the rays are too parallel to fix a point
+_MIN_SURFACE_POINTS = 100
+_ROUNDING_SHARE = 1e-6  # of the scene's extent; smaller position errors are rounding
+_SAME_FRAME_SHARE = 0.1  # of the cameras' extent; larger median distances mean another frame
+_OUTLIER_RATIO = 10.0  # to the median error; cameras with a larger error are outliers
+_PROFILE_BINS = 8
 
 
 def camera_errors(
     solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud | None
 ) -> CameraErrors | None:
-    """How far solved cameras are from true ones, by name; None where fewer than three have both, or stand in a line.
+    """Measure the errors of solved cameras, matched by name.
+
+    Returns None if fewer than three cameras are in both, or if they lie on a line.
 
     Args:
-        surface: what they see, perhaps with normals; None: it is not asked what they do to it.
+        solved: solved cameras by image name.
+        true: true cameras by image name.
+        surface: surface that they observe, optionally with normals; None skips its deformation.
     """
     names = sorted(set(solved) & set(true))
     if len(names) < 3:
@@ -43,7 +47,7 @@ def camera_errors(
         return None
     focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
     near = apart <= max(_OUTLIER_RATIO * float(np.median(apart)), _ROUNDING_SHARE * float(np.ptp(theirs)))
-    # One that stands elsewhere agrees with no other: it makes few points, and no method believes it.
+    # An outlier agrees with no other camera: it contributes few points, which no method accepts.
     kept = {name: solved[name] for name, agrees in zip(names, near, strict=True) if agrees}
     return CameraErrors(
         solved=len(names),
@@ -57,8 +61,10 @@ def camera_errors(
 
 
 def cameras_in_cloud_frame(solved: Mapping[str, Camera], given: Mapping[str, Camera]) -> Mapping[str, Camera]:
-    """Those by which a scene is described in the frame of its clouds: the given ones where solved ones are in their
-    frame, or there are none, for a solved camera may be lost.
+    """Return the cameras that describe the scene in the frame of its clouds.
+
+    These are the given ones if the solved ones are in the same frame, because solved cameras may have outliers, or if
+    nothing was solved.
     """
     names = sorted(set(solved) & set(given))
     if not names:
@@ -71,10 +77,10 @@ def cameras_in_cloud_frame(solved: Mapping[str, Camera], given: Mapping[str, Cam
 def camera_deformation(
     solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud
 ) -> SurfaceDeformation | None:
-    """What solved cameras make of a surface by themselves. No match and no noise takes part: each point is where its
-    pixels in the true cameras, seen through the solved ones, put it. None where too few points are seen.
+    """Measure how solved cameras alone deform a surface, without matching errors and noise.
 
-    Without normals, all three components of the displacement count.
+    Each point is projected with the true cameras and triangulated with the solved ones. Returns None if too few points
+    are visible. Without normals, all three components of the displacement count.
     """
     rng = np.random.default_rng(0)
     chosen = np.sort(rng.permutation(len(surface))[:_MAX_SURFACE_POINTS])
@@ -106,11 +112,13 @@ def camera_deformation(
 def retriangulate(
     solved: Mapping[str, Camera], true: Mapping[str, Camera], points: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Where solved cameras put points (N, 3) that have their pixels in the true ones, and which (N,) of them at least
-    three cameras fix.
+    """Project points (N, 3) with true cameras and triangulate the pixels with solved ones. Occlusion is ignored.
 
-    The place is nearest to the rays in least squares, each weighted by the inverse of the depth: nearly what the least
-    reprojection error gives. Nothing hides anything here.
+    Each triangulated point minimises the squared distances to its rays, weighted by inverse squared depth, which is
+    close to the minimum of the reprojection errors.
+
+    Returns:
+        The triangulated points (N, 3), and whether each (N,) is fixed by at least three cameras.
     """
     matrix, vector = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     count = np.zeros(len(points), dtype=np.int64)
@@ -133,7 +141,7 @@ def retriangulate(
 
 
 def _profile(along: FloatArray, values: FloatArray) -> tuple[tuple[float, float], ...]:
-    """Where, and mean value, in bins of equal numbers (N,)."""
+    """Return mean position and mean value in bins of equal counts (N,)."""
     bins = np.array_split(np.argsort(along, kind="stable"), _PROFILE_BINS)
     return tuple((float(along[rows].mean()), float(values[rows].mean())) for rows in bins)
 

@@ -1,4 +1,4 @@
-"""The clouds of one scene: each by a reconstructor in a process of its own, kept for the next run."""
+"""Reconstruct the clouds of one scene, each in a separate process; they are saved for later runs."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ from pcbench.studies.gao.plan import SPARSE, CloudMethod, GaoJob, methods
 
 CLOUD_FILE, CAMERAS_FOLDER = "cloud.ply", "cameras"
 _RUN_FILE, _RUNS_FOLDER, WORK_FOLDER = "run.json", "runs", "work"
-_EXPECTED_S = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # roughly, for progress bars
+_EXPECTED_S = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # rough durations, for progress bars
 
 
 @dataclass(frozen=True)
 class CloudRun:
-    """What became of one method.
+    """Result of one method.
 
     Attributes:
-        folder: with its cloud and cameras; None where there is none.
-        seconds: that its process took.
-        resumed: whether that process found a part of its work done: then it would have taken longer.
-        memory_bytes: the most that the process had; None where it is not known.
-        notes: of the reconstructor.
-        failure: one line where there is no cloud.
+        method: the method.
+        folder: folder with its cloud and cameras; None if it failed.
+        seconds: wall time of its process.
+        resumed: whether the process resumed an earlier one, so that `seconds` is too short.
+        memory_bytes: peak memory of the process; None if unknown.
+        notes: notes of the reconstructor.
+        failure: one line if there is no cloud.
     """
 
     method: CloudMethod
@@ -50,10 +51,11 @@ class CloudRun:
 
     @property
     def cloud(self) -> Path | None:
+        """File of the cloud; None if the method failed."""
         return None if self.folder is None else self.folder / CLOUD_FILE
 
     def cameras(self) -> dict[str, Camera]:
-        """By image name; none where there is no cloud."""
+        """Return the cameras by image name; empty if the method failed."""
         if self.folder is None:
             return {}
         return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS_FOLDER)}
@@ -62,16 +64,18 @@ class CloudRun:
 def make_clouds(
     job: GaoJob, scene: Scene, path: Path, out: Path, unit: str | None, step: Callable[[Step], None]
 ) -> list[CloudRun]:
-    """All clouds of a scene, in the order of `methods`; what fails is said in its place.
+    """Reconstruct all clouds of a scene, in the order of `methods`; a failure becomes a result with its reason.
 
     Args:
-        path: of the scene, as `read_scene` took it.
-        out: an existing folder, where everything is kept.
-        unit: of the scene's cameras, if known: that of clouds which have none.
-        tell: gets what is done; the seconds of a step are of this scene.
+        job: the experiment.
+        scene: scene to reconstruct.
+        path: its folder, as given to `read_scene`.
+        out: existing folder for all results.
+        unit: unit of the scene's cameras, if known, for clouds without one.
+        step: progress callback; the remaining seconds are those of this scene.
 
     Raises:
-        InputError: the crop holds nothing of the sparse cloud, which is made first.
+        InputError: the crop holds no point of the sparse cloud, which is reconstructed first.
         OSError: a file cannot be written.
     """
     maker = _CloudMaker(job, scene, path, out, unit, step)
@@ -88,8 +92,10 @@ def make_clouds(
 
 
 def check_crop(crop: str, cloud: Cloud, whose: str) -> None:
-    """Raises:
-    InputError: the region holds none of a cloud's points, so that nothing could be measured in it.
+    """Check that a region holds points of a cloud.
+
+    Raises:
+        InputError: the region holds none, so that nothing could be measured in it.
     """
     points_inside(cloud.points, as_region(crop, cloud), crop, whose)
 
@@ -121,7 +127,7 @@ class _CloudMaker:
         }
         try:
             folder = stage(self.out / _RUNS_FOLDER, method.name, key, lambda target: self._run(method, solved, target))
-        except (InputError, ReconstructionError) as error:  # not kept: the next run tries again
+        except (InputError, ReconstructionError) as error:  # not saved: the next run tries again
             return CloudRun(method, failure=recorded(error))
         known: Mapping[str, Any] = read_json(folder / _RUN_FILE)
         return CloudRun(method, folder, **{**known, "notes": tuple(known["notes"])})

@@ -1,5 +1,4 @@
-"""Clouds held against one reference: a report folder as `pcbench compare` makes it, and what the experiment takes from
-it."""
+"""Evaluate clouds against one reference: a report folder as of `pcbench compare`, and the results from it."""
 
 from __future__ import annotations
 
@@ -30,12 +29,12 @@ _RESULTS_FILE = "held.json"
 
 
 class CloudEvaluation(NamedTuple):
-    """Clouds against one reference.
+    """Results of clouds against one reference.
 
     Attributes:
-        folder: of the report; None where no cloud could be measured.
-        counts: points of the reference, all and after the crop; None as well.
-        clouds: by name, each with what was measured or why it was not.
+        folder: folder of the report; None if no cloud could be measured.
+        counts: number of points of the reference, before and after the crop; None if no cloud could be measured.
+        clouds: results by cloud, or the reasons for failure.
     """
 
     folder: Path | None
@@ -46,17 +45,21 @@ class CloudEvaluation(NamedTuple):
 def evaluate_against(
     reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int
 ) -> CloudEvaluation:
-    """Register clouds to a reference, crop both and measure; kept in `out`/against-NAME for the next run.
+    """Register clouds to a reference by ICP, crop all to the same region and measure them.
 
-    Each is registered by ICP, and all are cropped to the same region. Against `mvs` its Poisson mesh is made too.
+    The results are saved in `out`/against-NAME for later runs. Measures against `mvs` include its Poisson mesh.
 
     Args:
-        reference: its file; name: `mvs` or `truth`.
+        reference: file of the reference.
+        name: `mvs` or `truth`.
         clouds: files by name.
         crop: region as text, in the reference's coordinates.
+        out: output folder.
+        seed: random seed.
 
     Raises:
-        MissingExtra, OSError: what stands in the way may pass, so that nothing is kept.
+        MissingExtra: a library is missing. Nothing is saved.
+        OSError: a file cannot be read or written. Nothing is saved.
     """
     settings = Settings(crop=crop, presets=("gao2025",), maps=("poisson",) if name == MVS else (), seed=seed)
     key = {
@@ -67,7 +70,7 @@ def evaluate_against(
     }
 
     def compare(those: dict[str, Path], folder: Path) -> Comparison | str:
-        """The comparison, or why the clouds do not allow one."""
+        """Return the comparison, or the reason why these clouds cannot be compared."""
         try:
             job, outputs = ComparisonJob(reference, those, settings, {}), Outputs(folder, figures=False)
             return compare_files(job, outputs, lambda _: None).comparison
@@ -76,13 +79,13 @@ def evaluate_against(
 
     def make(folder: Path) -> None:
         failed: dict[str, str] = {}
-        # A comparison has all candidates or none: where it has none, those that cannot be measured are found.
+        # One bad candidate fails the complete comparison. If it fails, find the bad ones and compare the others.
         found = compare(dict(clouds), folder)
         if isinstance(found, str):
             asked = _ReferenceRegion.of(read_cloud(reference), crop)
             failed = {cloud: why for cloud, path in clouds.items() if (why := asked.problem(path)) is not None}
             others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
-            if others and isinstance(found := compare(others, folder), str):  # the reference cannot
+            if others and isinstance(found := compare(others, folder), str):  # the reference is at fault
                 failed |= dict.fromkeys(others, found)
         (folder / _RESULTS_FILE).write_text(to_json(_document(name, found, failed)), encoding="utf-8")
 
@@ -90,7 +93,7 @@ def evaluate_against(
 
 
 def _document(name: str, found: Comparison | str, failed: Mapping[str, str]) -> dict[str, object]:
-    """What `_read` reads."""
+    """Return the document that `_read` reads."""
     clouds = {cloud: ReferenceEvaluation(name, failure=why) for cloud, why in failed.items()}
     if isinstance(found, str):
         return {"counts": None, "clouds": clouds}
@@ -110,13 +113,16 @@ def _read(folder: Path) -> CloudEvaluation:
 
 
 def draw_maps(folder: Path) -> str | None:
-    """The pictures of a report, unless they are there; what stands in the way."""
+    """Draw the pictures of a report unless they exist; return the reason if that is impossible."""
     return None if (folder / "figures").is_dir() else draw_if_possible(folder)
 
 
 def visible_truth(truth: Path, out: Path) -> Path:
-    """What cameras saw of a true cloud (its attribute `visible`, where it has one), as a file: a cloud that lacks what
-    no photograph shows is not to blame."""
+    """Write the part of a true cloud that the cameras saw (its attribute `visible`) and return the file.
+
+    Without the attribute, or if nothing is visible, the cloud is written unchanged. A cloud should not be penalised for
+    parts that no photograph shows.
+    """
 
     def make(folder: Path) -> None:
         cloud = read_cloud(truth)
@@ -128,7 +134,7 @@ def visible_truth(truth: Path, out: Path) -> Path:
 
 
 class _ReferenceRegion(NamedTuple):
-    """A reference and the region of it that is asked for."""
+    """A reference and the region to evaluate."""
 
     target: Target
     cloud: Cloud
@@ -139,7 +145,7 @@ class _ReferenceRegion(NamedTuple):
         return cls(Target.of(cloud, local_origin(cloud)), cloud, as_region(crop, cloud))
 
     def problem(self, path: Path) -> str | None:
-        """One line if a cloud cannot be held against it."""
+        """Return one line if a cloud cannot be evaluated, else None."""
         cloud = read_cloud(path)
         try:
             found = register(self.cloud, cloud, "icp", target=self.target)

@@ -1,4 +1,4 @@
-"""Pictures of the experiment: camera rings, both directions against both references, and how displacements grow."""
+"""Pictures of the experiment: camera rings, accuracy against completeness, and trends of displacement."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from pcbench.report.plot.panels import DPI, save
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import TRUTH, GaoStudy, SceneResult, read_study, references
 
-# Draws the pictures of the folder of an experiment.
+# Draws the pictures of an experiment's folder.
 PICTURES = Drawer(f"{__name__}:pictures", ("gao.md",))
 
 _UNKNOWN_UNIT = "units of the cameras"
-_CAMERAS_ALONE = "what solved cameras do alone"
+_CAMERAS_ALONE = "effect of solved cameras alone"
 _COLORS = {
     SPARSE: "#0072b2",
     MVS: "#009e73",
     MEANS: "#d55e00",
     SURFACE: "#cc79a7",
     _CAMERAS_ALONE: "#444444",
-}  # Okabe and Ito
+}  # palette of Okabe and Ito
 _MARKERS = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D"}
 _GREY, _CAMERA_COLOR, _FOCUS_COLOR = "#777777", "#0072b2", "#d55e00"
 _THIN_LINE = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
-    """The pictures of a folder that `pcbench experiment gao` wrote."""
+    """Return the pictures of a folder that `pcbench experiment gao` wrote."""
     study = read_study(folder)
     nothing = "no cloud was measured"
     return {
@@ -45,8 +45,10 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
 
 
 def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
-    """Where cameras stand, from above and from the side, with the place that they look at and what is measured;
-    a row a scene."""
+    """Draw camera positions from above and from the side, with their common focus and the measured region.
+
+    Each scene has one row.
+    """
     figure, axes = _canvas(len(scenes), 2, (6.6, 4.6))
     for (above, side), scene in zip(axes, scenes, strict=True):
         positions = np.array(scene.positions)
@@ -71,13 +73,13 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
             at = ", ".join(f"{value + 0.0:.1f}".replace("-0.0", "0.0") for value in place)
             mark = {"color": _FOCUS_COLOR, "markersize": 14, "markeredgewidth": 2, "linestyle": "none"}
             above.plot(*place[:2], "+", **mark)
-            side.plot(0, place[2], "+", label=f"looked at: ({at}) {unit}", **mark)
+            side.plot(0, place[2], "+", label=f"focus: ({at}) {unit}", **mark)
         above.scatter(*positions[:, :2].T, s=22, color=_CAMERA_COLOR, zorder=3)
         side.scatter(across, positions[:, 2], s=22, color=_CAMERA_COLOR, zorder=3, label=f"{len(positions)} cameras")
         above.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]", aspect="equal")
-        side.set(xlabel=f"horizontal distance from there [{unit}]", ylabel=f"height [{unit}]", aspect="equal")
+        side.set(xlabel=f"horizontal distance from the focus [{unit}]", ylabel=f"height [{unit}]", aspect="equal")
         above.set_title(f"{scene.name}, from above", fontsize=11, loc="left")
-        side.set_title("elevation: all turned into one half-plane", fontsize=11, loc="left")
+        side.set_title("elevation: all cameras rotated into one half-plane", fontsize=11, loc="left")
         side.set_xlim(left=-0.03 * float(across.max() or 1.0))
         side.legend(frameon=False, fontsize=9, loc="lower right")
     save(figure, path)
@@ -85,8 +87,10 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
 
 
 def draw_directions(study: GaoStudy, path: Path) -> bool:
-    """Root mean square distances from the cloud to the reference and back, a panel a reference; a line leads from the
-    sparse cloud of a scene to its splats' centres and to their surface."""
+    """Draw RMS distances in both directions, one panel per reference.
+
+    A line connects the sparse cloud of a scene with its splats' centres and their surface.
+    """
     columns = _references(study)
     if not columns:
         return False
@@ -114,14 +118,14 @@ def draw_directions(study: GaoStudy, path: Path) -> bool:
         axis.margins(0.15)
         axis.tick_params(labelbottom=True, labelleft=True)
     _plain_ticks(axes)
-    _legend(figure, axes, "lower left is better; a line: from sparse to splats' centres, and to their surface")
+    _legend(figure, axes, "lower left is better; lines connect sparse, splats' centres and their surface")
     save(figure, path)
     return True
 
 
 def draw_growth(study: GaoStudy, path: Path) -> bool:
-    """Vertical displacement with distance and with height, against each reference; a row a scene."""
-    along = {"with_distance": "distance from the centre", "with_height": "height above the lowest place"}
+    """Draw vertical displacement by distance and by height against each reference, one row per scene."""
+    along = {"with_distance": "distance from the centre", "with_height": "height above the lowest point"}
     columns = [(reference, which) for reference in _references(study) for which in along]
     if not columns:
         return False
@@ -145,25 +149,25 @@ def draw_growth(study: GaoStudy, path: Path) -> bool:
             axis.set(xlabel=f"{along[which]} [{unit}]", ylabel=f"vertical displacement [{unit}]")
             axis.set_title(f"{scene.name}, against {reference}", fontsize=11, loc="left")
             axis.grid(alpha=0.25)
-    _legend(figure, axes, "bands: what noise alone would do in 95 % of all cases")
+    _legend(figure, axes, "bands: 95 % range of noise alone")
     save(figure, path)
     return drawn
 
 
 def _references(study: GaoStudy) -> list[str]:
-    """Those that any scene has."""
+    """Return the references of at least one scene."""
     return [name for name in (MVS, TRUTH) if any(name in references(scene) for scene in study.scenes)]
 
 
 def _ring_radii(across: FloatArray) -> list[float]:
-    """Of circles that several cameras share (N,), none where cameras stand anywhere."""
+    """Return the radii that several cameras share; empty if cameras are not on circles."""
     found, counts = np.unique(across.round(1), return_counts=True)
     shared = found[counts > 1]
     return [float(radius) for radius in shared] if counts[counts > 1].sum() > 0.8 * len(across) else []
 
 
 def _parse_sphere(region: str) -> list[float] | None:
-    """Centre and radius, where that is what was measured."""
+    """Return centre and radius of a spherical region, else None."""
     kind, _, numbers = region.partition(":")
     return [float(word) for word in numbers.split(",")] if kind == "sphere" else None
 
@@ -180,7 +184,7 @@ def _draw_profile(axis: Any, trend: Trend, color: str, name: str) -> None:
 
 
 def _canvas(rows: int, columns: int, size: tuple[float, float], *, share: bool = False) -> tuple[Any, Any]:
-    """A figure and its axes (rows, columns)."""
+    """Create a figure and its axes (rows, columns)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -194,7 +198,7 @@ def _canvas(rows: int, columns: int, size: tuple[float, float], *, share: bool =
 
 
 def _plain_ticks(axes: Any) -> None:
-    """Lengths as people write them, on logarithmic axes that may hold less than a decade."""
+    """Write plain numbers on logarithmic axes, which may cover less than a decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis in axes.ravel():
@@ -205,7 +209,7 @@ def _plain_ticks(axes: Any) -> None:
 
 
 def _legend(figure: Any, axes: Any, note: str = "") -> None:
-    """Each cloud once, below all panels."""
+    """Draw one legend entry per cloud, below all panels."""
     named: dict[str, Any] = {}
     for axis in axes.ravel():
         handles, labels = axis.get_legend_handles_labels()

@@ -1,4 +1,4 @@
-"""`pcbench experiment gao`: all that Gao et al. 2025 show, of any scenes, with the truth beside their reference."""
+"""`pcbench experiment gao`: the results of Gao et al. 2025 for any scenes, with the truth as a second reference."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, wr
 
 KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, (".experiment-gao",))
 _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
-_RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK)  # what a scene may be called, but its folder may not
-_TRUTH_POINTS = 1_000_000  # of a synthetic truth
-_FOV_DEG = 40.0  # degrees, vertically
-_MAKING_S, _MEASURING_S, _DRAWING_S = 60.0, 90.0, 60.0  # of one scene, roughly, for progress bars
+_RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK)  # names that a scene's folder cannot have
+_TRUTH_POINTS = 1_000_000  # number of points of a synthetic truth
+_FOV_DEG = 40.0  # vertical field of view
+_MAKING_S, _MEASURING_S, _DRAWING_S = 60.0, 90.0, 60.0  # rough durations per scene, for progress bars
 _SCENE_S = 600.0
-_MIN_IMAGES = 9  # one in eight is held out
+_MIN_IMAGES = 9  # so that one in eight can be held out
 
-# What tells the synthetic cities apart beside their seeds, as density, median height and relief: a usual one, a low one
-# with wide gaps, a high and hilly one.
+# Density, median building height and relief of the synthetic cities, which also differ in their seeds: a usual city, a
+# low one with wide gaps, and a high one on hills.
 _CITY_KINDS = ((0.85, 9.0, 2.0), (0.5, 6.0, 2.0), (0.85, 14.0, 3.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A study, the scores of its new views, and why pictures are missing where there should be some."""
+    """A study, the scores of its novel views, and the reason why requested pictures are missing, or None."""
 
     study: GaoStudy
     views: ViewStudy | None
@@ -67,24 +67,33 @@ class Outcome:
 
 
 def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str], None] = lambda _: None) -> Outcome:
-    """Run the experiment into the folder `out`: experiment.json, experiment.csv, gao.md, figures/; of each scene a
-    folder with its clouds and the reports against both references; views/ with the scores of new views. What is made
-    on the way stays too, and a later run with the same settings goes on from it.
+    """Run the experiment and write its results to a folder.
+
+    They are experiment.json, experiment.csv, gao.md, figures/, one folder per scene with its clouds and the reports
+    against both references, and views/ with the scores of novel views. Intermediate results stay in the folder; a later
+    run with the same settings reuses them.
+
+    Args:
+        job: the experiment.
+        out: output folder.
+        figures: whether to draw pictures.
+        step: progress callback.
 
     Raises:
-        InputError: a scene, the crop or a setting is not usable; `out` is something else, or another run is writing
+        InputError: a scene, the crop or a setting is not usable; `out` holds something else, or another run is writing
             there.
-        ReconstructionError: no scene gave a cloud that could be measured.
-        PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
+        ReconstructionError: no scene has a cloud that could be measured.
+        PcbenchError: a scene cannot be created.
+        OSError: a file cannot be written.
     """
     check_folder(out, KIND)
-    for method in methods(job):  # before hours of work
+    for method in methods(job):  # checked before hours of work
         plugin = find_plugin(method.plugin)
         if plugin.missing:
             raise InputError(plugin.missing)
         plugin.configure(method.settings)
     if job.crop is not None:
-        parse_region(job.crop, Cloud(np.arange(30.0).reshape(10, 3)))  # for its words: any points will do
+        parse_region(job.crop, Cloud(np.arange(30.0).reshape(10, 3)))  # checks the syntax only; any points will do
     given = {path: _read_checked_scene(job, path, job.image_scale) for path in job.scenes}
     if not given and job.cities.images < _MIN_IMAGES:
         raise InputError(f"expected at least {_MIN_IMAGES} images, got {job.cities.images}")
@@ -138,7 +147,7 @@ class _SceneOutcome:
 def _run_scene(
     job: GaoJob, name: str, path: Path, scene: Scene, out: Path, scene_step: Callable[[str], None]
 ) -> _SceneOutcome:
-    """Everything of one scene but the scores of its views."""
+    """Run one scene, without the scores of its views."""
     truth = _truth_file(path)
     unit = read_cloud(truth).unit if truth.is_file() else "m" if scene.origin is not None else None
     made = make_clouds(job, scene, path, out, unit, scene_step)
@@ -173,7 +182,7 @@ def _run_scene(
 
 
 def _crop_truth(truth: Path | None, crop: str) -> Cloud | None:
-    """What of the truth is measured; None where it is not known."""
+    """Return the part of the truth inside the crop; None if the truth is unknown."""
     if truth is None:
         return None
     cloud = read_cloud(truth)
@@ -198,7 +207,7 @@ def _cloud_result(made: CloudRun, evaluations: Mapping[str, CloudEvaluation]) ->
 
 
 def _score_views(folders: Sequence[Path], out: Path, step: Callable[[str], None]) -> ViewStudy | None:
-    """Of the new views in folders, in their order."""
+    """Score the novel views of folders, in their order."""
     if not folders:
         return None
     study = score_views(folders, step)
@@ -222,7 +231,7 @@ def _write(out: Path, study: GaoStudy, views: ViewStudy | None) -> None:
 
 
 def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> str | None:
-    """All pictures; what stands in the way of one."""
+    """Draw all pictures; return the first problem, or None."""
     step(Step("drawing the pictures", _DRAWING_S))
     problems = [draw_if_possible(out, PICTURES), *map(draw_maps, reports)]
     if views is not None:
@@ -231,15 +240,15 @@ def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Cal
 
 
 def _read_checked_scene(job: GaoJob, path: Path, image_scale: float = 1.0) -> Scene:
-    """The scene.
+    """Read a scene and check that the experiment can use it.
 
     Raises:
-        InputError: it has too few images, no cameras where they are not solved, or no truth in the crop.
+        InputError: it has too few images, lacks cameras that are not solved, or its truth has no point in the crop.
     """
     scene = read_scene(path, image_scale=image_scale)
     if job.poses == "given" and len(scene.cameras) < len(scene):
         bare = next(name for name in scene.images if name not in scene.cameras)
-        raise InputError(f"{path}: {bare} has no camera: give cameras of all images, or let --poses solve find them")
+        raise InputError(f"{path}: expected cameras of all images, got none for {bare}; or set --poses solve")
     if len(scene) < _MIN_IMAGES:
         raise InputError(
             f"{path}: expected at least {_MIN_IMAGES} images, of which one in 8 is held out, got {len(scene)}"
@@ -250,12 +259,12 @@ def _read_checked_scene(job: GaoJob, path: Path, image_scale: float = 1.0) -> Sc
 
 
 def _truth_file(path: Path) -> Path:
-    """Where the true cloud of a scene is, if there is one."""
+    """Return the path of a scene's true cloud, which need not exist."""
     return path / "truth" / "cloud.ply"
 
 
 def _synthetic_scenes(cities: Cities, out: Path, seed: int, step: Callable[[str], None]) -> Iterator[Path]:
-    """Cities under the paper's seven circles, each of another kind."""
+    """Create cities of different kinds with cameras on the paper's seven circles."""
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
 

@@ -1,4 +1,4 @@
-"""The tables of the experiment: the paper's with both directions, what clouds took, and all of it as CSV."""
+"""The tables of the experiment: the paper's measures in both directions, time and memory, and everything as CSV."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from pcbench.studies.views.table import table as views_table
 _DASH = "–"
 _MEASURES = ("D1 c→r", "D1 r→c", "D2", "D2 mesh", "Hausdorff", "Chamfer")
 LEGEND = (
-    "D1 and Chamfer: mean squares [{unit}²], c→r as in the paper, r→c the other way; D2 to tangent planes, D2 mesh"
-    " to the reference's Poisson mesh; Hausdorff [{unit}] symmetric, unsquared; bend: RMS beyond affine [{unit}], 95 %"
+    "D1 and Chamfer: mean squares [{unit}²], c→r as in the paper, r→c in the opposite direction; D2: to tangent planes;"
+    " D2 mesh: to the reference's Poisson mesh; Hausdorff: symmetric, unsquared [{unit}]; bend RMS: deformation beyond"
+    " affine [{unit}] with 95 % interval"
 )
 
 
 def console_tables(study: GaoStudy, views: ViewStudy | None) -> Iterator[list[list[str]]]:
-    """What is printed: the paper's table, what clouds took, and its table of new views."""
+    """Yield the printed tables: the paper's measures, time and memory, and scores of novel views."""
     yield list(measures_table(study))
     yield list(cost_table(study))
     if views is not None:
@@ -31,7 +32,7 @@ def console_tables(study: GaoStudy, views: ViewStudy | None) -> Iterator[list[li
 
 
 def measures_table(study: GaoStudy) -> Iterator[list[str]]:
-    """The paper's table, a row a cloud and reference, a header first."""
+    """Yield the paper's measures, one row per cloud and reference, a header first."""
     yield (head := ["", "against", "points", "cropped", *_MEASURES, "verdict", "bend RMS"])
     for scene in study.scenes:
         yield from _scene_row(scene, study, len(head))
@@ -45,7 +46,7 @@ def measures_table(study: GaoStudy) -> Iterator[list[str]]:
 
 
 def cost_table(study: GaoStudy) -> Iterator[list[str]]:
-    """What each cloud took, a header first."""
+    """Yield time and memory of each cloud, a header first."""
     yield (head := ["", "points", "seconds", "memory", "images"])
     for scene in study.scenes:
         yield from _scene_row(scene, study, len(head))
@@ -53,21 +54,21 @@ def cost_table(study: GaoStudy) -> Iterator[list[str]]:
             images = str(scene.images)
             if scene.cameras is not None:
                 images = f"{scene.cameras.solved}/{images}"
-            elif len(scene.positions) < scene.images:  # solved, and there are none to hold them against
+            elif len(scene.positions) < scene.images:  # solved cameras without given ones to compare with
                 images = f"{len(scene.positions)}/{images}"
             points = f"{cloud.points:,}" if cloud.points is not None else "failed"
             yield [cloud.name, points, seconds_text(cloud), _memory(cloud), images]
 
 
 def seconds_text(cloud: CloudResult) -> str:
-    """Of its process; on top of those of the training before it, or at least."""
+    """Return the seconds of a cloud's process: `+` adds to those of the training before it, `≥` marks a resumed one."""
     if cloud.seconds is None:
         return _DASH
     return ("≥ " if cloud.resumed else "+ " if cloud.extra else "") + f"{cloud.seconds:.0f}"
 
 
 def failures(study: GaoStudy) -> Iterator[str]:
-    """What failed, a line each."""
+    """Yield one line per failure."""
     for scene in study.scenes:
         for cloud in scene.clouds:
             if cloud.failure:
@@ -78,11 +79,11 @@ def failures(study: GaoStudy) -> Iterator[str]:
 
 
 def markdown(study: GaoStudy, views: ViewStudy | None) -> str:
-    """All tables, sentences, verdicts and notes as Markdown."""
+    """Return all tables, sentences, verdicts and notes as Markdown."""
     unit = study.unit or "unit"
     parts = ["# The paper, reproduced", "\n".join(f"- {text}" for text in study.sentences)]
     parts += ["## Clouds against both references", LEGEND.format(unit=unit), markdown_table(measures_table(study), 2)]
-    parts += ["## What they took", markdown_table(cost_table(study), 1)]
+    parts += ["## Time and memory", markdown_table(cost_table(study), 1)]
     if views is not None:
         parts += ["## New views", views_markdown(views).rstrip()]
     parts += ["## Verdicts", "\n".join(f"- {text}" for text in verdicts(study)) or _DASH]
@@ -91,7 +92,7 @@ def markdown(study: GaoStudy, views: ViewStudy | None) -> str:
 
 
 def verdicts(study: GaoStudy) -> Iterator[str]:
-    """Every verdict in its own words."""
+    """Yield one sentence per verdict."""
     for scene in study.scenes:
         for reference in references(scene):
             for cloud in scene.clouds:
@@ -102,7 +103,7 @@ def verdicts(study: GaoStudy) -> Iterator[str]:
 
 
 def csv_text(study: GaoStudy) -> str:
-    """A line a cloud and reference; a failed cloud has one."""
+    """Return CSV with one line per cloud and reference; a failed cloud has one line."""
     fields = list(Gao2025.__annotations__)
     bend = ("verdict", "model", "bend_rms", "bend_low", "bend_high", "detectable")
     head = ["scene", "cloud", "points", "seconds", "resumed", "memory_bytes", "reference", "points_in_region"]
@@ -122,7 +123,7 @@ def _find_evaluation(cloud: CloudResult, reference: str) -> ReferenceEvaluation 
 
 
 def _scene_row(scene: SceneResult, study: GaoStudy, columns: int) -> Iterator[list[str]]:
-    """The name of a scene as a row, where there are several."""
+    """Yield a row with the name of the scene, if there are several scenes."""
     if len(study.scenes) > 1:
         yield [scene.name, *[""] * (columns - 1)]
 
@@ -141,7 +142,7 @@ def _measure_cells(of: ReferenceEvaluation) -> list[str]:
 
 
 def format_number(value: float | None) -> str:
-    """Three digits, without an exponent where that is as short."""
+    """Format a number with three digits, without an exponent if that is as short."""
     if value is None:
         return _DASH
     return f"{value:.3g}" if not 0 < abs(value) < 1e-3 else f"{value:.1e}".replace("e-0", "e-")

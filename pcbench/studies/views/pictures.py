@@ -1,4 +1,4 @@
-"""Pictures of new views: photograph, rendering and error beside each other, a row a view."""
+"""Pictures of novel views: photograph, rendering and error side by side, one row per view."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from pcbench.scenes.views import Pictures, RenderedView
 from pcbench.studies.folder import unique_name
 from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
 
-# Draws the pictures of a folder with scores.
+# Draws the pictures of a folder with scores.json.
 PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
 
-# All in inches.
-_MAX_WIDTH, _MAX_HEIGHT = 4.4, 4.4  # of one picture at most
+# All sizes are in inches.
+_MAX_WIDTH, _MAX_HEIGHT = 4.4, 4.4  # of one picture
 _GAP, _CAPTION_HEIGHT, _TOP_MARGIN, _BOTTOM_MARGIN, _RIGHT_MARGIN = 0.12, 0.34, 0.72, 0.14, 0.95
 _BAR_WIDTH = 0.16
-_MIN_FIGURE_HEIGHT, _MIN_BAR_HEIGHT = 4.2, 1.5  # room for the words beside the bar
+_MIN_FIGURE_HEIGHT, _MIN_BAR_HEIGHT = 4.2, 1.5  # leave room for the label of the bar
 _MASK_COLOR = (150, 150, 150)
-_MIN_ERROR_RANGE = 1.0  # level: errors of less are rounding
+_MIN_ERROR_RANGE = 1.0  # grey level of 255; smaller errors are rounding
 
 
 class _Row(NamedTuple):
@@ -39,15 +39,16 @@ class _Row(NamedTuple):
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
-    """The pictures of a folder that `pcbench views` wrote: of each scene the worst, the median and the best view."""
+    """Return the pictures of a folder that `pcbench views` wrote: the worst, median and best view of each scene."""
     study = read_scores(folder)
     return {name: _picture(scene, look) for name, scene in _scenes_by_file_name(study.scenes).items()}
 
 
 def _picture(scene: ScoredScene, look: Figures) -> Picture:
     def draw(path: Path) -> bool:
-        of = "views that were held out" if scene.select(test=True) else "views, all of them trained on"
-        title = f"{scene.views.scene}, {scene.views.method}: worst, median and best by PSNR of {len(_ranked_views(scene))} {of}"
+        of = "held-out views" if scene.select(test=True) else "training views (none was held out)"
+        count = len(_ranked_views(scene))
+        title = f"{scene.views.scene}, {scene.views.method}: worst, median and best by PSNR of {count} {of}"
         draw_views(select_views(scene), title, path, look)
         return True
 
@@ -55,8 +56,10 @@ def _picture(scene: ScoredScene, look: Figures) -> Picture:
 
 
 def select_views(scene: ScoredScene) -> dict[str, ScoredView]:
-    """Worst, median and best by PSNR of the views that were held out, or of all where none was; fewer where there are
-    not three."""
+    """Return the worst, median and best held-out view by PSNR, or training view if none was held out.
+
+    There are fewer if the scene has less than three views.
+    """
     ranked = sorted(_ranked_views(scene), key=lambda scored: (scored.scores.psnr, scored.view.name))
     words = {0: "worst", (len(ranked) - 1) // 2: "median", len(ranked) - 1: "best"}
     if len(ranked) == 1:
@@ -69,16 +72,18 @@ def _ranked_views(scene: ScoredScene) -> tuple[ScoredView, ...]:
 
 
 def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Figures) -> None:
-    """Draw views, a row each, with one colour bar for all errors: it ends at the largest of the 95th percentiles.
+    """Draw one row per view, with one colour bar for all errors, which ends at the largest 95th percentile.
 
     Args:
-        views: by what is said of each, such as "worst".
-        path: with the ending of its format.
+        views: views by label, such as "worst".
+        title: title of the picture.
+        path: file to write; its suffix selects the format.
+        look: range of the colour bar and background.
     """
     rows = [_row(word, scored) for word, scored in views.items()]
     strays = [largest_but_strays(row.error[np.isfinite(row.error)]) for row in rows]
-    found = Range(0.0, max(*strays, _MIN_ERROR_RANGE), "up to the largest 95th percentile")
-    scale = found if look.range is None else Range(0.0, look.range, "range as given")
+    found = Range(0.0, max(*strays, _MIN_ERROR_RANGE), "largest 95th percentile")
+    scale = found if look.range is None else Range(0.0, look.range, "range as set")
     figure, axis, color, height = _canvas(rows, look)
     width = 3 * _MAX_WIDTH + 2 * _GAP
     axis.text(0, height - 0.22, title, color=color, fontsize=13, ha="left", va="center", parse_math=False)
@@ -120,14 +125,14 @@ def _scores_text(scores: ViewScores) -> str:
 
 
 def _picture_size(row: _Row) -> tuple[float, float]:
-    """Width and height of a picture, as large as fits."""
+    """Return the largest width and height of a picture that fit, in inches."""
     height, width = row.error.shape
     scale = min(_MAX_WIDTH / width, _MAX_HEIGHT / height)
     return width * scale, height * scale
 
 
 def _canvas(rows: Sequence[_Row], look: Figures) -> tuple[Any, Any, str, float]:
-    """A figure, axes over all of it in inches, the colour of words, and the height above the lower margin."""
+    """Return a figure, axes in inches over all of it, the text colour, and the height above the lower margin."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -154,7 +159,7 @@ def _draw_image(axis: Any, image: NDArray[np.uint8], left: float, bottom: float,
 
 
 def _colors(error: FloatArray, scale: Range) -> NDArray[np.uint8]:
-    """RGB of errors (H, W); grey where a pixel does not count."""
+    """Return RGB colours of errors (H, W); masked pixels are grey."""
     counts = np.isfinite(error)
     image = np.empty((*error.shape, 3), dtype=np.uint8)
     image[:] = _MASK_COLOR
@@ -163,7 +168,7 @@ def _colors(error: FloatArray, scale: Range) -> NDArray[np.uint8]:
 
 
 def _draw_color_bar(axis: Any, left: float, middle: float, scale: Range, color: str, rows: Sequence[_Row]) -> None:
-    """With an arrow at the upper end, beyond which errors have its colour."""
+    """Draw the colour bar; the arrow at its upper end marks larger errors, which have the same colour."""
     from matplotlib.patches import Polygon
     from matplotlib.ticker import MaxNLocator
 
@@ -180,12 +185,12 @@ def _draw_color_bar(axis: Any, left: float, middle: float, scale: Range, color: 
             axis.plot([right, right + 0.05], [y, y], color=color, linewidth=0.8)
             axis.text(right + 0.09, y, f"{tick:g}", color=color, fontsize=9.5, va="center")
     masked = any(row.pictures.mask is not None for row in rows)
-    label = "|difference|, mean of channels [levels of 255]\n" + scale.note + ("; grey: not counted" * masked)
+    label = "|difference|, mean of channels [levels of 255]\n" + scale.note + ("; grey: masked" * masked)
     axis.text(right + 0.42, middle, label, color=color, fontsize=9, rotation=90, ha="left", va="center")
 
 
 def _scenes_by_file_name(scenes: Sequence[ScoredScene]) -> dict[str, ScoredScene]:
-    """By names that files can have, numbered where several are alike."""
+    """Return scenes by valid file names, numbered if several are equal."""
     named: dict[str, ScoredScene] = {}
     for scene in scenes:
         words = f"{scene.views.scene}_{scene.views.method}"

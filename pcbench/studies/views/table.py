@@ -1,4 +1,4 @@
-"""The table of new views: a row a scene, means over views that were trained on and over those that were held out."""
+"""The table of novel views: one row per scene, with means over training views and over held-out views."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ _METRICS = (
 
 
 def table(study: ViewStudy) -> list[list[str]]:
-    """Cells, the header first. A metric that nothing here measures has no column; scenes of one study are averaged in a
-    last row where there are several."""
+    """Return the cells, the header first; only measured metrics have columns.
+
+    If there are several scenes, the last row has their mean.
+    """
     means = [(scene.mean(test=False), scene.mean(test=True)) for scene in study.scenes]
     known = [
         metric
@@ -52,20 +54,20 @@ def table(study: ViewStudy) -> list[list[str]]:
 
 
 def sentences(study: ViewStudy) -> list[str]:
-    """What is to be known beside the table."""
+    """Return the notes on the table."""
     perceptual = any(s.lpips is not None or s.flip is not None for scene in study.scenes for s in scene.scores)
     lines = [
-        "means over views; PSNR in dB and SSIM: more is better" + ("; LPIPS and FLIP: less is better" * perceptual),
+        "means over views; PSNR in dB and SSIM: higher is better" + ("; LPIPS and FLIP: lower is better" * perceptual),
     ]
     if any(scene.standard_error() is not None for scene in study.scenes):
-        lines.append("±: one standard error, over the blocks of held-out views")
+        lines.append("±: one standard error, from the means of blocks of held-out views")
     if bare := [scene.views.scene for scene in study.scenes if not scene.select(test=True)]:
-        lines.append(f"no view was held out of {', '.join(bare)}: views that were trained on say little of new ones")
+        lines.append(f"no view of {', '.join(bare)} was held out: scores of training views say little about new views")
     return [*lines, *(f"note: {note.text}" for note in study.notes)]
 
 
 def markdown(study: ViewStudy) -> str:
-    """The table and its sentences as Markdown."""
+    """Return the table and its notes as Markdown."""
     rows = table(study)
     lines = [markdown_table(rows, rows[0].index("views")), "", *(f"- {sentence}" for sentence in sentences(study))]
     return "\n".join(lines) + "\n"
@@ -89,6 +91,6 @@ def _format(value: float | None, metric: _Metric) -> str:
 
 
 def _mean_over_scenes(means: Sequence[ViewScores | None]) -> ViewScores | None:
-    """Mean over scenes, where all of them have views of the kind."""
+    """Return the mean over scenes, or None if some scene has no such views."""
     there = [mean for mean in means if mean is not None]
     return mean_scores(there) if len(there) == len(means) else None

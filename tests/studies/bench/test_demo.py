@@ -41,7 +41,7 @@ def test_the_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
     known = {"sfm": ("upsample",), "mvs": ("spacing",), "splat": ("steps", "cloud")}
     found, notes = trials([Method(name, name, Description(known[name])) for name in job.methods], job.axes, job.seeds)
     assert not notes
-    assert [trial.words for trial in found] == [
+    assert [trial.title for trial in found] == [
         "sfm image_scale=0.5 upsample=false",
         "sfm image_scale=0.5 upsample=true",
         "sfm image_scale=1 upsample=false",

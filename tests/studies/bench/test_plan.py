@@ -61,7 +61,7 @@ def test_the_product_of_sweeps():
     a, b, unknown = method("A", "n", "seed"), method("B", "n", "m"), method("C", problem="it cannot be imported")
     axes = [Axis.sweep("image_scale=0.5,1"), Axis.sweep("n=1,2"), Axis.sweep("B.m=x,y"), Axis.fixed("A.n=7,8")]
     found, notes = trials([a, b, unknown], axes, 2)
-    words = [trial.words for trial in found]
+    words = [trial.title for trial in found]
     assert words[:4] == [f"A image_scale={s} n=7,8 seed {k}" for s in ("0.5", "1") for k in (0, 1)]
     assert words[4:12] == [f"B image_scale={s} n={n} m={m}" for s in ("0.5", "1") for n in "12" for m in "xy"]
     assert words[12:] == ["C image_scale=0.5", "C image_scale=1"]

@@ -26,7 +26,7 @@ from pcbench.studies.bend.bend import register_by_rays
 from pcbench.studies.bend.findings import (
     Solution,
     Variant,
-    _intrinsics_words,
+    _correlation_sentence,
     csv_text,
     explain,
     intrinsics_error,
@@ -160,7 +160,7 @@ def test_lens_and_bend_go_together_only_if_they_do(errors):
         )
         for k, e in enumerate(errors)
     ]
-    words = list(_intrinsics_words(rows))
+    words = list(_correlation_sentence(rows))
     if len(set(errors)) == 1:
         assert words == []
     else:
