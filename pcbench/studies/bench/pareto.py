@@ -80,8 +80,9 @@ def front_configurations(found: Sequence[Configuration], column: str, *, higher_
 
 
 def mark_front(rows: Sequence[dict[str, Any]]) -> None:
-    """Set `pareto` of each row: whether its configuration is on the front of wall time and F-score; None if the row was
-    not measured.
+    """Set `pareto` of each row: whether its configuration is on the front of wall time and F-score.
+
+    It is None if the row was not measured.
     """
     found = configurations(rows)
     best = {

@@ -1,6 +1,4 @@
-"""The truth of a bench: the reference, its surface if there is a mesh, the part that the cameras saw, and the size of
-their pixels on it.
-"""
+"""The truth of a bench: the reference, its surface, the part that the cameras saw, and their pixel size on it."""
 
 from __future__ import annotations
 

@@ -176,14 +176,14 @@ def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
     sizes = [row.truth.size_text(unit) for row in (main.worse, main.better) if row.truth is not None]
     yield (
         f"The cause is {words}: {names[0]}, the cloud is deformed by {sizes[0]} RMS; {names[1]}, by {sizes[1]},"
-        f" all else equal ({main.worse.name!r} and {main.better.name!r})."
+        f" all else equal ({main.worse.name!r} against {main.better.name!r})."
     )
     for factor, (words, _) in FACTORS.items():
         own = [change for change in changes if change.factor == factor]
         if factor != main.factor and own:
             yield (
                 f"Changing {words} alone changes the deformation by at most {own[0].difference:.3g} {unit} RMS".rstrip()
-                + f" ({own[0].worse.name!r} and {own[0].better.name!r})."
+                + f" ({own[0].worse.name!r} against {own[0].better.name!r})."
             )
     yield from _shape_sentence(main.worse, unit)
     yield from _correlation_sentence(rows)

@@ -19,8 +19,10 @@ Length = Callable[[ReferenceEvaluation], float | None]
 
 
 def sentences(study: GaoStudy) -> Iterator[str]:
-    """Yield sentences on the gains and costs of densification, the errors that a reference of the same images hides,
-    deformations and their causes, and limits of the results.
+    """Yield all conclusions as sentences.
+
+    They cover the gains and costs of densification, the errors that a reference of the same images hides, deformations
+    and their causes, and the limits of the results.
     """
     yield from failures(study)
     yield from _completeness_sentences(study)
@@ -104,8 +106,9 @@ def _truth_sentences(study: GaoStudy) -> Iterator[str]:
         _geometric_mean([value for of in own if (value := rms(of)) is not None]) for rms in (_c2r_rms, _r2c_rms)
     )
     yield (
-        f"A reference made of the same images hides its own errors: mvs deviates from the truth by"
-        f" {length(forth, study.unit)} RMS (c→r), and the visible truth from mvs by {length(back, study.unit)} RMS (r→c)."
+        "A reference made of the same images hides its own errors: mvs deviates from the truth by"
+        f" {length(forth, study.unit)} RMS (c→r), and the visible truth from mvs by {length(back, study.unit)} RMS"
+        " (r→c)."
     )
     for name in (SPARSE, MEANS, SURFACE):
         found = _LengthChange.of(study, (name, MVS), (name, TRUTH), _c2r_rms)
@@ -117,8 +120,8 @@ def _truth_sentences(study: GaoStudy) -> Iterator[str]:
         same = "the same" if by[MVS] == by[TRUTH] else "a different"
         of_mvs = _chamfer_order(study, TRUTH, [MVS, *by[TRUTH]])
         yield (
-            f"By Chamfer distance, the order against mvs is {_ranking(by[MVS])}; the truth gives {same} order; including"
-            f" mvs: {_ranking(of_mvs)}."
+            f"By Chamfer distance, the order against mvs is {_ranking(by[MVS])}; the truth gives {same} order;"
+            f" including mvs: {_ranking(of_mvs)}."
         )
 
 
@@ -204,8 +207,10 @@ def _slope_text(trend: Trend) -> str:
 
 
 def _cause_sentences(scene: SceneResult, study: GaoStudy) -> Iterator[str]:
-    """Yield sentences on causes. Cameras that clouds share do not deform one against another. Their effect against the
-    truth is computed if the truth is known.
+    """Yield sentences on the causes of deformations.
+
+    Cameras that clouds share do not deform one against another. Their effect against the truth is computed if the truth
+    is known.
     """
     yield from _camera_sentences(scene)
     names = [cloud.name for cloud in scene.clouds]
@@ -240,7 +245,7 @@ def _camera_sentences(scene: SceneResult) -> Iterator[str]:
         return
     text = (
         f"position errors of solved cameras: {length(errors.median, scene.unit)} (median),"
-        f" {length(errors.largest, scene.unit)} (largest); focal length {errors.focal_ratio:.4f} times that of the scene"
+        f" {length(errors.largest, scene.unit)} (largest); focal length {errors.focal_ratio:.4f} times the scene's"
     )
     cameras = "the cameras"
     if errors.astray:

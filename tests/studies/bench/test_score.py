@@ -1,4 +1,4 @@
-"""How clouds are brought onto the reference and measured, and what the cameras saw of it."""
+"""Registration and scores of clouds, and visibility of the reference."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 import oracles
 import pytest
 import shapes
-from benches import OWN, POINTS, RIG, TRUTH, K, made_of
+from benches import OWN, POINTS, RIG, TRUTH, K, reconstruction_in
 from optional import break_library
 from wording import said
 
@@ -25,16 +25,16 @@ def score(truth, made, folder, rules=None):
     return scoring.score(EvaluationProtocol.of(truth, rules or Rules()), made, folder).row()
 
 
-def test_an_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
-    straight = score(truth, made_of(POINTS, "georeferenced"), tmp_path)
-    values = score(truth, made_of(POINTS, "arbitrary", OWN), tmp_path)
+def test_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
+    straight = score(truth, reconstruction_in(POINTS, "georeferenced"), tmp_path)
+    values = score(truth, reconstruction_in(POINTS, "arbitrary", OWN), tmp_path)
     assert values["registration"] == "cameras"
     for key in ("d1_c2r", "d1_r2c", "fscore", "recall_visible", "chamfer"):
         assert values[key] == pytest.approx(straight[key], rel=1e-6)
     T = np.array([[float(w) for w in line.split()] for line in (tmp_path / "T.txt").read_text().splitlines()])
     np.testing.assert_allclose(T, OWN.inverse().matrix, atol=1e-9 * 300)
-    # A camera that is wrong does not pull.
-    wrong = made_of(POINTS, "arbitrary", OWN)
+    # An outlier camera has no influence.
+    wrong = reconstruction_in(POINTS, "arbitrary", OWN)
     cameras = dict(wrong.cameras)
     camera = cameras["2.png"].cam_from_world
     cameras["2.png"] = Camera("2.png", K, Similarity(camera.rotation, camera.translation + 5))
@@ -43,8 +43,8 @@ def test_an_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
     assert np.linalg.norm(moved - POINTS, axis=1).max() < 0.2  # least squares would be off by metres
 
 
-def test_errors_of_a_georeferenced_cloud_are_not_fitted_away(truth, tmp_path):
-    made = made_of(POINTS + [0, 0, 1.5], "georeferenced")
+def test_georeferenced_cloud_is_not_fitted(truth, tmp_path):
+    made = reconstruction_in(POINTS + [0, 0, 1.5], "georeferenced")
     values = score(truth, made, tmp_path)
     assert values["registration"] == "none"
     distances = oracles.nearest(made.cloud.points, TRUTH.points)[0]
@@ -55,11 +55,11 @@ def test_errors_of_a_georeferenced_cloud_are_not_fitted_away(truth, tmp_path):
     assert fitted["d1_c2r"] < 0.2 * values["d1_c2r"]
 
 
-def test_a_metric_cloud_gets_no_scale(truth, tmp_path):
+def test_metric_cloud_is_registered_without_scale(truth, tmp_path):
     rigid = Similarity(OWN.rotation, OWN.translation)
-    exact = score(truth, made_of(POINTS, "metric", rigid), tmp_path)
+    exact = score(truth, reconstruction_in(POINTS, "metric", rigid), tmp_path)
     centre = POINTS.mean(axis=0)
-    larger = made_of(POINTS, "metric", Similarity(np.eye(3), -0.05 * centre, 1.05))
+    larger = reconstruction_in(POINTS, "metric", Similarity(np.eye(3), -0.05 * centre, 1.05))
     values = score(truth, larger, tmp_path)
     assert (exact["registration"], values["registration"]) == ("cameras", "cameras")
     assert exact["comparison"]["registration"]["scale"] == pytest.approx(1, abs=1e-9)
@@ -67,7 +67,7 @@ def test_a_metric_cloud_gets_no_scale(truth, tmp_path):
     assert values["d1_c2r"] > 2 * exact["d1_c2r"]
 
 
-def test_without_cameras_the_surfaces_decide(truth, tmp_path, monkeypatch):
+def test_cloud_without_cameras_is_registered_by_surface(truth, tmp_path, monkeypatch):
     cloud = Reconstruction(Cloud(POINTS), "arbitrary")
     assert choose_alignment(cloud, truth.cameras).method in ("global-similarity", "similarity")
     break_library(monkeypatch, tmp_path / "packages", "kiss_matcher", None)
@@ -76,19 +76,19 @@ def test_without_cameras_the_surfaces_decide(truth, tmp_path, monkeypatch):
     assert found.method == "similarity"
     assert "kiss-matcher" in found.notes[0]
     near = Similarity(shapes.rotation([0, 0, 1], 1.0), np.array([0.1, 0.2, 0.0]), 1.02)
-    values = score(truth, made_of(POINTS, "arbitrary", near, cameras=()), tmp_path)
+    values = score(truth, reconstruction_in(POINTS, "arbitrary", near, cameras=()), tmp_path)
     assert values["registration"] == "similarity"
     assert values["comparison"]["registration"]["scale"] == pytest.approx(1 / 1.02, rel=2e-3)
-    # Two cameras, or cameras on one line, fix no similarity: said, and the surfaces decide.
-    two = choose_alignment(made_of(POINTS, "arbitrary", OWN, cameras=RIG[:2]), truth.cameras)
+    # Two cameras, or cameras on one line, do not fix a similarity: a note, and registration by surface.
+    two = choose_alignment(reconstruction_in(POINTS, "arbitrary", OWN, cameras=RIG[:2]), truth.cameras)
     assert two.method == "similarity"
     said(two.notes[0])
 
 
-def test_recall_of_the_visible_part(truth, tmp_path):
+def test_recall_of_visible_part(truth, tmp_path):
     part = POINTS[POINTS[:, 0] > 15]
     rules = Rules(threshold="0.7", crop="box:5,5,-5,35,35,50")
-    values = score(truth, made_of(part, "georeferenced"), tmp_path, rules)
+    values = score(truth, reconstruction_in(part, "georeferenced"), tmp_path, rules)
     near = oracles.nearest(TRUTH.points, part)[0] <= 0.7
     inside = ((TRUTH.points >= [5, 5, -5]) & (TRUTH.points <= [35, 35, 50])).all(axis=1)
     visible = TRUTH.attributes["visible"] != 0
@@ -98,14 +98,14 @@ def test_recall_of_the_visible_part(truth, tmp_path):
 
 
 def wall_and_ground():
-    """A ground of 40 m and a wall across it that hides a part of it from each side."""
+    """Mesh of a ground of 40 m with a wall that hides a part of it from each side."""
     vertices = np.array(
         [[0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0], [20, 5, 0], [20, 35, 0], [20, 35, 9], [20, 5, 9]], float
     )
     return Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]))
 
 
-def test_visibility_by_rays_is_that_of_brute_force():
+def test_visibility_by_ray_casting_matches_brute_force():
     mesh = wall_and_ground()
     sample = mesh.sample(500, seed=3)
     cameras = {camera.name: camera for camera in RIG}
@@ -122,7 +122,7 @@ def test_visibility_by_rays_is_that_of_brute_force():
     assert 0.1 < found.mean() < 0.9
 
 
-def test_where_visibility_comes_from(here, monkeypatch):
+def test_source_of_visibility(bench_folder, monkeypatch):
     monkeypatch.setattr(truths, "_MESH_SAMPLE_COUNT", 20_000)  # enough for the tolerance below
     cameras = {camera.name: camera for camera in RIG}
     by_attribute = read_truth(Path("truth.ply"), None, cameras, print)

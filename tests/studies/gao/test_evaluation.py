@@ -1,4 +1,4 @@
-"""What clouds are held against: what belongs to them is kept for the next run, and what may pass is not."""
+"""Evaluation against a reference: failures of a cloud are saved for later runs, temporary failures are not."""
 
 import errno
 
@@ -26,8 +26,8 @@ def evaluate(folder):
     return evaluation.evaluate_against(folder / "reference.ply", TRUTH, clouds, "none", folder, 0)
 
 
-def failing_once(monkeypatch, error):
-    """`compare_files` that fails once, as on a machine where something is missing."""
+def fail_once(monkeypatch, error):
+    """Make `compare_files` fail once."""
     compare, left = evaluation.compare_files, [error]
 
     def compare_files(*arguments):
@@ -41,8 +41,8 @@ def failing_once(monkeypatch, error):
 @pytest.mark.parametrize(
     "error", [MissingExtra("open3d", "open3d"), OSError(errno.ENOSPC, "No space left on device"), MemoryError()]
 )
-def test_what_may_pass_is_raised_and_tried_again(clouds, monkeypatch, error):
-    failing_once(monkeypatch, error)
+def test_temporary_failure_is_raised_and_retried(clouds, monkeypatch, error):
+    fail_once(monkeypatch, error)
     with pytest.raises(type(error)):
         evaluate(clouds)
     found = evaluate(clouds).clouds["candidate"]
@@ -52,7 +52,7 @@ def test_what_may_pass_is_raised_and_tried_again(clouds, monkeypatch, error):
 
 
 @pytest.mark.parametrize("error", [InputError("too few points"), RegistrationError("no overlap")])
-def test_what_belongs_to_a_cloud_is_kept(clouds, monkeypatch, error):
+def test_failure_of_a_cloud_is_saved(clouds, monkeypatch, error):
     calls = []
 
     def compare_files(*_):
