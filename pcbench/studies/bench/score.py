@@ -152,7 +152,7 @@ def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
         return tuple(Threshold(n * truth.pixel, n) for n in DEFAULT_PIXELS)
     if text is None:
         if truth.spacing == 0:
-            raise InputError("the median spacing of the reference is 0, so there is no default threshold; set --threshold")
+            raise InputError("the median spacing of the reference is 0, so it gives no threshold; set --threshold")
         return tuple(Threshold(n * truth.spacing) for n in DEFAULT_PIXELS)
     found = []
     for word in text.split(","):

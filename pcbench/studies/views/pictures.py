@@ -47,7 +47,7 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
 def _picture(scene: ScoredScene, look: Figures) -> Picture:
     def draw(path: Path) -> bool:
         of = "held-out views" if scene.select(test=True) else "training views (none was held out)"
-        count = len(_ranked_views(scene))
+        count = len(_eligible_views(scene))
         title = f"{scene.views.scene}, {scene.views.method}: worst, median and best by PSNR of {count} {of}"
         draw_views(select_views(scene), title, path, look)
         return True
@@ -60,14 +60,14 @@ def select_views(scene: ScoredScene) -> dict[str, ScoredView]:
 
     There are fewer if the scene has less than three views.
     """
-    ranked = sorted(_ranked_views(scene), key=lambda scored: (scored.scores.psnr, scored.view.name))
+    ranked = sorted(_eligible_views(scene), key=lambda scored: (scored.scores.psnr, scored.view.name))
     words = {0: "worst", (len(ranked) - 1) // 2: "median", len(ranked) - 1: "best"}
     if len(ranked) == 1:
         return {"only": ranked[0]}
     return {words[k]: ranked[k] for k in sorted(words)}
 
 
-def _ranked_views(scene: ScoredScene) -> tuple[ScoredView, ...]:
+def _eligible_views(scene: ScoredScene) -> tuple[ScoredView, ...]:
     return scene.select(test=True) or scene.select(test=False)
 
 
