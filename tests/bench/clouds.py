@@ -38,7 +38,7 @@ def centre_heavy(rng: np.random.Generator, count: int) -> Points:
 
 
 def scan_lines(rng: np.random.Generator, count: int) -> Points:
-    """Simulate a spinning LiDAR with 64 rings at a few stations between walls: dense along scan lines, sparse across."""
+    """Simulate a spinning LiDAR of 64 rings at a few stations between walls: dense along its lines, sparse across."""
     station = rng.integers(0, 9, count)
     elevation = np.radians(np.linspace(-24, 4, 64))[rng.integers(0, 64, count)]
     azimuth = np.radians(0.1 * rng.integers(0, 3600, count) + rng.normal(0, 0.005, count))

@@ -49,7 +49,7 @@ def ours(folder: Path) -> dict:
 
 
 def open3d(folder: Path) -> dict:
-    """Run a typical user script: normals (k = 20), point-to-plane ICP, distances both ways, the paper's four metrics."""
+    """Run a typical user script: normals (k = 20), point-to-plane ICP, both distances, the paper's four metrics."""
     clock = Clock()
     import numpy as np
     import open3d as o3d

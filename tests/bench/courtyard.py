@@ -1,5 +1,7 @@
-"""Repeated facades: `python tests/bench/courtyard.py` solves courtyards and prints each mapper's own result, the accepted
-result and the warnings. Errors are those of the worst camera after an alignment to the truth.
+"""Repeated facades: `python tests/bench/courtyard.py` solves courtyards with each mapper.
+
+It prints the mapper's own result, the accepted result and the warnings. Errors are those of the worst camera after an
+alignment to the truth.
 """
 
 import argparse

@@ -42,7 +42,7 @@ def main() -> None:
     options = parser.parse_args()
     limit_threads(1)
     print(setting())
-    columns = "".join(f"{way + ' ' + name:>18}" for way in ("c→r", "r→c") for name in METRICS)
+    columns = "".join(f"{arrow + ' ' + name:>18}" for arrow in ("c→r", "r→c") for name in METRICS)
     print(f"{'surface':9}{'reference':>10}{'candidate':>10}{'falling':>8}{'noise':>6}{columns}")
     without = np.ones((2, len(METRICS)))
     for case in NOISY if options.noise else CASES:

@@ -2,8 +2,8 @@
 
     python tests/bench/mesh.py [--faces 1000000] [--queries 1000000] [--runs 3]
 
-The mesh is a rough height field; queries are close to it, in its box, and far away. CPU seconds are those of all threads
-together, which do not depend on the load. Open3D and trimesh are left out if they cannot be imported; trimesh, which
+The mesh is a rough height field; queries are close to it, in its box, and far away. CPU seconds are the sum over all
+threads, which does not depend on the load. Open3D and trimesh are left out if they cannot be imported; trimesh, which
 takes milliseconds per query, gets a hundredth of the queries, and its time is scaled up.
 """
 

@@ -80,8 +80,8 @@ def photometric(case: Case) -> np.ndarray:
 def plane_sweep(case: Case) -> np.ndarray:
     """Sweep fronto-parallel planes at even inverse depths (Collins 1996; Gallup et al. 2007).
 
-    The cost is the mean of the two best sources' normalised correlations over a window, with a parabola through the best
-    plane and its neighbours.
+    The cost is the mean of the two best sources' normalised correlations over a window. A parabola through the best
+    plane and its neighbours refines it.
     """
     import cv2
 

@@ -57,7 +57,7 @@ def budgets(city: Path, out: Path) -> dict[str, list[Place]]:
 
 
 def confidences(folder: Path, work: Path) -> list[Place]:
-    """Measure completeness over the visible part and precision for each confidence; only filter and fusion run again."""
+    """Measure completeness over the visible part and precision per confidence; only filter and fusion run again."""
     city, found = read_city(folder), []
     work.mkdir(exist_ok=True)
     for confidence in CONFIDENCES:

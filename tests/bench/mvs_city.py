@@ -1,9 +1,8 @@
-"""Accuracy and completeness of dense clouds of cities with exact truth, in hard cases too: python
-tests/bench/mvs_city.py
+"""Accuracy and completeness of dense clouds of cities with exact truth: python tests/bench/mvs_city.py
 
-Each row is a city: the shares of correct points and of covered surface at 1, 2 and 5 pixel footprints, and the errors of
-depth and normal maps. `moved` is a city with a moving object in each of its photographs. `--missed` analyses the missing
-textured surface of the first city.
+Each row is a city: the shares of correct points and of covered surface at 1, 2 and 5 pixel footprints, and the errors
+of depth and normal maps. `moved` is a city with a moving object in each of its photographs. `--missed` analyses the
+missing textured surface of the first city.
 """
 
 import argparse
@@ -116,6 +115,7 @@ def scored(city: City, work: Path) -> CloudScore:
 
 
 def cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> None:
+    """Create, reconstruct and score cities."""
     print(HEAD)
     for name in names:
         folder, work = root / name.replace(" ", ""), root / f"{name.replace(' ', '')}_work"
@@ -130,8 +130,9 @@ def cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> Non
 
 
 def what_is_missed(root: Path) -> None:
+    """Print the properties of the missing textured surface."""
     city = read_city(root / "city")
-    print(f"\n{'with texture, shown by':24}{'share':>8}{'within 2':>10}{'of the missed':>15}")
+    print(f"\n{'textured, visible in':24}{'share':>8}{'within 2':>10}{'of the missed':>15}")
     for name, found in missed(city, read_cloud(root / "city_work" / "cloud.ply").points).items():
         print(f"{name:24}{found.share:8.1%}{found.recall:10.3f}{found.missed:15.1%}")
 
