@@ -99,8 +99,8 @@ class _ChartLook(NamedTuple):
         return " ".join(f"×{c.choices[key]}" if key == IMAGE_SCALE else f"{key}={c.choices[key]}" for key in varied)
 
 
-def _series(method: str, choices: Mapping[str, str], words: frozenset[str]) -> str:
-    return " ".join((method, *(f"{key}={value}" for key, value in choices.items() if key in words)))
+def _series(method: str, choices: Mapping[str, str], text_settings: frozenset[str]) -> str:
+    return " ".join((method, *(f"{key}={value}" for key, value in choices.items() if key in text_settings)))
 
 
 def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity]) -> bool:
@@ -143,15 +143,15 @@ def _chart_look(document: dict[str, Any], found: list[Configuration]) -> _ChartL
             values.setdefault(key, {})[value] = None
     varied = {key for key, of in values.items() if len(of) > 1}
     numeric_settings = frozenset(key for key in varied if all(map(_is_number, values[key])))
-    words = frozenset(varied - numeric_settings)
-    series = list(dict.fromkeys(_series(c.method, c.choices, words) for c in found))
+    text_settings = frozenset(varied - numeric_settings)
+    series = list(dict.fromkeys(_series(c.method, c.choices, text_settings) for c in found))
     times = np.array([row["wall_s"] for row in document["rows"]])
     threshold = next((row["threshold"] for row in document["rows"] if row.get("threshold")), 0.0)
     unit = document["reference"].get("unit") or "units of the file"
     return _ChartLook(
         found,
         numeric_settings,
-        words,
+        text_settings,
         {name: SERIES[number % len(SERIES)] for number, name in enumerate(series)},
         {name: _MARKERS[number % len(_MARKERS)] for number, name in enumerate(series)},
         max((c.median("peak_rss_bytes") or 1.0 for c in found), default=1.0),
@@ -219,10 +219,10 @@ def _draw_marker(axis: Any, look: _ChartLook, quantity: _Quantity, c: Configurat
     x, y = _median(c, "wall_s"), _median(c, quantity.column)
     series = look.series(c.method, c.choices)
     color, area, shape = look.color[series], look.area(c), look.shape[series]
-    for way, at, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
+    for side, at, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
         if max(values) > min(values):
             spread = [[at - min(values)], [max(values) - at]]
-            axis.errorbar(x, y, **{way: spread}, color=_FRONT_COLOR, linewidth=0.9, capsize=2, zorder=4)
+            axis.errorbar(x, y, **{side: spread}, color=_FRONT_COLOR, linewidth=0.9, capsize=2, zorder=4)
     seen = c.median("recall_visible") if quantity.column == "recall" else None
     if seen is not None:
         axis.plot([x, x], [y, seen], color=color, linewidth=1, zorder=2)
@@ -236,15 +236,15 @@ def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
     from matplotlib.transforms import Bbox
 
     scale = axis.figure.dpi / 72
-    wanted: list[tuple[Configuration, Any, Any]] = []
+    labels: list[tuple[Configuration, Any, Any]] = []
     steps = [
         (_median(c, "wall_s"), _median(c, quantity.column))
         for c in front_configurations(look.configurations, quantity.column, higher_is_better=quantity.higher_is_better)
     ]
     corners = [axis.transData.transform(at) for at in steps]
     corners.append(np.array([axis.bbox.x1, corners[-1][1]]))
-    taken = [Bbox([[a[0], a[1] - 1], [b[0], a[1] + 1]]) for a, b in pairwise(corners)]
-    taken += [Bbox([[b[0] - 1, min(a[1], b[1])], [b[0] + 1, max(a[1], b[1])]]) for a, b in pairwise(corners)]
+    occupied = [Bbox([[a[0], a[1] - 1], [b[0], a[1] + 1]]) for a, b in pairwise(corners)]
+    occupied += [Bbox([[b[0] - 1, min(a[1], b[1])], [b[0] + 1, max(a[1], b[1])]]) for a, b in pairwise(corners)]
     for c in look.configurations:
         if c.median(quantity.column) is None:
             continue
@@ -254,12 +254,12 @@ def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
         places = [axis.transData.transform((_median(c, "wall_s"), y)) for y in heights]
         half = 0.5 * scale * look.area(c) ** 0.5
         low, high = np.min(places, axis=0) - half, np.max(places, axis=0) + half
-        taken.append(Bbox([low, high]))
-        wanted.append((c, low, high))
-    for c, low, high in wanted:
+        occupied.append(Bbox([low, high]))
+        labels.append((c, low, high))
+    for c, low, high in labels:
         (x, y), gap = 0.5 * (low + high), 3 * scale
         above, below = (x, high[1] + gap, "center", "bottom"), (x, low[1] - gap, "center", "top")
-        spots = (
+        candidates = (
             *((above, below) if quantity.higher_is_better else (below, above)),  # away from the front
             (high[0] + gap, y, "left", "center"),
             (low[0] - gap, y, "right", "center"),
@@ -269,12 +269,12 @@ def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
             (low[0] - 1, high[1] + 1, "right", "bottom"),
         )
         style = {"fontsize": 9, "color": look.color[look.series(c.method, c.choices)], "zorder": 5}
-        for at_x, at_y, across, up in spots:
+        for at_x, at_y, across, up in candidates:
             text = axis.text(at_x, at_y, look.label(c), ha=across, va=up, transform=None, **style)
             box = text.get_window_extent()
             inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 and axis.bbox.y0 <= box.y0 < axis.bbox.y1
-            if inside and not any(box.overlaps(other) for other in taken):
-                taken.append(box)
+            if inside and not any(box.overlaps(other) for other in occupied):
+                occupied.append(box)
                 break
             text.remove()
 
@@ -291,37 +291,37 @@ class _FailureMark(NamedTuple):
 
 def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[dict[str, Any]]) -> list[_FailureMark]:
     """Group failures and place each label on the first line where it overlaps no other."""
-    wide = 4.6 * figure.dpi  # minimum width of a strip, in pixels
+    width = 4.6 * figure.dpi  # minimum width of a strip, in pixels
     low, high = np.log(look.time_limits)
     groups: dict[tuple[str, str, int], list[float]] = {}  # failures of a series within one marker's width
     for row in sorted(failed, key=lambda row: row["wall_s"]):
-        at = (np.log(row["wall_s"]) - low) / (high - low) * wide
+        at = (np.log(row["wall_s"]) - low) / (high - low) * width
         series = look.series(row["method"], row["choices"])
         groups.setdefault((series, row["status"], int(at // 8)), []).append(row["wall_s"])
     lines: list[list[tuple[float, float]]] = []
-    found = []
+    marks = []
     for (series, status, _), times in groups.items():
         text = status if len(times) == 1 else f"{status} ×{len(times)}"
         time = float(np.median(times))
         word = figure.text(0, 0, text, fontsize=8)
         length = word.get_window_extent().width
         word.remove()
-        at, gap = float((np.log(time) - low) / (high - low) * wide), 8 * figure.dpi / 72
+        at, gap = float((np.log(time) - low) / (high - low) * width), 8 * figure.dpi / 72
         right = (at - gap, at + gap + length), False
         leftward = (at - gap - length, at + gap), True
         # Place the label left of its cross if it would leave the strip on the right or overlap another label there.
-        ways = [way for way in (right, leftward) if way[0][0] >= 0 and way[0][1] <= wide] or [right]
+        options = [option for option in (right, leftward) if option[0][0] >= 0 and option[0][1] <= width] or [right]
         lines.append([])
         line, (ends, left) = next(
-            (line, way)
-            for line, taken in enumerate(lines)
-            for way in ways
-            if all(way[0][1] < a or b < way[0][0] for a, b in taken)
+            (line, option)
+            for line, occupied in enumerate(lines)
+            for option in options
+            if all(option[0][1] < a or b < option[0][0] for a, b in occupied)
         )
         lines[line].append(ends)
-        lines = [taken for taken in lines if taken]
-        found.append(_FailureMark(time, line, look.color[series], text, left))
-    return found
+        lines = [occupied for occupied in lines if occupied]
+        marks.append(_FailureMark(time, line, look.color[series], text, left))
+    return marks
 
 
 def _draw_failures(axis: Any, look: _ChartLook, failure_marks: Sequence[_FailureMark]) -> None:
@@ -364,8 +364,8 @@ def _draw_legend(figure: Any, look: _ChartLook, quantities: Sequence[_Quantity],
         for q in quantities
     ):
         handles.append(dot("o", _DOMINATED_COLOR, "#8a8f96", 80, "dominated in time and score"))
-    with_seen = any(q.column == "recall" for q in quantities)
-    if with_seen and any(c.median("recall_visible") is not None for c in look.configurations):
+    shows_recall = any(q.column == "recall" for q in quantities)
+    if shows_recall and any(c.median("recall_visible") is not None for c in look.configurations):
         handles.append(dot("o", "white", _FRONT_COLOR, 25, "recall of the part that cameras saw"))
     if failures:
         handles.append(Line2D([], [], linestyle="", marker="x", markeredgewidth=2, color=_FRONT_COLOR, label="failed"))

@@ -179,10 +179,10 @@ def bench(
         job = replace(job, mesh=mesh_of(job.scene, job.reference))
     truth = read_truth(job.reference, job.mesh, _true_cameras(job, scene, on_warning), on_warning)
     on_step("computing what the cameras saw")
-    protocol = EvaluationProtocol.of(truth, job.rules)
+    protocol = EvaluationProtocol.from_rules(truth, job.rules)
     if truth.visible is None:
         notes.append(f"recall_visible is missing: {truth.visibility}")
-    inputs = _Inputs.of(job, scene, protocol)
+    inputs = _Inputs.from_job(job, scene, protocol)
     with study_folder(out, KIND, job):
         (out / _RUNS_FOLDER).mkdir(exist_ok=True)
         rows: list[dict[str, Any]] = []
@@ -224,7 +224,7 @@ class _Inputs:
     score: Mapping[str, Any]
 
     @classmethod
-    def of(cls, job: BenchJob, scene: Scene, protocol: EvaluationProtocol) -> _Inputs:
+    def from_job(cls, job: BenchJob, scene: Scene, protocol: EvaluationProtocol) -> _Inputs:
         truth = protocol.truth
         points = scene.points.points.tobytes() if scene.points is not None else b""
         true = b"".join(truth.cameras[name].cam_from_world.matrix.tobytes() for name in sorted(truth.cameras))

@@ -73,7 +73,7 @@ def choose_alignment(reconstruction: Reconstruction, cameras: Mapping[str, Camer
         else:
             errors = np.linalg.norm(fit.apply(found) - true, axis=1)
             spread = f"{np.median(errors):.3g} (median) and {errors.max():.3g} (largest)"
-            note = f"registered by {len(names)} cameras; position errors: {spread}"
+            note = f"registered by {len(names)} cameras; position errors: {spread}, in the reference's unit"
             return Alignment("cameras", fit, (note,))
     fine = "similarity" if free_scale else "icp"
     if why := unavailable("kiss_matcher"):
@@ -126,8 +126,8 @@ class EvaluationProtocol:
     visible_spacing: float | None
 
     @classmethod
-    def of(cls, truth: Truth, rules: Rules) -> EvaluationProtocol:
-        """Check the rules before any run starts.
+    def from_rules(cls, truth: Truth, rules: Rules) -> EvaluationProtocol:
+        """Check the rules against the truth before any run starts.
 
         Raises:
             InputError: the registration, region or threshold does not exist, or the region holds no point of the
@@ -137,7 +137,7 @@ class EvaluationProtocol:
         names_file = path and kind in ("points", "matrix")
         if not names_file and rules.register not in (BY_GAUGE, *METHODS):
             expected = ", ".join((BY_GAUGE, *METHODS))
-            raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
+            raise InputError(f"expected a registration method ({expected}), got {rules.register!r}")
         if names_file:
             parse_method(rules.register)  # reads the file, to check it early
         region = parse_region(rules.crop, truth.cloud)

@@ -80,8 +80,8 @@ def _cell_text(value: float | None, column: _Column, c: Configuration) -> str:
         return "–"
     floor = None if column.floor is None else c.median(column.floor)
     is_perfect = floor is not None and column.direction > 0 and floor > 0.995  # a floor of 1 is no information
-    beside = "" if floor is None or is_perfect else f" ({floor / column.divisor:.2g})"
-    return (f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}") + beside
+    floor_text = "" if floor is None or is_perfect else f" ({floor / column.divisor:.2g})"
+    return (f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}") + floor_text
 
 
 def print_bench(doc: dict[str, Any]) -> None:
@@ -137,11 +137,10 @@ def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
     unit = doc["reference"].get("unit") or "the files' unit"
     if threshold is not None:
         pixels = next((f", {row['pixels']:g} pixels" for row in doc["rows"] if row.get("pixels") is not None), "")
-        yield (
-            f"medians over the measured seeds; *: on the Pareto front of wall time and F-score; only configurations"
-            f" with all seeds measured are marked; precision, recall and F-score at {threshold:.4g} {unit}{pixels};"
-            f" lengths in {unit}, D1 in {unit} squared; in brackets: score of an error-free cloud of the same density"
-        )
+        yield "medians over the measured seeds; only configurations with all seeds measured are marked"
+        yield "*: on the Pareto front of wall time and F-score"
+        yield f"precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in {unit}, D1 in {unit}²"
+        yield "in brackets: score of an error-free cloud of the same density"
         if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
             to = "the true surface" if measured[0] == "surface" else "the reference's points"
             yield f"accuracy (c→r, precision) is measured against {to}"
@@ -150,14 +149,14 @@ def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
             yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
     for note in doc["notes"]:
         yield f"note: {note}"
-    said: dict[tuple[str, str], list[str]] = {}  # one line for all seeds with the same text
+    seeds_by_note: dict[tuple[str, str], list[str]] = {}  # one line for all seeds with the same text
     for row in doc["rows"]:
-        of = " ".join(filter(None, (row["method"], choice_text(row["choices"]))))
+        run = " ".join(filter(None, (row["method"], choice_text(row["choices"]))))
         texts = [] if row["status"] == "ok" else [f"{row['status']}: {row['message']}"]
         for text in (*texts, *(f"note: {note}" for note in row.get("notes") or ())):
-            said.setdefault((of, text), []).append(str(row["seed"]))
-    for (of, text), seeds in said.items():
-        yield f"{of}: {text}" if seeds == ["None"] else f"{of}, seed {', '.join(seeds)}: {text}"
+            seeds_by_note.setdefault((run, text), []).append(str(row["seed"]))
+    for (run, text), seeds in seeds_by_note.items():
+        yield f"{run}: {text}" if seeds == ["None"] else f"{run}, seed {', '.join(seeds)}: {text}"
 
 
 def row_title(row: Mapping[str, Any]) -> str:

@@ -88,8 +88,8 @@ class Truth:
             if index is not None and normals is not None:
                 seen = sees(index, camera, points, normals)
             sizes.append(found[seen])
-        together = np.concatenate(sizes) if sizes else np.empty(0)
-        return float(np.median(together)) if len(together) else None
+        all_sizes = np.concatenate(sizes) if sizes else np.empty(0)
+        return float(np.median(all_sizes)) if len(all_sizes) else None
 
     def sample_visible(self, spacing: float, region: Region | None) -> tuple[FloatArray, float] | None:
         """Sample the part of the region that the cameras saw.
@@ -107,9 +107,9 @@ class Truth:
         if self.visible is None:
             return None
         own = self.cloud.points[self.visible & (True if region is None else region.contains(self.cloud.points))]
-        apart = 2 * self.spacing  # the nearest of randomly placed points is about half a cell away
-        if apart <= spacing or self.surface is None or not self.cameras:
-            return (own, apart) if len(own) else None
+        own_spacing = 2 * self.spacing  # the nearest of randomly placed points is about half a cell away
+        if own_spacing <= spacing or self.surface is None or not self.cameras:
+            return (own, own_spacing) if len(own) else None
         area = self.surface.area * len(own) / len(self.cloud)  # approximate visible area
         spacing = max(spacing, float(np.sqrt(area / _MAX_VISIBLE_SAMPLES)))
         drawn = self.surface.sample(int(self.surface.area / spacing**2) + 1)

@@ -39,21 +39,23 @@ def camera_errors(
     names = sorted(set(solved) & set(true))
     if len(names) < 3:
         return None
-    ours = np.stack([solved[name].position for name in names])
-    theirs = np.stack([true[name].position for name in names])
+    solved_positions = np.stack([solved[name].position for name in names])
+    true_positions = np.stack([true[name].position for name in names])
     try:
-        apart = np.linalg.norm(robust_similarity(ours, theirs).apply(ours) - theirs, axis=1)
+        errors = np.linalg.norm(
+            robust_similarity(solved_positions, true_positions).apply(solved_positions) - true_positions, axis=1
+        )
     except InputError:
         return None
     focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
-    near = apart <= max(_OUTLIER_RATIO * float(np.median(apart)), _ROUNDING_SHARE * float(np.ptp(theirs)))
+    near = errors <= max(_OUTLIER_RATIO * float(np.median(errors)), _ROUNDING_SHARE * float(np.ptp(true_positions)))
     # An outlier agrees with no other camera: it contributes few points, which no method accepts.
     kept = {name: solved[name] for name, agrees in zip(names, near, strict=True) if agrees}
     return CameraErrors(
         solved=len(names),
         given=len(true),
-        median=float(np.median(apart)),
-        largest=float(apart.max()),
+        median=float(np.median(errors)),
+        largest=float(errors.max()),
         focal_ratio=float(np.median(focal)),
         astray=len(names) - len(kept),
         surface=None if surface is None else camera_deformation(kept, true, surface),
@@ -69,9 +71,9 @@ def cameras_in_cloud_frame(solved: Mapping[str, Camera], given: Mapping[str, Cam
     names = sorted(set(solved) & set(given))
     if not names:
         return solved or given
-    theirs = np.stack([given[name].position for name in names])
-    apart = np.linalg.norm(np.stack([solved[name].position for name in names]) - theirs, axis=1)
-    return given if np.median(apart) < _SAME_FRAME_SHARE * float(np.ptp(theirs, axis=0).max()) else solved
+    given_positions = np.stack([given[name].position for name in names])
+    distances = np.linalg.norm(np.stack([solved[name].position for name in names]) - given_positions, axis=1)
+    return given if np.median(distances) < _SAME_FRAME_SHARE * float(np.ptp(given_positions, axis=0).max()) else solved
 
 
 def camera_deformation(

@@ -91,13 +91,13 @@ def make_clouds(
     return done
 
 
-def check_crop(crop: str, cloud: Cloud, whose: str) -> None:
+def check_crop(crop: str, cloud: Cloud, label: str) -> None:
     """Check that a region holds points of a cloud.
 
     Raises:
         InputError: the region holds none, so that nothing could be measured in it.
     """
-    points_inside(cloud.points, as_region(crop, cloud), crop, whose)
+    points_inside(cloud.points, as_region(crop, cloud), crop, label)
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,12 @@ class _CloudMaker:
         return CloudRun(method, folder, **{**known, "notes": tuple(known["notes"])})
 
     def _run(self, method: CloudMethod, solved: Path | None, target: Path) -> None:
-        workspace, begun = self.out / WORK_FOLDER / method.workspace, self.out / WORK_FOLDER / f"{method.name}.begun"
-        resumed = begun.exists()
-        begun.touch()
+        workspace, start_mark = (
+            self.out / WORK_FOLDER / method.workspace,
+            self.out / WORK_FOLDER / f"{method.name}.begun",
+        )
+        resumed = start_mark.exists()
+        start_mark.touch()
         cameras = "auto" if solved is None else str(solved / CAMERAS_FOLDER)
         scale = self.scene.image_scale
         made = run(

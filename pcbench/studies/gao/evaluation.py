@@ -82,7 +82,7 @@ def evaluate_against(
         # One bad candidate fails the complete comparison. If it fails, find the bad ones and compare the others.
         found = compare(dict(clouds), folder)
         if isinstance(found, str):
-            asked = _ReferenceRegion.of(read_cloud(reference), crop)
+            asked = _ReferenceRegion.from_crop(read_cloud(reference), crop)
             failed = {cloud: why for cloud, path in clouds.items() if (why := asked.problem(path)) is not None}
             others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
             if others and isinstance(found := compare(others, folder), str):  # the reference is at fault
@@ -141,7 +141,7 @@ class _ReferenceRegion(NamedTuple):
     region: Region | None
 
     @classmethod
-    def of(cls, cloud: Cloud, crop: str) -> _ReferenceRegion:
+    def from_crop(cls, cloud: Cloud, crop: str) -> _ReferenceRegion:
         return cls(Target.of(cloud, local_origin(cloud)), cloud, as_region(crop, cloud))
 
     def problem(self, path: Path) -> str | None:

@@ -66,15 +66,15 @@ def _accuracy_sentences(study: GaoStudy) -> Iterator[str]:
 def _densification_changes(study: GaoStudy, rms: Length) -> Iterator[tuple[str, str, _LengthChange]]:
     """Yield the change by densification against each reference, with the start of its sentence."""
     for reference, it in ((MVS, "It"), (TRUTH, "Against the truth it")):
-        if (found := _LengthChange.of(study, (SPARSE, reference), (MEANS, reference), rms)) is not None:
+        if (found := _LengthChange.between(study, (SPARSE, reference), (MEANS, reference), rms)) is not None:
             yield reference, it, found
 
 
 def _surface_sentences(study: GaoStudy) -> Iterator[str]:
     """Yield a sentence that compares the two clouds of the same training."""
     reference = TRUTH if any(scene.has_truth for scene in study.scenes) else MVS
-    forth = _LengthChange.of(study, (MEANS, reference), (SURFACE, reference), _c2r_rms)
-    back = _LengthChange.of(study, (MEANS, reference), (SURFACE, reference), _r2c_rms)
+    forth = _LengthChange.between(study, (MEANS, reference), (SURFACE, reference), _c2r_rms)
+    back = _LengthChange.between(study, (MEANS, reference), (SURFACE, reference), _r2c_rms)
     if forth is not None and back is not None:
         yield (
             f"The surface of the Gaussians, compared with their centres, against {reference}:"
@@ -111,7 +111,7 @@ def _truth_sentences(study: GaoStudy) -> Iterator[str]:
         " (r→c)."
     )
     for name in (SPARSE, MEANS, SURFACE):
-        found = _LengthChange.of(study, (name, MVS), (name, TRUTH), _c2r_rms)
+        found = _LengthChange.between(study, (name, MVS), (name, TRUTH), _c2r_rms)
         if found is not None:
             word = found.word("worse than against mvs", "as accurate as against mvs", "better than against mvs")
             yield f"Against the truth {name} is {word}: c→r {found.text}."
@@ -310,7 +310,9 @@ class _LengthChange:
         self._ratios, self._unit = [after / before for before, after in pairs], unit
 
     @classmethod
-    def of(cls, study: GaoStudy, before: tuple[str, str], after: tuple[str, str], rms: Length) -> _LengthChange | None:
+    def between(
+        cls, study: GaoStudy, before: tuple[str, str], after: tuple[str, str], rms: Length
+    ) -> _LengthChange | None:
         """Compare one cloud and reference with another; None if no scene has both."""
         pairs = []
         for scene in study.scenes:

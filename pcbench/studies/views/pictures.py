@@ -81,8 +81,8 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
         look: range of the colour bar and background.
     """
     rows = [_row(word, scored) for word, scored in views.items()]
-    strays = [largest_but_strays(row.error[np.isfinite(row.error)]) for row in rows]
-    found = Range(0.0, max(*strays, _MIN_ERROR_RANGE), "largest 95th percentile")
+    limits = [largest_but_strays(row.error[np.isfinite(row.error)]) for row in rows]
+    found = Range(0.0, max(*limits, _MIN_ERROR_RANGE), "largest 95th percentile")
     scale = found if look.range is None else Range(0.0, look.range, "range as set")
     figure, axis, color, height = _canvas(rows, look)
     width = 3 * _MAX_WIDTH + 2 * _GAP

@@ -22,7 +22,7 @@ from pcbench.studies.bench.truth import read_truth, visible_mask
 
 
 def score(truth, made, folder, rules=None):
-    return scoring.score(EvaluationProtocol.of(truth, rules or Rules()), made, folder).row()
+    return scoring.score(EvaluationProtocol.from_rules(truth, rules or Rules()), made, folder).row()
 
 
 def test_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):

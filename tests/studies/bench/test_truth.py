@@ -36,7 +36,7 @@ def truth_of(mesh, points, cameras=(), visible=None):
 
 def values(truth, points, tmp_path, **rules):
     made = Reconstruction(Cloud(points), "georeferenced")
-    return score(EvaluationProtocol.of(truth, Rules(**rules)), made, tmp_path)
+    return score(EvaluationProtocol.from_rules(truth, Rules(**rules)), made, tmp_path)
 
 
 @pytest.mark.parametrize("error", [0.056, 0.110, 0.190])
@@ -105,20 +105,22 @@ def test_visible_part_is_sampled_at_threshold_spacing(monkeypatch):
 
     mesh = square(40.0)
     truth = truth_of(mesh, 500, from_above(15.0, 15.0, 15.0))  # they see the central 30 m
-    protocol = EvaluationProtocol.of(truth, Rules(threshold="0.2,1"))
+    protocol = EvaluationProtocol.from_rules(truth, Rules(threshold="0.2,1"))
     assert protocol.visible_spacing == pytest.approx(0.2)
     assert len(protocol.visible_points) == pytest.approx(900 / 0.2**2, rel=0.03)
     assert np.abs(protocol.visible_points[:, :2] - 20).max() <= 15.03
-    part = EvaluationProtocol.of(truth, Rules(threshold="0.2", crop="box:10,10,-1,20,20,1"))
+    part = EvaluationProtocol.from_rules(truth, Rules(threshold="0.2", crop="box:10,10,-1,20,20,1"))
     assert len(part.visible_points) == pytest.approx(100 / 0.2**2, rel=0.06)
     # The reference's own points are used if they are dense enough.
-    own = EvaluationProtocol.of(truth, Rules(threshold="5"))
+    own = EvaluationProtocol.from_rules(truth, Rules(threshold="5"))
     np.testing.assert_array_equal(own.visible_points, truth.cloud.points)
     monkeypatch.setattr(module, "_MAX_VISIBLE_SAMPLES", 10_000)
-    assert EvaluationProtocol.of(truth, Rules(threshold="0.01")).visible_spacing == pytest.approx(
+    assert EvaluationProtocol.from_rules(truth, Rules(threshold="0.01")).visible_spacing == pytest.approx(
         np.sqrt(1600 / 10_000)
     )
-    assert EvaluationProtocol.of(Truth(truth.cloud, {}, None, ""), Rules(threshold="0.2")).visible_points is None
+    assert (
+        EvaluationProtocol.from_rules(Truth(truth.cloud, {}, None, ""), Rules(threshold="0.2")).visible_points is None
+    )
 
 
 def test_pixel_size_is_depth_over_focal_length():
@@ -139,24 +141,24 @@ def test_pixel_size_is_depth_over_focal_length():
 
 def test_thresholds_are_lengths_or_pixels():
     truth = truth_of(square(40.0), 500, from_above(50.0))
-    assert [(t.length, t.pixels) for t in EvaluationProtocol.of(truth, Rules()).thresholds] == [
+    assert [(t.length, t.pixels) for t in EvaluationProtocol.from_rules(truth, Rules()).thresholds] == [
         (0.5, 1),
         (1.0, 2),
         (2.5, 5),
     ]
-    mixed = EvaluationProtocol.of(truth, Rules(threshold="0.3, 3px")).thresholds
+    mixed = EvaluationProtocol.from_rules(truth, Rules(threshold="0.3, 3px")).thresholds
     assert [(t.length, t.pixels) for t in mixed] == [(0.3, None), (pytest.approx(1.5), 3)]
     bare = Truth(truth.cloud, {}, None, "")
-    assert [t.length / bare.spacing for t in EvaluationProtocol.of(bare, Rules()).thresholds] == pytest.approx(
+    assert [t.length / bare.spacing for t in EvaluationProtocol.from_rules(bare, Rules()).thresholds] == pytest.approx(
         [1, 2, 5]
     )
     for text in ("0", "-1px", "a", "1,,2", "nan", "inf", ""):
         with refused():
-            EvaluationProtocol.of(truth, Rules(threshold=text))
+            EvaluationProtocol.from_rules(truth, Rules(threshold=text))
     with refused():
-        EvaluationProtocol.of(bare, Rules(threshold="2px"))
+        EvaluationProtocol.from_rules(bare, Rules(threshold="2px"))
     with refused():
-        EvaluationProtocol.of(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
+        EvaluationProtocol.from_rules(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
 
 
 def test_scores_are_invariant_to_large_coordinates(tmp_path):
