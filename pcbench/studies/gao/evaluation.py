@@ -69,10 +69,10 @@ def evaluate_against(
         "results": _RESULTS_FILE,
     }
 
-    def compare(those: dict[str, Path], folder: Path) -> Comparison | str:
+    def compare(files: dict[str, Path], folder: Path) -> Comparison | str:
         """Return the comparison, or the reason why these clouds cannot be compared."""
         try:
-            job, outputs = ComparisonJob(reference, those, settings, {}), Outputs(folder, figures=False)
+            job, outputs = ComparisonJob(reference, files, settings, {}), Outputs(folder, figures=False)
             return compare_files(job, outputs, lambda _: None).comparison
         except (InputError, RegistrationError) as error:
             return recorded(error)
@@ -82,8 +82,8 @@ def evaluate_against(
         # One bad candidate fails the complete comparison. If it fails, find the bad ones and compare the others.
         found = compare(dict(clouds), folder)
         if isinstance(found, str):
-            asked = _ReferenceRegion.from_crop(read_cloud(reference), crop)
-            failed = {cloud: why for cloud, path in clouds.items() if (why := asked.problem(path)) is not None}
+            target = _ReferenceRegion.from_crop(read_cloud(reference), crop)
+            failed = {cloud: why for cloud, path in clouds.items() if (why := target.problem(path)) is not None}
             others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
             if others and isinstance(found := compare(others, folder), str):  # the reference is at fault
                 failed |= dict.fromkeys(others, found)

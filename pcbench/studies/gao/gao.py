@@ -158,19 +158,19 @@ def _run_scene(
     evaluations: dict[str, CloudEvaluation] = {}
     references = {MVS: files.get(MVS), TRUTH: visible_truth(truth, out) if truth.is_file() else None}
     for reference, file in references.items():
-        others = {cloud: there for cloud, there in files.items() if cloud != reference}
+        others = {cloud: candidate for cloud, candidate in files.items() if cloud != reference}
         if file is None or not others:
             continue
         scene_step(Step(f"{name}: measuring against {reference}", _MEASURING_S))
         evaluations[reference] = evaluate_against(file, reference, others, crop, out, job.seed)
-    place = focus_point(cameras)
+    focus = focus_point(cameras)
     result = SceneResult(
         name=name,
         path=str(path),
         unit=unit,
         images=len(scene),
         positions=tuple(tuple(camera.position.tolist()) for camera in cameras),
-        looked_at=None if place is None else tuple(place.tolist()),
+        looked_at=None if focus is None else tuple(focus.tolist()),
         region=crop,
         cameras=camera_errors(solved, scene.cameras, _crop_truth(references[TRUTH], crop)) if solved else None,
         references={reference: of.counts for reference, of in evaluations.items() if of.counts is not None},
