@@ -55,27 +55,29 @@ def draw_bend(study: BendStudy, path: Path) -> None:
     unit = study.unit or "units"
     rows = [row for row in study.rows if row.cells]
     colors = {row.name: _COLORS[k % len(_COLORS)] for k, row in enumerate(rows)}
-    below = -(-len(rows) // _MAP_COLUMNS)
-    figure = Figure(figsize=(15, 5.8 + 2.7 * below), dpi=110, layout="constrained")
+    map_rows = -(-len(rows) // _MAP_COLUMNS)
+    figure = Figure(figsize=(15, 5.8 + 2.7 * map_rows), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * below, 0.1)])
+    parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * map_rows, 0.1)])
     upper, lower = parts
     sizes = {row.name: bend.rms or 0.0 for row, bend in measured_bends(rows)}
     small = [row for row in rows if sizes.get(row.name, 0.0) <= _SMALL_BEND_SHARE * max(sizes.values(), default=0.0)]
-    grown, *nearer, sized = upper.subplots(1, 3 if small else 2)
-    _draw_growth(grown, rows, colors, unit, "Displacement by distance: means over rings; shaded: noise alone")
-    for axis in nearer:
+    growth_axis, *zoom_axes, size_axis = upper.subplots(1, 3 if small else 2)
+    _draw_growth(growth_axis, rows, colors, unit, "Displacement by distance: means over rings; shaded: noise alone")
+    for axis in zoom_axes:
         _draw_growth(
             axis, small, colors, unit, f"Zoom: deformations below {100 * _SMALL_BEND_SHARE:.0f} % of the largest"
         )
-    _draw_sizes(sized, rows, colors, unit)
+    _draw_sizes(size_axis, rows, colors, unit)
     if rows:
-        upper.legend(*grown.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
+        upper.legend(
+            *growth_axis.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8
+        )
         heights = [np.array(row.cells, dtype=np.float64)[:, 3] for row in rows]
         highest = {row.name: largest_but_strays(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
         # All maps share one scale, the most common range. Maps of much larger deformations saturate.
         limit = mode(scale.high for scale in ranges(highest).values())
-        axes = np.atleast_1d(lower.subplots(below, _MAP_COLUMNS, sharex=True, sharey=True)).ravel()
+        axes = np.atleast_1d(lower.subplots(map_rows, _MAP_COLUMNS, sharex=True, sharey=True)).ravel()
         for axis, row, z in zip(axes, rows, heights, strict=False):
             cells = np.array(row.cells, dtype=np.float64)
             order = np.argsort(np.abs(z))
@@ -114,15 +116,15 @@ def _draw_growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str,
 
 def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str) -> None:
     """Draw deformation against the error of the intrinsics with 95 % intervals; hollow markers: not significant."""
-    shown = [
+    points = [
         (row.lens_error_px, bend.rms, bend.ci, bend, row)
         for row, bend in measured_bends(rows)
         if row.lens_error_px is not None and bend.rms and bend.ci is not None
     ]
-    least = 0.5 * min((error for error, *_ in shown if error > 1e-3), default=0.01)
-    for error, rms, (low, high), bend, row in shown:
+    min_error = 0.5 * min((error for error, *_ in points if error > 1e-3), default=0.01)
+    for error, rms, (low, high), bend, row in points:
         axis.errorbar(
-            max(error, least), rms, [[rms - max(low, 0.05 * rms)], [high - rms]],
+            max(error, min_error), rms, [[rms - max(low, 0.05 * rms)], [high - rms]],
             color=colors[row.name], marker="s" if row.factors["control"] == "True" else "o", markersize=8,
             markerfacecolor=None if bend.is_bent else "white", capsize=3,
         )  # fmt: skip

@@ -84,10 +84,10 @@ def make_clouds(
         seconds = _EXPECTED_S[method.plugin]
         later = sum(_EXPECTED_S[m.plugin] for m in plan[number + 1 :])
         step(Step(f"{scene.name}: {method.name}", seconds, later))
-        made = maker.make(method, done)
-        if method.name == SPARSE and made.cloud is not None and job.crop is not None:
-            check_crop(job.crop, read_cloud(made.cloud), f"{scene.name}: the sparse cloud's")
-        done.append(made)
+        cloud_run = maker.make(method, done)
+        if method.name == SPARSE and cloud_run.cloud is not None and job.crop is not None:
+            check_crop(job.crop, read_cloud(cloud_run.cloud), f"{scene.name}: the sparse cloud's")
+        done.append(cloud_run)
     return done
 
 
@@ -102,6 +102,8 @@ def check_crop(crop: str, cloud: Cloud, label: str) -> None:
 
 @dataclass(frozen=True)
 class _CloudMaker:
+    """Reconstructs the clouds of one scene."""
+
     job: GaoJob
     scene: Scene
     path: Path
@@ -109,15 +111,15 @@ class _CloudMaker:
     unit: str | None
     step: Callable[[Step], None]
 
-    def make(self, method: CloudMethod, before: Sequence[CloudRun]) -> CloudRun:
-        sparse = next((made for made in before if made.method.name == SPARSE), None)
+    def make(self, method: CloudMethod, earlier_runs: Sequence[CloudRun]) -> CloudRun:
+        sparse = next((run for run in earlier_runs if run.method.name == SPARSE), None)
         if sparse is not None and self.job.poses == "solve" and sparse.folder is None:
             return CloudRun(method, failure=f"no cameras: {sparse.failure}")
-        if twin := next((m for m in before if m.method.workspace == method.workspace and m.failure), None):
-            return CloudRun(method, failure=twin.failure)
+        if failed := next((m for m in earlier_runs if m.method.workspace == method.workspace and m.failure), None):
+            return CloudRun(method, failure=failed.failure)
         solved = sparse.folder if sparse is not None and self.job.poses == "solve" else None
-        for place in (_RUNS_FOLDER, WORK_FOLDER):
-            (self.out / place).mkdir(exist_ok=True)
+        for folder_name in (_RUNS_FOLDER, WORK_FOLDER):
+            (self.out / folder_name).mkdir(exist_ok=True)
         key = {
             "plugin": describe(method.plugin).sha256,
             "settings": method.settings,
@@ -129,8 +131,8 @@ class _CloudMaker:
             folder = stage(self.out / _RUNS_FOLDER, method.name, key, lambda target: self._run(method, solved, target))
         except (InputError, ReconstructionError) as error:  # not saved: the next run tries again
             return CloudRun(method, failure=recorded(error))
-        known: Mapping[str, Any] = read_json(folder / _RUN_FILE)
-        return CloudRun(method, folder, **{**known, "notes": tuple(known["notes"])})
+        record: Mapping[str, Any] = read_json(folder / _RUN_FILE)
+        return CloudRun(method, folder, **{**record, "notes": tuple(record["notes"])})
 
     def _run(self, method: CloudMethod, solved: Path | None, target: Path) -> None:
         workspace, start_mark = (
@@ -141,22 +143,22 @@ class _CloudMaker:
         start_mark.touch()
         cameras = "auto" if solved is None else str(solved / CAMERAS_FOLDER)
         scale = self.scene.image_scale
-        made = run(
+        outcome = run(
             ReconstructionJob(method.plugin, self.path, method.settings, cameras=cameras, image_scale=scale),
             workspace,
             self.job.time_limit,
             lambda text: self.step(Step(f"{self.scene.name}: {method.name}: {text}")),
         )
-        result = made.required()
+        result = outcome.required()
         cloud = result.cloud
         if cloud.unit is None and result.gauge == "georeferenced":
             cloud = replace(cloud, unit=self.unit)
         write_cloud(target / CLOUD_FILE, cloud)
         write_colmap_model(target / CAMERAS_FOLDER, list(result.cameras.values()))
-        known = {
-            "seconds": made.wall_s,
+        record = {
+            "seconds": outcome.wall_s,
             "resumed": resumed,
-            "memory_bytes": made.peak_rss_bytes,
-            "notes": [*made.warnings, *result.notes],
+            "memory_bytes": outcome.peak_rss_bytes,
+            "notes": [*outcome.warnings, *result.notes],
         }
-        (target / _RUN_FILE).write_text(json.dumps(known, indent=1), encoding="utf-8")
+        (target / _RUN_FILE).write_text(json.dumps(record, indent=1), encoding="utf-8")

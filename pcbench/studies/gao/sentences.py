@@ -230,10 +230,13 @@ def _cause_sentences(scene: SceneResult, study: GaoStudy) -> Iterator[str]:
     if explained:
         unseen = [name for name in explained if name != MVS and not _is_bent(scene, name, MVS)]
         hidden = f"; mvs as the reference hides that of {joined(unseen)}" if unseen else ""
-        yield f"the deformation of {joined(explained)} against the truth is no larger than the cameras cause{hidden}."
+        yield (
+            f"the deformation of {joined(explained)} against the truth does not exceed the effect of the"
+            f" cameras{hidden}."
+        )
     if rest:
         yield (
-            f"the deformation of {joined(rest)} against the truth is larger than the cameras cause: the method adds to"
+            f"the deformation of {joined(rest)} against the truth exceeds the effect of the cameras: the method adds to"
             " it, or noise that its interval does not include."
         )
 

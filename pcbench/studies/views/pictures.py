@@ -92,14 +92,14 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
         axis.text(middle, height - 0.54, word, color=color, fontsize=11, ha="center", va="center")
     top = height - _TOP_MARGIN
     for row in rows:
-        width_, height_ = _picture_size(row)
+        shown_width, shown_height = _picture_size(row)
         top -= _CAPTION_HEIGHT
         axis.text(0, top + 0.13, row.caption, color=color, fontsize=10, ha="left", va="center", parse_math=False)
         shown = (row.pictures.photograph, row.pictures.rendering, _colors(row.error, scale))
         for column, image in enumerate(shown):
-            left = column * (_MAX_WIDTH + _GAP) + 0.5 * (_MAX_WIDTH - width_)
-            _draw_image(axis, image, left, top - height_, width_, height_)
-        top -= height_ + _GAP
+            left = column * (_MAX_WIDTH + _GAP) + 0.5 * (_MAX_WIDTH - shown_width)
+            _draw_image(axis, image, left, top - shown_height, shown_width, shown_height)
+        top -= shown_height + _GAP
     _draw_color_bar(
         axis, width + 0.16, 0.5 * (height - _TOP_MARGIN - _CAPTION_HEIGHT + _BOTTOM_MARGIN), scale, color, rows
     )
@@ -151,10 +151,10 @@ def _canvas(rows: Sequence[_Row], look: Figures) -> tuple[Any, Any, str, float]:
     return figure, axis, ink(ground), height
 
 
-def _draw_image(axis: Any, image: NDArray[np.uint8], left: float, bottom: float, width_: float, high: float) -> None:
+def _draw_image(axis: Any, image: NDArray[np.uint8], left: float, bottom: float, width: float, height: float) -> None:
     axis.set_autoscale_on(False)
-    smaller = width_ * DPI < image.shape[1]
-    extent = (left, left + width_, bottom, bottom + high)
+    smaller = width * DPI < image.shape[1]
+    extent = (left, left + width, bottom, bottom + height)
     axis.imshow(image, extent=extent, aspect="auto", interpolation="antialiased" if smaller else "nearest")
 
 
