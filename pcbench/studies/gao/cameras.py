@@ -85,17 +85,17 @@ def camera_deformation(
     are visible. Without normals, all three components of the displacement count.
     """
     rng = np.random.default_rng(0)
-    chosen = np.sort(rng.permutation(len(surface))[:_MAX_SURFACE_POINTS])
-    points = surface.points[chosen]
-    placed, known = retriangulate(solved, true, points)
-    if known.sum() < _MIN_SURFACE_POINTS:
+    sample = np.sort(rng.permutation(len(surface))[:_MAX_SURFACE_POINTS])
+    points = surface.points[sample]
+    triangulated, fixed = retriangulate(solved, true, points)
+    if fixed.sum() < _MIN_SURFACE_POINTS:
         return None
-    points, moved = points[known], (placed - points)[known]
+    points, moved = points[fixed], (triangulated - points)[fixed]
     x, u = points - points.mean(axis=0), moved
     if surface.normals is None:
         x, u, n = np.repeat(x, 3, axis=0), np.repeat(u, 3, axis=0), np.tile(np.eye(3), (len(x), 1))
     else:
-        n = surface.normals[chosen][known]
+        n = surface.normals[sample][fixed]
     along = np.einsum("ni,ni->n", n, u)
     scale = float(np.abs(x).max()) or 1.0
     rigid = np.hstack([n, np.cross(x / scale, n)])  # n . (t + w x p) = n . t + w . (p x n)
@@ -134,12 +134,12 @@ def retriangulate(
         matrix[rows] += across
         vector[rows] += across @ camera.position
         count[rows] += 1
-    known = count >= SEEN_BY
-    least, most = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
-    known &= least > _MIN_EIGENVALUE_RATIO * most
-    placed = points.copy()
-    placed[known] = np.linalg.solve(matrix[known], vector[known][:, :, None])[:, :, 0]
-    return placed, known
+    fixed = count >= SEEN_BY
+    smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
+    fixed &= smallest > _MIN_EIGENVALUE_RATIO * largest
+    triangulated = points.copy()
+    triangulated[fixed] = np.linalg.solve(matrix[fixed], vector[fixed][:, :, None])[:, :, 0]
+    return triangulated, fixed
 
 
 def _profile(along: FloatArray, values: FloatArray) -> tuple[tuple[float, float], ...]:
