@@ -257,7 +257,7 @@ def _row(
 ) -> tuple[dict[str, Any], bool]:
     """Return the row of a trial, and whether both its run and its score were stored."""
     folder = out / _RUNS_FOLDER / _folder_name(trial)
-    record, kept = _reconstruct(job, trial, inputs, folder)
+    record, run_reused = _reconstruct(job, trial, inputs, folder)
     row = {
         "method": trial.method.label,
         "choices": dict(trial.choices),
@@ -266,9 +266,9 @@ def _row(
         "folder": str(folder.relative_to(out)),
     }
     if record["status"] != "ok":
-        return row, kept
-    measured, as_before = _measure(inputs, protocol, folder, record["id"])
-    return {**row, **measured}, kept and as_before
+        return row, run_reused
+    measured, score_reused = _measure(inputs, protocol, folder, record["id"])
+    return {**row, **measured}, run_reused and score_reused
 
 
 def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any], bool]:
@@ -281,13 +281,13 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "settings": trial.settings,
         "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if is_regular_file(text)},
     }
-    old = read_record(folder / _RUN_FILE, key)
-    if old is not None and _is_still_valid(old, job.time_limit_s, folder):
-        return old, True
+    stored = read_record(folder / _RUN_FILE, key)
+    if stored is not None and _is_still_valid(stored, job.time_limit_s, folder):
+        return stored, True
     # Start from an empty folder: the time of a resumed run would be too short.
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    scene = ReconstructionJob(
+    reconstruction_job = ReconstructionJob(
         trial.method.spec,
         job.scene,
         trial.settings,
@@ -295,8 +295,8 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         masks=job.masks,
         image_scale=trial.image_scale,
     )
-    result = run(scene, folder, job.time_limit_s)
-    made = result.reconstruction
+    result = run(reconstruction_job, folder, job.time_limit_s)
+    reconstruction = result.reconstruction
     record = {
         "id": os.urandom(8).hex(),
         "status": result.status,
@@ -307,14 +307,14 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "gpu_bytes": result.gpu_bytes,
         "time_limit_s": job.time_limit_s,
         "settings": dict(result.settings),
-        "points": None if made is None else len(made.cloud),
-        "gauge": None if made is None else made.gauge,
-        "cameras": None if made is None else len(made.cameras),
-        "survey": made.residuals.plain() if made is not None and made.residuals else None,
-        "reconstruction_notes": [*result.warnings, *(() if made is None else made.notes)],
+        "points": None if reconstruction is None else len(reconstruction.cloud),
+        "gauge": None if reconstruction is None else reconstruction.gauge,
+        "cameras": None if reconstruction is None else len(reconstruction.cameras),
+        "survey": reconstruction.residuals.plain() if reconstruction is not None and reconstruction.residuals else None,
+        "reconstruction_notes": [*result.warnings, *(() if reconstruction is None else reconstruction.notes)],
     }
     folder.mkdir(parents=True, exist_ok=True)  # a plugin may have removed it
-    if made is not None:
+    if reconstruction is not None:
         shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes of intermediate files
     write_record(folder / _RUN_FILE, key, record)
     return record, False
@@ -340,15 +340,15 @@ def _is_still_valid(record: Mapping[str, Any], limit: float | None, folder: Path
 
 def _measure(inputs: _Inputs, protocol: EvaluationProtocol, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
     key = {"run": identity, **inputs.score}
-    old = read_record(folder / _SCORE_FILE, key)
-    if old is not None:
-        return old, True
+    stored = read_record(folder / _SCORE_FILE, key)
+    if stored is not None:
+        return stored, True
     try:
-        made = read_reconstruction(folder)
+        reconstruction = read_reconstruction(folder)
     except (PcbenchError, OSError, ValueError, MemoryError) as error:  # not stored: the next run tries again
         return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
     try:
-        values = score(protocol, made, folder).row()
+        values = score(protocol, reconstruction, folder).row()
     except (InputError, RegistrationError) as error:
         values = {"status": "unmeasured", "message": recorded(error)}
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways

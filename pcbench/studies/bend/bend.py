@@ -268,23 +268,23 @@ def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, see
         raise InputError("expected normals in truth/cloud.ply, got none; control points need level ground")
     rng = np.random.default_rng([seed, 21])
     positions = np.array([camera.position for camera in cameras])[:, :2]
-    middle, reach = (positions.min(axis=0) + positions.max(axis=0)) / 2, 0.4 * np.ptp(positions, axis=0)
+    middle, half_size = (positions.min(axis=0) + positions.max(axis=0)) / 2, 0.4 * np.ptp(positions, axis=0)
     level = truth.select(np.flatnonzero(truth.normals[:, 2] > 0.95))
     assert level.normals is not None
     for number in range(9):
-        goal = middle + reach * (np.array(divmod(number, 3)) - 1)
-        near = np.argsort(np.square(level.points[:, :2] - goal).sum(axis=1))[:50]
+        target = middle + half_size * (np.array(divmod(number, 3)) - 1)
+        near = np.argsort(np.square(level.points[:, :2] - target).sum(axis=1))[:50]
         points, starts = level.points[near], level.points[near] + _RAY_OFFSET * level.normals[near]
-        seen = np.stack(
+        visible = np.stack(
             [in_frame(c, points) & ~mesh.blocked(starts, c.position - starts, limit=1.0) for c in cameras], axis=1
         )
-        best = int(seen.sum(axis=1).argmax())
-        if seen[best].sum() < 3:
+        best = int(visible.sum(axis=1).argmax())
+        if visible[best].sum() < 3:
             continue
-        place = " ".join(repr(float(x)) for x in points[best] + rng.normal(0, _SURVEY_SIGMA, 3))
-        for index in np.flatnonzero(seen[best]).tolist():
+        coordinates = " ".join(repr(float(x)) for x in points[best] + rng.normal(0, _SURVEY_SIGMA, 3))
+        for index in np.flatnonzero(visible[best]).tolist():
             u, v = cameras[index].project(points[best : best + 1])[0][0] + rng.normal(0, _MARK_SIGMA_PX, 2)
-            yield f"P{number + 1} {place} {cameras[index].name} {float(u)!r} {float(v)!r}"
+            yield f"P{number + 1} {coordinates} {cameras[index].name} {float(u)!r} {float(v)!r}"
 
 
 def _solve(inputs: _SolveInputs, variant: Variant, surface: MeshIndex) -> Solution:
@@ -341,18 +341,22 @@ def register_by_rays(
     names = sorted(set(found) & set(truth))
     middle = [0.5 * truth[names[0]].intrinsics.width, 0.5 * truth[names[0]].intrinsics.height]
     # Use the camera that shows the point nearest to its image centre, where intrinsics differ least.
-    off, eyes, rays = np.full(len(cloud), min(middle)), np.zeros((len(cloud), 3)), np.zeros((len(cloud), 3))
+    center_distances, origins, rays = (
+        np.full(len(cloud), min(middle)),
+        np.zeros((len(cloud), 3)),
+        np.zeros((len(cloud), 3)),
+    )
     for name in names:
         at, _ = found[name].project(cloud.points)
         distance = np.where(in_frame(found[name], cloud.points), np.linalg.norm(at - middle, axis=1), np.inf)
-        better, camera = distance < off, truth[name]
-        off[better], eyes[better] = distance[better], camera.position
-        rays[better] = camera.intrinsics.directions(at[better]) @ camera.cam_from_world.rotation
-    seen = np.flatnonzero(off < min(middle))
-    hits = surface.cast(eyes[seen], rays[seen])
-    met = hits.faces >= 0
-    points = cloud.points[seen[met]]
-    goals = eyes[seen[met]] + hits.distances[met, None] * rays[seen[met]]
-    fit = robust_similarity(points, goals)  # robust, because some rays hit another surface than the point's own
-    kept = {k: v for k, v in cloud.attributes.items() if k == "reprojection_error"}
-    return replace(cloud.transformed(fit), attributes=kept)
+        closer, camera = distance < center_distances, truth[name]
+        center_distances[closer], origins[closer] = distance[closer], camera.position
+        rays[closer] = camera.intrinsics.directions(at[closer]) @ camera.cam_from_world.rotation
+    seen = np.flatnonzero(center_distances < min(middle))
+    hits = surface.cast(origins[seen], rays[seen])
+    hit = hits.faces >= 0
+    points = cloud.points[seen[hit]]
+    targets = origins[seen[hit]] + hits.distances[hit, None] * rays[seen[hit]]
+    fit = robust_similarity(points, targets)  # robust, because some rays hit another surface than the point's own
+    attributes = {k: v for k, v in cloud.attributes.items() if k == "reprojection_error"}
+    return replace(cloud.transformed(fit), attributes=attributes)
