@@ -1,4 +1,4 @@
-"""A small scene to bench on, reconstructors that behave and that do not, and what tests ask of them."""
+"""A small scene for benches, reconstructors that work or fail in different ways, and helpers."""
 
 from pathlib import Path
 
@@ -21,10 +21,10 @@ TRUTH = Cloud(
     attributes={"visible": (shapes.city(10_000, seed=1)[0][:, 0] > 10).astype(np.uint8)},
     unit="m",
 )
-# A frame of its own: another scale, turned, far away.
+# Another coordinate frame: scaled, rotated and far away.
 OWN = Similarity(shapes.rotation([1, 2, 3], 70), np.array([100.0, -50.0, 7.0]), 0.37)
 
-# Reconstructors that do well, badly, or nothing at all.
+# Reconstructors that succeed, fail or hang.
 METHODS = """
 import os, time
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ from pcbench.plugins import Reconstruction
 
 HERE = Path(__file__).parent
 
-def ran(name):
+def record_run(name):
     with (HERE / "ran.txt").open("a") as file:
         file.write(name + "\\n")
 
@@ -46,7 +46,7 @@ class Good:
     seed: int = 0
 
     def reconstruct(self, scene, workspace):
-        ran("Good")
+        record_run("Good")
         print("a line of mine")
         (workspace / "big.bin").write_bytes(bytes(1000))
         points = read_cloud(HERE / "made.ply").points
@@ -56,14 +56,14 @@ class Good:
 @dataclass(frozen=True)
 class Crash:
     def reconstruct(self, scene, workspace):
-        ran("Crash")
+        record_run("Crash")
         print("last words", flush=True)
         os.abort()
 
 @dataclass(frozen=True)
 class Hang:
     def reconstruct(self, scene, workspace):
-        ran("Hang")
+        record_run("Hang")
         (HERE / "pid.txt").write_text(str(os.getpid()))
         time.sleep(600)
 
@@ -75,7 +75,7 @@ class Garbage:
 @dataclass(frozen=True)
 class Cannot:
     def reconstruct(self, scene, workspace):
-        ran("Cannot")
+        record_run("Cannot")
         raise ReconstructionError("too few features")
 
 @dataclass(frozen=True)
@@ -96,24 +96,24 @@ POINTS = shapes.city(3000, seed=2)[0]
 
 
 def job(*methods, **options):
-    """What to bench in the current folder, as the fixture `here` fills it."""
+    """Bench job for the current folder of the fixture `bench_folder`."""
     return BenchJob(Path("photos"), Path("truth.ply"), [f"methods.py:{name}" for name in methods], **options)
 
 
-def counted():
-    """Which methods have run, in their order."""
+def methods_run():
+    """Names of the methods that have run, in order."""
     path = Path("ran.txt")
     return path.read_text().split() if path.exists() else []
 
 
 def row(method, wall_s, fscore, status="ok", seed=0, **more):
-    """A row of a bench's document, as far as tables and fronts look at it."""
+    """Row of bench.json with the entries that tables and fronts use."""
     scored = {"fscore": fscore, "chamfer": 1 - (fscore or 0)} if status == "ok" else {}
     return {"method": method, "choices": {}, "seed": seed, "status": status, "wall_s": wall_s, **scored, **more}
 
 
-def made_of(points, gauge, frame=None, cameras=RIG):
-    """A reconstruction whose world is `frame` of the true one."""
+def reconstruction_in(points, gauge, frame=None, cameras=RIG):
+    """Reconstruction in a frame that `frame` maps the true one to."""
     frame = frame or Similarity.identity()
     moved = {}
     for camera in cameras:

@@ -1,13 +1,13 @@
-"""The fenced blocks of a page of Markdown, and how a printed text is held against what a page shows.
+"""Fenced blocks of a Markdown page, and the comparison of printed text with the text on the page.
 
-What a block is, its fence and the comment before it say:
+The fence of a block and the comment before it define how it is tested:
 
-- ``console``: lines that start with `$ ` are run, in order; the lines below a command are what it prints.
-- ``python``: run, in order, all blocks of a page in one namespace; a ``text`` block right after it is what it prints.
-- any block with `title="NAME"` on its fence is a file of that name, written before what follows it on the page is run.
-- `<!-- made by: COMMAND -->` before a block: too long for a test; a committed command makes it.
-- `<!-- part of: FILE -->` before a block: its lines stand in this file of the repository.
-- `<!-- checked by: FILE::FUNCTION -->` before a block: a test of its own looks after it.
+- ``console``: lines that start with `$ ` are run in order; the lines below a command are its expected output.
+- ``python``: all blocks of a page are run in order in one namespace; a ``text`` block directly after one is its output.
+- A block with `title="NAME"` on its fence is a file of that name, written before the next blocks are run.
+- `<!-- made by: COMMAND -->` before a block: the command creates it, but takes too long for a test.
+- `<!-- part of: FILE -->` before a block: its lines are in this file of the repository.
+- `<!-- checked by: FILE::FUNCTION -->` before a block: a separate test checks it.
 """
 
 import math
@@ -15,7 +15,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-# A printed digit may differ on another machine: another order of additions in a linear algebra library moves the last.
+# The last digits may differ between machines, because linear algebra libraries add in different order.
 _RELATIVE = 0.01
 _FENCE = re.compile(r"^(?P<fence>`{3,})(?P<info>[^`\n]*)\n(?P<text>.*?)^(?P=fence)[ \t]*$", re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"<!-- (made by|part of|checked by): (.+?) -->\s*\Z")
@@ -24,15 +24,18 @@ _NUMBER = r"[-−+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?"
 
 @dataclass(frozen=True)
 class Block:
+    """A fenced block of a page."""
+
     line: int
     language: str
     title: str | None
-    mark: tuple[str, str] | None  # ("made by", COMMAND), ...
+    mark: tuple[str, str] | None  # kind and content of the comment before it, such as ("made by", COMMAND)
     text: str
-    follows: bool  # nothing but empty lines lies between this block and the one before
+    follows: bool  # whether only empty lines separate it from the previous block
 
 
 def blocks(page: Path) -> list[Block]:
+    """Return the blocks of a page."""
     markdown, found, end = page.read_text(), [], -1
     for match in _FENCE.finditer(markdown):
         before, info = markdown[: match.start()], match["info"].strip()
@@ -54,7 +57,7 @@ def blocks(page: Path) -> list[Block]:
 
 
 def commands(block: Block) -> list[tuple[str, str]]:
-    """Each command of a console block, and what stands below it."""
+    """Return the commands of a console block and the text below each of them."""
     found: list[tuple[str, list[str]]] = []
     for line in block.text.splitlines():
         if line.startswith("$ "):
@@ -68,7 +71,7 @@ def commands(block: Block) -> list[tuple[str, str]]:
 
 
 def agrees(shown: str, printed: str) -> bool:
-    """Is this what was printed? `...` stands for anything, any white space for any other, and numbers for near ones."""
+    """Compare texts: `...` matches anything, white space matches other white space, and numbers match close numbers."""
     shown, printed = (" ".join(text.split()) for text in (shown, printed))
     pattern, numbers = "", []
     for part in re.split(rf"(\.\.\.|{_NUMBER})", shown):
@@ -89,7 +92,7 @@ def _near(a: str, b: str) -> bool:
 
 
 def _decimals(text: str) -> int:
-    """Digits after the point: a difference of one in the last is none. Whole numbers are taken as they are."""
+    """Return the number of decimals, of which the last may differ by one; integers must be equal."""
     mantissa, _, exponent = text.partition("e")
     if "." not in mantissa:
         return 9

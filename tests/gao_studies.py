@@ -1,4 +1,4 @@
-"""Results of `pcbench experiment gao` whose figures are known, without running anything."""
+"""Results of `pcbench experiment gao` with known values, without any run."""
 
 import math
 from dataclasses import replace
@@ -12,20 +12,20 @@ from pcbench.report import to_json
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import (
     TRUTH,
-    Against,
     CameraErrors,
     CloudResult,
+    GaoStudy,
     NewViews,
+    ReferenceEvaluation,
     SceneResult,
-    Study,
-    SurfaceMoved,
+    SurfaceDeformation,
     document,
 )
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import markdown
 
 
-def verdict(word, rms=0.01, slope=0.0):
+def deformation(word, rms=0.01, slope=0.0):
     rows = tuple(Bin(10.0 * k, slope * 10 * k, (-0.01, 0.01), 0.02) for k in range(5))
     trend = Trend(slope, (slope - 1e-3, slope + 1e-3), rows)
     model = "cubic" if word == "non-affine" else "rigid"
@@ -34,21 +34,24 @@ def verdict(word, rms=0.01, slope=0.0):
     )
 
 
-def against(reference, forth, back, bend=None):
-    """RMS lengths both ways."""
-    d2_poisson = 0.4 * forth**2 if reference == MVS else None
-    measures = Gao2025(forth**2, 0.5 * forth**2, d2_poisson, 3.0, forth**2 + back**2, back**2)
-    return Against(reference, 900, measures, 0.001, bend or verdict("none"))
+def evaluation(reference, c2r, r2c, bend=None):
+    """Evaluation with given RMS distances in both directions."""
+    d2_poisson = 0.4 * c2r**2 if reference == MVS else None
+    measures = Gao2025(c2r**2, 0.5 * c2r**2, d2_poisson, 3.0, c2r**2 + r2c**2, r2c**2)
+    return ReferenceEvaluation(reference, 900, measures, 0.001, bend or deformation("none"))
 
 
 def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
-    """Sparse far from all of the reference, means near but off, the surface near and on; bends by cloud, reference."""
+    """Results of a scene: sparse is incomplete, means are inaccurate, the surface is good.
+
+    `bends` has deformations by cloud and reference.
+    """
     bends = dict(bends)
 
-    def cloud(cloud_name, forth, back, off, seconds, **more):
-        held = [] if cloud_name == MVS else [(MVS, forth, back)]
-        held += [(TRUTH, math.hypot(forth, off), math.hypot(back, off))] if truth else []
-        found = tuple(against(r, factor * f, factor * b, bends.get((cloud_name, r))) for r, f, b in held)
+    def cloud(cloud_name, c2r, r2c, error, seconds, **more):
+        distances = [] if cloud_name == MVS else [(MVS, c2r, r2c)]
+        distances += [(TRUTH, math.hypot(c2r, error), math.hypot(r2c, error))] if truth else []
+        found = tuple(evaluation(r, factor * f, factor * b, bends.get((cloud_name, r))) for r, f, b in distances)
         return CloudResult(cloud_name, 1000, seconds, False, 2**28, against=found, **more)
 
     clouds = (
@@ -60,7 +63,7 @@ def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
     views = NewViews(ViewScores(30.0, 0.9), ViewScores(25.0, 0.8), 35, 5, 0.5)
     references = {MVS: (5000, 4000), **({TRUTH: (9000, 8000)} if truth else {})}
     rings = tuple((10 * math.cos(a), 10 * math.sin(a), 5.0 + a) for a in np.linspace(0, 6, 12))
-    alone = SurfaceMoved(0.5, 0.25, ((5.0, 0.01), (30.0, -0.01)), ((1.0, 0.0), (9.0, 0.02)))
+    alone = SurfaceDeformation(0.5, 0.25, ((5.0, 0.01), (30.0, -0.01)), ((1.0, 0.0), (9.0, 0.02)))
     errors = CameraErrors(40, 40, 0.1, 0.3, 1.001, 0, alone)
     made = SceneResult(
         name, f"/x/{name}", "m", 40, rings, (0.0, 0.0, 2.0), "sphere:0,0,2,50", errors, references, clouds, views
@@ -69,12 +72,12 @@ def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
 
 
 def study(*scenes, poses="solve"):
-    found = Study(poses, {"steps": "2000", "density": "classic"}, scenes, provenance={})
+    found = GaoStudy(poses, {"steps": "2000", "density": "classic"}, scenes, provenance={})
     return replace(found, sentences=tuple(sentences(found)))
 
 
-def stored(folder, found):
-    """Its files in a folder, which is returned."""
+def write_study(folder, found):
+    """Write the files of a study and return their folder."""
     folder.mkdir(exist_ok=True)
     (folder / "experiment.json").write_text(to_json(document(found)))
     (folder / "gao.md").write_text(markdown(found, None))

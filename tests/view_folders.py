@@ -1,11 +1,11 @@
-"""Folders of rendered views: photographs of noise, and renderings that are off by so many levels."""
+"""Folders of rendered views: photographs of noise, and renderings with a constant error."""
 
 import numpy as np
 
 from pcbench.scenes.splits import every, in_blocks
 from pcbench.scenes.views import Pictures, write_views
 
-OFF = 8  # levels that the first view is off by; each next one by one more
+LEVEL_OFFSET = 8  # error of the first view, in grey levels; it grows by one per view
 
 
 def photograph(number, size=(64, 48)):
@@ -13,20 +13,20 @@ def photograph(number, size=(64, 48)):
     return rng.integers(40, 200, (size[1], size[0], 3), dtype=np.uint8)
 
 
-def views_of(folder, scene="city", count=18, blocks=None, mask=None, method="splat"):
-    """Write a folder of views; of k.png the rendering is OFF + k levels lighter."""
+def write_view_folder(folder, scene="city", count=18, blocks=None, mask=None, method="splat"):
+    """Write a folder of views; the rendering of k.png is LEVEL_OFFSET + k grey levels brighter."""
     names = [f"{k}.png" for k in range(count)]
     split = every(names) if blocks is None else in_blocks(names, blocks)
 
     def render(name):
         number = int(name.removesuffix(".png"))
         truth = photograph(number)
-        return Pictures(name, truth + np.uint8(OFF + number), truth, mask)
+        return Pictures(name, truth + np.uint8(LEVEL_OFFSET + number), truth, mask)
 
     write_views(folder, scene, method, split, render)
     return folder
 
 
 def psnr_of(number):
-    """Of view `number`, by the definition."""
-    return 20 * np.log10(255 / (OFF + number))
+    """PSNR of view `number` by its definition, in dB."""
+    return 20 * np.log10(255 / (LEVEL_OFFSET + number))

@@ -1,1 +1,1 @@
-"""Questions that are answered by many runs."""
+"""Studies: questions that take many runs to answer."""

@@ -1,13 +1,13 @@
-"""The folder of a study: known again by the next run, kept to one run at a time, its pages written whole.
+"""The output folder of a study: recognised by later runs, locked by one run at a time, written atomically.
 
-A study of many runs takes hours, so that all of them work in the same way:
+A study of many runs takes hours. All studies therefore work in the same way:
 
-1. `check_folder` refuses a folder of something else before any work, and `study_folder` claims it for one run. It marks
-   the folder by `study.json`, which also holds the settings of the last run.
-2. What takes long is kept for the next run: as a folder by `pcbench.plugins.stages.stage`, or as a JSON file by
-   `keep_record`, which `kept_record` returns for the same inputs only. A failure that may pass (a full disk, a library
-   that is not installed) is raised and never kept.
-3. `write_pages` writes the results, the document that others read last.
+1. `check_folder` rejects a folder that holds something else before any work starts. `study_folder` locks the folder for
+   one run and marks it with `study.json`, which also holds the settings of the last run.
+2. Slow results are saved for later runs: as a folder by `pcbench.plugins.stages.stage`, or as a JSON file by
+   `write_record`, which `read_record` returns for the same inputs only. A failure that may be temporary (a full disk, a
+   missing library) is raised and never saved.
+3. `write_pages` writes the results. The document that other programs read is written last.
 """
 
 from __future__ import annotations
@@ -29,17 +29,18 @@ if TYPE_CHECKING:
 
 MARK = "study.json"
 SCHEMA = "pcbench.study/1"
-_KEY = "key"  # of a record: the inputs that its values depend on
+_KEY = "key"  # in a record: the inputs that its values depend on
 
 
 @dataclass(frozen=True)
 class StudyKind:
-    """What tells the folders of one study from those of others.
+    """How to recognise the folders of one kind of study.
 
     Attributes:
-        name: of the study, as its command has it.
-        document: the file with its results; schema: what that file says of itself.
-        former_marks: names by which earlier versions, which wrote no `study.json`, knew the folder; all of them.
+        name: name of the study's command.
+        document: file name of its results.
+        schema: schema name in that file.
+        former_marks: file names that together mark a folder of an earlier version, which wrote no `study.json`.
     """
 
     name: str
@@ -49,26 +50,30 @@ class StudyKind:
 
 
 def check_folder(out: Path, kind: StudyKind) -> None:
-    """Raises:
-    InputError: `out` is a file, or a folder that holds something other than this study.
+    """Check that a study of this kind may write to a folder.
+
+    Raises:
+        InputError: `out` is a file, or a folder that holds something other than this study.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder for `{kind.name}`, got a file")
-    if out.is_dir() and any(out.iterdir()) and not _holds(out, kind):
+    if out.is_dir() and any(out.iterdir()) and not _is_study_folder(out, kind):
         raise InputError(
-            f"{out}: the folder is not empty and holds no results of `{kind.name}`: choose another one, or empty it"
+            f"{out}: the folder is not empty and holds no results of `{kind.name}`; choose another folder, or empty it"
         )
 
 
 @contextmanager
 def study_folder(out: Path, kind: StudyKind, settings: DataclassInstance) -> Iterator[None]:
-    """Make the folder of a study and keep it to this run.
+    """Create the folder of a study and lock it for this run.
 
     Args:
-        settings: of the run; `study.json` holds its fields.
+        out: output folder, created if it does not exist.
+        kind: kind of study.
+        settings: settings of the run, whose fields are written to `study.json`.
 
     Raises:
-        InputError: `out` is something else, or another run is writing there.
+        InputError: `out` holds something else, or another run is writing there.
         OSError: the folder cannot be written.
     """
     check_folder(out, kind)
@@ -80,8 +85,8 @@ def study_folder(out: Path, kind: StudyKind, settings: DataclassInstance) -> Ite
         yield
 
 
-def kept_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The values that `keep_record` wrote for the same inputs; None where there are none."""
+def read_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the values that `write_record` saved for the same inputs, or None."""
     try:
         values = read_json(path)
     except (FileNotFoundError, InputError):
@@ -91,11 +96,13 @@ def kept_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
     return values
 
 
-def keep_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) -> None:
-    """Keep values for the next run with the same inputs.
+def write_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+    """Save values for later runs with the same inputs.
 
     Args:
-        key: all inputs that the values depend on, as JSON holds them.
+        path: JSON file to write.
+        key: all inputs that the values depend on, as JSON values.
+        values: values to save.
 
     Raises:
         OSError: the file cannot be written.
@@ -104,7 +111,7 @@ def keep_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) -
 
 
 def write_pages(out: Path, texts: Mapping[str, str]) -> None:
-    """Write files by name, each of them whole or not at all. File names in their texts need not be Unicode.
+    """Write files by name, each of them atomically. File names in their texts need not be Unicode.
 
     Raises:
         OSError: a file cannot be written.
@@ -114,17 +121,17 @@ def write_pages(out: Path, texts: Mapping[str, str]) -> None:
             file.write(text.encode(errors="backslashreplace"))
 
 
-def named_folders(paths: Iterable[Path], taken: Iterable[str] = ()) -> dict[str, Path]:
-    """Paths by the names of their folders, numbered where several are alike or are taken already."""
+def folders_by_name(paths: Iterable[Path], reserved: Iterable[str] = ()) -> dict[str, Path]:
+    """Return paths by the names of their folders, numbered if several are equal or a name is reserved."""
     named: dict[str, Path] = {}
     for path in paths:
-        named[free_name(path.resolve().name or "scene", {*named, *taken})] = path
+        named[unique_name(path.resolve().name or "scene", {*named, *reserved})] = path
     return named
 
 
-def free_name(stem: str, taken: Iterable[str]) -> str:
-    """The stem, or with the first number from 2 that makes it unlike all names that are taken."""
-    known = set(taken)
+def unique_name(stem: str, reserved: Iterable[str]) -> str:
+    """Return the stem, with the smallest number from 2 appended if the stem is taken."""
+    known = set(reserved)
     name, number = stem, 1
     while name in known:
         number += 1
@@ -132,7 +139,7 @@ def free_name(stem: str, taken: Iterable[str]) -> str:
     return name
 
 
-def _holds(out: Path, kind: StudyKind) -> bool:
+def _is_study_folder(out: Path, kind: StudyKind) -> bool:
     mark = json_object(out / MARK)
     if mark.get("schema") == SCHEMA:
         return bool(mark.get("study") == kind.name)

@@ -1,8 +1,8 @@
 """Tails of weighted sums of chi squares against long simulations: python tests/bench/chi_squares.py [--draws 400000000]
 
-Each family of weights at the place where our tail is 1e-5: its share of plain draws, or of draws from normals that are
-tilted towards the tail and weighted for it (importance sampling), with standard errors; beside them the scaled chi
-square of the same two moments.
+For each family of weights, at the value where our tail probability is 1e-5: the share of plain draws, or of draws from
+normals with a larger variance, weighted for it (importance sampling), with standard errors; for comparison the scaled
+chi square with the same two moments.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from pcbench.deformation.chi_squares import chi_squares_point, chi_squares_tail
 TAIL = 1e-5
 FAMILIES = {
     "uneven": np.array([3.0, 1.0, 1.0, 0.5, 0.5, 0.5]),
-    "modes": np.logspace(0, -3, 48),  # as of the modes of a cubic field under noise of long range
+    "modes": np.logspace(0, -3, 48),  # like the modes of a cubic field under long-range noise
     "one and many": np.concatenate([[1.0], np.full(300, 1e-2)]),
 }
 CHUNK = 2_000_000
 
 
 def plain(value: float, weights: np.ndarray, draws: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Share of draws beyond a value, and its standard error."""
+    """Return the share of draws beyond a value and its standard error."""
     beyond = 0
     for start in range(0, draws, CHUNK):
         total = np.zeros(min(CHUNK, draws - start))
@@ -37,8 +37,9 @@ def plain(value: float, weights: np.ndarray, draws: int, rng: np.random.Generato
 
 
 def tilted(value: float, weights: np.ndarray, draws: int, rng: np.random.Generator) -> tuple[float, float]:
-    """The same from normals of variance 1 / (1 - 2 t w): E[exp(K(t) - t Q); Q > value], with t that brings the mean
-    there.
+    """Return the same by importance sampling with normals of variance 1 / (1 - 2 t w).
+
+    The share is E[exp(K(t) - t Q); Q > value]; t is chosen so that the mean of Q equals the value.
     """
     low, high = 0.0, 0.5 / weights.max()
     for _ in range(100):
@@ -58,6 +59,7 @@ def tilted(value: float, weights: np.ndarray, draws: int, rng: np.random.Generat
 
 
 def two_moments(value: float, weights: np.ndarray) -> float:
+    """Return the tail of the scaled chi square with the same mean and variance."""
     from scipy.stats import chi2
 
     mean, square = weights.sum(), np.square(weights).sum()
@@ -66,7 +68,7 @@ def two_moments(value: float, weights: np.ndarray) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--draws", type=int, default=400_000_000, help="plain ones; a hundredth of them are tilted")
+    parser.add_argument("--draws", type=int, default=400_000_000, help="number of plain draws; a hundredth is tilted")
     options = parser.parse_args()
     limit_threads(1)
     print(setting())

@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
 
-BLOCKS, SIZE = 20, 1000.0  # city blocks a side, metres
+BLOCKS, SIZE = 20, 1000.0  # city blocks per side; side in metres
 
 
 def _city(rng: np.random.Generator, xy: Points) -> Points:
-    """Ground, roofs and walls of box buildings at these places in the plane."""
+    """Return points on the ground, roofs and walls of box buildings at positions in the plane."""
     layout = np.random.default_rng(5)
     heights, widths = (
         layout.uniform(6, 40, (BLOCKS, BLOCKS)),
@@ -28,15 +28,17 @@ def _city(rng: np.random.Generator, xy: Points) -> Points:
 
 
 def uniform_city(rng: np.random.Generator, count: int) -> Points:
+    """Sample a city evenly."""
     return _city(rng, rng.uniform(-SIZE / 2, SIZE / 2, (count, 2)))
 
 
 def centre_heavy(rng: np.random.Generator, count: int) -> Points:
+    """Sample a city more densely in its centre."""
     return _city(rng, rng.normal(0, SIZE / 7, (count, 2)).clip(-SIZE / 2, SIZE / 2))
 
 
 def scan_lines(rng: np.random.Generator, count: int) -> Points:
-    """A spinning LiDAR of 64 rings at a few stations between walls: dense along lines, sparse across them."""
+    """Simulate a spinning LiDAR of 64 rings at a few stations between walls: dense along its lines, sparse across."""
     station = rng.integers(0, 9, count)
     elevation = np.radians(np.linspace(-24, 4, 64))[rng.integers(0, 64, count)]
     azimuth = np.radians(0.1 * rng.integers(0, 3600, count) + rng.normal(0, 0.005, count))
@@ -52,9 +54,9 @@ DENSITIES = {"uniform city": uniform_city, "centre-heavy": centre_heavy, "scan l
 
 
 def pair(density: str, count: int) -> tuple[Points, Points]:
-    """A reference, and a candidate of a fifth of its points with 3 cm of noise."""
+    """Return a reference, and a candidate with a fifth of its points and 3 cm of noise."""
     rng = np.random.default_rng(count)
     reference = DENSITIES[density](rng, count)
-    # A city is photographed from around its centre: the candidate is denser there.
+    # A city is photographed from around its centre, so the candidate is denser there.
     candidate = (centre_heavy if density == "uniform city" else DENSITIES[density])(rng, count // 5)
     return reference, candidate + rng.normal(0, 0.03, candidate.shape)

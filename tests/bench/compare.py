@@ -1,8 +1,8 @@
-"""The whole comparison at the paper's sizes, beside a plain Open3D script of the same job, in one run.
+"""A complete comparison at the paper's sizes, next to a plain Open3D script for the same job.
 
     python tests/bench/compare.py [--points 1270820] [--runs 3]
 
-Each side runs in a process of its own, alternating; medians of wall and CPU seconds per step, and peak memory.
+Each side runs in a separate process, alternating; prints medians of wall and CPU seconds per step, and peak memory.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ STEPS = ("import", "read", "index, normals", "registration", "distances, metrics
 
 
 def ours(folder: Path) -> dict:
+    """Run and time the comparison with pcbench."""
     clock = Clock()
     from pcbench import compare, read_cloud
     from pcbench.report import document  # noqa: F401
@@ -35,7 +36,7 @@ def ours(folder: Path) -> dict:
     clock.step("read")
     result = compare(reference, candidates)
     clock.step("compare")
-    values = {candidate.name: picked(candidate.metrics) for candidate in result.candidates}
+    values = {candidate.name: paper_metrics(candidate.metrics) for candidate in result.candidates}
     inner = {
         "registration": sum(c.timings_s["registration"] for c in result.candidates),
         "index, normals": result.candidates[0].timings_s["reference"],
@@ -48,7 +49,7 @@ def ours(folder: Path) -> dict:
 
 
 def open3d(folder: Path) -> dict:
-    """What a user writes today: normals k = 20, point-to-plane ICP, distances both ways, the paper's four numbers."""
+    """Run a typical user script: normals (k = 20), point-to-plane ICP, both distances, the paper's four metrics."""
     clock = Clock()
     import numpy as np
     import open3d as o3d
@@ -71,19 +72,19 @@ def open3d(folder: Path) -> dict:
             ).transformation
         candidate.transform(T)
         clock.step("registration")
-        forth = np.asarray(candidate.compute_point_cloud_distance(reference))
-        back = np.asarray(reference.compute_point_cloud_distance(candidate))
+        c2r = np.asarray(candidate.compute_point_cloud_distance(reference))
+        r2c = np.asarray(reference.compute_point_cloud_distance(candidate))
         aligned = np.asarray(candidate.points)
-        # D2 needs to know which point is nearest: the fastest call that says so searches once more.
+        # D2 needs the index of the closest point; the fastest call that returns it searches again.
         found = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(points))
         found.knn_index()
         nearest = found.knn_search(o3d.core.Tensor(aligned), 1)[0].numpy()[:, 0]
         plane = np.einsum("ni,ni->n", aligned - points[nearest], normals[nearest])
         values[name] = {
-            "d1": float(np.mean(forth**2)),
+            "d1": float(np.mean(c2r**2)),
             "d2": float(np.mean(plane**2)),
-            "hausdorff": float(max(forth.max(), back.max())),
-            "chamfer": float(np.mean(forth**2) + np.mean(back**2)),
+            "hausdorff": float(max(c2r.max(), r2c.max())),
+            "chamfer": float(np.mean(c2r**2) + np.mean(r2c**2)),
             "T": T.tolist(),
         }
         clock.step("distances, metrics")
@@ -91,7 +92,7 @@ def open3d(folder: Path) -> dict:
 
 
 def at_transform(reference, candidate, T: list) -> dict:
-    """Our metrics with another tool's registration."""
+    """Return our metrics with the registration of another tool."""
     import numpy as np
 
     from pcbench import Settings, compare
@@ -99,10 +100,11 @@ def at_transform(reference, candidate, T: list) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "T.txt"
         path.write_text("\n".join(" ".join(repr(v) for v in row) for row in np.array(T).tolist()))
-        return picked(compare(reference, candidate, Settings(register=f"matrix:{path}")).candidates[0].metrics)
+        return paper_metrics(compare(reference, candidate, Settings(register=f"matrix:{path}")).candidates[0].metrics)
 
 
-def picked(m: dict) -> dict:
+def paper_metrics(m: dict) -> dict:
+    """Return the paper's four metrics from all metrics."""
     return {
         "d1": m["d1_mse"]["candidate_to_reference"],
         "d2": m["d2_mse"]["candidate_to_reference"],
@@ -112,19 +114,21 @@ def picked(m: dict) -> dict:
 
 
 class Clock:
-    """Wall and CPU seconds of named steps; a name may come more than once."""
+    """Wall and CPU seconds of named steps; steps of one name are added."""
 
     def __init__(self) -> None:
         self.steps: dict[str, tuple[float, float | None]] = {}
         self.start = self.last = self._now()
 
     def step(self, name: str) -> None:
+        """Add the time since the last step to a step."""
         now = self._now()
         wall, cpu = self.steps.get(name, (0.0, 0.0))
         self.steps[name] = (wall + now[0] - self.last[0], (cpu or 0.0) + now[1] - self.last[1])
         self.last = now
 
     def result(self, values: dict) -> dict:
+        """Return the times of all steps, peak memory and the values."""
         now = self._now()
         self.steps["total"] = (now[0] - self.start[0], now[1] - self.start[1])
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
@@ -137,6 +141,7 @@ class Clock:
 
 
 def run(side: str, folder: Path) -> dict:
+    """Run one side in a child process."""
     command = [sys.executable, __file__, "--side", side, "--folder", str(folder)]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
 
@@ -182,7 +187,7 @@ def main() -> None:
         same = at_transform(scene.reference, scene.candidates[candidate], theirs["T"])
         for metric, value in values.items():
             print(f"{candidate + ' ' + metric:22}{value:14.9g}{theirs[metric]:14.9g}{same[metric]:20.9g}")
-    print("\nlast column: pcbench's figures with Open3D's registration, to tell search and metrics from alignment")
+    print("\nlast column: pcbench's metrics with Open3D's registration, which separates search from registration")
 
 
 if __name__ == "__main__":

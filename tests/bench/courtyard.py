@@ -1,5 +1,7 @@
-"""Repeated facades: `python tests/bench/courtyard.py` solves courtyards, and prints what each mapper alone makes of
-them, what is kept, and what is said. Errors are of the camera that is furthest off, after an alignment to the truth.
+"""Repeated facades: `python tests/bench/courtyard.py` solves courtyards with each mapper.
+
+It prints the mapper's own result, the accepted result and the warnings. Errors are those of the worst camera after an
+alignment to the truth.
 """
 
 import argparse
@@ -28,13 +30,16 @@ from reconstructors.sfm.sfm import ColmapSfm
 
 
 class Case(NamedTuple):
-    own: float  # share of each wall's texture that no other place has
-    inwards: bool  # the cameras look across the court, or out from its middle
-    known: bool  # the intrinsics
+    """A courtyard to solve."""
+
+    own: float  # share of each wall's texture that is unique
+    inwards: bool  # whether the cameras look across the court instead of outwards from its middle
+    known: bool  # whether the intrinsics are known
     seed: int
 
 
 def cases(seeds: list[int], owns: list[float]) -> Iterator[Case]:
+    """Yield all combinations."""
     for seed in seeds:
         for own in owns:
             for inwards in (False, True):
@@ -42,7 +47,8 @@ def cases(seeds: list[int], owns: list[float]) -> Iterator[Case]:
                     yield Case(own, inwards, known, seed)
 
 
-def photographed(case: Case, folder: Path) -> Scene:
+def photograph_scene(case: Case, folder: Path) -> Scene:
+    """Render the images of a case and read them as a scene."""
     (folder / "images").mkdir()
     cameras = courtyard.cameras(30, courtyard.standard_intrinsics(), case.inwards)
     for camera in cameras:
@@ -51,7 +57,8 @@ def photographed(case: Case, folder: Path) -> Scene:
     return read_scene(folder, cameras="auto" if case.known else "none")
 
 
-def furthest(found, truth) -> str:
+def worst_camera(found, truth) -> str:
+    """Return the number of solved cameras and the largest errors of position and direction."""
     names = sorted(found)
     fit = robust_similarity(*(np.array([cameras[name].position for name in names]) for cameras in (found, truth)))
     positions, angles = camera_errors({name: moved(camera, fit) for name, camera in found.items()}, truth)
@@ -59,10 +66,11 @@ def furthest(found, truth) -> str:
 
 
 def rows(case: Case) -> Iterator[str]:
+    """Yield a table row per mapper."""
     with tempfile.TemporaryDirectory() as temporary:
         folder, work = Path(temporary), Path(temporary) / "work"
         work.mkdir()
-        scene = photographed(case, folder)
+        scene = photograph_scene(case, folder)
         truth, refine = read_scene(folder).cameras, "none" if case.known else "all"
         for mapping in ("incremental", "global"):
             settings = {"poses": "solve", "refine": refine, "align": "none", "upsample": False, "features": 4000}
@@ -74,14 +82,14 @@ def rows(case: Case) -> Iterator[str]:
                 yield f"{start}- | {mapping} | nothing | - | nothing | - | error |"
                 continue
 
-            def against(cameras) -> int:
+            def contradictions(cameras) -> int:
                 return len(agreement(work / "verified" / DATABASE, cameras).contradicting)
 
             model, _ = largest_component(map_images(work / "verified", scene, work, mapping, refine, 0), scene)
-            alone = f"{furthest(cameras_of(model), truth)} | {against(cameras_of(model))}"
-            said = "warned" if any(note.startswith("warning: ") for note in made.notes) else "-"
-            kept = f"{furthest(made.cameras, truth)} | {against(made.cameras)} | {said}"
-            yield f"{start}{against(truth)} | {mapping} | {alone} | {kept} |"
+            alone = f"{worst_camera(cameras_of(model), truth)} | {contradictions(cameras_of(model))}"
+            warned = "warned" if any(note.startswith("warning: ") for note in made.notes) else "-"
+            accepted = f"{worst_camera(made.cameras, truth)} | {contradictions(made.cameras)} | {warned}"
+            yield f"{start}{contradictions(truth)} | {mapping} | {alone} | {accepted} |"
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""The deformation verdict where the deformation is known: python tests/bench/deformation.py [--runs 20] [--only TEXT]
+"""The deformation verdict for known deformations: python tests/bench/deformation.py [--runs 20] [--only TEXT]
 
-Every pair goes the whole way from two clouds to the answer, registration included; see `tests/deformation_cases.py` for
-the scenes and their noise. Real clouds are left out where the data folder is absent. `--domes`
-asks how small a bend is found, `--times` measures whole clouds instead.
+Each pair is evaluated completely, registration included; see `tests/deformation_cases.py` for the scenes and their
+noise. Real clouds are left out if the data folder is absent. `--domes` measures how small a dome is detected, `--times`
+measures the time for complete clouds.
 """
 
 from __future__ import annotations
@@ -24,83 +24,90 @@ from deformation_cases import BENDS, NULLS, PARTS, Pair, bent, shown, turned
 from pcbench.deformation import Deformation, deform
 
 VERDICTS = ("none", "undecided", "similarity", "affine", "non-affine")
-DOMES = (0.1, 0.2, 0.35, 0.5, 1.0)  # RMS, times the noise of a point
+DOMES = (0.1, 0.2, 0.35, 0.5, 1.0)  # RMS in units of a point's noise
 RATIOS = (100, 50, 25)
 HEAD = f"{'':26}{'runs':>5}" + "".join(f"{verdict:>12}" for verdict in VERDICTS)
 
 
-def judged(make: Callable[[int], Pair], seed: int, method: str = "icp") -> Deformation:
+def evaluate(make: Callable[[int], Pair], seed: int, method: str = "icp") -> Deformation:
+    """Return the verdict on one pair."""
     pair = make(seed)
     return deform(pair.reference, pair.candidate, method)[1]
 
 
 def line(name: str, found: list[Deformation]) -> str:
+    """Return a table row with the counts of the verdicts."""
     verdicts = [each.verdict for each in found]
     return f"{name:26}{len(found):5}" + "".join(f"{verdicts.count(verdict):12}" for verdict in VERDICTS)
 
 
 def nulls(runs: int, only: str, first: int) -> None:
+    """Print the verdicts on undeformed pairs."""
     print(f"\nundeformed\n{HEAD}{'least p':>10}{'moved':>7}")
     for name, make in NULLS.items():
         if only not in name:
             continue
         try:
-            found = [judged(make, seed) for seed in range(first, first + runs)]
+            found = [evaluate(make, seed) for seed in range(first, first + runs)]
         except pytest.skip.Exception:
             continue
-        least = min((each.p_value for each in found if each.p_value is not None), default=1.0)
+        smallest = min((each.p_value for each in found if each.p_value is not None), default=1.0)
         moved = sum("a part moved" in each.sentence() for each in found)
-        print(f"{line(name, found)}{least:10.1e}{moved:7}", flush=True)
+        print(f"{line(name, found)}{smallest:10.1e}{moved:7}", flush=True)
 
 
 def bends(runs: int, only: str, first: int) -> None:
-    print("\nbent; the bend found over the true one, and how often its interval holds that: along the normals of the")
+    """Print the verdicts on deformed pairs, with the sizes of the deformations."""
+    print("\ndeformed; ratio of measured to true deformation, and coverage of its interval: along the normals of the")
     print(f"pairs, and over the surface\n{HEAD}{'pairs':>8}{'':>6}{'surface':>9}{'':>6}")
     for name, make in BENDS.items():
         if only not in name:
             continue
         try:
-            rows = [(judged(make, seed), shown(make(seed))) for seed in range(first, first + runs)]
+            rows = [(evaluate(make, seed), shown(make(seed))) for seed in range(first, first + runs)]
         except pytest.skip.Exception:
             continue
         sized = [(found.amplitude, truth) for found, truth in rows if found.amplitude is not None]
         ratios = [np.mean([a.rms / t[0] for a, t in sized]), np.mean([(a.rms_surface or 0) / t[1] for a, t in sized])]
-        held = [
+        coverage = [
             np.mean([a.ci[0] <= t[0] <= a.ci[1] for a, t in sized]),
             np.mean([a.ci_surface is not None and a.ci_surface[0] <= t[1] <= a.ci_surface[1] for a, t in sized]),
         ]
-        numbers = f"{ratios[0]:8.2f}{held[0]:6.0%}{ratios[1]:9.2f}{held[1]:6.0%}"
+        numbers = f"{ratios[0]:8.2f}{coverage[0]:6.0%}{ratios[1]:9.2f}{coverage[1]:6.0%}"
         print(f"{line(name, [found for found, _ in rows])}{numbers}", flush=True)
 
 
 def parts(runs: int, only: str, first: int) -> None:
-    print(f"\nparts that moved, and clouds that are not registered\n{HEAD}  said")
+    """Print the verdicts on pairs with moved parts, and on unregistered pairs."""
+    print(f"\nparts that moved, and clouds that are not registered\n{HEAD}  warnings")
     for name, make in {**PARTS, "left turned by 3 degrees": turned(3.0)}.items():
         if only not in name:
             continue
         method = "none" if name.startswith("left") else "icp"
-        found = [judged(make, seed, method) for seed in range(first, first + runs)]
+        found = [evaluate(make, seed, method) for seed in range(first, first + runs)]
         codes = [notice.code for each in found for notice in each.warnings]
-        said = {code: codes.count(code) for code in sorted(set(codes))}
-        said["a part moved"] = sum("a part moved" in each.sentence() for each in found)
+        counts = {code: codes.count(code) for code in sorted(set(codes))}
+        counts["a part moved"] = sum("a part moved" in each.sentence() for each in found)
         print(
-            f"{line(name, found)}  {', '.join(f'{word} {count}' for word, count in said.items() if count)}", flush=True
+            f"{line(name, found)}  {', '.join(f'{word} {count}' for word, count in counts.items() if count)}",
+            flush=True,
         )
 
 
 def domes(runs: int, first: int) -> None:
-    print("\nshare of domes found in a city, by their RMS length in units of a point's noise")
+    """Print the shares of domes that are detected."""
+    print("\nshare of detected domes in a city, by RMS in units of a point's noise")
     print(f"{'noise':8}{'runs':>5}" + "".join(f"{times:8.2f}" for times in DOMES))
     for ratio in RATIOS:
         shares = []
         for times in DOMES:
-            found = [judged(bent("dome", times, ratio), seed) for seed in range(first, first + runs)]
+            found = [evaluate(bent("dome", times, ratio), seed) for seed in range(first, first + runs)]
             shares.append(np.mean([each.verdict == "non-affine" for each in found]))
         print(f"L/{ratio:<6}{runs:5}" + "".join(f"{share:8.2f}" for share in shares), flush=True)
 
 
 def times(sizes: list[int]) -> None:
-    """Seconds for two whole clouds that are registered and indexed, and whose normals are known, as in `compare`."""
+    """Print seconds for two complete clouds with known registration, indices and normals, as in `compare`."""
     from pcbench.deformation import Side, residual_deformation
     from pcbench.geometry.neighbors import Index
     from pcbench.geometry.normals import Surface
@@ -128,12 +135,12 @@ def times(sizes: list[int]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=20, help="of each row")
-    parser.add_argument("--only", default="", metavar="TEXT", help="rows whose name holds it")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="of the runs")
-    parser.add_argument("--domes", action="store_true", help="nothing but how small a dome is found")
+    parser.add_argument("--runs", type=int, default=20, help="runs per row")
+    parser.add_argument("--only", default="", metavar="TEXT", help="rows whose name contains TEXT")
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first run")
+    parser.add_argument("--domes", action="store_true", help="only measure how small a dome is detected")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--times", action="store_true", help="nothing but seconds for whole clouds")
+    parser.add_argument("--times", action="store_true", help="only measure seconds for complete clouds")
     options = parser.parse_args()
     limit_threads(options.threads)
     print(setting())

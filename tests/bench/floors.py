@@ -1,9 +1,9 @@
 """Scores of independent, error-free samples over their sampling floors: python tests/bench/floors.py [--runs 60]
 
-Every row is a surface, the numbers of points of the reference and the candidate, and how much denser the candidate is
-at one end of the scene than at the other. The mean score over runs is divided by the mean floor: 1 is right. `--noise`
-displaces the candidate along the normals, in its own mean spacings: the score grows, and the floor (in brackets: over
-that without noise) should not.
+Each row is a surface, the numbers of points of reference and candidate, and the ratio of the candidate's densities at
+both ends of the scene. The mean score over runs is divided by the mean floor; 1 is correct. `--noise` displaces the
+candidate along the normals, in units of its mean spacing: the score grows, and the floor (in brackets: relative to the
+floor without noise) should not.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def main() -> None:
     options = parser.parse_args()
     limit_threads(1)
     print(setting())
-    columns = "".join(f"{way + ' ' + name:>18}" for way in ("c→r", "r→c") for name in METRICS)
+    columns = "".join(f"{arrow + ' ' + name:>18}" for arrow in ("c→r", "r→c") for name in METRICS)
     print(f"{'surface':9}{'reference':>10}{'candidate':>10}{'falling':>8}{'noise':>6}{columns}")
     without = np.ones((2, len(METRICS)))
     for case in NOISY if options.noise else CASES:

@@ -1,7 +1,8 @@
-"""How often 95 % intervals hold the expectation: python tests/bench/intervals.py [--runs 200] [--points 4000]
+"""Coverage of 95 % intervals: python tests/bench/intervals.py [--runs 200] [--points 4000]
 
-Every row draws both clouds and the candidate's noise anew in each run; the expectation is the mean over the runs. A
-cell is the share of runs whose interval holds it, and how wide intervals are, over the range of 95 % of the scores.
+Each run samples both clouds and the candidate's noise again; the expectation is the mean over the runs. A cell has the
+share of runs whose interval contains the expectation, and the width of the intervals over the range of 95 % of the
+scores.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def main() -> None:
     options = parser.parse_args()
     limit_threads(1)
     print(setting())
-    print(f"{'surface':9}{'noise':10}" + "".join(f"{f'{name} {ARROWS[way]}':>20}" for name, way in SCORES))
+    print(f"{'surface':9}{'noise':10}" + "".join(f"{f'{name} {ARROWS[direction]}':>20}" for name, direction in SCORES))
     for name in options.surfaces:
         for noise in options.noises:
             found = coverage(Case(name, noise, *options.points), options.runs)

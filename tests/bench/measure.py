@@ -1,4 +1,4 @@
-"""Side-by-side timing: runs alternate between the contestants, medians are reported, nothing is asserted."""
+"""Side-by-side timing: runs of the contestants alternate, medians are reported, nothing is asserted."""
 
 import gc
 import os
@@ -12,12 +12,14 @@ from typing import NamedTuple
 
 
 class Seconds(NamedTuple):
+    """Wall and CPU time."""
+
     wall: float
     cpu: float
 
 
 def alternate(contestants: dict[str, Callable[[], object]], runs: int) -> dict[str, Seconds]:
-    """Median wall and CPU seconds of each; one run of all before the next, so that a busy machine is busy for all."""
+    """Return median wall and CPU seconds per contestant; runs alternate, so that load affects all of them equally."""
     samples: dict[str, list[Seconds]] = {name: [] for name in contestants}
     for _ in range(runs):
         for name, run in contestants.items():
@@ -32,13 +34,13 @@ def alternate(contestants: dict[str, Callable[[], object]], runs: int) -> dict[s
 
 
 def limit_threads(threads: int) -> None:
-    """Before the libraries are imported: OpenMP reads the variable, TBB the affinity."""
+    """Limit the threads; call before libraries are imported: OpenMP reads the variable, TBB the affinity."""
     os.environ["OMP_NUM_THREADS"] = str(threads)
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
 
 
 def setting() -> str:
-    """Commit and machine, for the head of a table."""
+    """Return commit and machine, for the head of a table."""
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
     ).stdout.strip()

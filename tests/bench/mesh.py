@@ -1,10 +1,10 @@
-"""Point-to-mesh distances beside Open3D's RaycastingScene and trimesh, in one process, the same queries.
+"""Point-to-mesh distances next to Open3D's RaycastingScene and trimesh, in one process, with the same queries.
 
     python tests/bench/mesh.py [--faces 1000000] [--queries 1000000] [--runs 3]
 
-A rough height field; queries close to it, in its box, and far off. CPU seconds are those of all threads together, which
-a busy machine does not falsify. Open3D and trimesh are left out where they do not import; trimesh, which takes
-milliseconds a query, gets a hundredth of the queries and its time is scaled up.
+The mesh is a rough height field; queries are close to it, in its box, and far away. CPU seconds are the sum over all
+threads, which does not depend on the load. Open3D and trimesh are left out if they cannot be imported; trimesh, which
+takes milliseconds per query, gets a hundredth of the queries, and its time is scaled up.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 
 
 def ours(vertices, faces):
+    """Build our index and return its query."""
     index = MeshIndex(Mesh(vertices, faces))
     return lambda points: index.query(points).distances
 
 
 def open3d(vertices, faces):
+    """Build Open3D's scene and return its query."""
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
@@ -43,6 +45,7 @@ def open3d(vertices, faces):
 
 
 def trimesh(vertices, faces):
+    """Build trimesh's index and return its query."""
     import trimesh as tm
 
     mesh = tm.Trimesh(vertices, faces, process=False)
@@ -51,6 +54,7 @@ def trimesh(vertices, faces):
 
 
 def timed(call):
+    """Return the result of a call with its wall and CPU seconds."""
     wall, cpu = time.perf_counter(), time.process_time()
     result = call()
     return result, (time.perf_counter() - wall, time.process_time() - cpu)
@@ -88,15 +92,15 @@ def main() -> None:
     for what, points in queries.items():
         results = {}
         for name, query in engines.items():
-            some = points[::100] if name == "trimesh" else points
+            sample = points[::100] if name == "trimesh" else points
             times = []
             for _ in range(1 if name == "trimesh" else arguments.runs):
-                distances, spent = timed(lambda query=query, some=some: query(some))
-                times.append(np.array(spent) * len(points) / len(some))
+                distances, spent = timed(lambda query=query, sample=sample: query(sample))
+                times.append(np.array(spent) * len(points) / len(sample))
             wall, cpu = (statistics.median(t[k] for t in times) for k in range(2))
             results[name] = distances, cpu
             own, own_cpu = results["pcbench"]
-            off = np.abs(distances - own[:: len(points) // len(some)]).max()
+            off = np.abs(distances - own[:: len(points) // len(sample)]).max()
             print(f"{what:28}{name:10}{wall:10.2f}{cpu:10.2f}{cpu / own_cpu:8.1f}{off:22.1e}")
 
 

@@ -1,7 +1,7 @@
 """CPU seconds and accuracy of a depth map, against OpenCV's plane sweep on the same images: python tests/bench/mvs.py
 
-Photographs of a synthetic city from true cameras, with exact depths. `--scaling` varies sources and threads;
-`--memory` runs the whole reconstructor on 10 and 50 images and says what it held at most.
+The images are photographs of a synthetic city with true cameras and exact depths. `--scaling` varies sources and
+threads; `--memory` runs the complete reconstructor on 10 and 50 images and prints its peak memory.
 """
 
 import argparse
@@ -19,10 +19,12 @@ import numpy as np
 from measure import alternate, limit_threads, setting
 
 PLANES = 128
-WINDOW = 9  # pixels along a patch, as the bundled matcher has it
+WINDOW = 9  # side of a patch in pixels, as in the bundled matcher
 
 
 class Case(NamedTuple):
+    """A reference view with its sources and exact depths."""
+
     reference: Any
     sources: Sequence[Any]
     depth_range: tuple[float, float]
@@ -31,7 +33,7 @@ class Case(NamedTuple):
 
 
 def load(folder: Path, number: int, count: int) -> Case:
-    """One image, its sources as the reconstructor would order them by angle, and exact depths of all."""
+    """Load one image, its sources in the reconstructor's order by angle, and the exact depths of all."""
     from PIL import Image
 
     from pcbench.scenes import read_scene
@@ -61,7 +63,7 @@ def load(folder: Path, number: int, count: int) -> Case:
 
 
 def bundled(case: Case) -> np.ndarray:
-    """Three photometric and two geometric iterations, the sources' maps given: each is one other image's work."""
+    """Run three photometric and two geometric iterations; the sources' depth maps are given."""
     from reconstructors.mvs.patchmatch import match, refine
 
     found = match(case.reference, case.sources, case.depth_range)
@@ -69,14 +71,17 @@ def bundled(case: Case) -> np.ndarray:
 
 
 def photometric(case: Case) -> np.ndarray:
+    """Run the photometric iterations alone."""
     from reconstructors.mvs.patchmatch import match
 
     return match(case.reference, case.sources, case.depth_range).depth
 
 
 def plane_sweep(case: Case) -> np.ndarray:
-    """Planes that face the camera, evenly in inverse depth: the mean of the two best sources' normalised correlations
-    over a window, and a parabola through the best plane and its neighbours (Collins 1996; Gallup et al. 2007).
+    """Sweep fronto-parallel planes at even inverse depths (Collins 1996; Gallup et al. 2007).
+
+    The cost is the mean of the two best sources' normalised correlations over a window. A parabola through the best
+    plane and its neighbours refines it.
     """
     import cv2
 
@@ -111,6 +116,7 @@ def plane_sweep(case: Case) -> np.ndarray:
 
 
 def centred(camera: Any) -> np.ndarray:
+    """Return the intrinsics matrix for pixel centres at integers."""
     matrix = camera.intrinsics.matrix
     matrix[:2, 2] -= 0.5
     return matrix
@@ -122,7 +128,7 @@ if importlib.util.find_spec("cv2"):
 
 
 class Accuracy(NamedTuple):
-    """Shares of the pixels that are off by less than one, two, and five footprints, and the median error in these."""
+    """Shares of pixels with errors below one, two and five pixel footprints, and the median error in footprints."""
 
     one: float
     two: float
@@ -131,13 +137,14 @@ class Accuracy(NamedTuple):
 
 
 def accuracy(case: Case, depth: np.ndarray) -> Accuracy:
+    """Evaluate a depth map against the exact depths."""
     seen = case.truth > 0
     off = np.abs(depth - case.truth)[seen] / (case.truth[seen] / case.reference.camera.intrinsics.fx)
     return Accuracy(*(float(np.mean(off < limit)) for limit in (1, 2, 5)), float(np.median(off)))
 
 
 def measure(folder: str, sources: int, threads: int, runs: int) -> None:
-    """The child process: prints the medians and the accuracies over three images as JSON."""
+    """Print the medians and the accuracies over three images as JSON, in the child process."""
     limit_threads(threads)
     if "OpenCV plane sweep" in CONTESTANTS:
         import cv2
@@ -156,12 +163,13 @@ def measure(folder: str, sources: int, threads: int, runs: int) -> None:
 
 
 def city(folder: Path, images: int, size: str) -> None:
+    """Create the synthetic city."""
     options = ["--images", str(images), "--size", size, "--seed", "3", "--points", "1000", "--quiet"]
     subprocess.run([sys.executable, "-m", "pcbench.cli", "synth", "city", "--out", folder, *options], check=True)
 
 
 def peak_memory(folder: Path, work: Path) -> float:
-    """MiB that the reconstructor's process held at most."""
+    """Return the peak memory of the reconstructor's process, in MiB."""
     script = (
         "import json, resource, subprocess, sys;"
         "command = [sys.executable, '-m', 'pcbench.cli', 'reconstruct', 'mvs', *sys.argv[1:], '--quiet'];"
@@ -181,7 +189,7 @@ def main() -> None:
     parser.add_argument("--threads", default="1")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--scaling", action="store_true", help="2, 4 and 8 sources, 1 and 2 threads, at 960x540")
-    parser.add_argument("--memory", action="store_true", help="of 10 and of 50 images of 480x270")
+    parser.add_argument("--memory", action="store_true", help="peak memory for 10 and for 50 images of 480x270")
     parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child:
@@ -194,8 +202,8 @@ def main() -> None:
         if options.memory:
             for images in (10, 50):
                 city(root / f"{images}", images, "480x270")
-                held = peak_memory(root / f"{images}", root / f"work{images}")
-                print(f"{images} images of 480x270: {held:.0f} MiB at most", flush=True)
+                peak = peak_memory(root / f"{images}", root / f"work{images}")
+                print(f"{images} images of 480x270: {peak:.0f} MiB at most", flush=True)
             return
         sources, threads, sizes = options.sources, options.threads, options.sizes
         if options.scaling:

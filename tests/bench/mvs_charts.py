@@ -1,8 +1,8 @@
-"""What budgets and the confidence buy of a dense cloud: python tests/bench/mvs_charts.py --chart FOLDER
+"""Accuracy of a dense cloud by time budget and by confidence: python tests/bench/mvs_charts.py --chart FOLDER
 
-`pcbench bench` runs `mvs` on a synthetic city with exact truth over one setting at a time: `spacing`, `image_scale` and
-`sources`, the others as they are by default. Then one run is filtered and fused again for each `confidence`. Prints a
-table; with `--chart` draws time against F-score and precision against completeness, both at two footprints of a pixel.
+`pcbench bench` runs `mvs` on a synthetic city with exact truth and varies one setting at a time: `spacing`,
+`image_scale` and `sources`. Then one run is filtered and fused again for each `confidence`. Prints a table; `--chart`
+draws F-score against time and precision against completeness, both at two pixel footprints.
 """
 
 import argparse
@@ -21,16 +21,16 @@ from dense_cases import read_city
 
 SWEEPS = {"spacing": "0.55,0.7,1", "image_scale": "0.35,0.5,0.7,1", "sources": "2,4,8"}
 CONFIDENCES = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
-AT = 1  # of the bench's thresholds: 2 pixels
+AT = 1  # index of the bench's threshold of 2 pixels
 LOOKS = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
-# Where labels are clear of the lines: to the left above one that rises, to the right below the lowest of these, to the
-# right above one that falls.
+# Label positions that are clear of the lines: upper left of rising lines, lower right of the lowest rising line, and
+# upper right of falling lines.
 ABOVE = ((-4, 5), "right", "bottom")
 BESIDE = {"spacing": ((4, -5), "left", "top"), "confidence": ((5, 3), "left", "bottom")}
 
 
 class Place(NamedTuple):
-    """One run: its setting's value, and where it stands in a chart."""
+    """A point of a chart: the value of the setting, and its position."""
 
     label: str
     x: float
@@ -38,7 +38,7 @@ class Place(NamedTuple):
 
 
 def budgets(city: Path, out: Path) -> dict[str, list[Place]]:
-    """Seconds and F-scores over what was seen of every value of each setting."""
+    """Measure seconds and F-scores over the visible part for each value of each setting."""
     found: dict[str, list[Place]] = {}
     for key, values in SWEEPS.items():
         folder, reference = out / key, city / "truth" / "cloud.ply"
@@ -57,7 +57,7 @@ def budgets(city: Path, out: Path) -> dict[str, list[Place]]:
 
 
 def confidences(folder: Path, work: Path) -> list[Place]:
-    """Completeness over what was seen and precision of every confidence; only filter and fusion run again."""
+    """Measure completeness over the visible part and precision per confidence; only filter and fusion run again."""
     city, found = read_city(folder), []
     work.mkdir(exist_ok=True)
     for confidence in CONFIDENCES:
@@ -73,6 +73,7 @@ def confidences(folder: Path, work: Path) -> list[Place]:
 
 
 def draw(lines: dict[str, list[Place]], path: Path, x: str, y: str) -> None:
+    """Draw lines with labelled points."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -110,7 +111,7 @@ def main() -> None:
     parser.add_argument("--rig", default="oblique")
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--only", choices=("budgets", "confidence"))
-    parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
+    parser.add_argument("--folder", type=Path, help="Folder that keeps all files; existing ones are used again.")
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="Draw mvs_budgets.png and mvs_confidence.png.")
     options = parser.parse_args()
     print(setting())
@@ -125,12 +126,12 @@ def main() -> None:
         if options.only != "confidence":
             found = budgets(root / "city", root)
             if options.chart:
-                draw(found, options.chart / "mvs_budgets.png", "CPU seconds", f"F-score over what was seen, {where}")
+                draw(found, options.chart / "mvs_budgets.png", "CPU seconds", f"F-score over the visible part, {where}")
         if options.only != "budgets":
             line = {"confidence": confidences(root / "city", root / "confidence")}
             if options.chart:
                 path = options.chart / "mvs_confidence.png"
-                draw(line, path, f"share of what was seen, {where}", f"precision, {where}")
+                draw(line, path, f"share of the visible part, {where}", f"precision, {where}")
 
 
 if __name__ == "__main__":

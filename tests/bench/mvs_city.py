@@ -1,9 +1,8 @@
-"""What dense clouds of cities with exact truth are worth, and what is wrong or empty at the edge of what works: python
-tests/bench/mvs_city.py
+"""Accuracy and completeness of dense clouds of cities with exact truth: python tests/bench/mvs_city.py
 
-A row a city: the shares of the points that are right and of the surface that is there, at 1, 2 and 5 footprints of a
-pixel, and the errors of the depths and normals of the maps. `moved` is a city with something else before it in each of
-its photographs. `--missed` says of the first city which of its surface with texture is not there.
+Each row is a city: the shares of correct points and of covered surface at 1, 2 and 5 pixel footprints, and the errors
+of depth and normal maps. `moved` is a city with a moving object in each of its photographs. `--missed` analyses the
+missing textured surface of the first city.
 """
 
 import argparse
@@ -26,7 +25,7 @@ from pcbench.io import read_cloud
 from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.plan import CitySettings
 
-LAKES = 6  # a seed that makes two lakes of four blocks
+LAKES = 6  # a seed that creates two lakes of four blocks
 CASES = {
     "city": "",
     "texture 0": "--texture 0",
@@ -35,16 +34,18 @@ CASES = {
     "hard": f"--hard --seed {LAKES}",
     "moved": "",
 }
-EXTENT = 100  # of the cities, in metres
-SHORE = 3.0  # metres of the lakes' sides that are left out
-MOVING = 0.2  # of the sides of an image: what moves in it
+EXTENT = 100  # side of the cities, in metres
+SHORE = 3.0  # margin of the lakes that is left out, in metres
+MOVING = 0.2  # size of the moving object, as a share of the image's sides
 
 
 def pcbench(*arguments: object) -> None:
+    """Run a command."""
     subprocess.run([sys.executable, "-m", "pcbench.cli", *map(str, arguments)], check=True)
 
 
 def make(folder: Path, name: str, options: argparse.Namespace) -> None:
+    """Create the city of a case."""
     size = ["--images", options.images, "--size", options.size, "--extent", EXTENT, "--rig", options.rig]
     chosen = [*size, "--seed", options.seed, *CASES[name].split()]
     pcbench("synth", "city", "--out", folder, "--points", 200_000, "--quiet", *chosen)
@@ -53,7 +54,7 @@ def make(folder: Path, name: str, options: argparse.Namespace) -> None:
 
 
 def move(folder: Path, rng: np.random.Generator) -> None:
-    """Lay a part of another photograph over a random place of each: with much texture, and in no two images alike."""
+    """Paste a textured part of another photograph at a random position of each; no two images agree on it."""
     paths = sorted((folder / "images").iterdir())
     photographs = [Image.open(path).copy() for path in paths]
     for number, path in enumerate(paths):
@@ -67,6 +68,7 @@ def move(folder: Path, rng: np.random.Generator) -> None:
 
 
 def reconstruct(folder: Path, work: Path, confidence: float | None = None) -> None:
+    """Reconstruct the dense cloud of a city."""
     chosen = [] if confidence is None else ["--set", f"confidence={confidence}"]
     pcbench("reconstruct", "mvs", folder, "--out", work / "cloud.ply", "--workspace", work / "work", "--quiet", *chosen)
 
@@ -80,6 +82,7 @@ HEAD = (
 
 
 def row(name: str, city: City, score: CloudScore, workspace: Path) -> str:
+    """Return the table row of a city."""
     found = score_maps(city, workspace)
     right = "".join(f"{share:7.3f}" for share in score.precision)
     there = "".join(f"{share:7.3f}" for share in score.recall)
@@ -92,7 +95,7 @@ def row(name: str, city: City, score: CloudScore, workspace: Path) -> str:
 
 
 def on_lakes(city: City, points: np.ndarray) -> str:
-    """How much of the water has a point anywhere near, and how many of the points over it are wrong."""
+    """Return the share of water with points nearby, and the share of wrong points over it, as text."""
     plan = lay_out(CitySettings(extent=EXTENT, water=True, seed=LAKES))
     limit, seen, over = WRONG * city.footprint, [], []
     for lake in (block for block in plan.blocks if block.kind == "lake"):
@@ -107,10 +110,12 @@ def on_lakes(city: City, points: np.ndarray) -> str:
 
 
 def scored(city: City, work: Path) -> CloudScore:
+    """Score the cloud of a workspace."""
     return score_cloud(city, read_cloud(work / "cloud.ply").points)
 
 
 def cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> None:
+    """Create, reconstruct and score cities."""
     print(HEAD)
     for name in names:
         folder, work = root / name.replace(" ", ""), root / f"{name.replace(' ', '')}_work"
@@ -125,8 +130,9 @@ def cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> Non
 
 
 def what_is_missed(root: Path) -> None:
+    """Print the properties of the missing textured surface."""
     city = read_city(root / "city")
-    print(f"\n{'with texture, shown by':24}{'share':>8}{'within 2':>10}{'of the missed':>15}")
+    print(f"\n{'textured, visible in':24}{'share':>8}{'within 2':>10}{'of the missed':>15}")
     for name, found in missed(city, read_cloud(root / "city_work" / "cloud.ply").points).items():
         print(f"{name:24}{found.share:8.1%}{found.recall:10.3f}{found.missed:15.1%}")
 
@@ -139,7 +145,7 @@ def main() -> None:
     parser.add_argument("--rig", default="oblique")
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--missed", action="store_true")
-    parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
+    parser.add_argument("--folder", type=Path, help="Folder that keeps all files; existing ones are used again.")
     options = parser.parse_args()
     print(setting())
     print(f"{options.images} images of {options.size}, rig {options.rig}, cities of {EXTENT} m, seed {options.seed}")

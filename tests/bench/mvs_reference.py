@@ -1,8 +1,8 @@
-"""The reference of papers beside the truth: python tests/bench/mvs_reference.py
+"""MVS as the reference, next to the true surface: python tests/bench/mvs_reference.py
 
-Sparse SfM of a synthetic city, its cameras solved and laid into the world by GPS, is compared with the dense cloud that
-`mvs` makes of the same images with the same cameras, as Gao et al. compare with COLMAP's, and with the true surface.
-Both comparisons are of `pcbench compare`; their tables are printed side by side.
+Sparse SfM of a synthetic city, with solved cameras and georeferenced by GPS, is compared with the dense cloud that
+`mvs` computes from the same images and cameras, as Gao et al. do with COLMAP's, and with the true surface. Both
+comparisons are by `pcbench compare`; their tables are printed side by side.
 """
 
 import argparse
@@ -21,13 +21,13 @@ COMPARED = ("--register", "none", "--no-figures", "--thresholds")
 
 
 def pcbench(*arguments: object) -> str:
-    """What a command prints."""
+    """Run a command and return its output."""
     command = [sys.executable, "-m", "pcbench.cli", *map(str, arguments)]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
 def rows(printed: str) -> list[tuple[str, list[str]]]:
-    """The rows of the table among what `pcbench compare` prints, after the line that names the directions."""
+    """Return the rows of the table in the output of `pcbench compare`, after the line with the directions."""
     lines = iter(printed.splitlines())
     next(line for line in lines if "r→c" in line)
     found = []
@@ -40,7 +40,7 @@ def rows(printed: str) -> list[tuple[str, list[str]]]:
 
 
 def side_by_side(left: str, right: str) -> str:
-    """Two tables of `pcbench compare` as one: a row that only one has is empty in the other."""
+    """Merge two tables of `pcbench compare`; a row of only one table is empty in the other."""
     tables = rows(left), rows(right)
     labels = [[label for label, _ in table] for table in tables]
     lines = []
@@ -52,23 +52,23 @@ def side_by_side(left: str, right: str) -> str:
                 lines.append((of_left[0], of_left[1], of_right[1]))
             else:
                 lines += [
-                    (label, *way)
-                    for label, way in ((of_left[0], (of_left[1], [])), (of_right[0], ([], of_right[1])))
+                    (label, *cells)
+                    for label, cells in ((of_left[0], (of_left[1], [])), (of_right[0], ([], of_right[1])))
                     if label
                 ]
     return "\n".join(f"{label:26}{text(first)}{text(second)}".rstrip() for label, first, second in lines)
 
 
 def text(cells: list[str]) -> str:
-    """Cells of the two directions; one that is of both stands under the first."""
+    """Return the cells of both directions as text; a symmetric value is in the first column."""
     return "".join(f"{cell:>12}" for cell in [*cells, "", ""][:2])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default=SCENE, help=f"Options of `pcbench synth city`.  [default: {SCENE}]")
-    parser.add_argument("--threshold", default="0.5", help="Of precision and recall in metres.")
-    parser.add_argument("--folder", type=Path, help="To keep all in: what is there is not made again.")
+    parser.add_argument("--threshold", default="0.5", help="Threshold of precision and recall, in metres.")
+    parser.add_argument("--folder", type=Path, help="Folder that keeps all files; existing ones are used again.")
     options = parser.parse_args()
     print(setting())
     with tempfile.TemporaryDirectory() as temporary:

@@ -1,9 +1,10 @@
-"""Two-way nearest-neighbour search, both indices built, against other libraries: python tests/bench/neighbors.py
+"""Nearest-neighbour search in both directions, both indices built, against other libraries: python
+tests/bench/neighbors.py
 
 --sizes 1e4,1e5,1e6   points of the reference; the candidate has a fifth
---threads 1,2         each in a process of its own
---runs 5              alternating; medians are printed
---chart FILE          log-log chart of the wall seconds at the most threads
+--threads 1,2         numbers of threads, each in a separate process
+--runs 5              alternating runs; medians are printed
+--chart FILE          log-log chart of the wall seconds with the most threads
 """
 
 import argparse
@@ -27,7 +28,7 @@ PEERS = {
 
 
 def contestants(reference, candidate, threads: int) -> dict[str, Callable[[], object]]:
-    """Each builds both indices from float64 arrays and searches both ways."""
+    """Return functions that build both indices from float64 arrays and search in both directions."""
     import numpy as np
 
     from pcbench.geometry.neighbors import Index, match_both_ways
@@ -78,16 +79,17 @@ def contestants(reference, candidate, threads: int) -> dict[str, Callable[[], ob
 
 
 def measure(density: str, size: int, threads: int, runs: int) -> None:
-    """The child process: prints the medians as JSON."""
+    """Print the medians as JSON, in the child process."""
     limit_threads(threads)
     from clouds import pair
 
     race = contestants(*pair(density, size), threads)
-    alternate(race, 1)  # imports and first calls
+    alternate(race, 1)  # imports and warm-up
     print(json.dumps(alternate(race, runs)))
 
 
 def draw(rows: list[dict], threads: int, file: str) -> None:
+    """Draw wall seconds by the number of points."""
     import matplotlib.pyplot as plt
 
     densities = list(dict.fromkeys(row["density"] for row in rows))

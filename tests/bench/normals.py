@@ -11,7 +11,7 @@ from measure import alternate, limit_threads, setting
 
 
 def measure(size: int, k: int, threads: int, runs: int) -> None:
-    """The child process: prints the medians as JSON."""
+    """Print the medians as JSON, in the child process."""
     limit_threads(threads)
     import numpy as np
     from clouds import pair

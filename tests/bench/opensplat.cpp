@@ -1,5 +1,5 @@
-// What tests/splat_contestants.py calls of OpenSplat's CPU rasterizer, where somebody has its source. None of that
-// source is here: it is under the AGPL, and what is built from it is for measuring on the spot.
+// Functions of OpenSplat's CPU rasterizer that tests/splat_contestants.py calls, if its source is available. None of
+// that source is here: it is under the AGPL. The build is for local measurements only.
 #include <torch/extension.h>
 
 #include "rasterizer/gsplat-cpu/bindings.h"

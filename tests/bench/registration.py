@@ -1,15 +1,16 @@
-"""Where registrations succeed, fail and say so, against other libraries: python tests/bench/registration.py
+"""Where registrations succeed, fail and warn, against other libraries: python tests/bench/registration.py
 
---seeds 3      scenes a case
+--seeds 3      scenes per case
 --quick        one scene, few cases
 --only a,b     only these sweeps, or `speed`
---rows FILE    keep the outcomes; where the file is there already, they are read from it
---chart FILE   draw them
+--rows FILE    save the outcomes, or read them if the file exists
+--chart FILE   draw the outcomes
 
-Two independent samples of one city with 2 cm noise; the truth is exact. An error is the root mean square distance
-between where the found and the true transform put the reference's points; up to 5 cm (2.5 sigma) is a success.
-A failure is *said* where the method raises or warns; of a peer, where it reports no convergence or matches less than
-30 % of the candidate (KISS-Matcher: less than 5 inliers, its example's rule). Any other failure is *confidently wrong*.
+Each case has two independent samples of one city with 2 cm noise; the truth is exact. The error is the root mean
+square distance between the reference's points under the measured and the true transform; at most 5 cm (2.5 sigma) is a
+success.
+A failure is *said* if the method raises or warns; for a peer, if it reports no convergence or matches less than 30 % of
+the candidate (KISS-Matcher: less than 5 inliers, the rule of its example). Any other failure is *confidently wrong*.
 Peers run coarse to fine, with maximum correspondence distances of 20, 6 and 2 m, on voxels of 0.5 m (features: 2 m).
 """
 
@@ -26,7 +27,7 @@ from pathlib import Path
 import numpy as np
 from measure import alternate, setting
 from registration_cases import ALSO_GLOBAL, SWEEPS, Case, clouds, rotation
-from registration_peers import MAX_DISTANCES, VOXEL, Method, from_nothing, ours, refinements, with_small_gicp
+from registration_peers import MAX_DISTANCES, VOXEL, Method, global_methods, ours, refinements, with_small_gicp
 
 from pcbench import register
 from pcbench.geometry.neighbors import Index
@@ -35,17 +36,18 @@ from pcbench.geometry.transform import Similarity
 from pcbench.registration import Target, local_origin
 from pcbench.scenes.synthetic import demo
 
-LIMIT = 0.05  # metres
+LIMIT = 0.05  # largest error of a success, in metres
 
 
 # ---- measuring ----
 
 
 def outcome(method: Method, case: Case, seed: int) -> dict:
+    """Run a method on one case."""
     reference, candidate, true = clouds(case, seed)
     wall, cpu = time.perf_counter(), _cpu_seconds()
-    transform, sure = method(reference, candidate)
-    row = {"wall": time.perf_counter() - wall, "cpu": _cpu_seconds() - cpu, "error": None, "sure": sure}
+    transform, confident = method(reference, candidate)
+    row = {"wall": time.perf_counter() - wall, "cpu": _cpu_seconds() - cpu, "error": None, "confident": confident}
     if transform is not None:
         there = transform.apply(true.inverse().apply(reference))
         row["error"] = float(np.sqrt(np.square(there - reference).sum(axis=1).mean()))
@@ -53,14 +55,16 @@ def outcome(method: Method, case: Case, seed: int) -> dict:
 
 
 def verdict(row: dict) -> str:
+    """Classify an outcome."""
     if row["error"] is not None and row["error"] <= LIMIT:
         return "success"
-    return "wrong" if row["sure"] else "said"
+    return "wrong" if row["confident"] else "said"
 
 
 def run(name: str, seeds: int, *, quick: bool) -> list[dict]:
+    """Run all methods on a sweep and print its table."""
     sweep, rows = SWEEPS[name], []
-    methods = from_nothing() if sweep.everyone else refinements()
+    methods = global_methods() if sweep.everyone else refinements()
     methods |= {method: ours(method) for method in ALSO_GLOBAL.get(name, ())}
     print(f"\n{sweep.title}, {sweep.unit}".rstrip(", "))
     print(f"{'':>8}  {'method':24}{'success':>8}{'said so':>9}{'wrong':>7}{'error mm':>10}{'wall s':>8}{'CPU s':>8}")
@@ -82,7 +86,7 @@ def run(name: str, seeds: int, *, quick: bool) -> list[dict]:
 
 
 def speed(runs: int) -> None:
-    """The sizes of Gao et al., 1,270,820 and 244,849 points, from 5 degrees and 2 m."""
+    """Time registrations at the sizes of Gao et al. (1,270,820 and 244,849 points) from 5 degrees and 2 m."""
     scene = demo()
     reference = scene.reference
     origin = local_origin(reference)
@@ -90,7 +94,7 @@ def speed(runs: int) -> None:
     true = scene.T_reference_candidate["densified"]
     candidate = start.apply(true.apply(scene.candidates["densified"].points))
     target = Target(Surface(Index(reference.points - origin)))
-    register(reference, candidate, target=target)  # normals where they are wanted
+    register(reference, candidate, target=target)  # computes the normals that are needed
     race: dict[str, Callable[[], object]] = {
         "pcbench icp, index included": lambda: register(reference, candidate),
         "pcbench icp, index and normals there": lambda: register(reference, candidate, target=target),
@@ -117,8 +121,10 @@ def speed(runs: int) -> None:
                 ).T_target_source
 
         for kind in ("PLANE_ICP", "GICP", "VGICP"):
-            whole = with_small_gicp(kind)
-            race[f"small_gicp {kind}, preprocessing included"] = lambda whole=whole: whole(reference.points, candidate)
+            run_all = with_small_gicp(kind)
+            race[f"small_gicp {kind}, preprocessing included"] = lambda run_all=run_all: run_all(
+                reference.points, candidate
+            )
         race["small_gicp PLANE_ICP, preprocessed"] = lambda: align("PLANE_ICP")
         race["small_gicp GICP, preprocessed"] = lambda: align("GICP")
     print(f"\n{len(reference):,} against {len(candidate):,} points, start 5 degrees and 2 m; median of {runs} runs")
@@ -134,11 +140,12 @@ def _cpu_seconds() -> float:
 
 # ---- chart ----
 
-COLORS = {"success": "#0072B2", "said": "#D8DADD", "wrong": "#D55E00"}  # Okabe and Ito's
-LABELS = {"success": f"right to {100 * LIMIT:.0f} cm", "said": "failed and said so", "wrong": "confidently wrong"}
+COLORS = {"success": "#0072B2", "said": "#D8DADD", "wrong": "#D55E00"}  # palette of Okabe and Ito
+LABELS = {"success": f"right to {100 * LIMIT:.0f} cm", "said": "failed with a warning", "wrong": "confidently wrong"}
 
 
 def draw(rows: list[dict], file: str) -> None:
+    """Draw the shares of outcomes by sweep and method."""
     import matplotlib.pyplot as plt
     from matplotlib.patches import Patch, Rectangle
 
@@ -147,7 +154,7 @@ def draw(rows: list[dict], file: str) -> None:
     near = [name for name in names if not SWEEPS[name].everyone]
     far = [name for name in names if SWEEPS[name].everyone]
     blocks = [(group, _methods(rows, group)) for group in (near[:3], near[3:], far) if group]
-    # Inches, so that a bar is as large in every block.
+    # Sizes are in inches, so that bars are equally large in all blocks.
     bar, head, top, bottom, left, width = 0.27, 0.75, 0.8, 0.3, 1.85, 11.0
     height = top + bottom + sum(head + bar * len(methods) for _, methods in blocks)
     figure = plt.figure(figsize=(width, height), facecolor="white")
@@ -205,7 +212,7 @@ OURS = ("icp", "icp-point", "similarity", "global", "global-similarity")
 
 
 def _methods(rows: list[dict], group: list[str]) -> list[str]:
-    """Ours first, the others as they come."""
+    """Return our methods first, then the others in order."""
     present = list(dict.fromkeys(row["method"] for row in rows if row["sweep"] in group))
     return [m for m in OURS if m in present] + [m for m in present if m not in OURS]
 
@@ -213,7 +220,7 @@ def _methods(rows: list[dict], group: list[str]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--runs", type=int, default=3, help="of the speed table")
+    parser.add_argument("--runs", type=int, default=3, help="runs of the speed table")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", default=",".join([*SWEEPS, "speed"]))
     parser.add_argument("--rows", type=Path)

@@ -1,4 +1,4 @@
-"""Scenes of the benchmark of registrations: two samples of one city, their true transform, and what is varied."""
+"""Cases for the registration benchmark: two samples of one city, their true transform, and the varied parameters."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -11,24 +11,26 @@ from pcbench.scenes.synthetic import city
 
 
 class Case(NamedTuple):
-    """Two clouds, 2 degrees and half a metre apart where nothing else is said."""
+    """Parameters of two clouds; by default 2 degrees and half a metre apart."""
 
     angle_deg: float = 2.0
     offset: float = 0.5  # metres
-    overlap: float = 1.0  # share of either window that is in the other
-    outliers: float = 0.0  # share of the candidate
+    overlap: float = 1.0  # share of each window that is in the other
+    outliers: float = 0.0  # share of the candidate's points
     scale: float = 1.0
-    density: float = 2.0  # reference points a candidate point
+    density: float = 2.0  # reference points per candidate point
     shape: str = "city"
 
 
 class Sweep(NamedTuple):
+    """Values of one parameter, and the case of each value."""
+
     title: str
     unit: str
     values: tuple[float | str, ...]
     case: Callable[[float | str], Case]
     quick: tuple[float | str, ...]
-    everyone: bool  # or only what needs no start
+    everyone: bool  # whether methods without an initial pose take part; otherwise refinements do
 
 
 SWEEPS = {
@@ -43,7 +45,7 @@ SWEEPS = {
         "Overlap, any pose", "%", (100, 40, 20), lambda v: Case(angle_deg=-1, overlap=v / 100), (40,), True
     ),
 }
-# Our own global methods take part there too.
+# Our global methods take part in these sweeps too.
 ALSO_GLOBAL = {
     "overlap": ("global",),
     "outliers": ("global",),
@@ -53,7 +55,7 @@ ALSO_GLOBAL = {
 
 
 def clouds(case: Case, seed: int) -> tuple[FloatArray, FloatArray, Similarity]:
-    """Reference, candidate and the true transform. The scene is 200 m x 200 m (or a 40 m plane, a 40 m tunnel)."""
+    """Return reference, candidate and true transform. A scene is 200 m x 200 m, or a plane or tunnel of 40 m."""
     rng = np.random.default_rng(seed)
     count = 80_000
     if case.shape == "city":
@@ -66,8 +68,8 @@ def clouds(case: Case, seed: int) -> tuple[FloatArray, FloatArray, Similarity]:
     else:
         first, second = (_degenerate(case.shape, int(n), rng) for n in (count, count / case.density))
     first, second = (p + rng.normal(0, 0.02, p.shape) for p in (first, second))
-    strays = round(len(second) * case.outliers / (1 - case.outliers))
-    second = np.concatenate([second, rng.uniform(second.min(0), second.max(0), (strays, 3))])
+    outlier_count = round(len(second) * case.outliers / (1 - case.outliers))
+    second = np.concatenate([second, rng.uniform(second.min(0), second.max(0), (outlier_count, 3))])
     angle = rng.uniform(45, 180) if case.angle_deg < 0 else case.angle_deg
     axis, heading = rng.normal(size=3), rng.uniform(0, 2 * np.pi)
     shift = case.offset * np.array([np.cos(heading), np.sin(heading), 0.0])
@@ -84,6 +86,7 @@ def _degenerate(shape: str, count: int, rng: np.random.Generator) -> FloatArray:
 
 
 def rotation(axis: FloatArray, angle: float) -> FloatArray:
+    """Return the rotation matrix of an axis and an angle in radians (Rodrigues' formula)."""
     x, y, z = axis
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k

@@ -1,4 +1,4 @@
-"""Registrations that are compared: ours, and those of other libraries where they are installed."""
+"""Registration methods to compare: ours, and those of other libraries if they are installed."""
 
 import importlib.util
 import os
@@ -14,20 +14,22 @@ from pcbench.geometry.transform import Similarity
 
 MAX_DISTANCES = (20.0, 6.0, 2.0)
 VOXEL, FEATURE_VOXEL = 0.5, 2.0
-ENOUGH = 0.3  # share of the candidate that a peer has to match
+MIN_MATCHED_SHARE = 0.3  # of the candidate, for a peer's result to count as confident
 
 
 class Answer(NamedTuple):
-    """What a method returns: a transform candidate -> reference, and whether it vouches for it."""
+    """Result of a method: a transform candidate -> reference, and whether the method is confident in it."""
 
     transform: Similarity | None
-    sure: bool
+    confident: bool
 
 
 Method = Callable[[FloatArray, FloatArray], Answer]
 
 
 def ours(method: str) -> Method:
+    """Return one of our methods."""
+
     def run(reference: FloatArray, candidate: FloatArray) -> Answer:
         try:
             result = register(reference, candidate, method)
@@ -39,6 +41,7 @@ def ours(method: str) -> Method:
 
 
 def with_open3d(kind: str) -> Method:
+    """Return one of Open3D's ICP variants, coarse to fine."""
     from open3d import geometry, utility
     from open3d.pipelines import registration as o3d
 
@@ -55,17 +58,18 @@ def with_open3d(kind: str) -> Method:
                 estimator = o3d.TransformationEstimationForGeneralizedICP()
                 found = o3d.registration_generalized_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
             else:
-                # A robust kernel from the start keeps only what fits already: it comes with the last distance.
+                # A robust kernel from the start would keep only what fits already, so the last distance alone has it.
                 robust = kind == "Tukey" and max_distance == MAX_DISTANCES[-1]
                 estimator = o3d.TransformationEstimationPointToPlane(*([o3d.TukeyLoss(0.3)] if robust else []))
                 found = o3d.registration_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
             T, fitness = found.transformation, found.fitness
-        return Answer(_rigid(T), fitness >= ENOUGH)
+        return Answer(_rigid(T), fitness >= MIN_MATCHED_SHARE)
 
     return run
 
 
 def with_small_gicp(kind: str) -> Method:
+    """Return one of small_gicp's methods, coarse to fine."""
     import small_gicp
 
     def run(reference: FloatArray, candidate: FloatArray) -> Answer:
@@ -74,21 +78,21 @@ def with_small_gicp(kind: str) -> Method:
         source, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
         T, done = np.eye(4), None
         for max_distance in MAX_DISTANCES:
-            how = {"init_T_target_source": T, "max_correspondence_distance": max_distance, "num_threads": threads}
+            options = {"init_T_target_source": T, "max_correspondence_distance": max_distance, "num_threads": threads}
             if kind == "VGICP":
                 voxels = small_gicp.GaussianVoxelMap(max_distance / 2)
                 voxels.insert(target)
                 done = small_gicp.align(voxels, source, init_T_target_source=T, num_threads=threads)
             else:
-                done = small_gicp.align(target, source, tree, registration_type=kind, max_iterations=60, **how)
+                done = small_gicp.align(target, source, tree, registration_type=kind, max_iterations=60, **options)
             T = done.T_target_source
-        return Answer(_rigid(T), bool(done.converged) and done.num_inliers >= ENOUGH * source.size())
+        return Answer(_rigid(T), bool(done.converged) and done.num_inliers >= MIN_MATCHED_SHARE * source.size())
 
     return run
 
 
 def with_kiss(reference: FloatArray, candidate: FloatArray) -> Answer:
-    """KISS-Matcher as it comes, then our ICP."""
+    """Run KISS-Matcher with its defaults, then our ICP."""
     import kiss_matcher
 
     matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(FEATURE_VOXEL))
@@ -98,11 +102,11 @@ def with_kiss(reference: FloatArray, candidate: FloatArray) -> Answer:
         return Answer(None, False)
     first = _rigid(_matrix(found.rotation, found.translation))
     answer = ours("icp")(reference, first.apply(candidate))
-    return Answer(None if answer.transform is None else answer.transform @ first, answer.sure)
+    return Answer(None if answer.transform is None else answer.transform @ first, answer.confident)
 
 
 def with_features(solver: str) -> Method:
-    """Open3D's FPFH with RANSAC or FGR and the parameters of its tutorial, then its point-to-plane ICP."""
+    """Return Open3D's FPFH with RANSAC or FGR and the parameters of its tutorial, then its point-to-plane ICP."""
     from open3d import geometry, utility
     from open3d.pipelines import registration as o3d
 
@@ -139,12 +143,13 @@ def with_features(solver: str) -> Method:
             fine.append(cloud)
         plane = o3d.TransformationEstimationPointToPlane()
         found = o3d.registration_icp(*fine, MAX_DISTANCES[-1], found.transformation, plane)
-        return Answer(_rigid(found.transformation), found.fitness >= ENOUGH)
+        return Answer(_rigid(found.transformation), found.fitness >= MIN_MATCHED_SHARE)
 
     return run
 
 
 def refinements() -> dict[str, Method]:
+    """Return the methods that refine an initial pose."""
     methods = {name: ours(name) for name in ("icp", "icp-point", "similarity")}
     if importlib.util.find_spec("open3d"):
         methods |= {
@@ -161,7 +166,8 @@ def refinements() -> dict[str, Method]:
     return methods
 
 
-def from_nothing() -> dict[str, Method]:
+def global_methods() -> dict[str, Method]:
+    """Return the methods that need no initial pose."""
     methods = {name: ours(name) for name in ("global", "global-similarity")}
     if importlib.util.find_spec("kiss_matcher"):
         methods["KISS-Matcher, our ICP"] = with_kiss
@@ -177,18 +183,18 @@ def _matrix(rotation: FloatArray, translation: FloatArray) -> FloatArray:
 
 
 def _rigid(matrix: FloatArray) -> Similarity:
-    u, _, vt = np.linalg.svd(np.asarray(matrix)[:3, :3])  # some are rotations to single precision only
+    u, _, vt = np.linalg.svd(np.asarray(matrix)[:3, :3])  # some rotations have single precision only
     return Similarity(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, np.asarray(matrix)[:3, 3])
 
 
 class _no_output:
-    """KISS-Matcher writes to the process's standard output."""
+    """Silences the process's standard output, which KISS-Matcher writes to."""
 
     def __enter__(self) -> None:
-        self.kept, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+        self.stdout, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.close(null)
 
     def __exit__(self, *error: object) -> None:
-        os.dup2(self.kept, 1)
-        os.close(self.kept)
+        os.dup2(self.stdout, 1)
+        os.close(self.stdout)

@@ -1,7 +1,7 @@
-"""Scenes of the trials of registrations: clouds that are cut into independent halves, one moved, and brought back.
+"""Scenes for the registration trials: clouds that are cut into independent halves, one of which is moved.
 
-Those with surfaces everywhere (objects, a room, a town) and those without (forest, hills, a street as a scanner sees
-it). Some need real data (environment variable PCBENCH_DATA), which are left out where they are absent.
+Some have surfaces everywhere (objects, a room, a town), others do not (forest, hills, a scanned street). Some need real
+data (environment variable PCBENCH_DATA) and are left out without it.
 """
 
 import os
@@ -21,33 +21,39 @@ Scene = Callable[[int], FloatArray]
 
 
 def forest(_: int) -> FloatArray:
+    """Airborne scan of a conifer forest."""
     return _real("wild/MixedConifer.laz")
 
 
 def hills(_: int) -> FloatArray:
+    """Airborne scan of hills."""
     return _real("wild/Topography.laz")
 
 
 def street(_: int) -> FloatArray:
+    """Vehicle scan of a street."""
     return _real("small_gicp/target.ply")
 
 
 def crossing(_: int) -> FloatArray:
+    """Vehicle scan of a crossing."""
     return _real("small_gicp/source.ply")
 
 
 def stadium(_: int) -> FloatArray:
+    """Airborne scan of a stadium."""
     return _real("autzen/autzen_trim.las")
 
 
 def town(seed: int) -> FloatArray:
+    """Part of a synthetic town, 150 m wide."""
     rng = np.random.default_rng(seed)
     points = city(seed).sample(350_000, rng)[0]
     return points[np.abs(points[:, :2]).max(axis=1) < 75]
 
 
 def room(seed: int) -> FloatArray:
-    """One depth image, 4.2 m x 5.6 m x 2.6 m of walls and a dozen boxes: dense near by, sparse far off."""
+    """Depth image of a room of 4.2 m x 5.6 m x 2.6 m with a dozen boxes: dense nearby, sparse far away."""
     rng = np.random.default_rng(seed)
     size = np.array([4.2, 5.6, 2.6])
     half = rng.uniform(0.15, 0.6, (12, 3)) * [1, 1, 1.3]
@@ -64,7 +70,7 @@ def room(seed: int) -> FloatArray:
 
 
 def bumps(seed: int) -> FloatArray:
-    """A ball of radius 1 with waves of ten directions."""
+    """Sphere of radius 1 with waves in ten directions."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(60_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
@@ -73,7 +79,7 @@ def bumps(seed: int) -> FloatArray:
 
 
 def knot(seed: int) -> FloatArray:
-    """A trefoil of a tube whose thickness varies once along it."""
+    """Trefoil knot of a tube with varying thickness."""
     rng = np.random.default_rng(seed)
     t, turn = rng.uniform(0, 2 * np.pi, (2, 60_000))
     middle, ahead = _trefoil(t), _trefoil(t + 1e-4)
@@ -85,7 +91,7 @@ def knot(seed: int) -> FloatArray:
 
 
 def rough_ground(seed: int) -> FloatArray:
-    """Rolling ground of 200 m with shrubs: returns anywhere up to 3 m above a third of it."""
+    """Rolling ground of 200 m with shrubs, whose returns are up to 3 m high, on a third of it."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-100, 100, (60_000, 2))
     waves, phases = rng.normal(0, 0.12, (25, 2)), rng.uniform(0, 2 * np.pi, 25)
@@ -94,7 +100,7 @@ def rough_ground(seed: int) -> FloatArray:
     return np.column_stack([xy, heights + shrub * rng.uniform(0, 3, len(xy)) + rng.normal(0, 0.1, len(xy))])
 
 
-# The gates were looked for on the first ones only.
+# Thresholds were tuned on the first group only.
 TUNED: dict[str, Scene] = {"forest": forest, "street": street, "town": town, "room": room, "bumps": bumps}
 HELD_OUT: dict[str, Scene] = {
     "hills": hills,
@@ -106,13 +112,13 @@ HELD_OUT: dict[str, Scene] = {
 
 
 def of_folder(folder: Path) -> dict[str, Scene]:
-    """A scene of each mesh in a folder: 60,000 points on it."""
+    """Return one scene per mesh in a folder, with 60,000 points each."""
     meshes = {path.stem: read_mesh(path) for path in sorted(folder.iterdir())}
     return {name: partial(_sampled, mesh) for name, mesh in meshes.items()}
 
 
 def available(scenes: dict[str, Scene]) -> dict[str, Scene]:
-    """Those whose data are there."""
+    """Return the scenes whose data exist."""
     found = {}
     for name, scene in scenes.items():
         try:
@@ -140,5 +146,5 @@ def _real(name: str) -> FloatArray:
 
 
 def _thinned(points: FloatArray) -> FloatArray:
-    """At most 80,000 points."""
+    """Return at most 80,000 of the points."""
     return points if len(points) <= _MAX_POINTS else np.random.default_rng(0).permutation(points)[:_MAX_POINTS]

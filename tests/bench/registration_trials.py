@@ -1,17 +1,17 @@
-"""Is a wrong pose ever returned without a word? python tests/bench/registration_trials.py
+"""Is a wrong pose ever returned without a warning? python tests/bench/registration_trials.py
 
---trials 20       of each scene
+--trials 20       trials per scene
 --methods icp,similarity,global,global-similarity
 --only forest     only these scenes
---meshes FOLDER   more scenes: a file each
---start 0         the first trial's number
---rows FILE       keep the outcomes
+--meshes FOLDER   additional scenes, one per file
+--start 0         index of the first trial
+--rows FILE       save the outcomes
 
-Each trial cuts one cloud into two halves that share no point, lets them overlap in part, adds noise of 0.2 spacings to
-both, thins the candidate, and moves it by 5 to 60 degrees and up to 5 % of the extent; with a scale of 0.5 to 2 where
-the method solves for one. A pose is right where it puts the candidate within one spacing of the reference of where the
-true one does (root mean square). Anything else is *wrong*: *said* where a warning stands with it, *refused* where no
-pose is returned, else *silent*. Every tenth candidate is a mirror image, which has no right pose.
+Each trial cuts one cloud into two halves without common points that overlap in part. It adds noise of 0.2 spacings to
+both, thins the candidate, and moves it by 5 to 60 degrees and up to 5 % of the extent; with a scale of 0.5 to 2 if the
+method solves for one. A pose is right if the candidate is within one spacing of the reference (root mean square) of its
+true position. Any other pose is wrong: *said* if it comes with a warning, *refused* if no pose is returned, otherwise
+*silent*. Every tenth candidate is a mirror image, which has no right pose.
 """
 
 import argparse
@@ -36,12 +36,12 @@ from pcbench.geometry.voxels import robust_extent
 
 METHODS = ("icp", "similarity", "global", "global-similarity")
 ANGLES, OVERLAPS, RATIOS, NOISE = (5, 10, 15, 20, 30, 45, 60), (0.3, 0.5, 0.7, 1.0), (1, 4), 0.2
-SYMMETRIC = ("teapot", "airplane", "ant")  # their mirror images are themselves
+SYMMETRIC = ("teapot", "airplane", "ant")  # equal to their mirror images
 KINDS = ("right", "right, warned", "said", "silent", "refused")
 
 
 class Trial(NamedTuple):
-    """Two clouds, the true pose candidate -> reference (none of a mirror image), and the reference's spacing."""
+    """Two clouds, the true pose candidate -> reference (None for a mirror image), and the reference's spacing."""
 
     reference: FloatArray
     candidate: FloatArray
@@ -53,16 +53,16 @@ class Trial(NamedTuple):
 
 
 def trial(name: str, scene: Scene, method: str, number: int) -> Trial:
-    """The same numbers give the same trial for every method without a scale, and for every one with."""
+    """Create a trial; the same index gives the same trial for all methods with, or without, a scale."""
     rng = np.random.default_rng([number, *name.encode()])
     points = rng.permutation(scene(number))
     first, second = points[::2], points[1::2]
     angle, overlap, ratio = (rng.choice(values) for values in (ANGLES, OVERLAPS, RATIOS))
     if method.startswith("global"):
         angle = rng.uniform(5, 180)
-    upright = np.ptp(points[:, 2]) < 0.3 * np.ptp(points[:, :2], axis=0).max()  # a scene is cut by upright walls
-    way = rng.normal(size=3) * [1, 1, not upright]
-    along = [cloud @ (way / np.linalg.norm(way)) for cloud in (first, second)]
+    upright = np.ptp(points[:, 2]) < 0.3 * np.ptp(points[:, :2], axis=0).max()  # flat scenes are cut vertically
+    direction = rng.normal(size=3) * [1, 1, not upright]
+    along = [cloud @ (direction / np.linalg.norm(direction)) for cloud in (first, second)]
     width = 1 / (2 - overlap)
     first = first[along[0] <= np.quantile(along[0], width)]
     second = second[along[1] >= np.quantile(along[1], 1 - width)][::ratio]
@@ -82,6 +82,7 @@ def trial(name: str, scene: Scene, method: str, number: int) -> Trial:
 
 
 def outcome(name: str, scene: Scene, method: str, number: int) -> dict:
+    """Run a method on one trial and classify its pose."""
     made = trial(name, scene, method, number)
     row = {"scene": name, "method": method, "number": number, "angle": made.angle, "overlap": made.overlap}
     row |= {"ratio": int(made.ratio), "mirrored": made.true is None, "off": None, "codes": []}
@@ -103,6 +104,7 @@ def outcome(name: str, scene: Scene, method: str, number: int) -> dict:
 
 
 def run(scenes: dict[str, Scene], methods: Iterable[str], numbers: Iterable[int]) -> list[dict]:
+    """Run all trials and print their tables."""
     rows = []
     for method in methods:
         print(f"\n{method:20}{'trials':>8}" + "".join(f"{kind:>15}" for kind in KINDS) + f"{'CPU s':>8}")

@@ -1,7 +1,7 @@
-"""Is a reconstruction the same again? python tests/bench/repeat.py [METHOD ...] [--scene FOLDER] [--runs 3]
+"""Are reconstructions reproducible? python tests/bench/repeat.py [METHOD ...] [--scene FOLDER] [--runs 3]
 
-Runs `sfm`, `mvs` and `splat` with small settings in new workspaces, on one CPU and on all, on few threads and many,
-and beside busy processes. A row a run with SHA-256 of its cloud; ends with code 1 where two of a method differ.
+Runs `sfm`, `mvs` and `splat` with small settings in new workspaces, on one CPU and on all, with few threads and many,
+and next to busy processes. Prints one row per run with the SHA-256 of its cloud; exits with code 1 if clouds differ.
 """
 
 import argparse
@@ -18,9 +18,10 @@ from repeats import CONDITIONS, SMALL, repeat
 
 
 def main() -> int:
+    """Run the methods and compare their clouds."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("methods", nargs="*", default=list(SMALL), metavar="METHOD", help=", ".join(SMALL))
-    parser.add_argument("--scene", type=Path, help="photographs; by default nine made ones of a textured corner")
+    parser.add_argument("--scene", type=Path, help="photographs; default: nine rendered ones of a textured corner")
     parser.add_argument("--runs", type=int, default=len(CONDITIONS))
     options = parser.parse_args()
     if unknown := [method for method in options.methods if method not in SMALL]:
@@ -34,15 +35,15 @@ def main() -> int:
             (made := Path(folder) / "corner").mkdir()
             scene = corner.write_scene(made, corner.cameras(9, corner.standard_intrinsics(320, 240)))
         for method in options.methods:
-            seen = set()
+            hashes = set()
             for number in range(options.runs):
                 conditions = CONDITIONS[number % len(CONDITIONS)]
                 found = repeat(method, scene, Path(folder) / f"{method}-{number}", conditions)
-                seen.add(found.sha256)
+                hashes.add(found.sha256)
                 row = f"{method:7}{conditions.cpus:5}{conditions.threads:8}{conditions.busy:5}{found.points:9,}"
                 print(f"{row}  {found.sha256}", flush=True)
-            same &= len(seen) == 1
-    print("every method made the same cloud again" if same else "clouds differ")
+            same &= len(hashes) == 1
+    print("all clouds of each method are equal" if same else "clouds differ")
     return 0 if same else 1
 
 

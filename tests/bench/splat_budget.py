@@ -1,10 +1,10 @@
-"""How few Gaussians are enough: python tests/bench/splat_budget.py
+"""How few Gaussians are enough? python tests/bench/splat_budget.py
 
-For each city the budgets that `density=parsimonious` tries, a row each: PSNR of the photographs that judge them, what
-it loses against the best with its standard error over their blocks, CPU time of a step, size of the model, and its
-surface against the exact truth. Then what it chose, trained to the end, beside as many Gaussians as it began with, at
-equal steps: PSNR of 8 blocks of photographs that neither saw, and the difference with its standard error over them.
-With one thread: OMP_NUM_THREADS=1.
+For each city, the budgets that `density=parsimonious` tries, one per row: PSNR of the held-out photographs that select
+the budget, its loss against the best with the standard error over their blocks, CPU time of a step, size of the model,
+and accuracy of its surface. Then the selected budget, trained to the end, against the initial number of Gaussians at
+equal steps: PSNR of 8 blocks of photographs that neither was trained on, and the difference with its standard error
+over the blocks. With one thread: OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from measure import setting
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from splat_cities import CASES, EXTENT, CloudScore, city, score_cloud
-from splat_train import Begun, begin
+from splat_train import Inputs, prepare
 
 from pcbench.scenes.splits import for_choosing
 from reconstructors.splat import extract
@@ -34,47 +34,49 @@ from reconstructors.splat.train import Schedule, Training, evaluate
 DEGREE = 2
 
 
-class Measured(Parsimonious):
-    """Measures the surface of each budget too."""
+class SurfaceMeasuringDensity(Parsimonious):
+    """Parsimonious densification that also measures the surface of each budget."""
 
-    def __init__(self, begun: Begun, judges: list[list[Pyramid]]) -> None:
-        super().__init__(judges)
-        self.begun = begun
+    def __init__(self, inputs: Inputs, held_out_views: list[list[Pyramid]]) -> None:
+        super().__init__(held_out_views)
+        self.inputs = inputs
         self.scores: list[CloudScore] = []
-        self.measuring = 0.0  # CPU seconds
+        self.measuring_s = 0.0  # CPU time
 
     def _judged(self, training: Training) -> Budget:
         budget = super()._judged(training)
         start = time.process_time()
-        self.scores.append(surface(self.begun, training.model))
-        self.measuring += time.process_time() - start
+        self.scores.append(surface(self.inputs, training.model))
+        self.measuring_s += time.process_time() - start
         return budget
 
 
-def surface(begun: Begun, model: Gaussians) -> CloudScore:
-    return score_cloud(begun.city.truth, extract.surface(model, begun.frame, begun.cameras).points)
+def surface(inputs: Inputs, model: Gaussians) -> CloudScore:
+    """Score the surface of a model."""
+    return score_cloud(inputs.city.truth, extract.surface(model, inputs.frame, inputs.cameras).points)
 
 
-def trained(
-    begun: Begun, count: int, steps: int, density: Density[Training], shown: list[Pyramid]
+def train(
+    inputs: Inputs, count: int, steps: int, density: Density[Training], shown: list[Pyramid]
 ) -> tuple[Training, float]:
-    """And the CPU seconds of it."""
+    """Train a model; return the training and its CPU seconds."""
     schedule = Schedule(steps=steps, sh_degree=DEGREE)
     training = Training(
-        first_model(begun.dense.cloud, begun.frame, count, 0), shown, schedule, density, begun.supervision
+        first_model(inputs.dense.cloud, inputs.frame, count, 0), shown, schedule, density, inputs.supervision
     )
     start = time.process_time()
     training.run(steps)
     return training, time.process_time() - start
 
 
-def compare(begun: Begun, count: int, steps: int) -> None:
-    names = [pyramid[0].name for pyramid in begun.shown]
-    of = dict(zip(names, begun.shown, strict=True))
-    choosing = for_choosing(names, {name: begun.cameras[name].position for name in names})
-    density = Measured(begun, [[of[name] for name in block] for block in choosing.blocks])
-    ours, seconds = trained(begun, count, steps, density, [of[name] for name in choosing.train])
-    seconds -= density.measuring
+def compare(inputs: Inputs, count: int, steps: int) -> None:
+    """Compare the selected budget with the initial one and print both."""
+    names = [pyramid[0].name for pyramid in inputs.shown]
+    of = dict(zip(names, inputs.shown, strict=True))
+    choosing = for_choosing(names, {name: inputs.cameras[name].position for name in names})
+    density = SurfaceMeasuringDensity(inputs, [[of[name] for name in block] for block in choosing.blocks])
+    ours, seconds = train(inputs, count, steps, density, [of[name] for name in choosing.train])
+    seconds -= density.measuring_s
     curve = density.curve
     assert curve is not None
     print(f"{'N':>9}{'degree':>8}{'judged':>8}{'loss':>14}{'ms a step':>11}{'MB':>7}{'accuracy, m':>13}{'F-score':>9}")
@@ -85,12 +87,12 @@ def compare(begun: Begun, count: int, steps: int) -> None:
             f"{budget.step_ms:11.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"
             f"{'  chosen' if budget is curve.chosen else ''}"
         )
-    rows = [("chosen", ours, seconds), ("fixed", *trained(begun, count, steps, Density(), begun.shown))]
-    held_out = {photograph.name: photograph for photograph in begun.held_out}
-    blocks = [[held_out[name] for name in block] for block in begun.split.blocks]
+    rows = [("chosen", ours, seconds), ("fixed", *train(inputs, count, steps, Density(), inputs.shown))]
+    held_out = {photograph.name: photograph for photograph in inputs.held_out}
+    blocks = [[held_out[name] for name in block] for block in inputs.split.blocks]
     psnr = [np.array([np.mean(evaluate(training.model, block)) for block in blocks]) for _, training, _ in rows]
     for (name, training, seconds), scores in zip(rows, psnr, strict=True):
-        model, score = training.model, surface(begun, training.model)
+        model, score = training.model, surface(inputs, training.model)
         print(
             f"{name:9}{len(model):9,} of degree {model.degree}: {scores.mean():.2f} dB held out, {seconds:.0f} CPU s,"
             f" surface {score.accuracy:.3f} m, F-score {score.fscore_seen:.3f}"
@@ -102,12 +104,12 @@ def compare(begun: Begun, count: int, steps: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", default=";".join(CASES), help="of splat_cities, divided by semicolons")
+    parser.add_argument("--cases", default=";".join(CASES), help="cases of splat_cities, separated by semicolons")
     parser.add_argument("--images", type=int, default=64)
     parser.add_argument("--size", default="240x136")
     parser.add_argument("--gaussians", type=int, default=60_000)
     parser.add_argument("--steps", type=int, default=900)
-    parser.add_argument("--folder", type=Path, help="to keep the cities in: what is there is not made again")
+    parser.add_argument("--folder", type=Path, help="folder that keeps the cities; existing ones are used again")
     options = parser.parse_args()
     print(f"{setting()}; {options.gaussians:,} Gaussians, {options.steps:,} steps, degree {DEGREE}")
     with tempfile.TemporaryDirectory() as temporary:
@@ -116,9 +118,9 @@ def main() -> None:
             made = city((options.folder or Path(temporary)) / label, case, options.images, options.size)
             work = Path(temporary) / f"{label}.work"
             work.mkdir()
-            begun = begin(made, work, torch.device("cpu"))
-            print(f"\n{options.images} images of {options.size} of a city of {EXTENT} m ({case}); {begun.split.words}")
-            compare(begun, options.gaussians, options.steps)
+            inputs = prepare(made, work, torch.device("cpu"))
+            print(f"\n{options.images} images of {options.size} of a city of {EXTENT} m ({case}); {inputs.split.words}")
+            compare(inputs, options.gaussians, options.steps)
 
 
 if __name__ == "__main__":

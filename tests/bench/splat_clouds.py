@@ -1,8 +1,8 @@
-"""What clouds of Gaussians are worth beside sparse and dense stereo: python tests/bench/splat_clouds.py
+"""Clouds of Gaussians, next to sparse and dense stereo: python tests/bench/splat_clouds.py
 
-A row a cloud, of synthetic cities with exact truth: `sfm`, `mvs`, and for splats begun at either the centres of the
-Gaussians, those of the opaque ones, and the surface. CPU seconds are of all that a cloud needs: a splat begun at `mvs`
-includes that. With one thread: OMP_NUM_THREADS=1.
+Each row is a cloud of a synthetic city with exact truth: `sfm`, `mvs`, and for splats initialised from either the
+centres of the Gaussians, those of the opaque ones, and the surface. CPU seconds include everything that a cloud needs:
+a splat initialised from `mvs` includes its time. With one thread: OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from reconstructors.mvs.mvs import DenseMvs
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat.splat import GaussianSplatting
 
-OPAQUE = 0.5
+OPAQUE = 0.5  # minimum opacity
 HEAD = (
     f"{'':38}{'CPU s':>7}{'points':>9}{'accuracy':>10}{'completeness':>14}{'of seen':>9}{'precision':>11}{'recall':>8}"
     f"{'F-score':>9}{'of seen':>9}"
@@ -33,6 +33,8 @@ HEAD = (
 
 
 class Row(NamedTuple):
+    """A row of the table."""
+
     name: str
     seconds: float
     score: CloudScore
@@ -46,13 +48,16 @@ class Row(NamedTuple):
 
 
 def cpu() -> float:
+    """Return the CPU seconds of this process and its children."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
 
 
 def rows(city: City, work: Path, options: argparse.Namespace) -> Iterator[Row]:
+    """Yield the rows of a city."""
+
     def timed(method: Reconstructor, folder: Path) -> tuple[Reconstruction, float]:
-        """In the workspace that a splat begun there takes it from."""
+        """Run a method in a workspace that later splats use as their initial model."""
         folder.mkdir(parents=True, exist_ok=True)
         start = cpu()
         made = method.reconstruct(city.scene, folder)
@@ -78,7 +83,7 @@ def rows(city: City, work: Path, options: argparse.Namespace) -> Iterator[Row]:
         }
         for cloud, method in clouds.items():
             made, seconds = timed(method, work / splat.start)
-            if training is None:  # the first one trains; the others take its model
+            if training is None:  # the first one trains; the others use its model
                 training = seconds
             seconds = spent[splat.start] + (training if method is splat else training + seconds)
             yield Row(f"splat from {name}: {cloud}", seconds, score_cloud(city.truth, made.cloud.points))
@@ -91,7 +96,7 @@ def main() -> None:
     parser.add_argument("--size", default="320x180")
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--gaussians", type=int, default=20_000)
-    parser.add_argument("--folder", type=Path, help="to keep the cities in: what is there is not made again")
+    parser.add_argument("--folder", type=Path, help="folder that keeps the cities; existing ones are used again")
     options = parser.parse_args()
     print(setting())
     print(

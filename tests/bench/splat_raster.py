@@ -1,8 +1,8 @@
 """Milliseconds of a training step on one picture: python tests/bench/splat_raster.py
 
-Drawing, the derivative of the loss, the derivatives by the Gaussians, the optimizer's step, and all of it, by image
-size, count, threads and instruction set; beside plain torch, and OpenSplat's CPU rasterizer where `--opensplat` names
-the folder of its source (it is compiled there and then; needs a C++ compiler and ninja), or gsplat on a GPU
+Times rendering, the loss, its gradients with respect to the Gaussians, the optimizer's step, and the complete step, by
+image size, number of Gaussians, threads and instruction set. Peers are plain torch, OpenSplat's CPU rasterizer if
+`--opensplat` names the folder of its source (compiled when needed; needs a C++ compiler and ninja), and gsplat on a GPU
 (`--device cuda`).
 """
 
@@ -24,12 +24,12 @@ from measure import Seconds, limit_threads, setting
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 PARTS = ("forward", "loss", "backward", "adam")
-MODEL_BYTES = 3 * 4 * (3 + 4 + 3 + 1 + 48)  # of a Gaussian: its numbers, and the optimizer's two moments of each
-BUSY = 3e7  # pixels of tiles times Gaussians in them: beyond, plain torch takes gigabytes
+MODEL_BYTES = 3 * 4 * (3 + 4 + 3 + 1 + 48)  # per Gaussian: its parameters, and two moments of each in the optimizer
+MAX_TORCH_PIXELS = 3e7  # pixels of tiles times Gaussians in them; above, plain torch needs gigabytes
 
 
 def step(contestant: Any, wait: Any) -> list[Seconds]:
-    """Wall and CPU seconds of each part."""
+    """Return wall and CPU seconds of each part."""
     parts = []
     gc.collect()
     for part in PARTS:
@@ -41,7 +41,7 @@ def step(contestant: Any, wait: Any) -> list[Seconds]:
 
 
 def measure(options: dict[str, Any]) -> None:
-    """The child process: prints what it found as JSON."""
+    """Print the results as JSON, in the child process."""
     if options["device"] == "cpu":
         limit_threads(options["threads"])
     import torch
@@ -56,7 +56,7 @@ def measure(options: dict[str, Any]) -> None:
     compiled = getattr(contestants["pcbench"].rasterizer, "_compiled", None)
     instances = compiled.instances if compiled else 0
     if options["peers"]:
-        if instances * 256 < BUSY:
+        if instances * 256 < MAX_TORCH_PIXELS:
             contestants["plain torch"] = PlainTorch(picture)
         if options["opensplat"] and not on_gpu:
             contestants["OpenSplat"] = OpenSplat(picture, build_opensplat(Path(options["opensplat"])))
@@ -64,7 +64,7 @@ def measure(options: dict[str, Any]) -> None:
             contestants["gsplat"] = Gsplat(picture)
     wait = torch.cuda.synchronize if on_gpu else lambda: None
     samples: dict[str, list[list[Seconds]]] = {name: [] for name in contestants}
-    for run in range(options["runs"] + 1):  # the first is not counted: memory is touched, loops are loaded
+    for run in range(options["runs"] + 1):  # the first run is a warm-up
         for name, contestant in contestants.items():
             if (parts := step(contestant, wait)) and run:
                 samples[name].append(parts)
@@ -77,7 +77,7 @@ def measure(options: dict[str, Any]) -> None:
         "bytes": [contestants[name].rasterizer._compiled.bytes for name in list(contestants)[:2]] if compiled else [],
         "rows": {
             name: {
-                # On a GPU the CPU only asks for the work.
+                # With a GPU the CPU only launches the work.
                 "parts": [statistics.median(parts[i][0 if on_gpu else 1] for parts in runs) for i in range(len(PARTS))],
                 "cpu": [pick(sum(part.cpu for part in parts) for parts in runs) for pick in (statistics.median, min)],
                 "wall": [pick(sum(part.wall for part in parts) for parts in runs) for pick in (statistics.median, min)],
@@ -90,7 +90,8 @@ def measure(options: dict[str, Any]) -> None:
 
 
 def run_child(options: dict[str, Any], isa: str) -> dict[str, Any]:
-    # Threads sleep while they wait: what they burn otherwise, on a busy machine, is not work.
+    """Measure in a child process, with one instruction set."""
+    # Passive waiting: threads that spin while they wait would add CPU time.
     environment = {**os.environ, "OMP_WAIT_POLICY": "passive", **({"PCBENCH_ISA": isa} if isa else {})}
     done = subprocess.run(
         [sys.executable, Path(__file__), "--child", json.dumps(options)],
@@ -103,11 +104,12 @@ def run_child(options: dict[str, Any], isa: str) -> dict[str, Any]:
 
 
 def describe(found: dict[str, Any], size: str, count: int) -> str:
-    held = " and ".join(f"{bytes_ / count:.0f}" for bytes_ in found["bytes"])
+    """Return a line on the picture and the memory."""
+    buffers = " and ".join(f"{bytes_ / count:.0f}" for bytes_ in found["bytes"])
     tiles = f", {found['instances']:,} times in a tile" if found["instances"] else ""
-    memory = f"; bytes a Gaussian: {MODEL_BYTES} of model and moments, {held} of buffers" if held else ""
+    memory = f"; bytes per Gaussian: {MODEL_BYTES} of model and moments, {buffers} of buffers" if buffers else ""
     return (
-        f"{size}, {count:,} Gaussians: {found['drawn']:,} drawn{tiles}, {found['contributors']:.0f} at a pixel, "
+        f"{size}, {count:,} Gaussians: {found['drawn']:,} rendered{tiles}, {found['contributors']:.0f} per pixel, "
         f"alpha {found['alpha']:.2f}{memory}"
     )
 
@@ -117,10 +119,10 @@ def main() -> None:
     parser.add_argument("--sizes", default="480x270")
     parser.add_argument("--counts", default="50000")
     parser.add_argument("--threads", default="1,2")
-    parser.add_argument("--isas", default="", help="such as baseline,avx2,avx512; default: the widest that there is")
+    parser.add_argument("--isas", default="", help="such as baseline,avx2,avx512; default: the widest available")
     parser.add_argument("--runs", type=int, default=9)
     parser.add_argument("--no-peers", action="store_true", help="pcbench alone")
-    parser.add_argument("--opensplat", metavar="FOLDER", help="the source of OpenSplat")
+    parser.add_argument("--opensplat", metavar="FOLDER", help="folder with the source of OpenSplat")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -128,7 +130,7 @@ def main() -> None:
         return measure(json.loads(options.child))
     clock = "CPU" if options.device == "cpu" else "wall"
     print(f"{setting()}; {options.device}; medians of {options.runs} alternating runs")
-    print(f"milliseconds: {clock} time for parts and ratio; for the whole step CPU and wall time, median and least")
+    print(f"milliseconds: {clock} time for parts and ratio; CPU and wall time for the complete step, median and least")
     head = "".join(f"{name:>9}" for name in (*PARTS, "CPU", "least", "wall", "least", "ratio"))
     print(f"{'threads':>7} {'loops':10}{'method':18}{head}{'image off':>11}")
     isas, every_threads = options.isas.split(","), [int(number) for number in options.threads.split(",")]

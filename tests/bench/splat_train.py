@@ -1,10 +1,10 @@
-"""What training of Gaussians gains by time and by their number: python tests/bench/splat_train.py
+"""Training of Gaussians by time and by their number: python tests/bench/splat_train.py
 
-A row a number of Gaussians and of steps, begun at the cloud of `mvs` of a synthetic city: CPU seconds of training (by
-the clock on a GPU), PSNR of the images trained on and of 8 blocks that are held out, and the surface against the exact
-truth: mean distance from its points (accuracy) and from what three cameras see to it (complete), in metres, and F-score
-of that at two footprints of a pixel. `--gsplat` trains beside it with gsplat's rasterizer (on a GPU, if it is
-installed). With one thread: OMP_NUM_THREADS=1.
+Each row has a number of Gaussians and of steps, initialised from the `mvs` cloud of a synthetic city: CPU seconds of
+training (wall time on a GPU), PSNR of the training images and of 8 blocks of held-out images, and the surface against
+the exact truth: mean distance from its points (accuracy) and from what at least three cameras see to it (complete), in
+metres, and F-score over that part at two pixel footprints. `--gsplat` also trains with gsplat's rasterizer (on a GPU,
+if it is installed). With one thread: OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -42,8 +42,8 @@ from reconstructors.splat.train import Schedule, Training, evaluate
 from reconstructors.splat.view import View
 
 
-class Begun(NamedTuple):
-    """All that is the same for every run."""
+class Inputs(NamedTuple):
+    """Inputs that all runs share."""
 
     city: City
     cameras: dict[str, Camera]
@@ -56,7 +56,7 @@ class Begun(NamedTuple):
 
 
 class Contestant(NamedTuple):
-    """How it is trained: with depths or not, and by whose drawing; None for our own."""
+    """How to train: with depth supervision or not, and with which rasterizer (None for our own)."""
 
     name: str
     supervised: bool
@@ -64,6 +64,8 @@ class Contestant(NamedTuple):
 
 
 class Run(NamedTuple):
+    """Results of one training."""
+
     seconds: float
     trained_on: float
     held_out: float
@@ -72,7 +74,8 @@ class Run(NamedTuple):
     fscore_seen: float
 
 
-def begin(made: City, work: Path, device: torch.device) -> Begun:
+def prepare(made: City, work: Path, device: torch.device) -> Inputs:
+    """Reconstruct the dense cloud and read the photographs."""
     scene = made.scene
     dense = BEGINNING.reconstruct(scene, work)
     cameras = {name: pinhole(camera, 1.0) for name, camera in dense.cameras.items()}
@@ -83,37 +86,38 @@ def begin(made: City, work: Path, device: torch.device) -> Begun:
     shown = [pyramid for pyramid in pyramids if pyramid[0].name in split.train]
     held_out = [pyramid[0] for pyramid in pyramids if pyramid[0].name in split.test]
     supervision = read_supervision(work / MAPS, shown, frame.unit)
-    return Begun(made, cameras, dense, frame, split, shown, held_out, supervision)
+    return Inputs(made, cameras, dense, frame, split, shown, held_out, supervision)
 
 
-def trained(begun: Begun, contestant: Contestant, count: int, steps: int, seed: int, device: torch.device) -> Run:
+def train(inputs: Inputs, contestant: Contestant, count: int, steps: int, seed: int, device: torch.device) -> Run:
+    """Train a model and score it."""
     training = Training(
-        first_model(begun.dense.cloud, begun.frame, count, seed).to(device),
-        begun.shown,
+        first_model(inputs.dense.cloud, inputs.frame, count, seed).to(device),
+        inputs.shown,
         Schedule(steps=steps, sh_degree=2, seed=seed),
         Density(),
-        begun.supervision if contestant.supervised else None,
+        inputs.supervision if contestant.supervised else None,
     )
     if contestant.draw is not None:
         training._rasterizer = RasterizerByAutograd(contestant.draw)
     clock = time.process_time if device.type == "cpu" else time.perf_counter
     start = clock()
     training.run(steps)
-    float(training.model.means.sum())  # which waits for a GPU
+    float(training.model.means.sum())  # synchronises with the GPU
     seconds = clock() - start
-    score = score_cloud(begun.city.truth, extract.surface(training.model, begun.frame, begun.cameras).points)
+    score = score_cloud(inputs.city.truth, extract.surface(training.model, inputs.frame, inputs.cameras).points)
     return Run(
         seconds,
         statistics.fmean(map(float, training.psnr)),
-        statistics.fmean(evaluate(training.model, begun.held_out)),
+        statistics.fmean(evaluate(training.model, inputs.held_out)),
         score.accuracy,
         score.seen,
         score.fscore_seen,
     )
 
 
-def described(runs: list[Run]) -> str:
-    """Medians, and half of the range over the seeds."""
+def summary(runs: list[Run]) -> str:
+    """Return medians and half of the range over the seeds, as text."""
     words = []
     for values, digits in zip(zip(*runs, strict=True), (0, 2, 2, 3, 3, 3), strict=True):
         half = (max(values) - min(values)) / 2
@@ -126,12 +130,14 @@ def main() -> None:
     parser.add_argument("--case", default=next(iter(CASES)), choices=CASES)
     parser.add_argument("--images", type=int, default=64)
     parser.add_argument("--size", default="240x136")
-    parser.add_argument("--counts", default="5000,15000,45000", help="of Gaussians, at the most steps")
-    parser.add_argument("--steps", default="300,600,1200", help="at the middle count")
+    parser.add_argument("--counts", default="5000,15000,45000", help="numbers of Gaussians, with the most steps")
+    parser.add_argument("--steps", default="300,600,1200", help="numbers of steps, with the middle count")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
-    parser.add_argument("--gsplat", action="store_true", help="beside gsplat's rasterizer, without supervision")
-    parser.add_argument("--folder", type=Path, help="to keep the city in: what is there is not made again")
+    parser.add_argument(
+        "--gsplat", action="store_true", help="also train with gsplat's rasterizer, without supervision"
+    )
+    parser.add_argument("--folder", type=Path, help="folder that keeps the city; existing files are used again")
     options = parser.parse_args()
     contestants = [Contestant("pcbench", True)]
     if options.gsplat:
@@ -148,18 +154,18 @@ def main() -> None:
         work = Path(temporary) / "work"
         work.mkdir()
         device = torch.device(options.device)
-        begun = begin(made, work, device)
+        inputs = prepare(made, work, device)
         print(
             f"{options.images} images of {options.size} of a city of {EXTENT} m ({options.case}), held out:"
-            f" {begun.split.words}; {options.seeds} seeds: median ± half the range"
+            f" {inputs.split.words}; {options.seeds} seeds: median ± half the range"
         )
         clock = "CPU s" if options.device == "cpu" else "wall s"
         names = (clock, "PSNR", "held out", "accuracy", "complete", "F-score")
         print(f"{'':13}{'N':>6}{'steps':>6}" + "".join(f"{name:>9}{'':7}" for name in names))
         for contestant in contestants:
             for count, each in budgets:
-                runs = [trained(begun, contestant, count, each, seed, device) for seed in range(options.seeds)]
-                print(f"{contestant.name:13}{count:6}{each:6}{described(runs)}", flush=True)
+                runs = [train(inputs, contestant, count, each, seed, device) for seed in range(options.seeds)]
+                print(f"{contestant.name:13}{count:6}{each:6}{summary(runs)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The page that says where a change belongs is right about the folders and files that it names."""
+"""The page on the architecture names existing folders, files and objects."""
 
 import re
 
@@ -9,7 +9,7 @@ PAGE = ROOT / "docs" / "architecture.md"
 
 
 def test_the_tree_is_the_one_on_disk():
-    """Every folder of the packages is in it, where it is, and nothing else."""
+    """The tree lists every folder of the packages, and nothing that does not exist."""
     (tree,) = (block.text for block in blocks(PAGE) if block.mark and block.mark[0] == "checked by")
     listed, above = set(), []
     for line in tree.splitlines():
@@ -24,15 +24,15 @@ def test_the_tree_is_the_one_on_disk():
         assert not missing, f"not in the tree of {PAGE.name}: {missing}"
 
 
-def test_files_that_are_named_exist():
-    """METHOD.py and the like stand for a file to write."""
+def test_named_files_exist():
+    """Names in capitals such as METHOD.py are placeholders."""
     for page in (PAGE, ROOT / "CONTRIBUTING.md"):
         for path in re.findall(r"`((?:pcbench|tests|reconstructors|docs)/[\w/.]*)`", page.read_text()):
             assert re.search(r"[A-Z]{3,}\.py", path) or (ROOT / path).exists(), f"{page.name}: {path}"
 
 
-def test_names_that_are_promised_are_there():
-    """What a newcomer is told to add a line to."""
+def test_named_objects_exist():
+    """The places where contributors add an entry exist."""
     for path, name in (
         ("pcbench/io/formats.py", "CLOUDS"),
         ("pcbench/io/formats.py", "MESHES"),

@@ -1,4 +1,4 @@
-"""Every block of the documents is run, or says which committed command makes it; what is shown is what is printed."""
+"""Each block of the documents is run and its output compared, or names the committed command that creates it."""
 
 import contextlib
 import io
@@ -20,9 +20,9 @@ from wording import refused
 from pcbench import cli
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-SHELL = "cat", "head", "ls"  # what a console block may call beside pcbench
+SHELL = "cat", "head", "ls"  # commands that a console block may call in addition to pcbench
 
-# Inputs that several pages make in the same words: each is made once.
+# Commands that create the inputs of several pages; each is run once.
 SHARED = (
     "pcbench demo --points 200000 --no-bench --no-figures --out demo",
     "pcbench synth city --images 12 --size 240x160 --extent 100 --points 20000 --out city",
@@ -34,44 +34,44 @@ def _name(page: Path) -> str:
 
 
 def _call(command: str, folder: Path) -> str:
-    """What a command prints, on standard output and standard error together. It must succeed."""
+    """Return the standard output and standard error of a command, which must succeed."""
     words = shlex.split(command)
     if words[0] in SHELL:
-        plain = {**os.environ, "LC_ALL": "C"}  # the order of names depends on the language
-        return subprocess.run(words, cwd=folder, env=plain, check=True, capture_output=True, text=True).stdout
+        environment = {**os.environ, "LC_ALL": "C"}  # the order of names depends on the language
+        return subprocess.run(words, cwd=folder, env=environment, check=True, capture_output=True, text=True).stdout
     assert words[0] == "pcbench", f"expected a command of pcbench or one of {', '.join(SHELL)}; got {command!r}"
-    said = io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    output = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         try:
             sys.argv, argv = words, sys.argv
             cli.main()
         except SystemExit as stop:
-            assert not stop.code, f"{command}: {said.getvalue()}"
+            assert not stop.code, f"{command}: {output.getvalue()}"
         finally:
             sys.argv = argv
-    return said.getvalue()
+    return output.getvalue()
 
 
 @pytest.fixture(scope="module")
 def call(tmp_path_factory):
-    """Run a command of a page in a page's folder; commands of SHARED are run once, and their results copied."""
-    made = {}
+    """Run a command of a page in a folder; commands in SHARED are run once and their results copied."""
+    shared = {}
 
     def run(command: str, folder: Path) -> str:
         if command not in SHARED:
             return _call(command, folder)
-        if command not in made:
+        if command not in shared:
             home = tmp_path_factory.mktemp("shared")
-            made[command] = home, _call(command, home)
-        home, said = made[command]
+            shared[command] = home, _call(command, home)
+        home, output = shared[command]
         shutil.copytree(home, folder, dirs_exist_ok=True)
-        return said
+        return output
 
     return run
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch):
+def test_output_on_page_matches(page, call, tmp_path, request, monkeypatch):
     found = blocks(page)
     runs = [block for block in found if block.mark is None]
     if any("synth city" in block.text for block in runs):
@@ -79,7 +79,7 @@ def test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch):
     if any(f"reconstruct {name}" in block.text for block in runs for name in ("sfm", "mvs")):
         import_or_skip("pycolmap")
     monkeypatch.setenv("COLUMNS", "132")
-    namespace, said = {"__name__": "__main__"}, ""
+    namespace, output = {"__name__": "__main__"}, ""
     for block in found:
         where = f"{_name(page)}:{block.line}"
         if block.title is not None:
@@ -91,31 +91,31 @@ def test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch):
                 printed = call(command, tmp_path)
                 assert not shown or agrees(shown, printed), f"{where}: {command}\nshown:\n{shown}\nprinted:\n{printed}"
         elif block.language == "python":
-            out = io.StringIO()
-            with contextlib.chdir(tmp_path), contextlib.redirect_stdout(out):
+            stdout = io.StringIO()
+            with contextlib.chdir(tmp_path), contextlib.redirect_stdout(stdout):
                 exec(compile(block.text, where, "exec"), namespace)
-            said = out.getvalue()
+            output = stdout.getvalue()
         elif block.language == "text" and block.follows:
-            assert agrees(block.text, said), f"{where}\nshown:\n{block.text}\nprinted:\n{said}"
+            assert agrees(block.text, output), f"{where}\nshown:\n{block.text}\nprinted:\n{output}"
         else:
             pytest.fail(f"{where}: neither run nor marked, see tests/docs_blocks.py")
 
 
 def _check_mark(block: Block, where: str) -> None:
-    how, what = block.mark
-    if how == "checked by":
+    kind, what = block.mark
+    if kind == "checked by":
         file, function = what.split("::")
         assert f"def {function}(" in (ROOT / file).read_text(), f"{where}: no {what}"
-    elif how == "part of":
-        whole = {" ".join(line.split()) for line in (ROOT / what).read_text().splitlines()}
+    elif kind == "part of":
+        lines = {" ".join(line.split()) for line in (ROOT / what).read_text().splitlines()}
         for line in block.text.splitlines():
-            assert " ".join(line.split()) in whole | {""}, f"{where}: {line!r} is not in {what}"
+            assert " ".join(line.split()) in lines | {""}, f"{where}: {line!r} is not in {what}"
     else:
         _check_command(what, where)
 
 
 def _check_command(command: str, where: str) -> None:
-    """A target of the Makefile, a script of the repository, or a command of pcbench, with options that it has."""
+    """Check that a target of the Makefile, a script of the repository or a pcbench command has these options."""
     words = shlex.split(command)
     if words[0] == "make":
         assert re.search(rf"^{re.escape(words[1])}:", (ROOT / "Makefile").read_text(), re.MULTILINE), (
@@ -123,12 +123,12 @@ def _check_command(command: str, where: str) -> None:
         )
         return
     if words[0] == "python":
-        told = (ROOT / words[1]).read_text()
+        text = (ROOT / words[1]).read_text()
     else:
         assert words[0] == "pcbench", f"{where}: expected make, python or pcbench; got {command!r}"
-        told = _call(" ".join([*_names(words), "--help"]), ROOT)
+        text = _call(" ".join([*_names(words), "--help"]), ROOT)
     for option in (word for word in words if word.startswith("--")):
-        assert option in told, f"{where}: {words[0]} {words[1]} has no option {option}"
+        assert option in text, f"{where}: {words[0]} {words[1]} has no option {option}"
 
 
 def _names(words: list[str]) -> list[str]:
@@ -136,7 +136,7 @@ def _names(words: list[str]) -> list[str]:
 
 
 def test_commands_of_the_readme(call, tmp_path):
-    """Its first command works on any clouds of these names, and those of make are in the Makefile."""
+    """The first command of the README works on any clouds of these names, and its make targets exist."""
     call(SHARED[0], tmp_path)
     for name, made in (("ref", "reference"), ("a", "sparse"), ("b", "densified")):
         (tmp_path / "demo" / "clouds" / f"{made}.ply").rename(tmp_path / f"{name}.ply")
@@ -157,8 +157,8 @@ def test_targets_of_make():
 
 
 @pytest.mark.slow
-def test_the_readmes_table_is_what_the_demo_prints(tmp_path):
-    """The demo at its full size, as in the README."""
+def test_table_of_readme_matches_demo(tmp_path):
+    """The demo runs at its full size, as in the README."""
     (shown,) = (b.text for b in blocks(ROOT / "README.md") if b.mark == ("made by", "pcbench demo --out demo"))
     assert agrees(shown, _call("pcbench demo --out demo --no-bench --no-figures", tmp_path))
 
@@ -173,23 +173,23 @@ def test_the_readmes_table_is_what_the_demo_prints(tmp_path):
         ("1.50 none", "1.50 affine", False),
     ],
 )
-def test_texts_are_compared_by_words_and_numbers(shown, printed, same):
+def test_comparison_of_shown_and_printed_text(shown, printed, same):
     assert agrees(shown, printed) is same
 
 
-def test_a_block_without_a_mark_is_found(call, tmp_path, request, monkeypatch):
+def test_block_without_mark_is_found(call, tmp_path, request, monkeypatch):
     page = SimpleNamespace(read_text=lambda: "```text\nsaid by nobody\n```\n", relative_to=lambda root: "page.md")
     with refused(pytest.fail.Exception):
-        test_a_page_does_what_it_shows(page, call, tmp_path, request, monkeypatch)
+        test_output_on_page_matches(page, call, tmp_path, request, monkeypatch)
 
 
-def test_the_readme_is_short():
-    """Who lands there knows in a minute what this is; the rest has pages of its own."""
+def test_readme_is_short():
+    """The README gives an overview in a minute; details are on other pages."""
     assert len((ROOT / "README.md").read_text().splitlines()) <= 200
 
 
-def test_links_and_pictures_lead_somewhere():
-    """mkdocs checks those between its pages; these are the ones of the two files outside."""
+def test_links_and_pictures_exist():
+    """mkdocs checks the links between its pages; these two files are not among them."""
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
         for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
             assert target.startswith("http") or (ROOT / target).exists(), f"{_name(page)}: no {target}"

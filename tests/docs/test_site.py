@@ -1,4 +1,4 @@
-"""The site that `make docs` builds: complete, and nothing in it is fetched from another host when it is read."""
+"""The site that `make docs` builds is complete and loads nothing from other hosts."""
 
 import os
 import re
@@ -10,19 +10,19 @@ from repository import ROOT
 
 import pcbench
 
-BELOW = {"cli", "native", "children"}  # what no program imports
+INTERNAL = {"cli", "native", "children"}  # packages that programs do not import
 
 
-def test_every_name_of_the_package_is_in_the_reference():
+def test_every_exported_name_is_in_the_reference():
     page = (ROOT / "docs" / "reference" / "index.md").read_text()
     listed = re.findall(r"^        - (\w+)$", page, re.MULTILINE)
     assert sorted(listed) == sorted(set(pcbench.__all__) - {"__version__"})
 
 
-def test_every_room_has_a_page_in_the_reference():
-    rooms = {folder.parent.name for folder in (ROOT / "pcbench").glob("*/__init__.py")} - BELOW
+def test_every_package_has_a_reference_page():
+    packages = {folder.parent.name for folder in (ROOT / "pcbench").glob("*/__init__.py")} - INTERNAL
     pages = {page.stem for page in (ROOT / "docs" / "reference").glob("*.md")}
-    assert rooms <= pages
+    assert packages <= pages
 
 
 def check(site):
@@ -40,20 +40,20 @@ def check(site):
         ('<a href="https://e.example/">a link to follow</a> <img src="f.png">', None),
     ],
 )
-def test_what_is_fetched_from_another_host_is_found(tmp_path, text, address):
+def test_resources_of_other_hosts_are_found(tmp_path, text, address):
     (tmp_path / "page.html").write_text(text)
     done = check(tmp_path)
     assert done.returncode == (0 if address is None else 1)
     assert address is None or f"page.html: fetches {address}" in done.stderr
 
 
-def test_a_site_that_was_not_built_is_none(tmp_path):
+def test_empty_site_is_an_error(tmp_path):
     assert "no pages" in check(tmp_path).stderr
 
 
 @pytest.mark.slow
-def test_the_site_asks_no_other_host(tmp_path):
-    """As `make docs` does. Strictly built: a link between pages or to a name of the API that leads nowhere fails."""
+def test_site_loads_nothing_from_other_hosts(tmp_path):
+    """Build the site as `make docs` does. The strict build fails on links to pages or objects that do not exist."""
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)],
         cwd=ROOT,

@@ -1,17 +1,17 @@
-"""The folder of a study: what is refused, what is kept, and what earlier versions left."""
+"""The folder of a study: rejection of foreign folders, records, and folders of earlier versions."""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from view_folders import views_of
+from view_folders import write_view_folder
 from wording import refused
 
 from pcbench.report.markup import csv_text, markdown_table
 from pcbench.studies.bench.runs import KIND as BENCH
 from pcbench.studies.bend.bend import KIND as BEND
-from pcbench.studies.folder import MARK, check_folder, keep_record, kept_record, named_folders, study_folder
+from pcbench.studies.folder import MARK, check_folder, folders_by_name, read_record, study_folder, write_record
 from pcbench.studies.gao.gao import KIND as GAO
 from pcbench.studies.views.runs import KIND as VIEWS
 from pcbench.studies.views.runs import ViewsJob, run_views
@@ -42,7 +42,7 @@ def files_of(folder):
         (".lock", ""),
     ],
 )
-def test_a_folder_of_something_else_is_refused(tmp_path, kind, name, text):
+def test_foreign_folder_is_rejected(tmp_path, kind, name, text):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text(text)
     with refused(), study_folder(tmp_path, kind, Job()):
@@ -50,8 +50,8 @@ def test_a_folder_of_something_else_is_refused(tmp_path, kind, name, text):
     assert files_of(tmp_path) == {Path(name).name: text}
 
 
-def test_views_leave_a_folder_of_something_else_alone(tmp_path):
-    views_of(tmp_path / "a", "near", 9)
+def test_views_leave_foreign_folder_unchanged(tmp_path):
+    write_view_folder(tmp_path / "a", "near", 9)
     mine = {"views.md": "mine", "scores.csv": "mine", "scores.json": "{}"}
     (tmp_path / "out/runs").mkdir(parents=True)
     for name, text in mine.items():
@@ -62,7 +62,7 @@ def test_views_leave_a_folder_of_something_else_alone(tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_a_study_knows_its_own_folder(tmp_path, kind):
+def test_study_recognises_its_folder(tmp_path, kind):
     out = tmp_path / "new/out"
     with study_folder(out, kind, Job()):
         with refused(), study_folder(out, kind, Job()):
@@ -93,7 +93,7 @@ def test_a_study_knows_its_own_folder(tmp_path, kind):
         (VIEWS, {"scores.json": '{"schema": "pcbench.view-scores/1"}'}),
     ],
 )
-def test_folders_of_earlier_versions_are_gone_on_with(tmp_path, kind, left):
+def test_folders_of_earlier_versions_are_accepted(tmp_path, kind, left):
     for name, text in left.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
@@ -103,19 +103,19 @@ def test_folders_of_earlier_versions_are_gone_on_with(tmp_path, kind, left):
         assert (tmp_path / name).read_text() == text
 
 
-def test_records_are_those_of_the_same_inputs(tmp_path):
+def test_records_are_returned_for_the_same_inputs_only(tmp_path):
     path = tmp_path / "run.json"
-    assert kept_record(path, {"a": 1}) is None
-    keep_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
-    assert kept_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
-    assert kept_record(path, {"a": 2, "b": (2, 3)}) is None
+    assert read_record(path, {"a": 1}) is None
+    write_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
+    assert read_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
+    assert read_record(path, {"a": 2, "b": (2, 3)}) is None
     for damaged in ("", "{", "[]", "{}"):
         path.write_text(damaged)
-        assert kept_record(path, {"a": 1}) is None
+        assert read_record(path, {"a": 1}) is None
 
 
 def test_tables_and_names():
     assert csv_text(["a", "b"], [(1, None), ("x,y", 0.5)]) == 'a,b\n1,\n"x,y",0.5\n'
     assert markdown_table([["a|b", "n"], ["x", "1"]], 1) == "| a\\|b | n |\n| --- | ---: |\n| x | 1 |"
     paths = [Path(text) for text in ("/x/city", "/y/city", "/z/runs", "/z/city_2")]
-    assert list(named_folders(paths, ["runs"])) == ["city", "city_2", "runs_2", "city_2_2"]
+    assert list(folders_by_name(paths, ["runs"])) == ["city", "city_2", "runs_2", "city_2_2"]

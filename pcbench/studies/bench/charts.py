@@ -1,4 +1,4 @@
-"""Charts of a bench: what time and memory buy, in both directions, and which runs are worth theirs."""
+"""Charts of a bench: accuracy and completeness against wall time and memory, with the Pareto front."""
 
 from __future__ import annotations
 
@@ -14,90 +14,93 @@ from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
-from pcbench.studies.bench.pareto import Configuration, configurations, front_of
+from pcbench.studies.bench.pareto import Configuration, configurations, front_configurations
 from pcbench.studies.bench.plan import IMAGE_SCALE
 
-_SHAPES = ("o", "s", "^", "D", "v", "P", "X")
-_BEATEN = "#d9dbde"
-_FRONT = "#6b717b"  # read on light and dark
-_MIN_AREA, _MAX_AREA = 40.0, 380.0  # points squared: a marker's area grows with memory between them
-_WIDE = 10  # times the smallest length, from which on lengths are drawn on a logarithmic scale
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_DOMINATED_COLOR = "#d9dbde"
+_FRONT_COLOR = "#6b717b"  # legible on light and dark backgrounds
+_MIN_AREA, _MAX_AREA = 40.0, 380.0  # of a marker, in square points; grows with peak memory
+_MIN_LOG_RATIO = 10  # largest to smallest length from which the axis is logarithmic
 
 
 class _Quantity(NamedTuple):
     column: str
     title: str
-    label: str  # {unit} and {threshold} are filled in
-    high: bool  # more is better
+    label: str  # a format string with {unit} and {threshold}
+    higher_is_better: bool
 
 
-_SPEED = (
+_SPEED_QUANTITIES = (
     _Quantity("fscore", "F-score", "F-score at {threshold}", True),
     _Quantity("chamfer", "Chamfer distance", "sum of the mean distances [{unit}]", False),
 )
-_SPLIT = (
-    _Quantity("precision", "accuracy: how much of the cloud is right", "precision at {threshold}", True),
-    _Quantity("recall", "completeness: how much of the reference is there", "recall at {threshold}", True),
+_ACCURACY_COMPLETENESS = (
+    _Quantity("precision", "accuracy: share of the cloud near the reference", "precision at {threshold}", True),
+    _Quantity("recall", "completeness: share of the reference near the cloud", "recall at {threshold}", True),
     _Quantity("mean_c2r", "accuracy: cloud to reference", "mean distance c→r [{unit}]", False),
     _Quantity("mean_r2c", "completeness: reference to cloud", "mean distance r→c [{unit}]", False),
 )
 
 
-# Draws the charts of a bench's folder.
+# Draws the charts of a bench folder.
 CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",))
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
-    """The charts of a folder that `pcbench bench` wrote."""
+    """Return the charts of a folder that `pcbench bench` wrote."""
     document = read_json(folder / "bench.json")
     why_not = "no run was measured"
     return {
-        "speed": Picture(lambda path: speed(document, path), why_not),
-        "accuracy_completeness": Picture(lambda path: split(document, path), why_not),
+        "speed": Picture(lambda path: draw_speed(document, path), why_not),
+        "accuracy_completeness": Picture(lambda path: draw_accuracy_completeness(document, path), why_not),
     }
 
 
-def speed(document: dict[str, Any], path: Path) -> bool:
-    """Time against F-score and Chamfer distance."""
-    return _draw(document, path, _SPEED)
+def draw_speed(document: dict[str, Any], path: Path) -> bool:
+    """Draw F-score and Chamfer distance against wall time; false if there is nothing to draw."""
+    return _draw(document, path, _SPEED_QUANTITIES)
 
 
-def split(document: dict[str, Any], path: Path) -> bool:
-    """Time against both directions of each; the recall also of what the cameras saw."""
-    return _draw(document, path, _SPLIT)
+def draw_accuracy_completeness(document: dict[str, Any], path: Path) -> bool:
+    """Draw accuracy and completeness against wall time; recall also over the part that the cameras saw."""
+    return _draw(document, path, _ACCURACY_COMPLETENESS)
 
 
-class _Look(NamedTuple):
-    """What all panels share. A series is a method with its settings that are words; numbers label its markers."""
+class _ChartLook(NamedTuple):
+    """Settings that all panels share.
 
-    found: list[Configuration]
-    numbers: frozenset[str]  # settings that vary and are numbers
-    words: frozenset[str]  # those that vary and are not
-    color: dict[str, str]  # by series
+    A series is a method with its non-numeric settings. Numeric settings label its markers.
+    """
+
+    configurations: list[Configuration]
+    numeric_settings: frozenset[str]  # names of the varying settings whose values are all numbers
+    text_settings: frozenset[str]  # names of the other varying settings
+    color: dict[str, str]  # by series, as the markers
     shape: dict[str, str]
-    most_memory: float
+    max_memory: float
     unit: str
     threshold: str
-    limits: tuple[float, float]  # of the time
+    time_limits: tuple[float, float]  # of the time axis, in seconds
 
     def area(self, configuration: Configuration) -> float:
-        return self.area_of(configuration.median("peak_rss_bytes") or 0.0)
+        return self.area_of_memory(configuration.median("peak_rss_bytes") or 0.0)
 
-    def area_of(self, memory: float) -> float:
-        return _MIN_AREA + (_MAX_AREA - _MIN_AREA) * memory / self.most_memory
+    def area_of_memory(self, memory: float) -> float:
+        return _MIN_AREA + (_MAX_AREA - _MIN_AREA) * memory / self.max_memory
 
     def series(self, method: str, choices: Mapping[str, str]) -> str:
-        return _series(method, choices, self.words)
+        return _series(method, choices, self.text_settings)
 
     def label(self, c: Configuration) -> str:
-        """The numbers that vary among the configurations of its method."""
-        others = [other.choices for other in self.found if other.method == c.method]
-        varied = [key for key in c.choices if key in self.numbers and len({o.get(key) for o in others}) > 1]
+        """Numeric settings that vary among the configurations of this method, as text."""
+        others = [other.choices for other in self.configurations if other.method == c.method]
+        varied = [key for key in c.choices if key in self.numeric_settings and len({o.get(key) for o in others}) > 1]
         return " ".join(f"×{c.choices[key]}" if key == IMAGE_SCALE else f"{key}={c.choices[key]}" for key in varied)
 
 
-def _series(method: str, choices: Mapping[str, str], words: frozenset[str]) -> str:
-    return " ".join((method, *(f"{key}={value}" for key, value in choices.items() if key in words)))
+def _series(method: str, choices: Mapping[str, str], text_settings: frozenset[str]) -> str:
+    return " ".join((method, *(f"{key}={value}" for key, value in choices.items() if key in text_settings)))
 
 
 def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity]) -> bool:
@@ -108,49 +111,49 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
     quantities = [of for of in quantities if any(c.median(of.column) is not None for c in found)]
     if not quantities:
         return False
-    look = _look(document, found)
+    look = _chart_look(document, found)
     failed = [row for row in document["rows"] if row["status"] != "ok"]
     rows = -(-len(quantities) // 2)
     figure = Figure(dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
-    crosses = _crosses(figure, look, failed)
-    height = 0.12 + 0.16 * (1 + max((cross.line for cross in crosses), default=0))  # inches, of the strip
+    failure_marks = _failure_marks(figure, look, failed)
+    height = 0.12 + 0.16 * (1 + max((failure.line for failure in failure_marks), default=0))  # of the strip, in inches
     strip = [height / 4.2] if failed else []
     figure.set_size_inches(12.5, 0.8 + 4.5 * rows + (height + 0.1 if failed else 0))
-    # A strip for failures below the last row of panels.
+    # Failures are drawn in a strip below the last row of panels.
     grid = figure.add_gridspec(rows + len(strip), 2, height_ratios=[1.0] * rows + strip)
     panels = [figure.add_subplot(grid[number // 2, number % 2]) for number in range(len(quantities))]
     for axis, quantity in zip(panels, quantities, strict=True):
-        _panel(axis, look, quantity)
+        _draw_panel(axis, look, quantity)
     for column in range(2 if failed else 0):
-        _strip(figure.add_subplot(grid[rows, column]), look, crosses)
-    _legend(figure, look, quantities, bool(failed))
-    figure.draw_without_rendering()  # labels are placed where the layout has put the markers
+        _draw_failures(figure.add_subplot(grid[rows, column]), look, failure_marks)
+    _draw_legend(figure, look, quantities, bool(failed))
+    figure.draw_without_rendering()  # fixes the marker positions, which the labels depend on
     figure.set_layout_engine("none")
     for axis, quantity in zip(panels, quantities, strict=True):
-        _labels(axis, look, quantity)
+        _draw_labels(axis, look, quantity)
     save(figure, path)
     return True
 
 
-def _look(document: dict[str, Any], found: list[Configuration]) -> _Look:
+def _chart_look(document: dict[str, Any], found: list[Configuration]) -> _ChartLook:
     values: dict[str, dict[str, None]] = {}
     for c in found:
         for key, value in c.choices.items():
             values.setdefault(key, {})[value] = None
     varied = {key for key, of in values.items() if len(of) > 1}
-    numbers = frozenset(key for key in varied if all(map(_is_number, values[key])))
-    words = frozenset(varied - numbers)
-    series = list(dict.fromkeys(_series(c.method, c.choices, words) for c in found))
+    numeric_settings = frozenset(key for key in varied if all(map(_is_number, values[key])))
+    text_settings = frozenset(varied - numeric_settings)
+    series = list(dict.fromkeys(_series(c.method, c.choices, text_settings) for c in found))
     times = np.array([row["wall_s"] for row in document["rows"]])
     threshold = next((row["threshold"] for row in document["rows"] if row.get("threshold")), 0.0)
     unit = document["reference"].get("unit") or "units of the file"
-    return _Look(
+    return _ChartLook(
         found,
-        numbers,
-        words,
+        numeric_settings,
+        text_settings,
         {name: SERIES[number % len(SERIES)] for number, name in enumerate(series)},
-        {name: _SHAPES[number % len(_SHAPES)] for number, name in enumerate(series)},
+        {name: _MARKERS[number % len(_MARKERS)] for number, name in enumerate(series)},
         max((c.median("peak_rss_bytes") or 1.0 for c in found), default=1.0),
         unit,
         f"{threshold:.3g} {unit}",
@@ -166,45 +169,45 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _panel(axis: Any, look: _Look, quantity: _Quantity) -> None:
-    front = front_of(look.found, quantity.column, high=quantity.high)
-    measured = [c for c in look.found if c.median(quantity.column) is not None]
+def _draw_panel(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
+    front = front_configurations(look.configurations, quantity.column, higher_is_better=quantity.higher_is_better)
+    measured = [c for c in look.configurations if c.median(quantity.column) is not None]
     if front:
-        x = [_value(c, "wall_s") for c in front]
-        y = [_value(c, quantity.column) for c in front]
-        # Until the next one is done, the last one is the best there is.
-        axis.step([*x, look.limits[1]], [*y, y[-1]], where="post", color=_FRONT, linewidth=1.3, zorder=1)
-    for name, color in look.color.items():  # what a series buys with more time
+        x = [_median(c, "wall_s") for c in front]
+        y = [_median(c, quantity.column) for c in front]
+        # A step function: each front member is the best result until the next one finishes.
+        axis.step([*x, look.time_limits[1]], [*y, y[-1]], where="post", color=_FRONT_COLOR, linewidth=1.3, zorder=1)
+    for name, color in look.color.items():  # connect the markers of a series by time
         places = [
-            (_value(c, "wall_s"), _value(c, quantity.column))
+            (_median(c, "wall_s"), _median(c, quantity.column))
             for c in measured
             if name == look.series(c.method, c.choices)
         ]
         axis.plot(*np.array(sorted(places)).reshape(-1, 2).T, color=color, linewidth=1, alpha=0.4, zorder=1)
     for c in measured:
-        _marker(axis, look, quantity, c, on_front=any(c is other for other in front))
+        _draw_marker(axis, look, quantity, c, on_front=any(c is other for other in front))
     axis.set_xscale("log")
-    axis.set_xlim(*look.limits)
-    _plain_log(axis.xaxis)
+    axis.set_xlim(*look.time_limits)
+    _set_plain_log_ticks(axis.xaxis)
     axis.set_xlabel("wall time [s]")
     axis.set_ylabel(quantity.label.format(unit=look.unit, threshold=look.threshold))
-    axis.set_title(f"{quantity.title} ({'higher' if quantity.high else 'lower'} is better)", fontsize=11)
+    axis.set_title(f"{quantity.title} ({'higher' if quantity.higher_is_better else 'lower'} is better)", fontsize=11)
     values = [value for c in measured for value in c.values(quantity.column)]
     values += [value for c in measured for value in c.values("recall_visible") if quantity.column == "recall"]
-    if quantity.high:
+    if quantity.higher_is_better:
         axis.set_ylim(0, min(1.09, 1.25 * max(values, default=1.0) or 1.0))
-    elif min(values, default=1.0) > 0 and max(values, default=1.0) > _WIDE * min(values, default=1.0):
+    elif min(values, default=1.0) > 0 and max(values, default=1.0) > _MIN_LOG_RATIO * min(values, default=1.0):
         axis.set_yscale("log")
         axis.set_ylim(min(values) / 1.5, max(values) * 1.5)
-        _plain_log(axis.yaxis)
+        _set_plain_log_ticks(axis.yaxis)
     else:
         axis.set_ylim(0, 1.2 * max(values, default=1.0) or 1.0)
     axis.grid(True, which="major", alpha=0.3)
     axis.spines[["top", "right"]].set_visible(False)
 
 
-def _plain_log(axis: Any) -> None:
-    """Ticks at 1, 2 and 5, written as plain numbers."""
+def _set_plain_log_ticks(axis: Any) -> None:
+    """Put ticks at 1, 2 and 5 times powers of ten, written as plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -212,52 +215,52 @@ def _plain_log(axis: Any) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _marker(axis: Any, look: _Look, quantity: _Quantity, c: Configuration, *, on_front: bool) -> None:
-    x, y = _value(c, "wall_s"), _value(c, quantity.column)
+def _draw_marker(axis: Any, look: _ChartLook, quantity: _Quantity, c: Configuration, *, on_front: bool) -> None:
+    x, y = _median(c, "wall_s"), _median(c, quantity.column)
     series = look.series(c.method, c.choices)
     color, area, shape = look.color[series], look.area(c), look.shape[series]
-    for way, at, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
+    for side, at, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
         if max(values) > min(values):
             spread = [[at - min(values)], [max(values) - at]]
-            axis.errorbar(x, y, **{way: spread}, color=_FRONT, linewidth=0.9, capsize=2, zorder=4)
+            axis.errorbar(x, y, **{side: spread}, color=_FRONT_COLOR, linewidth=0.9, capsize=2, zorder=4)
     seen = c.median("recall_visible") if quantity.column == "recall" else None
     if seen is not None:
         axis.plot([x, x], [y, seen], color=color, linewidth=1, zorder=2)
         axis.scatter(x, seen, s=0.15 * area + 6, marker=shape, facecolor="white", edgecolor=color, zorder=3.5)
-    face = color if on_front else _BEATEN
+    face = color if on_front else _DOMINATED_COLOR
     axis.scatter(x, y, s=area, marker=shape, color=face, edgecolor=color, linewidth=1.2, zorder=3, clip_on=False)
 
 
-def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
-    """Each marker's settings beside it, where nothing else is; nowhere if there is no such place."""
+def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
+    """Label each marker with its settings where that overlaps nothing; omit the label if no such position exists."""
     from matplotlib.transforms import Bbox
 
     scale = axis.figure.dpi / 72
-    wanted: list[tuple[Configuration, Any, Any]] = []
+    labels: list[tuple[Configuration, Any, Any]] = []
     steps = [
-        (_value(c, "wall_s"), _value(c, quantity.column))
-        for c in front_of(look.found, quantity.column, high=quantity.high)
+        (_median(c, "wall_s"), _median(c, quantity.column))
+        for c in front_configurations(look.configurations, quantity.column, higher_is_better=quantity.higher_is_better)
     ]
     corners = [axis.transData.transform(at) for at in steps]
     corners.append(np.array([axis.bbox.x1, corners[-1][1]]))
-    taken = [Bbox([[a[0], a[1] - 1], [b[0], a[1] + 1]]) for a, b in pairwise(corners)]
-    taken += [Bbox([[b[0] - 1, min(a[1], b[1])], [b[0] + 1, max(a[1], b[1])]]) for a, b in pairwise(corners)]
-    for c in look.found:
+    occupied = [Bbox([[a[0], a[1] - 1], [b[0], a[1] + 1]]) for a, b in pairwise(corners)]
+    occupied += [Bbox([[b[0] - 1, min(a[1], b[1])], [b[0] + 1, max(a[1], b[1])]]) for a, b in pairwise(corners)]
+    for c in look.configurations:
         if c.median(quantity.column) is None:
             continue
-        heights = [_value(c, quantity.column)]
+        heights = [_median(c, quantity.column)]
         if quantity.column == "recall" and c.median("recall_visible") is not None:
-            heights.append(_value(c, "recall_visible"))
-        places = [axis.transData.transform((_value(c, "wall_s"), y)) for y in heights]
+            heights.append(_median(c, "recall_visible"))
+        places = [axis.transData.transform((_median(c, "wall_s"), y)) for y in heights]
         half = 0.5 * scale * look.area(c) ** 0.5
         low, high = np.min(places, axis=0) - half, np.max(places, axis=0) + half
-        taken.append(Bbox([low, high]))
-        wanted.append((c, low, high))
-    for c, low, high in wanted:
+        occupied.append(Bbox([low, high]))
+        labels.append((c, low, high))
+    for c, low, high in labels:
         (x, y), gap = 0.5 * (low + high), 3 * scale
         above, below = (x, high[1] + gap, "center", "bottom"), (x, low[1] - gap, "center", "top")
-        spots = (
-            *((above, below) if quantity.high else (below, above)),  # the front comes from the other side
+        candidates = (
+            *((above, below) if quantity.higher_is_better else (below, above)),  # away from the front
             (high[0] + gap, y, "left", "center"),
             (low[0] - gap, y, "right", "center"),
             (high[0] + 1, high[1] + 1, "left", "bottom"),
@@ -266,78 +269,78 @@ def _labels(axis: Any, look: _Look, quantity: _Quantity) -> None:
             (low[0] - 1, high[1] + 1, "right", "bottom"),
         )
         style = {"fontsize": 9, "color": look.color[look.series(c.method, c.choices)], "zorder": 5}
-        for at_x, at_y, across, up in spots:
+        for at_x, at_y, across, up in candidates:
             text = axis.text(at_x, at_y, look.label(c), ha=across, va=up, transform=None, **style)
             box = text.get_window_extent()
             inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 and axis.bbox.y0 <= box.y0 < axis.bbox.y1
-            if inside and not any(box.overlaps(other) for other in taken):
-                taken.append(box)
+            if inside and not any(box.overlaps(other) for other in occupied):
+                occupied.append(box)
                 break
             text.remove()
 
 
-class _Cross(NamedTuple):
-    """Failures of one kind at nearly one time: where in the strip, and what is said of them."""
+class _FailureMark(NamedTuple):
+    """Failures of one series and status at nearly the same time, drawn as one cross in the strip."""
 
     time: float
     line: int
     color: str
     text: str
-    left: bool  # whether the text stands to the left
+    left: bool  # whether the text is left of the cross
 
 
-def _crosses(figure: Any, look: _Look, failed: Sequence[dict[str, Any]]) -> list[_Cross]:
-    """Each with its word on the first line where it touches no other."""
-    wide = 4.6 * figure.dpi  # pixels of a strip, at least
-    low, high = np.log(look.limits)
-    groups: dict[tuple[str, str, int], list[float]] = {}  # those of one series that a marker's width would hide
+def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[dict[str, Any]]) -> list[_FailureMark]:
+    """Group failures and place each label on the first line where it overlaps no other."""
+    width = 4.6 * figure.dpi  # minimum width of a strip, in pixels
+    low, high = np.log(look.time_limits)
+    groups: dict[tuple[str, str, int], list[float]] = {}  # failures of a series within one marker's width
     for row in sorted(failed, key=lambda row: row["wall_s"]):
-        at = (np.log(row["wall_s"]) - low) / (high - low) * wide
+        at = (np.log(row["wall_s"]) - low) / (high - low) * width
         series = look.series(row["method"], row["choices"])
         groups.setdefault((series, row["status"], int(at // 8)), []).append(row["wall_s"])
     lines: list[list[tuple[float, float]]] = []
-    found = []
+    marks = []
     for (series, status, _), times in groups.items():
         text = status if len(times) == 1 else f"{status} ×{len(times)}"
         time = float(np.median(times))
         word = figure.text(0, 0, text, fontsize=8)
         length = word.get_window_extent().width
         word.remove()
-        at, gap = float((np.log(time) - low) / (high - low) * wide), 8 * figure.dpi / 72
+        at, gap = float((np.log(time) - low) / (high - low) * width), 8 * figure.dpi / 72
         right = (at - gap, at + gap + length), False
         leftward = (at - gap - length, at + gap), True
-        # Left of its cross where the word would leave the strip, or where only there it touches no other.
-        ways = [way for way in (right, leftward) if way[0][0] >= 0 and way[0][1] <= wide] or [right]
+        # Place the label left of its cross if it would leave the strip on the right or overlap another label there.
+        options = [option for option in (right, leftward) if option[0][0] >= 0 and option[0][1] <= width] or [right]
         lines.append([])
         line, (ends, left) = next(
-            (line, way)
-            for line, taken in enumerate(lines)
-            for way in ways
-            if all(way[0][1] < a or b < way[0][0] for a, b in taken)
+            (line, option)
+            for line, occupied in enumerate(lines)
+            for option in options
+            if all(option[0][1] < a or b < option[0][0] for a, b in occupied)
         )
         lines[line].append(ends)
-        lines = [taken for taken in lines if taken]
-        found.append(_Cross(time, line, look.color[series], text, left))
-    return found
+        lines = [occupied for occupied in lines if occupied]
+        marks.append(_FailureMark(time, line, look.color[series], text, left))
+    return marks
 
 
-def _strip(axis: Any, look: _Look, crosses: Sequence[_Cross]) -> None:
-    """Crosses at the times when runs failed."""
-    lines = 1 + max(cross.line for cross in crosses)
-    for cross in crosses:
-        place = cross.time, 1 - (cross.line + 0.5) / lines
-        axis.plot(*place, marker="x", markersize=7, markeredgewidth=2, color=cross.color)
+def _draw_failures(axis: Any, look: _ChartLook, failure_marks: Sequence[_FailureMark]) -> None:
+    """Draw crosses at the times of failed runs."""
+    lines = 1 + max(failure.line for failure in failure_marks)
+    for failure in failure_marks:
+        place = failure.time, 1 - (failure.line + 0.5) / lines
+        axis.plot(*place, marker="x", markersize=7, markeredgewidth=2, color=failure.color)
         axis.annotate(
-            cross.text,
+            failure.text,
             place,
-            (-7 if cross.left else 7, 0),
+            (-7 if failure.left else 7, 0),
             textcoords="offset points",
-            ha="right" if cross.left else "left",
+            ha="right" if failure.left else "left",
             va="center",
             fontsize=8,
         )
     axis.set_xscale("log")
-    axis.set_xlim(*look.limits)
+    axis.set_xlim(*look.time_limits)
     axis.set_ylim(0, 1)
     axis.set_yticks([])
     axis.tick_params(axis="x", which="both", bottom=False, labelbottom=False)
@@ -346,7 +349,7 @@ def _strip(axis: Any, look: _Look, crosses: Sequence[_Cross]) -> None:
     axis.spines[:].set_visible(False)
 
 
-def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures: bool) -> None:
+def _draw_legend(figure: Any, look: _ChartLook, quantities: Sequence[_Quantity], failures: bool) -> None:
     from matplotlib.lines import Line2D
 
     def dot(shape: str, face: str, edge: str, area: float, label: str) -> Line2D:
@@ -354,32 +357,36 @@ def _legend(figure: Any, look: _Look, quantities: Sequence[_Quantity], failures:
         return Line2D([], [], linestyle="", marker=shape, label=label, **style)
 
     handles = [dot(look.shape[name], look.color[name], look.color[name], 80, name) for name in look.color]
-    handles.append(Line2D([], [], color=_FRONT, linewidth=1.3, label="Pareto front"))
-    if any(len(front_of(look.found, q.column, high=q.high)) < len(look.found) for q in quantities):
-        handles.append(dot("o", _BEATEN, "#8a8f96", 80, "beaten in time and score"))
-    with_seen = any(q.column == "recall" for q in quantities)
-    if with_seen and any(c.median("recall_visible") is not None for c in look.found):
-        handles.append(dot("o", "white", _FRONT, 25, "recall of what the cameras saw"))
+    handles.append(Line2D([], [], color=_FRONT_COLOR, linewidth=1.3, label="Pareto front"))
+    if any(
+        len(front_configurations(look.configurations, q.column, higher_is_better=q.higher_is_better))
+        < len(look.configurations)
+        for q in quantities
+    ):
+        handles.append(dot("o", _DOMINATED_COLOR, "#8a8f96", 80, "dominated in time and score"))
+    shows_recall = any(q.column == "recall" for q in quantities)
+    if shows_recall and any(c.median("recall_visible") is not None for c in look.configurations):
+        handles.append(dot("o", "white", _FRONT_COLOR, 25, "recall of the part that cameras saw"))
     if failures:
-        handles.append(Line2D([], [], linestyle="", marker="x", markeredgewidth=2, color=_FRONT, label="failed"))
-    for memory in (_round(0.25 * look.most_memory), _round(look.most_memory)):
-        handles.append(dot("o", "none", "#8a8f96", look.area_of(memory), f"{memory / 2**20:g} MiB peak"))
-    if any(len(c.done) > 1 for c in look.found):
-        handles.append(Line2D([], [], color=_FRONT, linewidth=0.9, marker="|", label="median, range over seeds"))
-    if IMAGE_SCALE in look.numbers:
+        handles.append(Line2D([], [], linestyle="", marker="x", markeredgewidth=2, color=_FRONT_COLOR, label="failed"))
+    for memory in (_round_memory(0.25 * look.max_memory), _round_memory(look.max_memory)):
+        handles.append(dot("o", "none", "#8a8f96", look.area_of_memory(memory), f"{memory / 2**20:g} MiB peak"))
+    if any(len(c.measured_rows) > 1 for c in look.configurations):
+        handles.append(Line2D([], [], color=_FRONT_COLOR, linewidth=0.9, marker="|", label="median, range over seeds"))
+    if IMAGE_SCALE in look.numeric_settings:
         handles.append(Line2D([], [], linestyle="", label="×: image scale"))
     columns = min(len(handles), 7 if max(map(len, look.color)) < 12 else 5)
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
-def _round(memory: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten MiB that is not more."""
+def _round_memory(memory: float) -> float:
+    """Largest 1, 2 or 5 times a power of ten MiB that is at most `memory`, in bytes."""
     mib = memory / 2**20
     power = 10.0 ** np.floor(np.log10(mib))
     return float(max(step * power for step in (1, 2, 5) if step * power <= mib) * 2**20)
 
 
-def _value(c: Configuration, column: str) -> float:
+def _median(c: Configuration, column: str) -> float:
     value = c.median(column)
     assert value is not None
     return value

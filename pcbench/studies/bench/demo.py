@@ -1,4 +1,4 @@
-"""The bench that ends `pcbench demo`: sparse SfM, dense MVS and Gaussian splatting on a small photographed city."""
+"""The bench at the end of `pcbench demo`: sparse SfM, dense MVS and Gaussian splatting on a small synthetic city."""
 
 from __future__ import annotations
 
@@ -16,39 +16,44 @@ from pcbench.studies.bench.plan import Axis
 from pcbench.studies.bench.runs import BenchJob
 from pcbench.studies.bench.score import Rules
 
-_OURS = ".demo"  # in a folder that the demo may remove
-_SIDE = 120.0  # metres: the smallest city with streets between blocks
+_MARK_FILE = ".demo"  # marks a folder that the demo may remove
+_EXTENT_M = 120.0  # the smallest city with streets between blocks
 
 
 def why_not() -> str | None:
-    """What keeps the demo's bench from running here, one line."""
+    """Return one line on why the demo's bench cannot run here, or None."""
     try:
         check_renderer()
     except PcbenchError as error:
         return str(error)
-    splat = describe("splat")  # needs what `sfm` and `mvs` need, and more
+    splat = describe("splat")  # has all requirements of `sfm` and `mvs`, and more
     return splat.problem or splat.missing
 
 
 def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:
-    """Make the scene in `folder`, anew if an earlier demo left one there, and what is to be benched on it.
+    """Create the scene in `folder` and return its bench job. A scene of an earlier demo is replaced.
+
+    Args:
+        folder: scene folder.
+        seed: random seed of the city.
+        step: progress callback.
 
     Raises:
-        PcbenchError: no pictures can be taken, or the folder holds what no demo made.
+        PcbenchError: the scene cannot be rendered, or the folder holds something that no demo wrote.
     """
-    mark = folder / _OURS
+    mark = folder / _MARK_FILE
     if mark.is_file():
         shutil.rmtree(folder)
-    city = CitySettings(extent=_SIDE, seed=seed)
+    city = CitySettings(extent=_EXTENT_M, seed=seed)
     camera = Intrinsics.from_fov(640, 360, 40.0)
     write_scene(folder, SceneSettings(city, 20, camera, "oblique", points=200_000), step)
     mark.touch()
-    half = _SIDE / 2  # the fields around it are in few images
+    half = _EXTENT_M / 2  # few images show the fields around the city
     return BenchJob(
         folder,
         folder / "truth" / "cloud.ply",
         ["sfm", "mvs", "splat"],
-        # Full-size images would take mvs and splat longer than all the rest.
+        # On full-size images mvs and splat would take longer than all other runs together.
         [
             Axis.sweep("image_scale=0.5,1"),
             Axis.sweep("mvs.image_scale=0.35,0.5"),

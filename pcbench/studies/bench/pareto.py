@@ -1,4 +1,4 @@
-"""Configurations of a bench: the runs that differ in their seeds alone; and which of them nothing else beats."""
+"""Configurations of a bench, the runs that differ only in their seeds, and the Pareto front of configurations."""
 
 from __future__ import annotations
 
@@ -10,40 +10,41 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def choice_words(choices: Mapping[str, str]) -> str:
-    """The settings that were chosen, as text."""
+def choice_text(choices: Mapping[str, str]) -> str:
+    """Return chosen settings as text."""
     return " ".join(f"{key}={value}" for key, value in choices.items())
 
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """One method with one choice of settings; a row for each seed."""
+    """One method with one choice of settings, with one row per seed."""
 
     method: str
     choices: Mapping[str, str]
     rows: Sequence[Mapping[str, Any]]
 
     @property
-    def done(self) -> list[Mapping[str, Any]]:
-        """Those that were measured."""
+    def measured_rows(self) -> list[Mapping[str, Any]]:
+        """Rows with a measured cloud."""
         return [row for row in self.rows if row["status"] == "ok"]
 
     @property
     def is_reliable(self) -> bool:
-        """Whether every seed was measured: what a lucky one of three scores is no choice."""
-        return len(self.done) == len(self.rows)
+        """Whether the runs of all seeds were measured. One lucky seed of three does not make a reliable method."""
+        return len(self.measured_rows) == len(self.rows)
 
     def values(self, column: str) -> list[float]:
-        """Of the rows that were measured and have one."""
-        return [row[column] for row in self.done if row.get(column) is not None]
+        """Values of a column in the measured rows that have one."""
+        return [row[column] for row in self.measured_rows if row.get(column) is not None]
 
     def median(self, column: str) -> float | None:
+        """Return the median of a column over the measured rows, or None."""
         values = self.values(column)
         return float(np.median(values)) if values else None
 
 
 def configurations(rows: Iterable[Mapping[str, Any]]) -> list[Configuration]:
-    """Rows of one method and one choice of settings together, in the order of their first."""
+    """Group rows by method and settings, in the order of their first row."""
     found: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         found.setdefault((row["method"], *row["choices"].items()), []).append(row)
@@ -51,9 +52,7 @@ def configurations(rows: Iterable[Mapping[str, Any]]) -> list[Configuration]:
 
 
 def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
-    """Which of costs (N, K), all of which should be small, are not beaten: no other is as small in all K and smaller in
-    one.
-    """
+    """Mark the costs (N, K) on the Pareto front: no other row is at most as large in all K and smaller in one."""
     c = np.asarray(costs, dtype=np.float64)
     as_small = np.all(c[None] <= c[:, None], axis=2)
     smaller = np.any(c[None] < c[:, None], axis=2)
@@ -61,24 +60,35 @@ def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
     return ~beaten
 
 
-def front_of(found: Sequence[Configuration], column: str, *, high: bool) -> list[Configuration]:
-    """The configurations, measured with every seed, that no other such beats in both median wall time and the median of
-    `column` (`high`: more is better), by time.
+def front_configurations(found: Sequence[Configuration], column: str, *, higher_is_better: bool) -> list[Configuration]:
+    """Return the configurations on the Pareto front of median wall time and the median of a column, sorted by time.
+
+    Only configurations that were measured with every seed take part.
+
+    Args:
+        found: all configurations.
+        column: name of the column.
+        higher_is_better: whether larger values of the column are better.
     """
     measured = [c for c in found if c.is_reliable and c.median("wall_s") is not None and c.median(column) is not None]
     if not measured:
         return []
     costs = np.array([[c.median("wall_s"), c.median(column)] for c in measured], dtype=np.float64)
-    costs[:, 1] *= -1 if high else 1
+    costs[:, 1] *= -1 if higher_is_better else 1
     on_front = [c for c, on in zip(measured, pareto_front(costs), strict=True) if on]
     return sorted(on_front, key=lambda c: c.median("wall_s") or 0.0)
 
 
 def mark_front(rows: Sequence[dict[str, Any]]) -> None:
-    """Set `pareto` of every row: true where its configuration is on the front of wall time and F-score; None where it
-    was not measured.
+    """Set `pareto` of each row: whether its configuration is on the front of wall time and F-score.
+
+    It is None if the row was not measured.
     """
     found = configurations(rows)
-    best = {id(row) for configuration in front_of(found, "fscore", high=True) for row in configuration.rows}
+    best = {
+        id(row)
+        for configuration in front_configurations(found, "fscore", higher_is_better=True)
+        for row in configuration.rows
+    }
     for row in rows:
         row["pareto"] = (id(row) in best) if row["status"] == "ok" else None

@@ -1,4 +1,4 @@
-"""What a bench runs: every method, at every budget, with every seed."""
+"""The runs of a bench: each method with each combination of settings and each seed."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from itertools import product
 
 from pcbench.errors import InputError
 from pcbench.plugins.run import Description
-from pcbench.studies.bench.pareto import choice_words
+from pcbench.studies.bench.pareto import choice_text
 
-IMAGE_SCALE = "image_scale"  # of the scene; every other name is a setting of the method
-_MAX_RUNS = 10_000  # of a method
-_SEED = "seed"
+IMAGE_SCALE = "image_scale"  # a setting of the scene; all other names are settings of the method
+_MAX_RUNS_PER_METHOD = 10_000
+_SEED_SETTING = "seed"
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A setting and the values it takes: of one method, or (`method` None) of all that have it."""
+    """A setting and its values, for one method or (`method` is None) for all methods that have it."""
 
     method: str | None
     key: str
@@ -26,19 +26,19 @@ class Axis:
 
     @classmethod
     def sweep(cls, text: str) -> Axis:
-        """[METHOD.]KEY=VALUE,VALUE,...
+        """Parse `[METHOD.]KEY=VALUE,VALUE,...`.
 
         Raises:
-            InputError: it is something else.
+            InputError: the text has another form.
         """
         return cls._parse("--sweep [METHOD.]KEY=VALUE,VALUE,...", text, split=True)
 
     @classmethod
     def fixed(cls, text: str) -> Axis:
-        """[METHOD.]KEY=VALUE; the value may hold commas.
+        """Parse `[METHOD.]KEY=VALUE`; the value may contain commas.
 
         Raises:
-            InputError: it is something else.
+            InputError: the text has another form.
         """
         return cls._parse("--set [METHOD.]KEY=VALUE", text, split=False)
 
@@ -50,9 +50,9 @@ class Axis:
         if not equals or not key or not all(values):
             raise InputError(f"expected {expected}, got {text!r}")
         if len(set(values)) < len(values):
-            raise InputError(f"{text!r}: a value is there twice")
-        if key == _SEED:
-            raise InputError(f"{text!r}: seeds are 0 to N-1 by --seeds N")
+            raise InputError(f"{text!r}: expected different values, got one of them twice")
+        if key == _SEED_SETTING:
+            raise InputError(f"{text!r}: expected a setting other than seed; --seeds N runs seeds 0 to N-1")
         if key == IMAGE_SCALE:
             for value in values:
                 _check_scale(value, text)
@@ -60,6 +60,7 @@ class Axis:
 
     @property
     def name(self) -> str:
+        """Name of the setting, with its method if it belongs to one."""
         return f"{self.method}.{self.key}" if self.method else self.key
 
 
@@ -69,31 +70,33 @@ def _check_scale(value: str, text: str) -> None:
     except ValueError:
         good = False
     if not good:
-        raise InputError(f"{text!r}: expected image scales above 0 and up to 1, got {value!r}")
+        raise InputError(f"{text!r}: expected image scales above 0 and at most 1, got {value!r}")
 
 
 @dataclass(frozen=True)
 class Method:
-    """A reconstructor that takes part.
+    """A reconstructor in the bench.
 
     Args:
-        label: its short name, unlike those of the others.
-        spec: as `pcbench.plugins.find_plugin` takes it.
-        described: what is known of it before it runs.
+        label: short unique name.
+        spec: specification for `pcbench.plugins.find_plugin`.
+        description: what the reconstructor reports about itself before it runs.
     """
 
     label: str
     spec: str
-    described: Description
+    description: Description
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One run to make.
+    """One planned run.
 
     Args:
-        choices: what was chosen for it, image_scale among it if it was: one row of tables, one marker of charts.
-        seed: None where the method has none.
+        method: the reconstructor.
+        choices: chosen settings, including image_scale if it was chosen; one row of the tables, one marker of the
+            charts.
+        seed: random seed; None if the method has none.
     """
 
     method: Method
@@ -102,39 +105,46 @@ class Trial:
 
     @property
     def image_scale(self) -> float:
+        """Image scale of the run."""
         return float(self.choices.get(IMAGE_SCALE, 1))
 
     @property
     def settings(self) -> dict[str, str]:
-        """Those of the reconstructor."""
+        """Settings of the reconstructor, including its seed."""
         own = {key: value for key, value in self.choices.items() if key != IMAGE_SCALE}
-        return own if self.seed is None else {**own, _SEED: str(self.seed)}
+        return own if self.seed is None else {**own, _SEED_SETTING: str(self.seed)}
 
     @property
-    def words(self) -> str:
+    def title(self) -> str:
+        """Method, settings and seed as text."""
         seed = () if self.seed is None else (f"seed {self.seed}",)
-        return " ".join(filter(None, (self.method.label, choice_words(self.choices), *seed)))
+        return " ".join(filter(None, (self.method.label, choice_text(self.choices), *seed)))
 
 
 def labels(specs: Sequence[str]) -> list[str]:
-    """A short name for each spec: the class's, or all of the spec where two would be alike.
+    """Return a short name per spec: its class name, or the complete spec if two class names are equal.
 
     Raises:
-        InputError: a spec is there twice, or there is none.
+        InputError: there is no spec, or one occurs twice.
     """
     if not specs:
         raise InputError("expected at least one --method: a name of `pcbench plugins`, MODULE:CLASS or FILE.py:CLASS")
     if twice := [spec for spec in specs if specs.count(spec) > 1]:
-        raise InputError(f"the method {twice[0]} is there twice")
+        raise InputError(f"expected different methods, got {twice[0]} twice")
     short = [spec.rpartition(":")[2] for spec in specs]
     return [name if short.count(name) == 1 else spec for name, spec in zip(short, specs, strict=True)]
 
 
 def trials(methods: Sequence[Method], axes: Sequence[Axis], seeds: int) -> tuple[list[Trial], list[str]]:
-    """All runs in their order, and notes on what does not vary.
+    """List all runs in order, with notes on settings that do not vary.
+
+    Args:
+        methods: reconstructors.
+        axes: settings and their values.
+        seeds: number of seeds.
 
     Raises:
-        InputError: a setting is given twice, no method has it, or there are more than 10,000 runs of one.
+        InputError: a setting occurs twice, no method has it, or one method has more than 10,000 runs.
     """
     _check_axes(methods, axes)
     result: list[Trial] = []
@@ -142,16 +152,18 @@ def trials(methods: Sequence[Method], axes: Sequence[Axis], seeds: int) -> tuple
     for method in methods:
         chosen = dict(_choices(method, axes))
         notes += [
-            f"{method.label} has no setting {axis.key!r}: its runs do not vary with it"
+            f"{method.label} has no setting {axis.key!r}, so its runs do not vary in it"
             for axis in axes
             if axis.method is None and axis.key not in chosen
         ]
-        seeded = _has(method, _SEED)
+        seeded = _has_setting(method, _SEED_SETTING)
         if seeds > 1 and not seeded:
             notes.append(f"{method.label} has no setting 'seed': one run instead of {seeds}")
         runs = math.prod(map(len, chosen.values())) * (seeds if seeded else 1)
-        if runs > _MAX_RUNS:
-            raise InputError(f"{method.label}: {runs:,} runs are asked for, expected at most {_MAX_RUNS:,}: sweep less")
+        if runs > _MAX_RUNS_PER_METHOD:
+            raise InputError(
+                f"{method.label}: expected at most {_MAX_RUNS_PER_METHOD:,} runs, got {runs:,}; sweep fewer values"
+            )
         for values in product(*chosen.values()):
             choices = dict(zip(chosen, values, strict=True))
             result += [Trial(method, choices, seed) for seed in (range(seeds) if seeded else (None,))]
@@ -159,30 +171,30 @@ def trials(methods: Sequence[Method], axes: Sequence[Axis], seeds: int) -> tuple
 
 
 def _choices(method: Method, axes: Sequence[Axis]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The settings that vary or are set, with their values; what names the method goes before what is for all."""
+    """Yield varying or set settings with their values; an axis of the method overrides one of all methods."""
     own = {axis.key: axis.values for axis in axes if axis.method in (method.label, method.spec)}
     for axis in axes:
-        if axis.method is None and (axis.key == IMAGE_SCALE or _has(method, axis.key)):
+        if axis.method is None and (axis.key == IMAGE_SCALE or _has_setting(method, axis.key)):
             yield axis.key, own.get(axis.key, axis.values)
         elif axis.method in (method.label, method.spec):
             yield axis.key, axis.values
 
 
-def _has(method: Method, key: str) -> bool:
-    return key in method.described.settings
+def _has_setting(method: Method, key: str) -> bool:
+    return key in method.description.settings
 
 
 def _check_axes(methods: Sequence[Method], axes: Sequence[Axis]) -> None:
     names = [axis.name for axis in axes]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"{twice[0]} is given twice: put all its values into one --sweep")
+        raise InputError(f"expected each setting once, got {twice[0]} twice; put all its values into one --sweep")
     for axis in axes:
         theirs = [m for m in methods if axis.method in (None, m.label, m.spec)]
         if not theirs:
             there = ", ".join(method.label for method in methods)
-            raise InputError(f"{axis.name}: there is no method {axis.method!r} in this bench: there are {there}")
-        # What could not be looked at may have it: its run will tell.
-        unknown = all(m.described.problem is None and not _has(m, axis.key) for m in theirs)
+            raise InputError(f"{axis.name}: expected a method of this bench ({there}), got {axis.method!r}")
+        # A method that could not be described may have the setting; its run will show.
+        unknown = all(m.description.problem is None and not _has_setting(m, axis.key) for m in theirs)
         if axis.key != IMAGE_SCALE and unknown:
-            there = "; ".join(f"{m.label} has {', '.join(m.described.settings) or 'none'}" for m in theirs)
-            raise InputError(f"no method has the setting {axis.key!r}: {there}; the scene has image_scale")
+            there = "; ".join(f"{m.label} has {', '.join(m.description.settings) or 'none'}" for m in theirs)
+            raise InputError(f"no method has the setting {axis.key!r}: {there}; image_scale is a setting of the scene")

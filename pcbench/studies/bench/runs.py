@@ -1,4 +1,4 @@
-"""The bench: run, measure, write; one run after the other, each kept as soon as it is done."""
+"""Run a bench: reconstruct, measure and write the results, one run after another; each is stored when it is done."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from pcbench.regular_files import is_regular_file
 from pcbench.report.document import provenance, to_json
 from pcbench.report.markup import csv_text
 from pcbench.scenes import Scene, read_scene
-from pcbench.studies.bench.pareto import choice_words, mark_front
+from pcbench.studies.bench.pareto import choice_text, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
-from pcbench.studies.bench.score import Rules, Yardstick, score
-from pcbench.studies.bench.table import bench_markdown, row_words
+from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
+from pcbench.studies.bench.table import bench_markdown, row_title
 from pcbench.studies.bench.truth import mesh_of, read_truth
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
-    keep_record,
-    kept_record,
+    read_record,
     study_folder,
     write_pages,
+    write_record,
 )
 from pcbench.systems import cpus
 
@@ -76,26 +76,28 @@ COLUMNS = (
     "pareto",
     "message",
 )
-_MEASURES = 2  # raised when clouds are measured in another way: scores from before are measured again
-_RUN_S = 60.0  # that one run takes, roughly, for progress bars
-_RUNS, _RUN, _SCORE = "runs", "run.json", "score.json"
+_MEASURE_VERSION = 2  # increased when the measurement changes, so that stored scores are computed again
+_EXPECTED_RUN_S = 60.0  # rough duration of a run, for progress bars
+_RUNS_FOLDER, _RUN_FILE, _SCORE_FILE = "runs", "run.json", "score.json"
 
 
 @dataclass(frozen=True)
 class BenchJob:
-    """What to bench.
+    """A bench to run.
 
     Args:
-        scene: the folder of photographs.
-        reference: a cloud or a mesh in the frame of the scene's cameras.
-        methods: specs as `pcbench.plugins.find_plugin` takes them.
+        scene: folder of photographs.
+        reference: cloud or mesh in the frame of the scene's cameras.
+        methods: specifications for `pcbench.plugins.find_plugin`.
         axes: settings that vary or are set.
-        seeds: how many runs of each method that has a setting `seed`.
-        cameras: what methods get, as `read_scene` takes it; with `none` clouds are still registered by those that the
-            scene has.
-        mesh: of the reference's surface, which accuracy is measured to, and which says what the cameras saw; None: the
-            scene's own, where the reference is of its folder `truth`.
-        time_limit_s: of a run.
+        seeds: number of runs for each method that has a setting `seed`.
+        cameras: cameras for the methods, as for `read_scene`. With `none`, the cameras of the scene still register the
+            clouds.
+        masks: folder of masks, as for `read_scene`.
+        mesh: mesh of the reference's surface, for accuracy and visibility. None: the scene's own mesh, if the reference
+            is in the same folder `truth`.
+        time_limit_s: time limit of a run, in seconds.
+        rules: how each cloud is measured.
     """
 
     scene: Path
@@ -112,7 +114,14 @@ class BenchJob:
 
 @dataclass(frozen=True)
 class Done:
-    """One row that is done: `kept` if it was before."""
+    """A finished run.
+
+    Args:
+        row: its row of bench.json.
+        number: its index, from 1.
+        of: number of all runs.
+        kept: whether an earlier bench made the run.
+    """
 
     row: Mapping[str, Any]
     number: int
@@ -121,12 +130,12 @@ class Done:
 
     @property
     def words(self) -> str:
-        """How it went, one line."""
+        """Result of the run in one line."""
         row = self.row
         end = f"F-score {row['fscore']:.4g}" if row["status"] == "ok" else f"{row['status']}: {row['message']}"
         points = "" if row["points"] is None else f"{row['points']:,} points, "
-        kept = " (done before)" if self.kept else ""
-        return f"{row_words(row)}: {row['wall_s']:.1f} s, {points}{end}{kept}"
+        kept = " (from an earlier bench)" if self.kept else ""
+        return f"{row_title(row)}: {row['wall_s']:.1f} s, {points}{end}{kept}"
 
 
 def bench(
@@ -137,23 +146,30 @@ def bench(
     on_step: Callable[[str], None] = lambda _: None,
     on_warning: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run every method at every budget and measure what it makes. Whatever a method does is a row.
+    """Run each method with each combination of settings and measure its clouds. A failed run is recorded as a row.
 
-    `bench.csv`, `bench.md` and `bench.json` are written after each run. A run whose inputs (images, cameras, method,
-    settings, versions, machine) are those of one in the folder is not made again; nor is its cloud measured again for
-    the same reference.
+    `bench.csv`, `bench.md` and `bench.json` are written after each run. A stored run is used again if its inputs
+    (images, cameras, method, settings, versions, machine) are unchanged. Its scores are used again if the reference and
+    the rules are unchanged.
+
+    Args:
+        job: bench to run.
+        out: output folder.
+        on_row: called with each finished run.
+        on_step: progress callback.
+        on_warning: called with each warning, one line.
 
     Returns:
         The document of bench.json.
 
     Raises:
-        InputError: the scene, the reference or an option is not usable, or the folder is not a bench's.
+        InputError: the scene, the reference or an option is not usable, or `out` is not the folder of a bench.
         OSError: the folder cannot be written.
     """
     check_folder(out, KIND)
     on_step("reading the scene")
     scene = read_scene(job.scene, cameras=job.cameras, masks=job.masks, on_warning=on_warning)
-    on_step("looking at the methods")
+    on_step("inspecting the methods")
     limit = min(120.0, job.time_limit_s or 120.0)
     specs = zip(labels(job.methods), job.methods, strict=True)
     methods = [Method(label, spec, describe(absolute(spec), limit)) for label, spec in specs]
@@ -162,52 +178,54 @@ def bench(
     if job.mesh is None:
         job = replace(job, mesh=mesh_of(job.scene, job.reference))
     truth = read_truth(job.reference, job.mesh, _true_cameras(job, scene, on_warning), on_warning)
-    on_step("looking at what the cameras saw")
-    yardstick = Yardstick.of(truth, job.rules)
+    on_step("computing what the cameras saw")
+    protocol = EvaluationProtocol.from_rules(truth, job.rules)
     if truth.visible is None:
-        notes.append(f"no recall_visible: {truth.visibility}")
-    inputs = _Inputs.of(job, scene, yardstick)
+        notes.append(f"recall_visible is missing: {truth.visibility}")
+    inputs = _Inputs.from_job(job, scene, protocol)
     with study_folder(out, KIND, job):
-        (out / _RUNS).mkdir(exist_ok=True)
+        (out / _RUNS_FOLDER).mkdir(exist_ok=True)
         rows: list[dict[str, Any]] = []
         for number, trial in enumerate(todo, 1):
-            # All alike, until those that are done say how long one takes.
-            on_step(Step(f"{number} of {len(todo)}: {trial.words}", _RUN_S, _RUN_S * (len(todo) - number)))
-            row, kept = _row(job, trial, inputs, yardstick, out)
+            # All runs count as equally long; the progress bar learns from those that are done.
+            on_step(
+                Step(f"{number} of {len(todo)}: {trial.title}", _EXPECTED_RUN_S, _EXPECTED_RUN_S * (len(todo) - number))
+            )
+            row, kept = _row(job, trial, inputs, protocol, out)
             rows.append(row)
             mark_front(rows)
-            doc = _document(job, inputs, yardstick, methods, rows, notes)
+            doc = _document(job, inputs, protocol, methods, rows, notes)
             _write(out, doc)
             on_row(Done(row, number, len(todo), kept))
-        stale = {p.name for p in (out / _RUNS).iterdir()} - {_folder_name(trial) for trial in todo}
+        stale = {p.name for p in (out / _RUNS_FOLDER).iterdir()} - {_folder_name(trial) for trial in todo}
         if stale:
-            notes.append(f"{len(stale)} runs in {out / _RUNS} are of other settings: they are not in the tables")
-            doc = _document(job, inputs, yardstick, methods, rows, notes)
+            notes.append(f"{len(stale)} runs in {out / _RUNS_FOLDER} have other settings and are not in the tables")
+            doc = _document(job, inputs, protocol, methods, rows, notes)
             _write(out, doc)
     return doc
 
 
 def _true_cameras(job: BenchJob, scene: Scene, warn: Callable[[str], None]) -> Mapping[str, Camera]:
-    """Those of the scene; where they are withheld from the methods, those that lie there."""
+    """Return the cameras of the scene, also if they are withheld from the methods."""
     if job.cameras != "none":
         return scene.cameras
     try:
         return read_scene(job.scene, masks=job.masks, on_warning=lambda _: None).cameras
     except InputError as error:
-        warn(f"no true cameras to register clouds by: {error}")
+        warn(f"no cameras to register clouds with: {error}")
         return {}
 
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What decides whether a run is still the same: of reconstructions, and of their scores."""
+    """Inputs that decide whether a stored reconstruction (`run`) or a stored score (`score`) is still valid."""
 
     run: Mapping[str, Any]
     score: Mapping[str, Any]
 
     @classmethod
-    def of(cls, job: BenchJob, scene: Scene, yardstick: Yardstick) -> _Inputs:
-        truth = yardstick.truth
+    def from_job(cls, job: BenchJob, scene: Scene, protocol: EvaluationProtocol) -> _Inputs:
+        truth = protocol.truth
         points = scene.points.points.tobytes() if scene.points is not None else b""
         true = b"".join(truth.cameras[name].cam_from_world.matrix.tobytes() for name in sorted(truth.cameras))
         run = {
@@ -221,7 +239,7 @@ class _Inputs:
             "mesh": None if job.mesh is None else digest(job.mesh),
             "cameras": hashlib.sha256(true).hexdigest(),
             "rules": asdict(job.rules),
-            "measures": _MEASURES,
+            "measures": _MEASURE_VERSION,
             "named_files": [digest(path) for path in _named_files(job.rules)],
             "global": unavailable("kiss_matcher") is None,
         }
@@ -229,15 +247,17 @@ class _Inputs:
 
 
 def _named_files(rules: Rules) -> list[Path]:
-    """Of matrices, pairs of points and polygons."""
+    """Return the files with matrices, point pairs and polygons that the rules name."""
     paths = [Path(text.partition(":")[2]) for text in (rules.register, rules.crop)]
     return [path for path in paths if is_regular_file(path)]
 
 
-def _row(job: BenchJob, trial: Trial, inputs: _Inputs, yardstick: Yardstick, out: Path) -> tuple[dict[str, Any], bool]:
-    """The row of a trial, and whether it was there already."""
-    folder = out / _RUNS / _folder_name(trial)
-    record, kept = _reconstruct(job, trial, inputs, folder)
+def _row(
+    job: BenchJob, trial: Trial, inputs: _Inputs, protocol: EvaluationProtocol, out: Path
+) -> tuple[dict[str, Any], bool]:
+    """Return the row of a trial, and whether both its run and its score were stored."""
+    folder = out / _RUNS_FOLDER / _folder_name(trial)
+    record, run_reused = _reconstruct(job, trial, inputs, folder)
     row = {
         "method": trial.method.label,
         "choices": dict(trial.choices),
@@ -246,28 +266,28 @@ def _row(job: BenchJob, trial: Trial, inputs: _Inputs, yardstick: Yardstick, out
         "folder": str(folder.relative_to(out)),
     }
     if record["status"] != "ok":
-        return row, kept
-    measured, as_before = _measure(inputs, yardstick, folder, record["id"])
-    return {**row, **measured}, kept and as_before
+        return row, run_reused
+    measured, score_reused = _measure(inputs, protocol, folder, record["id"])
+    return {**row, **measured}, run_reused and score_reused
 
 
 def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any], bool]:
     key = {
         **inputs.run,
         "plugin": trial.method.spec,
-        "plugin_sha256": trial.method.described.sha256,
-        "origin": trial.method.described.origin,
+        "plugin_sha256": trial.method.description.sha256,
+        "origin": trial.method.description.origin,
         "image_scale": trial.image_scale,
         "settings": trial.settings,
         "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if is_regular_file(text)},
     }
-    old = kept_record(folder / _RUN, key)
-    if old is not None and _still_stands(old, job.time_limit_s, folder):
-        return old, True
-    # From nothing: the time of a run that goes on where another stopped says nothing.
+    stored = read_record(folder / _RUN_FILE, key)
+    if stored is not None and _is_still_valid(stored, job.time_limit_s, folder):
+        return stored, True
+    # Start from an empty folder: the time of a resumed run would be too short.
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    scene = ReconstructionJob(
+    reconstruction_job = ReconstructionJob(
         trial.method.spec,
         job.scene,
         trial.settings,
@@ -275,8 +295,8 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         masks=job.masks,
         image_scale=trial.image_scale,
     )
-    result = run(scene, folder, job.time_limit_s)
-    made = result.reconstruction
+    result = run(reconstruction_job, folder, job.time_limit_s)
+    reconstruction = result.reconstruction
     record = {
         "id": os.urandom(8).hex(),
         "status": result.status,
@@ -287,22 +307,22 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "gpu_bytes": result.gpu_bytes,
         "time_limit_s": job.time_limit_s,
         "settings": dict(result.settings),
-        "points": None if made is None else len(made.cloud),
-        "gauge": None if made is None else made.gauge,
-        "cameras": None if made is None else len(made.cameras),
-        "survey": made.residuals.plain() if made is not None and made.residuals else None,
-        "reconstruction_notes": [*result.warnings, *(() if made is None else made.notes)],
+        "points": None if reconstruction is None else len(reconstruction.cloud),
+        "gauge": None if reconstruction is None else reconstruction.gauge,
+        "cameras": None if reconstruction is None else len(reconstruction.cameras),
+        "survey": reconstruction.residuals.plain() if reconstruction is not None and reconstruction.residuals else None,
+        "reconstruction_notes": [*result.warnings, *(() if reconstruction is None else reconstruction.notes)],
     }
     folder.mkdir(parents=True, exist_ok=True)  # a plugin may have removed it
-    if made is not None:
-        shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes that nobody asks for again
-    keep_record(folder / _RUN, key, record)
+    if reconstruction is not None:
+        shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes of intermediate files
+    write_record(folder / _RUN_FILE, key, record)
     return record, False
 
 
-def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
-    """Whether a run with the same inputs would end as the recorded one did."""
-    # What is missing may have been installed since, and a full disk or too little memory may have crashed it.
+def _is_still_valid(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
+    """Whether a new run with the same inputs would end as the stored one did."""
+    # A missing library may be installed by now. A full disk or low memory may have caused a crash.
     if record["status"] in ("refused", "crashed"):
         return False
     if record["status"] == "timeout":
@@ -313,48 +333,48 @@ def _still_stands(record: Mapping[str, Any], limit: float | None, folder: Path) 
         return True
     try:
         read_reconstruction(folder)
-    except (PcbenchError, OSError, ValueError):  # somebody tidied up
+    except (PcbenchError, OSError, ValueError):  # its files were removed
         return False
     return True
 
 
-def _measure(inputs: _Inputs, yardstick: Yardstick, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
+def _measure(inputs: _Inputs, protocol: EvaluationProtocol, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
     key = {"run": identity, **inputs.score}
-    old = kept_record(folder / _SCORE, key)
-    if old is not None:
-        return old, True
+    stored = read_record(folder / _SCORE_FILE, key)
+    if stored is not None:
+        return stored, True
     try:
-        made = read_reconstruction(folder)
-    except (PcbenchError, OSError, ValueError, MemoryError) as error:  # not kept: the next run tries again
+        reconstruction = read_reconstruction(folder)
+    except (PcbenchError, OSError, ValueError, MemoryError) as error:  # not stored: the next run tries again
         return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
     try:
-        values = score(yardstick, made, folder).row()
+        values = score(protocol, reconstruction, folder).row()
     except (InputError, RegistrationError) as error:
         values = {"status": "unmeasured", "message": recorded(error)}
-    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # nonsense has many forms
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways
         values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(recorded(error).split())}"}
-    except (PcbenchError, MemoryError) as error:  # may pass: not kept, so that the next run measures the cloud again
+    except (PcbenchError, MemoryError) as error:  # may be temporary: not stored, the next run measures the cloud again
         return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
-    keep_record(folder / _SCORE, key, values)
+    write_record(folder / _SCORE_FILE, key, values)
     return values, False
 
 
 def _folder_name(trial: Trial) -> str:
-    """Readable, and another one for each trial."""
+    """Return a readable folder name, unique for each trial."""
     identity = json.dumps([trial.method.spec, dict(trial.choices), trial.seed])
-    words = re.sub(r"[^\w.=+-]+", "_", trial.words)[:80].strip("_.")
+    words = re.sub(r"[^\w.=+-]+", "_", trial.title)[:80].strip("_.")
     return f"{words}_{hashlib.sha256(identity.encode()).hexdigest()[:6]}"
 
 
 def _document(
     job: BenchJob,
     inputs: _Inputs,
-    yardstick: Yardstick,
+    protocol: EvaluationProtocol,
     methods: Sequence[Method],
     rows: Sequence[Mapping[str, Any]],
     notes: Sequence[str],
 ) -> dict[str, Any]:
-    truth = yardstick.truth
+    truth = protocol.truth
     return {
         "schema": SCHEMA,
         "scene": {"path": str(job.scene), "sha256": inputs.run["scene"]},
@@ -367,10 +387,10 @@ def _document(
             "visible_share": None if truth.visible is None else float(truth.visible.mean()),
             "visibility": truth.visibility,
             "pixel": truth.pixel,
-            "seen_points": None if yardstick.seen is None else len(yardstick.seen),
-            "seen_spacing": yardstick.seen_spacing,
+            "seen_points": None if protocol.visible_points is None else len(protocol.visible_points),
+            "seen_spacing": protocol.visible_spacing,
         },
-        "methods": [{"method": m.label, "spec": m.spec, **_known(m.described)} for m in methods],
+        "methods": [{"method": m.label, "spec": m.spec, **_description_values(m.description)} for m in methods],
         "settings": {
             "axes": [asdict(axis) for axis in job.axes],
             "seeds": job.seeds,
@@ -385,12 +405,12 @@ def _document(
     }
 
 
-def _known(described: Description) -> dict[str, Any]:
-    return {name: getattr(described, name) for name in ("settings", "origin", "sha256", "problem")}
+def _description_values(description: Description) -> dict[str, Any]:
+    return {name: getattr(description, name) for name in ("settings", "origin", "sha256", "problem")}
 
 
 def _write(out: Path, doc: dict[str, Any]) -> None:
-    rows = [{**row, "settings": choice_words(row["choices"])} for row in doc["rows"]]
+    rows = [{**row, "settings": choice_text(row["choices"])} for row in doc["rows"]]
     pages = {
         "bench.csv": csv_text(COLUMNS, ([row.get(column) for column in COLUMNS] for row in rows)),
         "bench.md": bench_markdown(doc),

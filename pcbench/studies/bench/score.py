@@ -1,4 +1,4 @@
-"""What a bench says of one cloud: brought onto the reference as its gauge allows, then the whole comparison."""
+"""Evaluate one cloud of a bench: register it as its gauge allows, then compare it with the reference."""
 
 from __future__ import annotations
 
@@ -28,61 +28,69 @@ from pcbench.report import compare, document
 from pcbench.studies.bench.truth import Truth
 
 BY_GAUGE = "gauge"
-PIXELS = (1.0, 2.0, 5.0)  # thresholds by default, in pixels on the ground; the last one heads tables and charts
-_NEIGHBORS = 16  # that the density of the reference is taken from
+DEFAULT_PIXELS = (1.0, 2.0, 5.0)  # default thresholds, in pixels on the ground; tables and charts use the last one
+_DENSITY_NEIGHBORS = 16  # neighbours for the local density of the reference
 
 
 class Alignment(NamedTuple):
-    """How a cloud comes onto the reference: `cameras` by a transform that was found by them, else as `compare` has it;
-    and what is to be said of it.
+    """How a cloud is registered to the reference.
+
+    Args:
+        method: `cameras` if `transform` was fitted to the cameras, otherwise a method of `compare`.
+        transform: cloud to reference coordinates, or None.
+        notes: one line each.
     """
 
-    how: str
+    method: str
     transform: Similarity | None = None
     notes: tuple[str, ...] = ()
 
 
-def alignment(made: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
-    """The registration that a cloud's gauge asks for.
+def choose_alignment(reconstruction: Reconstruction, cameras: Mapping[str, Camera]) -> Alignment:
+    """Choose the registration that a cloud's gauge allows.
 
-    What is in the world of the scene is measured as it stands: where it lies is part of what it claims, and fitting
-    would take errors away. A frame of its own is no error; it is brought onto the reference by the centres of its
-    cameras, which does not depend on the cloud that is judged. Without them the surfaces decide, from any pose where
-    KISS-Matcher is installed. Only an arbitrary gauge gets a scale.
+    A georeferenced cloud is measured where it is: its position is part of the result, and a fit would hide its errors.
+    A cloud in a frame of its own is registered to the reference by its camera centres, which is independent of the
+    evaluated geometry. Without cameras it is registered by its surface, from any initial pose if KISS-Matcher is
+    installed. Only a cloud of arbitrary gauge gets a scale.
+
+    Args:
+        reconstruction: cloud and cameras to register.
+        cameras: true cameras by image name.
     """
-    if made.gauge == "georeferenced":
+    if reconstruction.gauge == "georeferenced":
         return Alignment("none")
-    free_scale = made.gauge == "arbitrary"
-    names = sorted(set(made.cameras) & set(cameras))
+    free_scale = reconstruction.gauge == "arbitrary"
+    names = sorted(set(reconstruction.cameras) & set(cameras))
     notes: tuple[str, ...] = ()
     if names:
-        found = np.stack([made.cameras[name].position for name in names])
+        found = np.stack([reconstruction.cameras[name].position for name in names])
         true = np.stack([cameras[name].position for name in names])
         try:
             fit = robust_similarity(found, true, with_scale=free_scale)
         except InputError as error:
-            notes = (f"not registered by cameras: {recorded(error)}",)
+            notes = (f"cannot register by cameras: {recorded(error)}",)
         else:
             errors = np.linalg.norm(fit.apply(found) - true, axis=1)
-            spread = f"{np.median(errors):.3g} (median), {errors.max():.3g} (largest)"
-            note = f"registered by {len(names)} cameras, with errors of {spread}"
+            spread = f"{np.median(errors):.3g} (median) and {errors.max():.3g} (largest)"
+            note = f"registered by {len(names)} cameras; position errors: {spread}, in the reference's unit"
             return Alignment("cameras", fit, (note,))
     fine = "similarity" if free_scale else "icp"
     if why := unavailable("kiss_matcher"):
-        return Alignment(fine, None, (*notes, f"`{fine}` starts from where the cloud is: {why}"))
+        return Alignment(fine, None, (*notes, f"`{fine}` starts from the cloud's current pose: {why}"))
     return Alignment("global-similarity" if free_scale else "global", None, notes)
 
 
 @dataclass(frozen=True)
 class Rules:
-    """How every cloud is measured.
+    """Rules by which each cloud is measured.
 
     Args:
-        register: `gauge`, or one of `pcbench.registration.METHODS` for all.
-        crop: see `pcbench.geometry.region_text.parse_region`.
-        threshold: of precision, recall and F-score: lengths in the reference's unit, or with `px` in pixels on the
-            ground (`Truth.pixel`), several with commas between them; the last one heads tables and charts. None: 1, 2
-            and 5 pixels, or times the reference's median spacing where there are no cameras.
+        register: `gauge`, or one of `pcbench.registration.METHODS` for all clouds.
+        crop: region as text, see `pcbench.geometry.region_text.parse_region`.
+        threshold: distance thresholds of precision, recall and F-score, separated by commas: lengths in the reference's
+            unit, or pixels on the ground (`Truth.pixel`) with the suffix `px`. Tables and charts use the last one.
+            None: 1, 2 and 5 pixels, or multiples of the reference's median spacing if there are no cameras.
     """
 
     register: str = BY_GAUGE
@@ -91,59 +99,61 @@ class Rules:
 
 
 class Threshold(NamedTuple):
-    """In the reference's unit, and in pixels on the ground where it was given so."""
+    """A distance threshold in the reference's unit, and in pixels on the ground if it was specified in pixels."""
 
     length: float
     pixels: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Yardstick:
-    """A truth, the rules by which clouds are held against it, and what follows from both.
+class EvaluationProtocol:
+    """The truth with the rules of the evaluation, and quantities that are derived from both.
 
     Args:
-        thresholds: at least one; the last one heads tables and charts.
-        region: that is measured; None for all.
-        seen: points (M, 3) evenly spread over what the cameras saw in the region; None where that cannot be said.
-        seen_spacing: how far apart they are; at most the smallest threshold, but for large scenes.
+        truth: reference of the evaluation.
+        rules: rules of the evaluation.
+        thresholds: at least one; tables and charts use the last one.
+        region: evaluated region; None for everything.
+        visible_points: (M, 3) points evenly spread over the part of the region that the cameras saw; None if unknown.
+        visible_spacing: their spacing, at most the smallest threshold except in very large scenes.
     """
 
     truth: Truth
     rules: Rules
     thresholds: tuple[Threshold, ...]
     region: Region | None
-    seen: FloatArray | None
-    seen_spacing: float | None
+    visible_points: FloatArray | None
+    visible_spacing: float | None
 
     @classmethod
-    def of(cls, truth: Truth, rules: Rules) -> Yardstick:
-        """Check the rules, and say before anything runs that no cloud could be measured by them.
+    def from_rules(cls, truth: Truth, rules: Rules) -> EvaluationProtocol:
+        """Check the rules against the truth before any run starts.
 
         Raises:
-            InputError: there is no such registration, region or threshold, or the region leaves nothing of the
+            InputError: the registration, region or threshold does not exist, or the region holds no point of the
                 reference.
         """
         kind, _, path = rules.register.partition(":")
         names_file = path and kind in ("points", "matrix")
         if not names_file and rules.register not in (BY_GAUGE, *METHODS):
             expected = ", ".join((BY_GAUGE, *METHODS))
-            raise InputError(f"unknown registration {rules.register!r}: expected {expected}")
+            raise InputError(f"expected a registration method ({expected}), got {rules.register!r}")
         if names_file:
-            parse_method(rules.register)  # which reads the file
+            parse_method(rules.register)  # reads the file, to check it early
         region = parse_region(rules.crop, truth.cloud)
         points_inside(truth.cloud.points, region, rules.crop, "the reference's")
         thresholds = _thresholds(rules.threshold, truth)
-        seen = truth.seen(min(t.length for t in thresholds), region)
-        return cls(truth, rules, thresholds, region, *(seen or (None, None)))
+        visible = truth.sample_visible(min(t.length for t in thresholds), region)
+        return cls(truth, rules, thresholds, region, *(visible or (None, None)))
 
 
 def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
     if text is None and truth.pixel is not None:
-        return tuple(Threshold(n * truth.pixel, n) for n in PIXELS)
+        return tuple(Threshold(n * truth.pixel, n) for n in DEFAULT_PIXELS)
     if text is None:
         if truth.spacing == 0:
-            raise InputError("the reference has no two points apart, so no spacing: give --threshold")
-        return tuple(Threshold(n * truth.spacing) for n in PIXELS)
+            raise InputError("the median spacing of the reference is 0, so it gives no threshold; set --threshold")
+        return tuple(Threshold(n * truth.spacing) for n in DEFAULT_PIXELS)
     found = []
     for word in text.split(","):
         number, in_pixels = (word.strip().removesuffix("px"), word.strip().endswith("px"))
@@ -152,27 +162,32 @@ def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
         except ValueError:
             value = 0.0
         if not 0 < value < float("inf"):
-            raise InputError(f"expected --threshold as lengths, or as pixels (1px,2px,5px), above 0; got {text!r}")
+            raise InputError(f"expected --threshold as lengths above 0, or as pixels (1px,2px,5px), got {text!r}")
         if in_pixels and truth.pixel is None:
-            raise InputError(f"--threshold {text}: the scene has no cameras that see the reference, so no pixels on it")
+            raise InputError(
+                f"--threshold {text}: no camera of the scene sees the reference, so pixels have no size on it"
+            )
         found.append(Threshold(value * truth.pixel, value) if in_pixels and truth.pixel else Threshold(value))
     return tuple(found)
 
 
 @dataclass(frozen=True)
 class ThresholdScore:
-    """Shares at one threshold.
+    """Precision, recall and F-score at one threshold, with their floors.
 
     Attributes:
-        threshold: in the reference's unit; pixels: the same in pixels on the ground, where it was given so.
-        precision: of the cloud's points within the threshold of the true surface, or of the reference's points where
-            the surface is not known.
-        recall: of the reference's points with a point of the cloud within the threshold; fscore: the harmonic mean.
-        recall_visible: of the area that the cameras saw, and fscore_visible: precision with that. None where it cannot
-            be said.
-        precision_floor: what a cloud without errors would have: 1 by the surface, less by points that are far apart.
-        recall_floor, recall_visible_floor: what the cloud's own points would have if they had no error: lower where
-            they are few, or lie in one place. None where the surface is not known.
+        threshold: distance threshold, in the reference's unit.
+        pixels: the threshold in pixels on the ground, if it was specified in pixels.
+        precision: share of the cloud's points within the threshold of the true surface, or of the reference's points if
+            the surface is unknown.
+        recall: share of the reference's points with a point of the cloud within the threshold.
+        fscore: harmonic mean of precision and recall.
+        recall_visible: recall over the area that the cameras saw; None if unknown.
+        fscore_visible: harmonic mean of precision and `recall_visible`; None if unknown.
+        precision_floor: precision of a cloud without errors: 1 against the surface, less against sparse points.
+        recall_floor: recall of the cloud's own points moved onto the surface. It is low if they are few or clustered.
+            None if the surface is unknown.
+        recall_visible_floor: the same over the area that the cameras saw.
     """
 
     threshold: float
@@ -189,18 +204,21 @@ class ThresholdScore:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What a bench says of one cloud.
+    """Evaluation of one cloud.
 
     Attributes:
-        registration: how it was brought onto the reference.
-        accuracy_to: `surface`, where it is known, or `points` of the reference.
-        mean_c2r, d1_c2r: mean and mean square of the distances from the cloud to that; mean_r2c, d1_r2c: from the
-            reference's points to the cloud.
-        mean_c2r_floor, mean_r2c_floor: what clouds without errors would score. None where there is no such thing.
-        hausdorff: the largest distance of either direction.
-        at: one for each threshold.
+        registration: method that registered the cloud to the reference.
+        accuracy_to: `surface` if the true surface is known, otherwise `points` of the reference.
+        mean_c2r: mean distance from the cloud to the surface or the points.
+        mean_c2r_floor: `mean_c2r` of a cloud without errors; None if undefined.
+        mean_r2c: mean distance from the reference's points to the cloud.
+        mean_r2c_floor: `mean_r2c` of a cloud without errors; None if undefined.
+        d1_c2r: mean squared distance from the cloud to the surface or the points.
+        d1_r2c: mean squared distance from the reference's points to the cloud.
+        hausdorff: largest distance in either direction.
+        threshold_scores: one per threshold.
         notes: one line each.
-        comparison: the whole comparison, as in comparison.json.
+        comparison: the complete comparison, as in comparison.json.
     """
 
     registration: str
@@ -212,85 +230,99 @@ class Score:
     d1_c2r: float
     d1_r2c: float
     hausdorff: float
-    at: tuple[ThresholdScore, ...]
+    threshold_scores: tuple[ThresholdScore, ...]
     notes: tuple[str, ...]
     comparison: dict[str, Any]
 
     @property
     def chamfer(self) -> float:
-        """The sum of the mean distances."""
+        """Sum of the two mean distances, in the reference's unit."""
         return self.mean_c2r + self.mean_r2c
 
     def row(self) -> dict[str, Any]:
-        """For bench.json: the columns of bench.csv, what is at every threshold, and the whole comparison."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("at", "notes", "comparison")}
+        """Return the entries for bench.json: columns of bench.csv, scores per threshold and the complete comparison."""
+        values = {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in ("threshold_scores", "notes", "comparison")
+        }
         return {
             **values,
             "chamfer": self.chamfer,
-            **asdict(self.at[-1]),
-            "thresholds": [asdict(at) for at in self.at],
+            **asdict(self.threshold_scores[-1]),
+            "thresholds": [asdict(at) for at in self.threshold_scores],
             "notes": list(self.notes),
             "comparison": self.comparison,
         }
 
 
-def score(yardstick: Yardstick, made: Reconstruction, folder: Path) -> Score:
-    """Measure one cloud; writes T.txt, the matrix candidate -> reference, into the folder.
+def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: Path) -> Score:
+    """Evaluate one cloud and write the matrix candidate -> reference to T.txt.
+
+    Args:
+        protocol: truth and rules.
+        reconstruction: cloud and cameras to evaluate.
+        folder: folder for T.txt.
 
     Raises:
-        InputError, RegistrationError: it cannot be measured.
+        InputError: the cloud cannot be measured.
+        RegistrationError: the cloud cannot be registered.
     """
-    truth, rules = yardstick.truth, yardstick.rules
-    chosen = alignment(made, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
-    settings = Settings(
-        register=chosen.how if chosen.transform is None else chosen.transform,
-        crop=rules.crop,
-        thresholds=tuple(t.length for t in yardstick.thresholds),
+    truth, rules = protocol.truth, protocol.rules
+    chosen = (
+        choose_alignment(reconstruction, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
     )
-    comparison = compare(truth.cloud, {"cloud": made.cloud}, settings)
+    settings = Settings(
+        register=chosen.method if chosen.transform is None else chosen.transform,
+        crop=rules.crop,
+        thresholds=tuple(t.length for t in protocol.thresholds),
+    )
+    comparison = compare(truth.cloud, {"cloud": reconstruction.cloud}, settings)
     result = comparison.candidates[0]
     with atomic_write(folder / "T.txt") as file:
         file.write(format_matrix(result.registration.T_reference_candidate).encode())
     metrics = result.metrics
-    forth, exact = _accuracy(yardstick, result.registration.T_local.apply(made.cloud.points - truth.origin))
-    by_surface = exact is not None
+    to_truth, error_free = _distances_to_truth(
+        protocol, result.registration.T_local.apply(reconstruction.cloud.points - truth.origin)
+    )
+    by_surface = error_free is not None
     mean, square, farthest = (
-        (float(forth.distances.mean()), float(np.square(forth.distances).mean()), float(forth.distances.max()))
+        (float(to_truth.distances.mean()), float(np.square(to_truth.distances).mean()), float(to_truth.distances.max()))
         if by_surface
         else (
-            _known(metrics.mean_distance.accuracy.value),
-            _known(metrics.d1_mse.accuracy.value),
+            _required(metrics.mean_distance.accuracy.value),
+            _required(metrics.d1_mse.accuracy.value),
             metrics.hausdorff.accuracy.largest,
         )
     )
     return Score(
-        registration=chosen.how,
+        registration=chosen.method,
         accuracy_to="surface" if by_surface else "points",
         mean_c2r=mean,
         mean_c2r_floor=0.0 if by_surface else metrics.mean_distance.accuracy.floor,
-        mean_r2c=_known(metrics.mean_distance.completeness.value),
+        mean_r2c=_required(metrics.mean_distance.completeness.value),
         mean_r2c_floor=metrics.mean_distance.completeness.floor,
         d1_c2r=square,
-        d1_r2c=_known(metrics.d1_mse.completeness.value),
+        d1_r2c=_required(metrics.d1_mse.completeness.value),
         hausdorff=max(farthest, metrics.hausdorff.completeness.largest),
-        at=tuple(_at_thresholds(yardstick, forth, exact)),
+        threshold_scores=tuple(_threshold_scores(protocol, to_truth, error_free)),
         notes=(
             *chosen.notes,
-            *made.residuals.rmse_lines(made.cloud.unit),
+            *reconstruction.residuals.rmse_lines(reconstruction.cloud.unit),
             *map(str, result.warnings),
-            *_of_registration(result.registration),
+            *_registration_notes(result.registration),
         ),
         comparison=document(comparison)["candidates"][0],
     )
 
 
-class _Accuracy(NamedTuple):
-    """Of a cloud on the reference, minus its origin.
+class _CloudDistances(NamedTuple):
+    """Distances from a cloud to the truth, in coordinates minus the reference's origin.
 
     Attributes:
-        points: (N, 3), all of them: completeness is no matter of the region's edge.
-        distances: (M,) of those inside the region, to the surface, or to the reference's points.
-        spacings: (M,) square roots of the area a point that the reference's points have there.
+        points: (N, 3) all points of the cloud, also those outside the region, because they can complete its edge.
+        distances: (M,) of the points inside the region, to the surface or to the reference's points.
+        spacings: (M,) local spacing of the reference's points: square root of the area per point.
     """
 
     points: FloatArray
@@ -298,43 +330,45 @@ class _Accuracy(NamedTuple):
     spacings: FloatArray
 
 
-def _accuracy(yardstick: Yardstick, points: FloatArray) -> tuple[_Accuracy, FloatArray | None]:
-    """Distances of a cloud's points, and where they would be without errors (N, 3): None without the surface."""
-    truth = yardstick.truth
-    local = None if yardstick.region is None else yardstick.region.shifted(truth.origin)
+def _distances_to_truth(protocol: EvaluationProtocol, points: FloatArray) -> tuple[_CloudDistances, FloatArray | None]:
+    """Return the distances to the truth, and the points (N, 3) moved onto the surface, or None without a surface."""
+    truth = protocol.truth
+    local = None if protocol.region is None else protocol.region.shifted(truth.origin)
     inside = np.ones(len(points), dtype=bool) if local is None else local.contains(points)
     if truth.local_surface is not None:
         matches = truth.local_surface.query(points)
-        # What is far off would be nowhere, and not at the nearest wall.
-        near = matches.distances <= max(t.length for t in yardstick.thresholds)
+        # Outliers are left out: without errors they would not exist, rather than lie on the nearest wall.
+        near = matches.distances <= max(t.length for t in protocol.thresholds)
         distances = matches.distances[inside]
-        return _Accuracy(points, distances, np.zeros(len(distances))), matches.closest[near]
+        return _CloudDistances(points, distances, np.zeros(len(distances))), matches.closest[near]
     distances, nearest = truth.local_index.query(points[inside])
-    others = min(_NEIGHBORS, len(truth.cloud) - 1)
-    # The nearest point is one with much room around it: its density is taken from a neighbour, which chance chose.
+    others = min(_DENSITY_NEIGHBORS, len(truth.cloud) - 1)
+    # The nearest point is biased towards sparse places. Its k-th neighbour is not, so the density is measured there.
     places = truth.local_index.query(truth.local_index.points[nearest], k=others + 1).indices[:, -1]
     radii = truth.local_index.query(truth.local_index.points[places], k=others + 1).distances[:, -1]
-    # Of k others within r, (k - 1) / (pi r^2) is an unbiased density.
-    return _Accuracy(points, distances, radii * np.sqrt(np.pi / max(1, others - 1))), None
+    # With the k-th of k neighbours at distance r, (k - 1) / (pi r^2) is an unbiased estimate of the density.
+    return _CloudDistances(points, distances, radii * np.sqrt(np.pi / max(1, others - 1))), None
 
 
-def _at_thresholds(yardstick: Yardstick, forth: _Accuracy, exact: FloatArray | None) -> Iterator[ThresholdScore]:
-    truth, region = yardstick.truth, yardstick.region
+def _threshold_scores(
+    protocol: EvaluationProtocol, to_truth: _CloudDistances, error_free: FloatArray | None
+) -> Iterator[ThresholdScore]:
+    truth, region = protocol.truth, protocol.region
     whole = truth.cloud.points if region is None else truth.cloud.points[region.contains(truth.cloud.points)]
     places = {"recall": whole - truth.origin}
-    if yardstick.seen is not None:
-        places["recall_visible"] = yardstick.seen - truth.origin
-    back = {name: _distances(forth.points, at) for name, at in places.items()}
-    if exact is not None:
-        back |= {f"{name}_floor": _distances(exact, at) for name, at in places.items()}
-    for threshold in yardstick.thresholds:
+    if protocol.visible_points is not None:
+        places["recall_visible"] = protocol.visible_points - truth.origin
+    back = {name: _nearest_distances(to_truth.points, at) for name, at in places.items()}
+    if error_free is not None:
+        back |= {f"{name}_floor": _nearest_distances(error_free, at) for name, at in places.items()}
+    for threshold in protocol.thresholds:
         t = threshold.length
-        precision = float(np.mean(forth.distances <= t))
+        precision = float(np.mean(to_truth.distances <= t))
         shares = {name: float(np.mean(distances <= t)) for name, distances in back.items()}
         seen = shares.get("recall_visible")
-        # Random places of a density d have a point within t with probability 1 - exp(-pi d t^2).
+        # Points at random positions with density d have one within t with probability 1 - exp(-pi d t^2).
         with np.errstate(divide="ignore"):
-            chances = -np.expm1(-np.pi * np.square(t / forth.spacings))
+            chances = -np.expm1(-np.pi * np.square(t / to_truth.spacings))
         yield ThresholdScore(
             threshold=t,
             pixels=threshold.pixels,
@@ -349,17 +383,17 @@ def _at_thresholds(yardstick: Yardstick, forth: _Accuracy, exact: FloatArray | N
         )
 
 
-def _distances(points: FloatArray, places: FloatArray) -> FloatArray:
-    """From places (M, 3) to the nearest of points (N, 3); infinite where there are none."""
+def _nearest_distances(points: FloatArray, places: FloatArray) -> FloatArray:
+    """Distances from positions (M, 3) to the nearest of points (N, 3); infinite if there are no points."""
     return Index(points).query(places).distances if len(points) else np.full(len(places), np.inf)
 
 
-def _known(value: float | None) -> float:
+def _required(value: float | None) -> float:
     assert value is not None  # distances to points always exist
     return value
 
 
-def _of_registration(registration: Registration) -> list[str]:
-    """Its warnings. What the geometry does not fix is none where the pose is not from the geometry."""
+def _registration_notes(registration: Registration) -> list[str]:
+    """Warnings of a registration, without those on observability if the pose was not found from the geometry."""
     left_out = (UNOBSERVABLE, WEAKLY_OBSERVABLE) if registration.converged is None else ()
     return [notice.text for notice in registration.warnings if notice.code not in left_out]

@@ -1,4 +1,4 @@
-"""The table of a bench: a row for each method at each budget, medians over seeds, best and second marked."""
+"""The table of a bench: one row per configuration, medians over seeds, with the best and second-best values marked."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Any, NamedTuple
 
 from pcbench.report.markup import markdown_row
 from pcbench.report.terminal import print_table
-from pcbench.studies.bench.pareto import Configuration, choice_words, configurations
+from pcbench.studies.bench.pareto import Configuration, choice_text, configurations
 
-_BEST, _SECOND = "¹", "²"
+_BEST_MARK, _SECOND_MARK = "¹", "²"
 
 
 class _Column(NamedTuple):
     header: str
     key: str
-    better: int  # 1 more, -1 less, 0 neither
+    direction: int  # 1: higher is better, -1: lower is better, 0: neither
     divisor: float = 1.0
     in_terminal: bool = True
-    floor: str | None = None  # the key of what a cloud without errors would score: stands beside it in brackets
+    floor: str | None = None  # key of the value that a cloud without errors would have, printed in brackets
 
 
 _COLUMNS = (
@@ -40,81 +40,83 @@ _COLUMNS = (
 )
 
 
-class _Line(NamedTuple):
+class _TableRow(NamedTuple):
     head: tuple[str, str, str, str]  # method, settings, runs, registration
-    cells: list[tuple[str, int]]  # text, and 1 or 2 for the best and the second
+    cells: list[tuple[str, int]]  # text, and rank: 1 for the best, 2 for the second, else 0
     on_front: bool
 
 
 _HEAD = ("method", "settings", "runs", "registration")
 
 
-def _lines(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_Line]:
+def _table_rows(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_TableRow]:
     found = configurations(doc["rows"])
     medians = [[c.median(column.key) for column in columns] for c in found]
     ranked = [[value if c.is_reliable else None for value in row] for c, row in zip(found, medians, strict=True)]
-    places = [_places([row[number] for row in ranked], column.better) for number, column in enumerate(columns)]
+    places = [_ranks([row[number] for row in ranked], column.direction) for number, column in enumerate(columns)]
     for row, (c, values) in enumerate(zip(found, medians, strict=True)):
         cells = [
-            (_text(value, column, c), places[number][row])
+            (_cell_text(value, column, c), places[number][row])
             for number, (value, column) in enumerate(zip(values, columns, strict=True))
         ]
-        registration = ", ".join(dict.fromkeys(r["registration"] for r in c.done))
+        registration = ", ".join(dict.fromkeys(r["registration"] for r in c.measured_rows))
         failed = [r["status"] for r in c.rows if r["status"] != "ok"]
-        runs = f"{len(c.done)} of {len(c.rows)} ok" + "".join(f", {status}" for status in dict.fromkeys(failed))
-        yield _Line((c.method, choice_words(c.choices), runs, registration), cells, any(r["pareto"] for r in c.rows))
+        runs = f"{len(c.measured_rows)} of {len(c.rows)} ok" + "".join(
+            f", {status}" for status in dict.fromkeys(failed)
+        )
+        yield _TableRow((c.method, choice_text(c.choices), runs, registration), cells, any(r["pareto"] for r in c.rows))
 
 
-def _places(values: Sequence[float | None], better: int) -> list[int]:
-    """1 for the best, 2 for the second, else 0; nothing where there is nothing to choose from."""
-    known = sorted({value for value in values if value is not None}, reverse=better > 0)
-    if better == 0 or len(known) < 2:
+def _ranks(values: Sequence[float | None], direction: int) -> list[int]:
+    """Rank values: 1 for the best, 2 for the second, else 0; all 0 if fewer than two values differ."""
+    known = sorted({value for value in values if value is not None}, reverse=direction > 0)
+    if direction == 0 or len(known) < 2:
         return [0] * len(values)
     return [0 if value is None else (1 if value == known[0] else 2 if value == known[1] else 0) for value in values]
 
 
-def _text(value: float | None, column: _Column, c: Configuration) -> str:
+def _cell_text(value: float | None, column: _Column, c: Configuration) -> str:
     if value is None:
         return "–"
     floor = None if column.floor is None else c.median(column.floor)
-    is_perfect = floor is not None and column.better > 0 and floor > 0.995  # says nothing
-    beside = "" if floor is None or is_perfect else f" ({floor / column.divisor:.2g})"
-    return (f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}") + beside
+    is_perfect = floor is not None and column.direction > 0 and floor > 0.995  # a floor of 1 is no information
+    floor_text = "" if floor is None or is_perfect else f" ({floor / column.divisor:.2g})"
+    return (f"{value:,.0f}" if column.key == "points" else f"{value / column.divisor:.4g}") + floor_text
 
 
 def print_bench(doc: dict[str, Any]) -> None:
-    """The table on the terminal, followed by what failed and what is to be known."""
+    """Print the table, followed by failures and notes."""
     from rich.text import Text
 
     columns = [column for column in _COLUMNS if column.in_terminal]
     header = [*_HEAD, *(column.header for column in columns), "Pareto"]
     styles = {0: "", 1: "bold green", 2: "underline"}
-    marks = {0: " ", 1: _BEST, 2: _SECOND}
+    marks = {0: " ", 1: _BEST_MARK, 2: _SECOND_MARK}
     rows = []
-    for line in _lines(doc, columns):
+    for line in _table_rows(doc, columns):
         cells = [Text(f"{text}{marks[place]}", styles[place]) for text, place in line.cells]
         rows.append([*map(Text, line.head), *cells, Text("*" if line.on_front else "")])
     print_table(header, rows, left={*range(len(_HEAD)), len(header) - 1})
-    print(f"\n{_BEST} best, {_SECOND} second", *_sentences(doc), sep="\n")
+    print(f"\n{_BEST_MARK} best, {_SECOND_MARK} second", *_note_lines(doc), sep="\n")
 
 
 def bench_markdown(doc: dict[str, Any]) -> str:
-    """`bench.md`: the table with every column, and the sentences below it."""
+    """Return the text of `bench.md`: the table with all columns, and the notes."""
     header = [*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]
     lines = [f"# {doc['scene']['path']} against {doc['reference']['path']}", "", markdown_row(header)]
     lines.append(markdown_row(["---"] * len(_HEAD) + ["---:"] * len(_COLUMNS) + [":---:"]))
-    for line in _lines(doc, _COLUMNS):
+    for line in _table_rows(doc, _COLUMNS):
         cells = [{0: text, 1: f"**{text}**", 2: f"_{text}_"}[place] for text, place in line.cells]
         lines.append(markdown_row([*line.head, *cells, "*" if line.on_front else ""]))
-    lines += ["", "Best in bold, second in italics.", "", *_md_thresholds(doc)]
-    lines += [f"- {sentence}" for sentence in _sentences(doc)]
+    lines += ["", "Best in bold, second in italics.", "", *_threshold_table(doc)]
+    lines += [f"- {sentence}" for sentence in _note_lines(doc)]
     return "\n".join(lines) + "\n"
 
 
-def _md_thresholds(doc: dict[str, Any]) -> Iterator[str]:
-    """Precision, recall and F-score at every threshold, over what the cameras saw where that is known."""
-    found = [c for c in configurations(doc["rows"]) if any(row.get("thresholds") for row in c.done)]
-    if not found:  # written before there were several
+def _threshold_table(doc: dict[str, Any]) -> Iterator[str]:
+    """Yield a table of precision, recall and F-score at each threshold, also over what the cameras saw if known."""
+    found = [c for c in configurations(doc["rows"]) if any(row.get("thresholds") for row in c.measured_rows)]
+    if not found:  # written by a version with a single threshold
         return
     unit = doc["reference"].get("unit") or "the files' unit"
     yield markdown_row(
@@ -123,42 +125,41 @@ def _md_thresholds(doc: dict[str, Any]) -> Iterator[str]:
     yield markdown_row(["---"] * 2 + ["---:"] * 6)
     keys = ("threshold", "pixels", "precision", "recall", "recall_visible", "fscore_visible")
     for c in found:
-        for number in range(len(c.done[0]["thresholds"])):
-            at = Configuration(c.method, c.choices, [{**row, **row["thresholds"][number]} for row in c.done])
+        for number in range(len(c.measured_rows[0]["thresholds"])):
+            at = Configuration(c.method, c.choices, [{**row, **row["thresholds"][number]} for row in c.measured_rows])
             texts = ("–" if (value := at.median(key)) is None else f"{value:.4g}" for key in keys)
-            yield markdown_row([c.method, choice_words(c.choices), *texts])
+            yield markdown_row([c.method, choice_text(c.choices), *texts])
     yield ""
 
 
-def _sentences(doc: dict[str, Any]) -> Iterator[str]:
+def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
     threshold = next((row["threshold"] for row in doc["rows"] if row.get("threshold") is not None), None)
     unit = doc["reference"].get("unit") or "the files' unit"
     if threshold is not None:
         pixels = next((f", {row['pixels']:g} pixels" for row in doc["rows"] if row.get("pixels") is not None), "")
-        yield (
-            f"medians over the seeds that were measured; * on the front of time and F-score; marked where all were"
-            f" measured; precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in {unit}, D1 in its"
-            f" square; in brackets what a cloud as dense as this one would score without errors"
-        )
+        yield "medians over the measured seeds; only configurations with all seeds measured are marked"
+        yield "*: on the Pareto front of wall time and F-score"
+        yield f"precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in {unit}, D1 in {unit}²"
+        yield "in brackets: score of an error-free cloud of the same density"
         if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
             to = "the true surface" if measured[0] == "surface" else "the reference's points"
-            yield f"accuracy (c→r, precision) is measured to {to}"
+            yield f"accuracy (c→r, precision) is measured against {to}"
         if doc["reference"]["visible_share"] is not None:
             share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]
-            yield f"of seen: recall over the {share:.1%} of the reference that cameras saw ({how})"
+            yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
     for note in doc["notes"]:
         yield f"note: {note}"
-    said: dict[tuple[str, str], list[str]] = {}  # of seeds that say the same, one line
+    seeds_by_note: dict[tuple[str, str], list[str]] = {}  # one line for all seeds with the same text
     for row in doc["rows"]:
-        of = " ".join(filter(None, (row["method"], choice_words(row["choices"]))))
+        run = " ".join(filter(None, (row["method"], choice_text(row["choices"]))))
         texts = [] if row["status"] == "ok" else [f"{row['status']}: {row['message']}"]
         for text in (*texts, *(f"note: {note}" for note in row.get("notes") or ())):
-            said.setdefault((of, text), []).append(str(row["seed"]))
-    for (of, text), seeds in said.items():
-        yield f"{of}: {text}" if seeds == ["None"] else f"{of}, seed {', '.join(seeds)}: {text}"
+            seeds_by_note.setdefault((run, text), []).append(str(row["seed"]))
+    for (run, text), seeds in seeds_by_note.items():
+        yield f"{run}: {text}" if seeds == ["None"] else f"{run}, seed {', '.join(seeds)}: {text}"
 
 
-def row_words(row: Mapping[str, Any]) -> str:
-    """A row's method, settings and seed."""
+def row_title(row: Mapping[str, Any]) -> str:
+    """Return method, settings and seed of a row as text."""
     seed = () if row["seed"] is None else (f"seed {row['seed']}",)
-    return " ".join(filter(None, (row["method"], choice_words(row["choices"]), *seed)))
+    return " ".join(filter(None, (row["method"], choice_text(row["choices"]), *seed)))

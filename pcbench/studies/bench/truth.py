@@ -1,6 +1,4 @@
-"""What a bench measures against: the reference, its true surface where there is a mesh, what the cameras saw of it, and
-how large their pixels are there.
-"""
+"""The truth of a bench: the reference, its surface, the part that the cameras saw, and their pixel size on it."""
 
 from __future__ import annotations
 
@@ -24,21 +22,21 @@ from pcbench.io.files import Warn
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.registration import local_origin
 
-_MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-_FOOTPRINT_POINTS = 20_000  # whose median pixel is that of the scene to a fraction of a percent
-_MOST_SAMPLES = 1_000_000  # of what was seen: shares of them are right to 0.1 %
+_MESH_SAMPLE_COUNT = 1_000_000  # points that represent a mesh as the reference
+_PIXEL_SIZE_POINTS = 20_000  # enough for a median pixel size within a fraction of a percent
+_MAX_VISIBLE_SAMPLES = 1_000_000  # enough for shares within 0.1 %
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What clouds are measured against.
+    """Truth that clouds are evaluated against.
 
     Args:
-        cloud: the reference.
-        cameras: the true ones by image name, in its frame.
-        visible: which of its points (N,) the cameras saw; None where that cannot be said.
-        visibility: where that is from, or why it cannot be said.
-        surface: the true one, in the reference's frame; None where it is not known.
+        cloud: reference cloud.
+        cameras: true cameras by image name, in the frame of the reference.
+        visible: (N,) whether the cameras saw each of its points; None if unknown.
+        visibility: source of `visible`, or the reason why it is unknown.
+        surface: true surface in the frame of the reference; None if unknown.
     """
 
     cloud: Cloud
@@ -49,33 +47,34 @@ class Truth:
 
     @cached_property
     def origin(self) -> FloatArray:
-        """(3,) subtracted before distances are measured: survey coordinates have too many digits."""
+        """Origin (3,) that is subtracted before distances are measured, because survey coordinates have many digits."""
         return local_origin(self.cloud)
 
     @cached_property
     def local_surface(self) -> MeshIndex | None:
-        """The true surface, minus `origin`."""
+        """True surface, minus `origin`."""
         return None if self.surface is None else MeshIndex(self.surface.shifted(self.origin))
 
     @cached_property
     def local_index(self) -> Index:
-        """The reference's points, minus `origin`."""
+        """Index of the reference's points, minus `origin`."""
         return Index(self.cloud.points - self.origin)
 
     @cached_property
     def spacing(self) -> float:
-        """The median distance of the reference's points to their nearest others."""
+        """Median distance between neighbouring points of the reference, in its unit."""
         return median_spacing(self.local_index)
 
     @cached_property
     def pixel(self) -> float | None:
-        """How large a pixel is on what was seen: depth over focal length, the median over lines of sight from points
-        that are evenly spread over what the cameras saw. Without the surface, nothing is taken to hide anything. None
-        without cameras, or where they saw nothing.
+        """Median size of a pixel on the surface that the cameras saw, in the reference's unit.
+
+        The size is depth over focal length. The median is over the lines of sight to points that are evenly spread over
+        the visible part. Without a surface, occlusion is ignored. None without cameras, or if they saw nothing.
         """
         rows = np.arange(len(self.cloud)) if self.visible is None else np.flatnonzero(self.visible)
         rng = np.random.default_rng(0)
-        points = self.cloud.points[rng.permutation(rows)[:_FOOTPRINT_POINTS]]
+        points = self.cloud.points[rng.permutation(rows)[:_PIXEL_SIZE_POINTS]]
         normals: FloatArray | None = None
         index = None
         if self.surface is not None:
@@ -89,23 +88,30 @@ class Truth:
             if index is not None and normals is not None:
                 seen = sees(index, camera, points, normals)
             sizes.append(found[seen])
-        together = np.concatenate(sizes) if sizes else np.empty(0)
-        return float(np.median(together)) if len(together) else None
+        all_sizes = np.concatenate(sizes) if sizes else np.empty(0)
+        return float(np.median(all_sizes)) if len(all_sizes) else None
 
-    def seen(self, spacing: float, region: Region | None) -> tuple[FloatArray, float] | None:
-        """Points (M, 3) evenly spread over what the cameras saw inside the region, and how far apart they are: as
-        asked, or as close as a million of them can be. None where that cannot be said.
+    def sample_visible(self, spacing: float, region: Region | None) -> tuple[FloatArray, float] | None:
+        """Sample the part of the region that the cameras saw.
 
-        They are the reference's where these are close enough, otherwise drawn from the true surface.
+        Returns the points of the reference if they are dense enough, otherwise samples of the true surface.
+
+        Args:
+            spacing: requested spacing, in the reference's unit.
+            region: region to sample; None for everything.
+
+        Returns:
+            Points (M, 3) and their spacing, which is larger than requested if more than a million points were needed.
+            None if visibility is unknown.
         """
         if self.visible is None:
             return None
         own = self.cloud.points[self.visible & (True if region is None else region.contains(self.cloud.points))]
-        apart = 2 * self.spacing  # where places are random the nearest is half a cell away
-        if apart <= spacing or self.surface is None or not self.cameras:
-            return (own, apart) if len(own) else None
-        area = self.surface.area * len(own) / len(self.cloud)  # about what the cameras saw
-        spacing = max(spacing, float(np.sqrt(area / _MOST_SAMPLES)))
+        own_spacing = 2 * self.spacing  # the nearest of randomly placed points is about half a cell away
+        if own_spacing <= spacing or self.surface is None or not self.cameras:
+            return (own, own_spacing) if len(own) else None
+        area = self.surface.area * len(own) / len(self.cloud)  # approximate visible area
+        spacing = max(spacing, float(np.sqrt(area / _MAX_VISIBLE_SAMPLES)))
         drawn = self.surface.sample(int(self.surface.area / spacing**2) + 1)
         assert drawn.normals is not None
         inside = np.flatnonzero(np.ones(len(drawn), bool) if region is None else region.contains(drawn.points))
@@ -116,13 +122,15 @@ class Truth:
 
 
 def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera], warn: Warn) -> Truth:
-    """The reference and what the cameras saw of it: by its attribute `visible`, else by rays against a mesh.
+    """Read the reference and determine which part the cameras saw.
+
+    Visibility is the attribute `visible` of the reference, otherwise it is computed by ray casting against the mesh.
 
     Args:
-        reference: a cloud or a mesh, which is sampled by area.
-        mesh: of the same surface, its faces anticlockwise seen from outside.
-        cameras: the true ones by image name.
-        warn: called with one line for each thing left out.
+        reference: a cloud, or a mesh, which is sampled by area.
+        mesh: mesh of the same surface, its faces counter-clockwise seen from outside.
+        cameras: true cameras by image name.
+        warn: called with one line for each warning.
 
     Raises:
         InputError: a file is not usable.
@@ -131,35 +139,36 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
     if holds_mesh(reference):
         whole = read_mesh(reference, on_warning=warn)
         surface = whole if surface is None else surface
-        cloud = whole.sample(_MESH_SAMPLES)
+        cloud = whole.sample(_MESH_SAMPLE_COUNT)
     else:
         cloud = read_cloud(reference, on_warning=warn)
     if "visible" in cloud.attributes:
         seen = np.asarray(cloud.attributes["visible"]) != 0
-        return Truth(cloud, cameras, *_some(seen, "the reference's attribute `visible`"), surface)
+        return Truth(cloud, cameras, *_visibility_if_any(seen, "the reference's attribute `visible`"), surface)
     if surface is None:
-        return Truth(cloud, cameras, None, "the reference has no attribute `visible`, and no mesh is given")
+        return Truth(cloud, cameras, None, "the reference has no attribute `visible`, and there is no mesh")
     if not cameras:
         return Truth(cloud, cameras, None, "the scene has no cameras", surface)
-    how = f"seen by {SEEN_BY} of the scene's {len(cameras)} cameras: rays against {mesh or reference}"
-    return Truth(cloud, cameras, *_some(seen_points(cloud, surface, cameras), how), surface)
+    how = f"seen by at least {SEEN_BY} of {len(cameras)} cameras, by ray casting against {mesh or reference}"
+    return Truth(cloud, cameras, *_visibility_if_any(visible_mask(cloud, surface, cameras), how), surface)
 
 
 def mesh_of(scene: Path, reference: Path) -> Path | None:
-    """The true mesh of a scene as `pcbench synth city` writes it, where the reference is of that truth too."""
+    """Return the true mesh of a scene of `pcbench synth city` if the reference is in the same folder, else None."""
     mesh = scene / "truth" / "mesh.ply"
     if mesh.is_file() and reference.resolve().parent == mesh.resolve().parent and not holds_mesh(reference):
         return mesh
     return None
 
 
-def _some(seen: NDArray[np.bool_], how: str) -> tuple[NDArray[np.bool_] | None, str]:
-    return (seen, how) if seen.any() else (None, f"none of its points is visible ({how})")
+def _visibility_if_any(seen: NDArray[np.bool_], how: str) -> tuple[NDArray[np.bool_] | None, str]:
+    return (seen, how) if seen.any() else (None, f"no point of the reference is visible ({how})")
 
 
-def seen_points(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDArray[np.bool_]:
-    """Which points (N,) of a cloud of the mesh's surface at least three cameras see: from the place on the mesh that is
-    nearest to them, which takes a scanner's noise out.
+def visible_mask(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDArray[np.bool_]:
+    """Mark the points (N,) of a cloud on the mesh's surface that at least three cameras see.
+
+    Each point is moved to the closest point of the mesh first, which removes a scanner's noise.
     """
     index = MeshIndex(mesh)
     _, closest, faces = index.query(cloud.points)

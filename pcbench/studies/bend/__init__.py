@@ -1,1 +1,1 @@
-"""Experiments: questions that a comparison raises, answered on scenes whose truth is known."""
+"""The experiment on deformation: one scene with a known truth, solved with different settings."""

@@ -1,4 +1,4 @@
-"""The picture of `pcbench experiment bend`: how each solution rises and sinks, what goes with it, and where."""
+"""The picture of `pcbench experiment bend`: displacement by distance, deformation by lens error, and maps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from pcbench.extras import require
 from pcbench.io.files import atomic_write
 from pcbench.report.colors import largest_but_strays, ranges
-from pcbench.studies.bend.results import BendStudy, SolutionResult, judged
+from pcbench.studies.bend.results import BendStudy, SolutionResult, measured_bends
 
 _COLORS = (
     "#000000",
@@ -28,13 +28,19 @@ _COLORS = (
     "#b5a000",
 )
 _GREY = "#777777"
-_COLUMNS = 6  # of maps
-_SMALL = 0.1
+_MAP_COLUMNS = 6
+_SMALL_BEND_SHARE = 0.1
 
 
 def draw_bend(study: BendStudy, path: Path) -> None:
-    """Draw an experiment as a PNG: vertical displacement against distance with the band that noise
-    alone would fill, the bend's size against the error of the intrinsics, and a map a solution.
+    """Draw the results of an experiment as a PNG.
+
+    It shows vertical displacement against distance with the band of noise, the deformation against the error of the
+    intrinsics, and one map per solution.
+
+    Args:
+        study: results to draw.
+        path: PNG file to write.
 
     Raises:
         MissingExtra: matplotlib is not installed.
@@ -49,25 +55,29 @@ def draw_bend(study: BendStudy, path: Path) -> None:
     unit = study.unit or "units"
     rows = [row for row in study.rows if row.cells]
     colors = {row.name: _COLORS[k % len(_COLORS)] for k, row in enumerate(rows)}
-    below = -(-len(rows) // _COLUMNS)
-    figure = Figure(figsize=(15, 5.8 + 2.7 * below), dpi=110, layout="constrained")
+    map_rows = -(-len(rows) // _MAP_COLUMNS)
+    figure = Figure(figsize=(15, 5.8 + 2.7 * map_rows), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * below, 0.1)])
+    parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * map_rows, 0.1)])
     upper, lower = parts
-    sizes = {row.name: bend.rms or 0.0 for row, bend in judged(rows)}
-    small = [row for row in rows if sizes.get(row.name, 0.0) <= _SMALL * max(sizes.values(), default=0.0)]
-    grown, *nearer, sized = upper.subplots(1, 3 if small else 2)
-    _growth(grown, rows, colors, unit, "Growth: means over rings; shaded, what noise would do")
-    for axis in nearer:
-        _growth(axis, small, colors, unit, f"Nearer: bends below {100 * _SMALL:.0f} % of the largest")
-    _sizes(sized, rows, colors, unit)
+    sizes = {row.name: bend.rms or 0.0 for row, bend in measured_bends(rows)}
+    small = [row for row in rows if sizes.get(row.name, 0.0) <= _SMALL_BEND_SHARE * max(sizes.values(), default=0.0)]
+    growth_axis, *zoom_axes, size_axis = upper.subplots(1, 3 if small else 2)
+    _draw_growth(growth_axis, rows, colors, unit, "Displacement by distance: means over rings; shaded: noise alone")
+    for axis in zoom_axes:
+        _draw_growth(
+            axis, small, colors, unit, f"Zoom: deformations below {100 * _SMALL_BEND_SHARE:.0f} % of the largest"
+        )
+    _draw_sizes(size_axis, rows, colors, unit)
     if rows:
-        upper.legend(*grown.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8)
+        upper.legend(
+            *growth_axis.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8
+        )
         heights = [np.array(row.cells, dtype=np.float64)[:, 3] for row in rows]
         highest = {row.name: largest_but_strays(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
-        # One bar for all: the range of most of them. One that is bent far more is all red and blue.
+        # All maps share one scale, the most common range. Maps of much larger deformations saturate.
         limit = mode(scale.high for scale in ranges(highest).values())
-        axes = np.atleast_1d(lower.subplots(below, _COLUMNS, sharex=True, sharey=True)).ravel()
+        axes = np.atleast_1d(lower.subplots(map_rows, _MAP_COLUMNS, sharex=True, sharey=True)).ravel()
         for axis, row, z in zip(axes, rows, heights, strict=False):
             cells = np.array(row.cells, dtype=np.float64)
             order = np.argsort(np.abs(z))
@@ -87,7 +97,7 @@ def draw_bend(study: BendStudy, path: Path) -> None:
         figure.savefig(file, format="png")
 
 
-def _growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str, title: str) -> None:
+def _draw_growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str, title: str) -> None:
     axis.axhline(0, color=_GREY, linewidth=0.8)
     for row in rows:
         growth = None if row.truth is None or row.truth.growth is None else row.truth.growth.with_distance
@@ -104,24 +114,24 @@ def _growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str]
     axis.spines[["top", "right"]].set_visible(False)
 
 
-def _sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str) -> None:
-    """Bend against the error of the intrinsics, logarithmic, with intervals; hollow where no verdict says so."""
-    shown = [
+def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str) -> None:
+    """Draw deformation against the error of the intrinsics with 95 % intervals; hollow markers: not significant."""
+    points = [
         (row.lens_error_px, bend.rms, bend.ci, bend, row)
-        for row, bend in judged(rows)
+        for row, bend in measured_bends(rows)
         if row.lens_error_px is not None and bend.rms and bend.ci is not None
     ]
-    least = 0.5 * min((error for error, *_ in shown if error > 1e-3), default=0.01)
-    for error, rms, (low, high), bend, row in shown:
+    min_error = 0.5 * min((error for error, *_ in points if error > 1e-3), default=0.01)
+    for error, rms, (low, high), bend, row in points:
         axis.errorbar(
-            max(error, least), rms, [[rms - max(low, 0.05 * rms)], [high - rms]],
+            max(error, min_error), rms, [[rms - max(low, 0.05 * rms)], [high - rms]],
             color=colors[row.name], marker="s" if row.factors["control"] == "True" else "o", markersize=8,
             markerfacecolor=None if bend.is_bent else "white", capsize=3,
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlabel("error of the lens beyond its focal length, RMS [px]; none: left")
-    axis.set_ylabel(f"bend beyond affine, RMS [{unit}]")
-    axis.set_title("Against the lens (filled: a verdict; squares: control)", fontsize=10, loc="left")
+    axis.set_xlabel("lens error beyond focal length, RMS [px]; at the left: no error")
+    axis.set_ylabel(f"deformation beyond affine, RMS [{unit}]")
+    axis.set_title("Deformation by lens error (filled: significant; squares: control points)", fontsize=10, loc="left")
     axis.grid(alpha=0.25, which="both")
     axis.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,4 @@
-"""What solutions of one scene say about a bend: against the truth, against the first, and which setting did it."""
+"""Deformation of the solutions of one scene, against the truth and each other, and the setting that causes it."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
 from pcbench.report.markup import csv_text as csv_of
-from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, judged
+from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, SolutionResult, measured_bends
 
 FACTORS = {
     "images": (
         "the choice of images",
-        {"half": "every second", "oblique": "with oblique ones", "nadir": "nadir alone"},
+        {"half": "every second image", "oblique": "with oblique images", "nadir": "nadir images alone"},
     ),
-    "focal": ("the focal length", {"true": "at its true value", "free": "solved for", "guessed": "not known"}),
-    "distortion": ("the lens distortion", {"true": "at its true value", "zero": "left at zero", "free": "solved for"}),
+    "focal": ("the focal length", {"true": "at its true value", "free": "solved for", "guessed": "unknown"}),
+    "distortion": ("the lens distortion", {"true": "at its true value", "zero": "fixed at zero", "free": "solved for"}),
     "control": ("control points", {"True": "with them", "False": "without them"}),
 }
-MEASURING_S = 5.0  # that one solution takes, roughly, for progress bars
-_TOGETHER = 0.5  # rank correlation
-_GRID = 24  # pixels that intrinsics are compared at, along each side
+MEASURE_S = 5.0  # rough duration of measuring a solution, for progress bars
+_MIN_RANK_CORRELATION = 0.5  # counts as correlated
+_GRID_SIZE = 24  # pixels along each side at which intrinsics are compared
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,12 @@ class Variant:
     """Settings of one solution.
 
     Args:
-        name: in words.
-        images: nadir, half (every second of them), oblique (these too) or all.
-        focal: true (and fixed), free (from the true one) or guessed (free, and nothing is known of the lens).
-        distortion: true (and fixed), zero (and fixed) or free.
-        control: whether control points are held fast.
+        name: name in words.
+        images: `nadir`, `half` (every second nadir image), `oblique` (nadir and oblique) or `all`.
+        focal: `true` (fixed), `free` (refined from the true value) or `guessed` (refined from a guess, with an unknown
+            lens).
+        distortion: `true` (fixed), `zero` (fixed) or `free`.
+        control: whether control points are used.
     """
 
     name: str
@@ -52,72 +53,79 @@ class Variant:
 
     @property
     def factors(self) -> dict[str, str]:
+        """Settings by name, as text."""
         return {factor: str(getattr(self, factor)) for factor in FACTORS}
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What became of a variant: a cloud near the truth and the solved intrinsics, or why there is none.
+    """Result of a variant: a cloud registered to the truth and the solved intrinsics, or the reason for its failure.
 
     Args:
-        given, registered: images.
-        cloud: in the truth's coordinates, without a unit: its scale was fitted, and another one is no deformation.
-            Perhaps with the attribute `reprojection_error`.
-        failure: one line where there is no cloud.
+        variant: settings of the solution.
+        images_given: number of images.
+        images_registered: number of registered images.
+        cloud: cloud in the truth's coordinates, perhaps with the attribute `reprojection_error`. It has no unit: its
+            scale was fitted, so that a different scale is no deformation.
+        intrinsics: solved intrinsics.
+        notes: notes of the reconstructor.
+        failure: one line if there is no cloud.
     """
 
     variant: Variant
-    given: int
-    registered: int = 0
+    images_given: int
+    images_registered: int = 0
     cloud: Cloud | None = None
     intrinsics: Intrinsics | None = None
     notes: tuple[str, ...] = ()
     failure: str = ""
 
 
-def findings(
+def measure_solutions(
     solutions: Sequence[Solution],
     truth: Cloud,
     intrinsics: Intrinsics,
     seed: int = 0,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[SolutionResult, ...]:
-    """Measure how solutions are bent, against the truth and against the first of them.
+    """Measure the deformation of solutions against the truth and against the first solution.
 
     Args:
-        truth: the true surface.
-        intrinsics: the true ones.
-        seed: of the folds of the cross-validation.
+        solutions: results of the variants.
+        truth: true surface.
+        intrinsics: true intrinsics.
+        seed: random seed for the folds of the cross-validation.
+        step: progress callback.
     """
     first: tuple[str, Cloud] | None = None
     rows = []
     for number, solution in enumerate(solutions, 1):
         name, cloud, k = solution.variant.name, solution.cloud, solution.intrinsics
-        step(Step(f"measuring {name}", MEASURING_S, MEASURING_S * (len(solutions) - number)))
+        step(Step(f"measuring {name}", MEASURE_S, MEASURE_S * (len(solutions) - number)))
         row = SolutionResult(
             name,
             solution.variant.factors,
-            solution.given,
-            solution.registered,
+            solution.images_given,
+            solution.images_registered,
             failure=solution.failure or None,
             notes=solution.notes,
         )
         if cloud is not None:
-            found, placed = _deformation(truth, cloud, "similarity", seed)
+            found, placed = _measure_deformation(truth, cloud, "similarity", seed)
             mutual = None
             if first is None:
                 first = name, placed
             else:
-                # Sparse points that a dome moves by metres have no neighbours to register them by anew.
-                mutual = Bend.of(_deformation(first[1], placed, "none", seed)[0], first[0])
+                # Both are registered to the truth already. A dome of metres leaves sparse points without matches.
+                mutual = BendVerdict.from_deformation(_measure_deformation(first[1], placed, "none", seed)[0], first[0])
             errors = cloud.attributes.get("reprojection_error")
             row = replace(
                 row,
                 points=len(cloud),
                 reprojection_error=None if errors is None else float(np.mean(errors)),
-                lens=None if k is None else Lens.of(k),
+                lens=None if k is None else Lens.from_intrinsics(k),
                 lens_error_px=None if k is None else intrinsics_error(k, intrinsics),
-                truth=Bend.of(found),
+                truth=BendVerdict.from_deformation(found),
                 mutual=mutual,
                 cells=_cells(found),
             )
@@ -133,10 +141,11 @@ def _cells(found: Deformation) -> tuple[tuple[float, ...], ...] | None:
 
 
 def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
-    """RMS in pixels, over the image, of what intrinsics do wrong beyond a wrong focal length: images of a flat scene
-    from above do not tell that from another height.
+    """RMS error of intrinsics over the image beyond their focal length, in pixels.
+
+    The focal length is left out because nadir images of a flat scene cannot separate it from the flying height.
     """
-    middles = (np.arange(_GRID) + 0.5) / _GRID
+    middles = (np.arange(_GRID_SIZE) + 0.5) / _GRID_SIZE
     u, v = np.meshgrid(truth.width * middles, truth.height * middles)
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
     ours, true = intrinsics.directions(pixels)[:, :2], truth.directions(pixels)[:, :2]
@@ -145,44 +154,44 @@ def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
 
 
 def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
-    """Sentences on what bends the scene, from the rows of `findings` alone."""
-    known = judged(rows)
+    """Yield sentences on what deforms the scene, computed from the results."""
+    known = measured_bends(rows)
     if not known:
-        yield "No solution could be judged."
+        yield "No solution could be evaluated."
         return
     if not any(bend.is_bent for _, bend in known):
         open_ = [row.name for row, bend in known if bend.verdict == "undecided"]
         if open_:
-            yield f"Whether solutions are bent is undecided: {', '.join(map(repr, open_))}."
+            yield f"It is undecided whether these solutions are deformed: {', '.join(map(repr, open_))}."
         else:
-            yield "No solution is bent beyond what noise would do."
+            yield "No solution is deformed beyond what noise explains."
         return
-    changes = sorted(_changes(rows), key=lambda change: -change.by)
-    main = next((change for change in changes if change.is_sure), None)
+    changes = sorted(_bend_changes(rows), key=lambda change: -change.difference)
+    main = next((change for change in changes if change.is_significant), None)
     if main is None:
-        yield "Solutions are bent, but no two that differ in one setting differ by more than their intervals."
+        yield "Solutions are deformed, but no two that differ in one setting differ by more than their 95 % intervals."
         return
     words, values = FACTORS[main.factor]
     names = [values.get(row.factors[main.factor], row.factors[main.factor]) for row in (main.worse, main.better)]
-    sizes = [row.truth.size(unit) for row in (main.worse, main.better) if row.truth is not None]
+    sizes = [row.truth.size_text(unit) for row in (main.worse, main.better) if row.truth is not None]
     yield (
-        f"The cause is {words}: {names[0]}, the cloud is bent by {sizes[0]} RMS; {names[1]}, by {sizes[1]},"
+        f"The cause is {words}: {names[0]}, the cloud is deformed by {sizes[0]} RMS; {names[1]}, by {sizes[1]},"
         f" all else equal ({main.worse.name!r} against {main.better.name!r})."
     )
     for factor, (words, _) in FACTORS.items():
         own = [change for change in changes if change.factor == factor]
         if factor != main.factor and own:
             yield (
-                f"Changing {words} alone changes the bend by at most {own[0].by:.3g} {unit} RMS".rstrip()
+                f"Changing {words} alone changes the deformation by at most {own[0].difference:.3g} {unit} RMS".rstrip()
                 + f" ({own[0].worse.name!r} against {own[0].better.name!r})."
             )
-    yield from _shape(main.worse, unit)
-    yield from _intrinsics_words(rows)
-    yield from _mutual_words(rows, unit)
+    yield from _shape_sentence(main.worse, unit)
+    yield from _correlation_sentence(rows)
+    yield from _mutual_sentence(rows, unit)
 
 
 def table(study: BendStudy) -> Iterator[list[str]]:
-    """The rows as texts, a header first."""
+    """Yield the results as rows of text, a header first."""
     yield ["", "images", "points", "error px", "lens px", "verdict", "bend RMS [95 %]", "detectable", "to the first"]
     for row in study.rows:
         images = f"{row.images}/{row.images_given}"
@@ -196,14 +205,14 @@ def table(study: BendStudy) -> Iterator[list[str]]:
             _number(row.reprojection_error),
             _number(row.lens_error_px),
             row.truth.verdict,
-            row.truth.size(),
+            row.truth.size_text(),
             _number(row.truth.detectable),
             "" if row.mutual is None else f"{row.mutual.verdict}, {_number(row.mutual.rms)}",
         ]
 
 
 def csv_text(study: BendStudy) -> str:
-    """The rows of a study as CSV, a line each."""
+    """Return the results as CSV, one line per solution."""
     of_bend = ("verdict", "model", "rms", "low", "high", "detectable")
     header = ["name", "images_given", "images", "points", "reprojection_error", "focal", "distortion", "control"]
     header += ["focal_px", "lens_error_px", *(f"{which}_{key}" for which in ("truth", "mutual") for key in of_bend)]
@@ -221,15 +230,15 @@ def csv_text(study: BendStudy) -> str:
     return csv_of([*header, "failure", "images_registered"], rows)
 
 
-def _bend_cells(bend: Bend | None) -> tuple[object, ...]:
+def _bend_cells(bend: BendVerdict | None) -> tuple[object, ...]:
     if bend is None:
         return (None,) * 6
     low, high = bend.ci or (None, None)
     return bend.verdict, bend.model, bend.rms, low, high, bend.detectable
 
 
-def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
-    """The verdict, and the candidate as it was registered."""
+def _measure_deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
+    """Return the verdict and the registered candidate."""
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
     except (InputError, RegistrationError) as error:
@@ -238,62 +247,64 @@ def _deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> 
 
 
 class _BendChange(NamedTuple):
-    """Two solutions that differ in one factor, and by how much the worse one is bent more."""
+    """Two solutions that differ in one setting, and how much more the worse one is deformed (RMS)."""
 
     factor: str
     worse: SolutionResult
     better: SolutionResult
-    by: float
-    is_sure: bool  # the worse one is bent, and their intervals are apart
+    difference: float
+    is_significant: bool  # the worse one is deformed and the 95 % intervals do not overlap
 
 
-def _changes(rows: Sequence[SolutionResult]) -> Iterator[_BendChange]:
-    for pair in combinations(judged(rows), 2):
+def _bend_changes(rows: Sequence[SolutionResult]) -> Iterator[_BendChange]:
+    for pair in combinations(measured_bends(rows), 2):
         differ = [factor for factor in FACTORS if pair[0][0].factors[factor] != pair[1][0].factors[factor]]
         if len(differ) == 1:
             (worse, more), (better, less) = sorted(pair, key=lambda of: -(of[1].rms or 0.0))
-            apart = more.ci is not None and less.ci is not None and more.ci[0] > less.ci[1]
-            yield _BendChange(differ[0], worse, better, (more.rms or 0.0) - (less.rms or 0.0), more.is_bent and apart)
+            separate = more.ci is not None and less.ci is not None and more.ci[0] > less.ci[1]
+            yield _BendChange(
+                differ[0], worse, better, (more.rms or 0.0) - (less.rms or 0.0), more.is_bent and separate
+            )
 
 
-def _shape(row: SolutionResult, unit: str) -> Iterator[str]:
-    """Is it a dome or a bowl? By the vertical displacement in the middle and at the edge."""
+def _shape_sentence(row: SolutionResult, unit: str) -> Iterator[str]:
+    """Yield whether it is a dome or a bowl, from the vertical displacement in the middle and at the edge."""
     growth = None if row.truth is None or row.truth.growth is None else row.truth.growth.with_distance
     if growth is None:
         return
     inner, outer = growth.profile[0], growth.profile[-1]
     fall = inner.mean - outer.mean
     if abs(fall) > inner.null + outer.null:
-        shape, side = ("dome", "below") if fall > 0 else ("bowl", "above")
+        shape, side = ("dome", "low") if fall > 0 else ("bowl", "high")
         yield (
-            f"It is a {shape}: {outer.at:.0f} {unit} from the centre the surface lies {abs(fall):.3g} {unit} {side}"
-            f" where it should be against the middle ({row.name!r})."
+            f"It is a {shape}: {outer.at:.0f} {unit} from the centre the surface is {abs(fall):.3g} {unit} too"
+            f" {side}, relative to the middle ({row.name!r})."
         ).replace("  ", " ")
 
 
-def _intrinsics_words(rows: Sequence[SolutionResult]) -> Iterator[str]:
-    """How the bend goes with the error of the intrinsics: Spearman's rank correlation."""
-    known = [(row.lens_error_px, bend.rms) for row, bend in judged(rows) if row.lens_error_px is not None]
+def _correlation_sentence(rows: Sequence[SolutionResult]) -> Iterator[str]:
+    """Yield Spearman's rank correlation of the deformation and the error of the intrinsics."""
+    known = [(row.lens_error_px, bend.rms) for row, bend in measured_bends(rows) if row.lens_error_px is not None]
     if len(known) < 4:
         return
     a, b = (_ranks(column) for column in np.array(known, dtype=np.float64).T)
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return
     rho = float(np.corrcoef(a, b)[0, 1])
-    words = "go together" if rho >= _TOGETHER else "do not go together"
-    yield f"Bend and error of the solved lens {words}: rank correlation {rho:.2f} over {len(known)} solutions."
+    words = "are correlated" if rho >= _MIN_RANK_CORRELATION else "are not correlated"
+    yield f"Deformation and lens error {words}: rank correlation {rho:.2f} over {len(known)} solutions."
 
 
 def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of each value; equal ones share theirs."""
+    """Ranks of values; equal values share the mean of their ranks."""
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     ranks: NDArray[np.float64] = (np.cumsum(counts) - 0.5 * counts)[which]
     return ranks
 
 
-def _mutual_words(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
-    """The observation: two solutions of the same images that no affine motion brings together."""
-    named = {row.name: row for row, _ in judged(rows)}
+def _mutual_sentence(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
+    """Yield the largest deformation between two solutions of the same images."""
+    named = {row.name: row for row, _ in measured_bends(rows)}
     same = [
         (first, row, row.mutual)
         for row in named.values()
@@ -306,7 +317,7 @@ def _mutual_words(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
         first, worst, bend = max(same, key=lambda found: found[2].rms or 0.0)
         errors = [_number(row.reprojection_error) for row in (first, worst)]
         yield (
-            f"Solutions of the same images differ by {bend.size(unit)} RMS that no affine motion explains,"
+            f"Solutions of the same images differ by {bend.size_text(unit)} RMS beyond any affine motion,"
             f" with reprojection errors of {errors[0]} and {errors[1]} px ({first.name!r} and {worst.name!r})."
         )
 

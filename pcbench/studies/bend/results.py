@@ -1,4 +1,4 @@
-"""What the experiment found, as types; experiment.json holds them as they are."""
+"""Results of the experiment as types; their fields are the keys of experiment.json."""
 
 from __future__ import annotations
 
@@ -27,22 +27,26 @@ class Lens:
     size: tuple[int, int]
 
     @classmethod
-    def of(cls, intrinsics: Intrinsics) -> Lens:
-        """The intrinsics without their principal point."""
+    def from_intrinsics(cls, intrinsics: Intrinsics) -> Lens:
+        """Take focal lengths, distortion and image size from intrinsics."""
         k = intrinsics
         return cls(k.fx, k.fy, tuple(k.distortion), (k.width, k.height))
 
 
 @dataclass(frozen=True)
-class Bend:
-    """The verdict on a solution's cloud against another cloud, without its field.
+class BendVerdict:
+    """Verdict on the deformation of a solution's cloud, without the displacement field.
 
     Attributes:
-        verdict, model, p_value, growth: as of `Deformation`.
-        rms: of the deformation beyond an affine one, with `ci`, its 95 % interval; None where the verdict has none.
+        verdict: verdict, as in `Deformation`.
+        model: selected model, as in `Deformation`.
+        rms: RMS of the deformation beyond an affine one; None if the verdict has none.
+        ci: 95 % confidence interval of `rms`.
+        p_value: p-value, as in `Deformation`.
         detectable: RMS of the smallest dome that would have been detected.
+        growth: trends with distance and height, as in `Deformation`.
         warnings: one line each.
-        against: name of the solution whose cloud is the other one; None for the truth.
+        against: name of the solution that it is compared with; None for the truth.
     """
 
     verdict: str
@@ -56,8 +60,8 @@ class Bend:
     against: str | None = None
 
     @classmethod
-    def of(cls, found: Deformation, against: str | None = None) -> Bend:
-        """What is kept of a verdict."""
+    def from_deformation(cls, found: Deformation, against: str | None = None) -> BendVerdict:
+        """Take the verdict without its field."""
         size = found.amplitude
         return cls(
             found.verdict,
@@ -73,11 +77,11 @@ class Bend:
 
     @property
     def is_bent(self) -> bool:
-        """Whether the cloud is bent beyond what noise would do."""
+        """Whether the deformation is beyond an affine one and beyond noise."""
         return self.verdict == "non-affine"
 
-    def size(self, unit: str = "") -> str:
-        """RMS and interval in words; a dash where there is none."""
+    def size_text(self, unit: str = "") -> str:
+        """Return RMS and interval as text, or a dash."""
         if self.rms is None or self.ci is None:
             return "–"
         return f"{self.rms:.3g} [{self.ci[0]:.3g}, {self.ci[1]:.3g}] {unit}".rstrip()
@@ -85,16 +89,22 @@ class Bend:
 
 @dataclass(frozen=True)
 class SolutionResult:
-    """One solution: its settings, and what became of it.
+    """Settings and results of one solution.
 
     Attributes:
-        name: of the variant; factors: its settings by name.
-        images_given, images: photographs, and those that were registered.
-        failure: one line where there is no cloud.
-        points: of the cloud; reprojection_error: its mean, in pixels.
-        lens: as it was solved; lens_error_px: RMS error beyond the focal length.
-        truth: the verdict against the truth; mutual: against the first solution.
-        cells: x, y, z, vertical displacement and its standard deviation, a row for each cell; NaN where unknown.
+        name: name of the variant.
+        factors: settings of the variant by name.
+        images_given: number of images.
+        images: number of registered images.
+        failure: one line if there is no cloud.
+        notes: notes of the reconstructor.
+        points: number of points of the cloud.
+        reprojection_error: mean reprojection error, in pixels.
+        lens: solved intrinsics.
+        lens_error_px: RMS error of the intrinsics beyond the focal length, in pixels.
+        truth: verdict against the truth.
+        mutual: verdict against the first solution.
+        cells: rows of x, y, z, vertical displacement and its standard deviation; NaN if unknown.
     """
 
     name: str
@@ -107,14 +117,14 @@ class SolutionResult:
     reprojection_error: float | None = None
     lens: Lens | None = None
     lens_error_px: float | None = None
-    truth: Bend | None = None
-    mutual: Bend | None = None
+    truth: BendVerdict | None = None
+    mutual: BendVerdict | None = None
     cells: tuple[tuple[float, ...], ...] | None = None
 
 
 @dataclass(frozen=True)
 class SurveyedScene:
-    """The scene: its folder, number of images, true lens, and unit of lengths."""
+    """A scene: folder, number of images, true lens, and unit of lengths."""
 
     path: str
     images: int
@@ -124,11 +134,14 @@ class SurveyedScene:
 
 @dataclass(frozen=True)
 class BendStudy:
-    """All solutions of a scene, and what follows.
+    """Results of all solutions of a scene.
 
     Attributes:
-        plugin: the reconstructor.
-        sentences: on the cause, computed from the rows.
+        scene: the scene.
+        plugin: name of the reconstructor.
+        rows: one per solution.
+        sentences: conclusions on the cause, computed from the rows.
+        provenance: versions, machine and seed.
     """
 
     scene: SurveyedScene
@@ -139,31 +152,31 @@ class BendStudy:
 
     @property
     def unit(self) -> str:
-        """Of lengths, for words; nothing where it is not known."""
+        """Unit of lengths; empty if unknown."""
         return self.scene.unit or ""
 
     @property
     def is_judged(self) -> bool:
-        """Whether the bend of any solution is known."""
-        return bool(judged(self.rows))
+        """Whether the deformation of any solution was measured."""
+        return bool(measured_bends(self.rows))
 
 
-def judged(rows: Sequence[SolutionResult]) -> list[tuple[SolutionResult, Bend]]:
-    """Solutions whose bend against the truth has a size, with that bend."""
+def measured_bends(rows: Sequence[SolutionResult]) -> list[tuple[SolutionResult, BendVerdict]]:
+    """Return the solutions whose deformation against the truth was measured, with their verdicts."""
     return [(row, row.truth) for row in rows if row.truth is not None and row.truth.rms is not None]
 
 
 def document(study: BendStudy) -> dict[str, Any]:
-    """What experiment.json holds of a study."""
-    return {"schema": SCHEMA, **_plain(study), "rows": [_row_values(row) for row in study.rows]}
+    """Return a study as the document of experiment.json."""
+    return {"schema": SCHEMA, **_field_values(study), "rows": [_row_values(row) for row in study.rows]}
 
 
 def read_study(folder: Path) -> BendStudy:
-    """What experiment.json in a folder holds.
+    """Read experiment.json of a folder.
 
     Raises:
-        InputError: it is another one, or damaged.
-        OSError: it cannot be read.
+        InputError: the file has another schema or is damaged.
+        OSError: the file cannot be read.
     """
     path = folder / DOCUMENT
     values = read_json(path)
@@ -179,19 +192,19 @@ def read_study(folder: Path) -> BendStudy:
             values["provenance"],
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: it is damaged: {type(error).__name__}: {error}") from error
+        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
 
 
-def _plain(of: Any) -> dict[str, Any]:
+def _field_values(of: Any) -> dict[str, Any]:
     return {field.name: getattr(of, field.name) for field in fields(of)}
 
 
 def _row_values(row: SolutionResult) -> dict[str, Any]:
     bends = {"truth": row.truth, "mutual": row.mutual}
-    return {**_plain(row), **{key: None if bend is None else _bend_values(bend) for key, bend in bends.items()}}
+    return {**_field_values(row), **{key: None if bend is None else _bend_values(bend) for key, bend in bends.items()}}
 
 
-def _bend_values(bend: Bend) -> dict[str, Any]:
+def _bend_values(bend: BendVerdict) -> dict[str, Any]:
     values = asdict(bend)
     against = values.pop("against")
     return values if against is None else {"against": against, **values}
@@ -213,14 +226,14 @@ def _lens(values: Mapping[str, Any]) -> Lens:
     return Lens(values["fx"], values["fy"], tuple(values["distortion"]), (width, height))
 
 
-def _bend(values: Mapping[str, Any]) -> Bend:
+def _bend(values: Mapping[str, Any]) -> BendVerdict:
     ci, growth = values["ci"], values["growth"]
     parts = {
         "ci": None if ci is None else (ci[0], ci[1]),
         "growth": None if growth is None else Growth(_trend(growth["with_distance"]), _trend(growth["with_height"])),
         "warnings": tuple(values["warnings"]),
     }
-    return Bend(**{**values, **parts})
+    return BendVerdict(**{**values, **parts})
 
 
 def _trend(values: Mapping[str, Any] | None) -> Trend | None:

@@ -1,4 +1,4 @@
-"""Errors of solved cameras, and what these do by themselves to the surface that they see."""
+"""Errors of solved cameras, and the deformation of the surface that they cause by themselves."""
 
 from __future__ import annotations
 
@@ -13,79 +13,89 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import robust_similarity
 from pcbench.geometry.visibility import SEEN_BY, in_frame
-from pcbench.studies.gao.results import CameraErrors, SurfaceMoved
+from pcbench.studies.gao.results import CameraErrors, SurfaceDeformation
 
-_MOST = 20_000  # points that tell how a surface is bent
-_FIXED = 1e-4  # of the information that rays at right angles would give: less leaves a place open
-_FEWEST = 100  # points
-_ROUNDING = 1e-6  # of the scene: less is no error
-_SAME_FRAME = 0.1  # of the extent of the cameras: a solution in another frame is further off
-_ASTRAY = 10.0  # times the median error: a camera that is further off is lost
-_BINS = 8  # of a profile
+_MAX_SURFACE_POINTS = 20_000  # sample of the surface whose deformation is computed
+_MIN_EIGENVALUE_RATIO = 1e-4  # smallest to largest; below, the rays are too parallel to fix a point
+_MIN_SURFACE_POINTS = 100
+_ROUNDING_SHARE = 1e-6  # of the scene's extent; smaller position errors are rounding
+_SAME_FRAME_SHARE = 0.1  # of the cameras' extent; larger median distances mean another frame
+_OUTLIER_RATIO = 10.0  # to the median error; cameras with a larger error are outliers
+_PROFILE_BINS = 8
 
 
 def camera_errors(
     solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud | None
 ) -> CameraErrors | None:
-    """How far solved cameras are from true ones, by name; None where fewer than three have both, or stand in a line.
+    """Measure the errors of solved cameras, matched by name.
+
+    Returns None if fewer than three cameras are in both, or if they lie on a line.
 
     Args:
-        surface: what they see, perhaps with normals; None: it is not asked what they do to it.
+        solved: solved cameras by image name.
+        true: true cameras by image name.
+        surface: surface that they observe, optionally with normals; None skips its deformation.
     """
     names = sorted(set(solved) & set(true))
     if len(names) < 3:
         return None
-    ours = np.stack([solved[name].position for name in names])
-    theirs = np.stack([true[name].position for name in names])
+    solved_positions = np.stack([solved[name].position for name in names])
+    true_positions = np.stack([true[name].position for name in names])
     try:
-        apart = np.linalg.norm(robust_similarity(ours, theirs).apply(ours) - theirs, axis=1)
+        errors = np.linalg.norm(
+            robust_similarity(solved_positions, true_positions).apply(solved_positions) - true_positions, axis=1
+        )
     except InputError:
         return None
     focal = [solved[name].intrinsics.fx / true[name].intrinsics.fx for name in names]
-    near = apart <= max(_ASTRAY * float(np.median(apart)), _ROUNDING * float(np.ptp(theirs)))
-    # One that stands elsewhere agrees with no other: it makes few points, and no method believes it.
+    near = errors <= max(_OUTLIER_RATIO * float(np.median(errors)), _ROUNDING_SHARE * float(np.ptp(true_positions)))
+    # An outlier agrees with no other camera: it contributes few points, which no method accepts.
     kept = {name: solved[name] for name, agrees in zip(names, near, strict=True) if agrees}
     return CameraErrors(
         solved=len(names),
         given=len(true),
-        median=float(np.median(apart)),
-        largest=float(apart.max()),
+        median=float(np.median(errors)),
+        largest=float(errors.max()),
         focal_ratio=float(np.median(focal)),
         astray=len(names) - len(kept),
-        surface=None if surface is None else bent_by(kept, true, surface),
+        surface=None if surface is None else camera_deformation(kept, true, surface),
     )
 
 
-def placed_cameras(solved: Mapping[str, Camera], given: Mapping[str, Camera]) -> Mapping[str, Camera]:
-    """Those by which a scene is described in the frame of its clouds: the given ones where solved ones are in their
-    frame, or there are none, for a solved camera may be lost.
+def cameras_in_cloud_frame(solved: Mapping[str, Camera], given: Mapping[str, Camera]) -> Mapping[str, Camera]:
+    """Return the cameras that describe the scene in the frame of its clouds.
+
+    These are the given ones if the solved ones are in the same frame, because solved cameras may have outliers, or if
+    nothing was solved.
     """
     names = sorted(set(solved) & set(given))
     if not names:
         return solved or given
-    theirs = np.stack([given[name].position for name in names])
-    apart = np.linalg.norm(np.stack([solved[name].position for name in names]) - theirs, axis=1)
-    return given if np.median(apart) < _SAME_FRAME * float(np.ptp(theirs, axis=0).max()) else solved
+    given_positions = np.stack([given[name].position for name in names])
+    distances = np.linalg.norm(np.stack([solved[name].position for name in names]) - given_positions, axis=1)
+    return given if np.median(distances) < _SAME_FRAME_SHARE * float(np.ptp(given_positions, axis=0).max()) else solved
 
 
-def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud) -> SurfaceMoved | None:
-    """What solved cameras make of a surface by themselves. No match and no noise takes part: each point is where its
-    pixels in the true cameras, seen through the solved ones, put it. None where too few points are seen.
+def camera_deformation(
+    solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: Cloud
+) -> SurfaceDeformation | None:
+    """Measure how solved cameras alone deform a surface, without matching errors and noise.
 
-    Without normals, all three components of the displacement count.
+    Each point is projected with the true cameras and triangulated with the solved ones. Returns None if too few points
+    are visible. Without normals, all three components of the displacement count.
     """
     rng = np.random.default_rng(0)
-    chosen = np.sort(rng.permutation(len(surface))[:_MOST])
-    points = surface.points[chosen]
-    placed, known = seen_through(solved, true, points)
-    if known.sum() < _FEWEST:
+    sample = np.sort(rng.permutation(len(surface))[:_MAX_SURFACE_POINTS])
+    points = surface.points[sample]
+    triangulated, fixed = retriangulate(solved, true, points)
+    if fixed.sum() < _MIN_SURFACE_POINTS:
         return None
-    points, moved = points[known], (placed - points)[known]
+    points, moved = points[fixed], (triangulated - points)[fixed]
     x, u = points - points.mean(axis=0), moved
     if surface.normals is None:
         x, u, n = np.repeat(x, 3, axis=0), np.repeat(u, 3, axis=0), np.tile(np.eye(3), (len(x), 1))
     else:
-        n = surface.normals[chosen][known]
+        n = surface.normals[sample][fixed]
     along = np.einsum("ni,ni->n", n, u)
     scale = float(np.abs(x).max()) or 1.0
     rigid = np.hstack([n, np.cross(x / scale, n)])  # n . (t + w x p) = n . t + w . (p x n)
@@ -93,7 +103,7 @@ def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: C
     motion = np.linalg.lstsq(rigid, along, rcond=None)[0]
     off = points - points.mean(axis=0)
     rise = (moved - motion[:3] - np.cross(motion[3:], off / scale))[:, 2]
-    return SurfaceMoved(
+    return SurfaceDeformation(
         moved=_rms(along - rigid @ motion),
         bent=_rms(along - affine @ np.linalg.lstsq(affine, along, rcond=None)[0]),
         with_distance=_profile(np.hypot(off[:, 0], off[:, 1]), rise),
@@ -101,14 +111,16 @@ def bent_by(solved: Mapping[str, Camera], true: Mapping[str, Camera], surface: C
     )
 
 
-def seen_through(
+def retriangulate(
     solved: Mapping[str, Camera], true: Mapping[str, Camera], points: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Where solved cameras put points (N, 3) that have their pixels in the true ones, and which (N,) of them at least
-    three cameras fix.
+    """Project points (N, 3) with true cameras and triangulate the pixels with solved ones. Occlusion is ignored.
 
-    The place is nearest to the rays in least squares, each weighted by the inverse of the depth: nearly what the least
-    reprojection error gives. Nothing hides anything here.
+    Each triangulated point minimises the squared distances to its rays, weighted by inverse squared depth, which is
+    close to the minimum of the reprojection errors.
+
+    Returns:
+        The triangulated points (N, 3), and whether each (N,) is fixed by at least three cameras.
     """
     matrix, vector = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     count = np.zeros(len(points), dtype=np.int64)
@@ -122,17 +134,17 @@ def seen_through(
         matrix[rows] += across
         vector[rows] += across @ camera.position
         count[rows] += 1
-    known = count >= SEEN_BY
-    least, most = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
-    known &= least > _FIXED * most
-    placed = points.copy()
-    placed[known] = np.linalg.solve(matrix[known], vector[known][:, :, None])[:, :, 0]
-    return placed, known
+    fixed = count >= SEEN_BY
+    smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
+    fixed &= smallest > _MIN_EIGENVALUE_RATIO * largest
+    triangulated = points.copy()
+    triangulated[fixed] = np.linalg.solve(matrix[fixed], vector[fixed][:, :, None])[:, :, 0]
+    return triangulated, fixed
 
 
 def _profile(along: FloatArray, values: FloatArray) -> tuple[tuple[float, float], ...]:
-    """Where, and mean value, in bins of equal numbers (N,)."""
-    bins = np.array_split(np.argsort(along, kind="stable"), _BINS)
+    """Return mean position and mean value in bins of equal counts (N,)."""
+    bins = np.array_split(np.argsort(along, kind="stable"), _PROFILE_BINS)
     return tuple((float(along[rows].mean()), float(values[rows].mean())) for rows in bins)
 
 

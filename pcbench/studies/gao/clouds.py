@@ -1,4 +1,4 @@
-"""The clouds of one scene: each by a reconstructor in a process of its own, kept for the next run."""
+"""Reconstruct the clouds of one scene, each in a separate process; they are saved for later runs."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ from pcbench.progress import Step
 from pcbench.scenes import Scene
 from pcbench.studies.gao.plan import SPARSE, CloudMethod, GaoJob, methods
 
-CLOUD, CAMERAS = "cloud.ply", "cameras"
-_RUN, _RUNS, WORK = "run.json", "runs", "work"
-_SECONDS = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # roughly, for progress bars
+CLOUD_FILE, CAMERAS_FOLDER = "cloud.ply", "cameras"
+_RUN_FILE, _RUNS_FOLDER, WORK_FOLDER = "run.json", "runs", "work"
+_EXPECTED_S = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # rough durations, for progress bars
 
 
 @dataclass(frozen=True)
-class Made:
-    """What became of one method.
+class CloudRun:
+    """Result of one method.
 
     Attributes:
-        folder: with its cloud and cameras; None where there is none.
-        seconds: that its process took.
-        resumed: whether that process found a part of its work done: then it would have taken longer.
-        memory_bytes: the most that the process had; None where it is not known.
-        notes: of the reconstructor.
-        failure: one line where there is no cloud.
+        method: the method.
+        folder: folder with its cloud and cameras; None if it failed.
+        seconds: wall time of its process.
+        resumed: whether the process resumed an earlier one, so that `seconds` is too short.
+        memory_bytes: peak memory of the process; None if unknown.
+        notes: notes of the reconstructor.
+        failure: one line if there is no cloud.
     """
 
     method: CloudMethod
@@ -50,68 +51,75 @@ class Made:
 
     @property
     def cloud(self) -> Path | None:
-        return None if self.folder is None else self.folder / CLOUD
+        """File of the cloud; None if the method failed."""
+        return None if self.folder is None else self.folder / CLOUD_FILE
 
     def cameras(self) -> dict[str, Camera]:
-        """By image name; none where there is no cloud."""
+        """Return the cameras by image name; empty if the method failed."""
         if self.folder is None:
             return {}
-        return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS)}
+        return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS_FOLDER)}
 
 
 def make_clouds(
-    job: GaoJob, scene: Scene, path: Path, out: Path, unit: str | None, tell: Callable[[Step], None]
-) -> list[Made]:
-    """All clouds of a scene, in the order of `methods`; what fails is said in its place.
+    job: GaoJob, scene: Scene, path: Path, out: Path, unit: str | None, step: Callable[[Step], None]
+) -> list[CloudRun]:
+    """Reconstruct all clouds of a scene, in the order of `methods`; a failure becomes a result with its reason.
 
     Args:
-        path: of the scene, as `read_scene` took it.
-        out: an existing folder, where everything is kept.
-        unit: of the scene's cameras, if known: that of clouds which have none.
-        tell: gets what is done; the seconds of a step are of this scene.
+        job: the experiment.
+        scene: scene to reconstruct.
+        path: its folder, as given to `read_scene`.
+        out: existing folder for all results.
+        unit: unit of the scene's cameras, if known, for clouds without one.
+        step: progress callback; the remaining seconds are those of this scene.
 
     Raises:
-        InputError: the crop holds nothing of the sparse cloud, which is made first.
+        InputError: the crop holds no point of the sparse cloud, which is reconstructed first.
         OSError: a file cannot be written.
     """
-    maker = _Maker(job, scene, path, out, unit, tell)
-    done: list[Made] = []
+    maker = _CloudMaker(job, scene, path, out, unit, step)
+    done: list[CloudRun] = []
     for number, method in enumerate(plan := methods(job)):
-        seconds = _SECONDS[method.plugin]
-        later = sum(_SECONDS[m.plugin] for m in plan[number + 1 :])
-        tell(Step(f"{scene.name}: {method.name}", seconds, later))
-        made = maker.make(method, done)
-        if method.name == SPARSE and made.cloud is not None and job.crop is not None:
-            check_crop(job.crop, read_cloud(made.cloud), f"{scene.name}: the sparse cloud's")
-        done.append(made)
+        seconds = _EXPECTED_S[method.plugin]
+        later = sum(_EXPECTED_S[m.plugin] for m in plan[number + 1 :])
+        step(Step(f"{scene.name}: {method.name}", seconds, later))
+        cloud_run = maker.make(method, done)
+        if method.name == SPARSE and cloud_run.cloud is not None and job.crop is not None:
+            check_crop(job.crop, read_cloud(cloud_run.cloud), f"{scene.name}: the sparse cloud's")
+        done.append(cloud_run)
     return done
 
 
-def check_crop(crop: str, cloud: Cloud, whose: str) -> None:
-    """Raises:
-    InputError: the region holds none of a cloud's points, so that nothing could be measured in it.
+def check_crop(crop: str, cloud: Cloud, label: str) -> None:
+    """Check that a region holds points of a cloud.
+
+    Raises:
+        InputError: the region holds none, so that nothing could be measured in it.
     """
-    points_inside(cloud.points, as_region(crop, cloud), crop, whose)
+    points_inside(cloud.points, as_region(crop, cloud), crop, label)
 
 
 @dataclass(frozen=True)
-class _Maker:
+class _CloudMaker:
+    """Reconstructs the clouds of one scene."""
+
     job: GaoJob
     scene: Scene
     path: Path
     out: Path
     unit: str | None
-    tell: Callable[[Step], None]
+    step: Callable[[Step], None]
 
-    def make(self, method: CloudMethod, before: Sequence[Made]) -> Made:
-        sparse = next((made for made in before if made.method.name == SPARSE), None)
+    def make(self, method: CloudMethod, earlier_runs: Sequence[CloudRun]) -> CloudRun:
+        sparse = next((run for run in earlier_runs if run.method.name == SPARSE), None)
         if sparse is not None and self.job.poses == "solve" and sparse.folder is None:
-            return Made(method, failure=f"no cameras: {sparse.failure}")
-        if twin := next((m for m in before if m.method.workspace == method.workspace and m.failure), None):
-            return Made(method, failure=twin.failure)
+            return CloudRun(method, failure=f"no cameras: {sparse.failure}")
+        if failed := next((m for m in earlier_runs if m.method.workspace == method.workspace and m.failure), None):
+            return CloudRun(method, failure=failed.failure)
         solved = sparse.folder if sparse is not None and self.job.poses == "solve" else None
-        for place in (_RUNS, WORK):
-            (self.out / place).mkdir(exist_ok=True)
+        for folder_name in (_RUNS_FOLDER, WORK_FOLDER):
+            (self.out / folder_name).mkdir(exist_ok=True)
         key = {
             "plugin": describe(method.plugin).sha256,
             "settings": method.settings,
@@ -120,34 +128,37 @@ class _Maker:
             "unit": self.unit,
         }
         try:
-            folder = stage(self.out / _RUNS, method.name, key, lambda target: self._run(method, solved, target))
-        except (InputError, ReconstructionError) as error:  # not kept: the next run tries again
-            return Made(method, failure=recorded(error))
-        known: Mapping[str, Any] = read_json(folder / _RUN)
-        return Made(method, folder, **{**known, "notes": tuple(known["notes"])})
+            folder = stage(self.out / _RUNS_FOLDER, method.name, key, lambda target: self._run(method, solved, target))
+        except (InputError, ReconstructionError) as error:  # not saved: the next run tries again
+            return CloudRun(method, failure=recorded(error))
+        record: Mapping[str, Any] = read_json(folder / _RUN_FILE)
+        return CloudRun(method, folder, **{**record, "notes": tuple(record["notes"])})
 
     def _run(self, method: CloudMethod, solved: Path | None, target: Path) -> None:
-        workspace, begun = self.out / WORK / method.workspace, self.out / WORK / f"{method.name}.begun"
-        resumed = begun.exists()
-        begun.touch()
-        cameras = "auto" if solved is None else str(solved / CAMERAS)
+        workspace, start_mark = (
+            self.out / WORK_FOLDER / method.workspace,
+            self.out / WORK_FOLDER / f"{method.name}.begun",
+        )
+        resumed = start_mark.exists()
+        start_mark.touch()
+        cameras = "auto" if solved is None else str(solved / CAMERAS_FOLDER)
         scale = self.scene.image_scale
-        made = run(
+        outcome = run(
             ReconstructionJob(method.plugin, self.path, method.settings, cameras=cameras, image_scale=scale),
             workspace,
             self.job.time_limit,
-            lambda text: self.tell(Step(f"{self.scene.name}: {method.name}: {text}")),
+            lambda text: self.step(Step(f"{self.scene.name}: {method.name}: {text}")),
         )
-        result = made.required()
+        result = outcome.required()
         cloud = result.cloud
         if cloud.unit is None and result.gauge == "georeferenced":
             cloud = replace(cloud, unit=self.unit)
-        write_cloud(target / CLOUD, cloud)
-        write_colmap_model(target / CAMERAS, list(result.cameras.values()))
-        known = {
-            "seconds": made.wall_s,
+        write_cloud(target / CLOUD_FILE, cloud)
+        write_colmap_model(target / CAMERAS_FOLDER, list(result.cameras.values()))
+        record = {
+            "seconds": outcome.wall_s,
             "resumed": resumed,
-            "memory_bytes": made.peak_rss_bytes,
-            "notes": [*made.warnings, *result.notes],
+            "memory_bytes": outcome.peak_rss_bytes,
+            "notes": [*outcome.warnings, *result.notes],
         }
-        (target / _RUN).write_text(json.dumps(known, indent=1), encoding="utf-8")
+        (target / _RUN_FILE).write_text(json.dumps(record, indent=1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Pictures of the experiment: camera rings, both directions against both references, and how displacements grow."""
+"""Pictures of the experiment: camera rings, accuracy against completeness, and trends of displacement."""
 
 from __future__ import annotations
 
@@ -14,90 +14,100 @@ from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
-from pcbench.studies.gao.results import TRUTH, SceneResult, Study, read_study, references
+from pcbench.studies.gao.results import TRUTH, GaoStudy, SceneResult, read_study, references
 
-# Draws the pictures of the folder of an experiment.
+# Draws the pictures of an experiment's folder.
 PICTURES = Drawer(f"{__name__}:pictures", ("gao.md",))
 
-_UNKNOWN = "units of the cameras"
-_ALONE = "what solved cameras do alone"
-_COLORS = {SPARSE: "#0072b2", MVS: "#009e73", MEANS: "#d55e00", SURFACE: "#cc79a7", _ALONE: "#444444"}  # Okabe and Ito
-_SHAPES = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D"}
-_GREY, _CAMERA, _PLACE = "#777777", "#0072b2", "#d55e00"
-_THIN = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
+_UNKNOWN_UNIT = "units of the cameras"
+_CAMERAS_ALONE = "effect of solved cameras alone"
+_COLORS = {
+    SPARSE: "#0072b2",
+    MVS: "#009e73",
+    MEANS: "#d55e00",
+    SURFACE: "#cc79a7",
+    _CAMERAS_ALONE: "#444444",
+}  # palette of Okabe and Ito
+_MARKERS = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D"}
+_GREY, _CAMERA_COLOR, _FOCUS_COLOR = "#777777", "#0072b2", "#d55e00"
+_THIN_LINE = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
-    """The pictures of a folder that `pcbench experiment gao` wrote."""
+    """Return the pictures of a folder that `pcbench experiment gao` wrote."""
     study = read_study(folder)
     nothing = "no cloud was measured"
     return {
-        "rings": Picture(lambda path: rings(study.scenes, path)),
-        "directions": Picture(lambda path: directions(study, path), nothing),
-        "growth": Picture(lambda path: growth(study, path), nothing),
+        "rings": Picture(lambda path: draw_rings(study.scenes, path)),
+        "directions": Picture(lambda path: draw_directions(study, path), nothing),
+        "growth": Picture(lambda path: draw_growth(study, path), nothing),
     }
 
 
-def rings(scenes: Sequence[SceneResult], path: Path) -> bool:
-    """Where cameras stand, from above and from the side, with the place that they look at and what is measured;
-    a row a scene."""
+def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
+    """Draw camera positions from above and from the side, with their common focus and the measured region.
+
+    Each scene has one row.
+    """
     figure, axes = _canvas(len(scenes), 2, (6.6, 4.6))
     for (above, side), scene in zip(axes, scenes, strict=True):
         positions = np.array(scene.positions)
         place = None if scene.looked_at is None else np.array(scene.looked_at)
         centre = positions.mean(axis=0) if place is None else place
         across = np.linalg.norm(positions[:, :2] - centre[:2], axis=1)
-        unit = scene.unit or _UNKNOWN
+        unit = scene.unit or _UNKNOWN_UNIT
         turn = np.linspace(0, 2 * np.pi, 181)
-        for radius in _radii(across):
-            above.plot(centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn), **_THIN)
+        for radius in _ring_radii(across):
+            above.plot(centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn), **_THIN_LINE)
         for position, out in zip(positions, across, strict=True):
-            above.plot(*np.stack([position, centre])[:, :2].T, **_THIN)
-            side.plot([out, 0], [position[2], centre[2]], **_THIN)
-        if (measured := _sphere(scene.region)) is not None:
+            above.plot(*np.stack([position, centre])[:, :2].T, **_THIN_LINE)
+            side.plot([out, 0], [position[2], centre[2]], **_THIN_LINE)
+        if (measured := _parse_sphere(scene.region)) is not None:
             *middle, radius = measured
-            style = {"color": _PLACE, "linestyle": "--", "linewidth": 1.2}
+            style = {"color": _FOCUS_COLOR, "linestyle": "--", "linewidth": 1.2}
             above.plot(middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn), **style)
             label = f"measured: within {radius:.0f} {unit}"
             half = np.linspace(-np.pi / 2, np.pi / 2, 91)
             side.plot(radius * np.cos(half), middle[2] + radius * np.sin(half), label=label, **style)
         if place is not None:
             at = ", ".join(f"{value + 0.0:.1f}".replace("-0.0", "0.0") for value in place)
-            mark = {"color": _PLACE, "markersize": 14, "markeredgewidth": 2, "linestyle": "none"}
+            mark = {"color": _FOCUS_COLOR, "markersize": 14, "markeredgewidth": 2, "linestyle": "none"}
             above.plot(*place[:2], "+", **mark)
-            side.plot(0, place[2], "+", label=f"looked at: ({at}) {unit}", **mark)
-        above.scatter(*positions[:, :2].T, s=22, color=_CAMERA, zorder=3)
-        side.scatter(across, positions[:, 2], s=22, color=_CAMERA, zorder=3, label=f"{len(positions)} cameras")
+            side.plot(0, place[2], "+", label=f"focus: ({at}) {unit}", **mark)
+        above.scatter(*positions[:, :2].T, s=22, color=_CAMERA_COLOR, zorder=3)
+        side.scatter(across, positions[:, 2], s=22, color=_CAMERA_COLOR, zorder=3, label=f"{len(positions)} cameras")
         above.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]", aspect="equal")
-        side.set(xlabel=f"horizontal distance from there [{unit}]", ylabel=f"height [{unit}]", aspect="equal")
+        side.set(xlabel=f"horizontal distance from the focus [{unit}]", ylabel=f"height [{unit}]", aspect="equal")
         above.set_title(f"{scene.name}, from above", fontsize=11, loc="left")
-        side.set_title("elevation: all turned into one half-plane", fontsize=11, loc="left")
+        side.set_title("elevation: all cameras rotated into one half-plane", fontsize=11, loc="left")
         side.set_xlim(left=-0.03 * float(across.max() or 1.0))
         side.legend(frameon=False, fontsize=9, loc="lower right")
     save(figure, path)
     return True
 
 
-def directions(study: Study, path: Path) -> bool:
-    """Root mean square distances from the cloud to the reference and back, a panel a reference; a line leads from the
-    sparse cloud of a scene to its splats' centres and to their surface."""
+def draw_directions(study: GaoStudy, path: Path) -> bool:
+    """Draw RMS distances in both directions, one panel per reference.
+
+    A line connects the sparse cloud of a scene with its splats' centres and their surface.
+    """
     columns = _references(study)
     if not columns:
         return False
     figure, axes = _canvas(1, len(columns), (6.4, 5.0), share=True)
-    unit = study.unit or _UNKNOWN
+    unit = study.unit or _UNKNOWN_UNIT
     for axis, reference in zip(axes[0], columns, strict=True):
         for scene in study.scenes:
             places = {}
             for cloud in scene.clouds:
-                of = cloud.held(reference)
-                if of is not None and of.forth_rms and of.back_rms:
-                    places[cloud.name] = of.forth_rms, of.back_rms
-                    look = {"color": _COLORS[cloud.name], "marker": _SHAPES[cloud.name]}
+                of = cloud.evaluation(reference)
+                if of is not None and of.c2r_rms and of.r2c_rms:
+                    places[cloud.name] = of.c2r_rms, of.r2c_rms
+                    look = {"color": _COLORS[cloud.name], "marker": _MARKERS[cloud.name]}
                     axis.scatter(*places[cloud.name], s=80, label=cloud.name, zorder=3, **look)
             way = [places[name] for name in (SPARSE, MEANS, SURFACE) if name in places]
             if way:
-                axis.plot(*zip(*way, strict=True), **_THIN)
+                axis.plot(*zip(*way, strict=True), **_THIN_LINE)
             if len(study.scenes) > 1 and MEANS in places:
                 axis.annotate(scene.name, places[MEANS], (7, 4), textcoords="offset points", fontsize=8)
         axis.set(xscale="log", yscale="log")
@@ -108,54 +118,56 @@ def directions(study: Study, path: Path) -> bool:
         axis.margins(0.15)
         axis.tick_params(labelbottom=True, labelleft=True)
     _plain_ticks(axes)
-    _legend(figure, axes, "lower left is better; a line: from sparse to splats' centres, and to their surface")
+    _legend(figure, axes, "lower left is better; lines connect sparse, splats' centres and their surface")
     save(figure, path)
     return True
 
 
-def growth(study: Study, path: Path) -> bool:
-    """Vertical displacement with distance and with height, against each reference; a row a scene."""
-    along = {"with_distance": "distance from the centre", "with_height": "height above the lowest place"}
+def draw_growth(study: GaoStudy, path: Path) -> bool:
+    """Draw vertical displacement by distance and by height against each reference, one row per scene."""
+    along = {"with_distance": "distance from the centre", "with_height": "height above the lowest point"}
     columns = [(reference, which) for reference in _references(study) for which in along]
     if not columns:
         return False
     figure, axes = _canvas(len(study.scenes), len(columns), (4.6, 3.6))
     drawn = False
     for line, scene in zip(axes, study.scenes, strict=True):
-        unit = scene.unit or _UNKNOWN
+        unit = scene.unit or _UNKNOWN_UNIT
         for axis, (reference, which) in zip(line, columns, strict=True):
             for cloud in scene.clouds:
-                of = cloud.held(reference)
+                of = cloud.evaluation(reference)
                 trend = None if of is None or of.deformation is None else _trend(of.deformation, which)
                 if trend is not None:
-                    _profile(axis, trend, _COLORS[cloud.name], cloud.name)
+                    _draw_profile(axis, trend, _COLORS[cloud.name], cloud.name)
                     drawn = True
             if reference == TRUTH and scene.cameras is not None and scene.cameras.surface is not None:
                 alone = getattr(scene.cameras.surface, which)
-                axis.plot(*zip(*alone, strict=True), color=_COLORS[_ALONE], linestyle="--", label=_ALONE)
+                axis.plot(
+                    *zip(*alone, strict=True), color=_COLORS[_CAMERAS_ALONE], linestyle="--", label=_CAMERAS_ALONE
+                )
             axis.axhline(0, color=_GREY, linewidth=0.8)
             axis.set(xlabel=f"{along[which]} [{unit}]", ylabel=f"vertical displacement [{unit}]")
             axis.set_title(f"{scene.name}, against {reference}", fontsize=11, loc="left")
             axis.grid(alpha=0.25)
-    _legend(figure, axes, "bands: what noise alone would do in 95 % of all cases")
+    _legend(figure, axes, "bands: 95 % range of noise alone")
     save(figure, path)
     return drawn
 
 
-def _references(study: Study) -> list[str]:
-    """Those that any scene has."""
+def _references(study: GaoStudy) -> list[str]:
+    """Return the references of at least one scene."""
     return [name for name in (MVS, TRUTH) if any(name in references(scene) for scene in study.scenes)]
 
 
-def _radii(across: FloatArray) -> list[float]:
-    """Of circles that several cameras share (N,), none where cameras stand anywhere."""
+def _ring_radii(across: FloatArray) -> list[float]:
+    """Return the radii that several cameras share; empty if cameras are not on circles."""
     found, counts = np.unique(across.round(1), return_counts=True)
     shared = found[counts > 1]
     return [float(radius) for radius in shared] if counts[counts > 1].sum() > 0.8 * len(across) else []
 
 
-def _sphere(region: str) -> list[float] | None:
-    """Centre and radius, where that is what was measured."""
+def _parse_sphere(region: str) -> list[float] | None:
+    """Return centre and radius of a spherical region, else None."""
     kind, _, numbers = region.partition(":")
     return [float(word) for word in numbers.split(",")] if kind == "sphere" else None
 
@@ -165,14 +177,14 @@ def _trend(bend: Deformation, which: str) -> Trend | None:
     return trend
 
 
-def _profile(axis: Any, trend: Trend, color: str, name: str) -> None:
+def _draw_profile(axis: Any, trend: Trend, color: str, name: str) -> None:
     at, mean, null = (np.array([getattr(row, key) for row in trend.profile]) for key in ("at", "mean", "null"))
     axis.fill_between(at, -null, null, color=color, alpha=0.1, linewidth=0)
     axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=name)
 
 
 def _canvas(rows: int, columns: int, size: tuple[float, float], *, share: bool = False) -> tuple[Any, Any]:
-    """A figure and its axes (rows, columns)."""
+    """Create a figure and its axes (rows, columns)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -186,7 +198,7 @@ def _canvas(rows: int, columns: int, size: tuple[float, float], *, share: bool =
 
 
 def _plain_ticks(axes: Any) -> None:
-    """Lengths as people write them, on logarithmic axes that may hold less than a decade."""
+    """Write plain numbers on logarithmic axes, which may cover less than a decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis in axes.ravel():
@@ -197,7 +209,7 @@ def _plain_ticks(axes: Any) -> None:
 
 
 def _legend(figure: Any, axes: Any, note: str = "") -> None:
-    """Each cloud once, below all panels."""
+    """Draw one legend entry per cloud, below all panels."""
     named: dict[str, Any] = {}
     for axis in axes.ravel():
         handles, labels = axis.get_legend_handles_labels()

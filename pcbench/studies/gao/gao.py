@@ -1,4 +1,4 @@
-"""`pcbench experiment gao`: all that Gao et al. 2025 show, of any scenes, with the truth beside their reference."""
+"""`pcbench experiment gao`: the results of Gao et al. 2025 for any scenes, with the truth as a second reference."""
 
 from __future__ import annotations
 
@@ -22,70 +22,79 @@ from pcbench.report.document import provenance
 from pcbench.report.plot import draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.scenes.views import find_views
-from pcbench.studies.folder import MARK, StudyKind, check_folder, named_folders, study_folder, write_pages
-from pcbench.studies.gao.cameras import camera_errors, placed_cameras
-from pcbench.studies.gao.clouds import WORK, Made, check_crop, make_clouds
+from pcbench.studies.folder import MARK, StudyKind, check_folder, folders_by_name, study_folder, write_pages
+from pcbench.studies.gao.cameras import camera_errors, cameras_in_cloud_frame
+from pcbench.studies.gao.clouds import WORK_FOLDER, CloudRun, check_crop, make_clouds
+from pcbench.studies.gao.evaluation import CloudEvaluation, draw_maps, evaluate_against, visible_truth
 from pcbench.studies.gao.figures import PICTURES
-from pcbench.studies.gao.held import Held, draw_maps, hold, visible_truth
-from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob, looked_at, methods, region_of
+from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob, default_region, focus_point, methods
 from pcbench.studies.gao.results import (
     DOCUMENT,
     SCHEMA,
     TRUTH,
     CloudResult,
+    GaoStudy,
     NewViews,
     SceneResult,
-    Study,
     document,
 )
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import csv_text, failures, markdown
-from pcbench.studies.views.pictures import PICTURES as VIEWS
+from pcbench.studies.views.pictures import PICTURES as VIEW_PICTURES
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, write_scores
 
 KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, (".experiment-gao",))
-_SCENES, _VIEWS = "scenes", "views"
-_TAKEN = (_SCENES, _VIEWS, "figures", MARK)  # what a scene may be called, but its folder may not
-_POINTS = 1_000_000  # of a synthetic truth
-_FOV = 40.0  # degrees, vertically
-_MAKING_S, _MEASURING_S, _DRAWING_S = 60.0, 90.0, 60.0  # of one scene, roughly, for progress bars
+_SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
+_RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK)  # names that a scene's folder cannot have
+_TRUTH_POINTS = 1_000_000  # number of points of a synthetic truth
+_FOV_DEG = 40.0  # vertical field of view
+_MAKING_S, _MEASURING_S, _DRAWING_S = 60.0, 90.0, 60.0  # rough durations per scene, for progress bars
 _SCENE_S = 600.0
-_MIN_IMAGES = 9  # one in eight is held out
+_MIN_IMAGES = 9  # so that one in eight can be held out
 
-# What tells the synthetic cities apart beside their seeds, as density, median height and relief: a usual one, a low one
-# with wide gaps, a high and hilly one.
-_KINDS = ((0.85, 9.0, 2.0), (0.5, 6.0, 2.0), (0.85, 14.0, 3.0))
+# Density, median building height and relief of the synthetic cities, which also differ in their seeds: a usual city, a
+# low one with wide gaps, and a high one on hills.
+_CITY_KINDS = ((0.85, 9.0, 2.0), (0.5, 6.0, 2.0), (0.85, 14.0, 3.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A study, the scores of its new views, and why pictures are missing where there should be some."""
+    """A study, the scores of its novel views, and the reason why requested pictures are missing, or None."""
 
-    study: Study
+    study: GaoStudy
     views: ViewStudy | None
     without_figures: str | None = None
 
 
 def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str], None] = lambda _: None) -> Outcome:
-    """Run the experiment into the folder `out`: experiment.json, experiment.csv, gao.md, figures/; of each scene a
-    folder with its clouds and the reports against both references; views/ with the scores of new views. What is made
-    on the way stays too, and a later run with the same settings goes on from it.
+    """Run the experiment and write its results to a folder.
+
+    They are experiment.json, experiment.csv, gao.md, figures/, one folder per scene with its clouds and the reports
+    against both references, and views/ with the scores of novel views. Intermediate results stay in the folder; a later
+    run with the same settings reuses them.
+
+    Args:
+        job: the experiment.
+        out: output folder.
+        figures: whether to draw pictures.
+        step: progress callback.
 
     Raises:
-        InputError: a scene, the crop or a setting is not usable; `out` is something else, or another run is writing
+        InputError: a scene, the crop or a setting is not usable; `out` holds something else, or another run is writing
             there.
-        ReconstructionError: no scene gave a cloud that could be measured.
-        PcbenchError, OSError: a scene cannot be made, or a file cannot be written.
+        ReconstructionError: no scene has a cloud that could be measured.
+        PcbenchError: a scene cannot be created.
+        OSError: a file cannot be written.
     """
     check_folder(out, KIND)
-    for method in methods(job):  # before hours of work
+    for method in methods(job):  # checked before hours of work
         plugin = find_plugin(method.plugin)
         if plugin.missing:
             raise InputError(plugin.missing)
         plugin.configure(method.settings)
     if job.crop is not None:
-        parse_region(job.crop, Cloud(np.arange(30.0).reshape(10, 3)))  # for its words: any points will do
-    given = {path: _checked(job, path, job.image_scale) for path in job.scenes}
+        parse_region(job.crop, Cloud(np.arange(30.0).reshape(10, 3)))  # checks the syntax only; any points will do
+    given = {path: _read_checked_scene(job, path, job.image_scale) for path in job.scenes}
     if not given and job.cities.images < _MIN_IMAGES:
         raise InputError(f"expected at least {_MIN_IMAGES} images, got {job.cities.images}")
     with study_folder(out, KIND, job):
@@ -93,29 +102,33 @@ def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str
 
 
 def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, step: Callable[[str], None]) -> Outcome:
-    made = {path: _checked(job, path) for path in _synthetic(job.cities, out, job.seed, step)} if not given else {}
+    made = (
+        {path: _read_checked_scene(job, path) for path in _synthetic_scenes(job.cities, out, job.seed, step)}
+        if not given
+        else {}
+    )
     all_scenes = {**given, **made}
     paths = list(all_scenes)
     scenes: list[SceneResult] = []
     reports: list[Path] = []
     rendered: dict[str, Path] = {}
-    for number, (name, path) in enumerate(named_folders(paths, _TAKEN).items()):
+    for number, (name, path) in enumerate(folders_by_name(paths, _RESERVED_NAMES).items()):
         after = _SCENE_S * (len(paths) - number - 1)
 
-        def tell(text: str, after: float = after) -> None:
+        def scene_step(text: str, after: float = after) -> None:
             of = text if isinstance(text, Step) else Step(text)
             step(Step(text, of.expected, of.after + after))
 
         folder = out / name
         folder.mkdir(exist_ok=True)
-        found = _scene(job, name, path, all_scenes[path], folder, tell)
+        found = _run_scene(job, name, path, all_scenes[path], folder, scene_step)
         scenes.append(found.result)
         reports += found.reports
         rendered |= {} if found.views is None else {name: found.views}
-    views = _score(list(rendered.values()), out, step)
+    views = _score_views(list(rendered.values()), out, step)
     scored = {} if views is None else dict(zip(rendered, views.scenes, strict=True))
     scenes = [replace(s, views=_new_views(scored[s.name]) if s.name in scored else None) for s in scenes]
-    study = Study(job.poses, methods(job)[-1].settings, tuple(scenes), provenance=provenance(job.seed))
+    study = GaoStudy(job.poses, methods(job)[-1].settings, tuple(scenes), provenance=provenance(job.seed))
     study = replace(study, sentences=tuple(sentences(study)))
     _write(out, study, views)
     without = _draw(out, reports, views, step) if figures else None
@@ -125,49 +138,51 @@ def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, ste
 
 
 @dataclass(frozen=True)
-class _Found:
+class _SceneOutcome:
     result: SceneResult
     reports: list[Path]
     views: Path | None
 
 
-def _scene(job: GaoJob, name: str, path: Path, scene: Scene, out: Path, tell: Callable[[str], None]) -> _Found:
-    """Everything of one scene but the scores of its views."""
-    truth = _truth(path)
+def _run_scene(
+    job: GaoJob, name: str, path: Path, scene: Scene, out: Path, scene_step: Callable[[str], None]
+) -> _SceneOutcome:
+    """Run one scene, without the scores of its views."""
+    truth = _truth_file(path)
     unit = read_cloud(truth).unit if truth.is_file() else "m" if scene.origin is not None else None
-    made = make_clouds(job, scene, path, out, unit, tell)
+    made = make_clouds(job, scene, path, out, unit, scene_step)
     solved = next(m for m in made if m.method.name == SPARSE).cameras() if job.poses == "solve" else {}
-    cameras = list(placed_cameras(solved, scene.cameras).values())
-    crop = job.crop or region_of(cameras)
+    cameras = list(cameras_in_cloud_frame(solved, scene.cameras).values())
+    crop = job.crop or default_region(cameras)
     files = {m.method.name: m.cloud for m in made if m.cloud is not None}
-    held: dict[str, Held] = {}
+    evaluations: dict[str, CloudEvaluation] = {}
     references = {MVS: files.get(MVS), TRUTH: visible_truth(truth, out) if truth.is_file() else None}
     for reference, file in references.items():
-        others = {cloud: there for cloud, there in files.items() if cloud != reference}
+        others = {cloud: candidate for cloud, candidate in files.items() if cloud != reference}
         if file is None or not others:
             continue
-        tell(Step(f"{name}: measuring against {reference}", _MEASURING_S))
-        held[reference] = hold(file, reference, others, crop, out, job.seed)
-    place = looked_at(cameras)
+        scene_step(Step(f"{name}: measuring against {reference}", _MEASURING_S))
+        evaluations[reference] = evaluate_against(file, reference, others, crop, out, job.seed)
+    focus = focus_point(cameras)
     result = SceneResult(
         name=name,
         path=str(path),
         unit=unit,
         images=len(scene),
         positions=tuple(tuple(camera.position.tolist()) for camera in cameras),
-        looked_at=None if place is None else tuple(place.tolist()),
+        looked_at=None if focus is None else tuple(focus.tolist()),
         region=crop,
-        cameras=camera_errors(solved, scene.cameras, _within(references[TRUTH], crop)) if solved else None,
-        references={reference: of.counts for reference, of in held.items() if of.counts is not None},
-        clouds=tuple(_cloud_result(m, held) for m in made),
+        cameras=camera_errors(solved, scene.cameras, _crop_truth(references[TRUTH], crop)) if solved else None,
+        references={reference: of.counts for reference, of in evaluations.items() if of.counts is not None},
+        clouds=tuple(_cloud_result(m, evaluations) for m in made),
     )
     drawn = any(m.cloud is not None for m in made if m.method.workspace == SPLAT)
-    reports = [of.folder for of in held.values() if of.folder is not None]
-    return _Found(result, reports, find_views(out / WORK / SPLAT) if drawn else None)
+    reports = [of.folder for of in evaluations.values() if of.folder is not None]
+    return _SceneOutcome(result, reports, find_views(out / WORK_FOLDER / SPLAT) if drawn else None)
 
 
-def _within(truth: Path | None, crop: str) -> Cloud | None:
-    """What of the truth is measured; None where it is not known."""
+def _crop_truth(truth: Path | None, crop: str) -> Cloud | None:
+    """Return the part of the truth inside the crop; None if the truth is unknown."""
     if truth is None:
         return None
     cloud = read_cloud(truth)
@@ -175,9 +190,9 @@ def _within(truth: Path | None, crop: str) -> Cloud | None:
     return cloud if region is None else cloud.select(np.flatnonzero(region.contains(cloud.points)))
 
 
-def _cloud_result(made: Made, held: Mapping[str, Held]) -> CloudResult:
+def _cloud_result(made: CloudRun, evaluations: Mapping[str, CloudEvaluation]) -> CloudResult:
     name = made.method.name
-    against = [of.clouds[name] for of in held.values() if name in of.clouds]
+    against = [of.clouds[name] for of in evaluations.values() if name in of.clouds]
     return CloudResult(
         name=name,
         points=None if made.cloud is None else len(read_cloud(made.cloud)),
@@ -191,22 +206,22 @@ def _cloud_result(made: Made, held: Mapping[str, Held]) -> CloudResult:
     )
 
 
-def _score(folders: Sequence[Path], out: Path, step: Callable[[str], None]) -> ViewStudy | None:
-    """Of the new views in folders, in their order."""
+def _score_views(folders: Sequence[Path], out: Path, step: Callable[[str], None]) -> ViewStudy | None:
+    """Score the novel views of folders, in their order."""
     if not folders:
         return None
     study = score_views(folders, step)
-    (out / _VIEWS).mkdir(exist_ok=True)
-    write_scores(out / _VIEWS, study)
+    (out / _VIEWS_FOLDER).mkdir(exist_ok=True)
+    write_scores(out / _VIEWS_FOLDER, study)
     return study
 
 
 def _new_views(scored: ScoredScene) -> NewViews:
-    train, test = (len(scored.of(test=kind)) for kind in (False, True))
+    train, test = (len(scored.select(test=kind)) for kind in (False, True))
     return NewViews(scored.mean(test=False), scored.mean(test=True), train, test, scored.standard_error())
 
 
-def _write(out: Path, study: Study, views: ViewStudy | None) -> None:
+def _write(out: Path, study: GaoStudy, views: ViewStudy | None) -> None:
     texts = {
         DOCUMENT: to_json(document(study)),
         "experiment.csv": csv_text(study),
@@ -216,52 +231,52 @@ def _write(out: Path, study: Study, views: ViewStudy | None) -> None:
 
 
 def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> str | None:
-    """All pictures; what stands in the way of one."""
+    """Draw all pictures; return the first problem, or None."""
     step(Step("drawing the pictures", _DRAWING_S))
     problems = [draw_if_possible(out, PICTURES), *map(draw_maps, reports)]
     if views is not None:
-        problems.append(draw_if_possible(out / _VIEWS, VIEWS))
+        problems.append(draw_if_possible(out / _VIEWS_FOLDER, VIEW_PICTURES))
     return next(filter(None, problems), None)
 
 
-def _checked(job: GaoJob, path: Path, image_scale: float = 1.0) -> Scene:
-    """The scene.
+def _read_checked_scene(job: GaoJob, path: Path, image_scale: float = 1.0) -> Scene:
+    """Read a scene and check that the experiment can use it.
 
     Raises:
-        InputError: it has too few images, no cameras where they are not solved, or no truth in the crop.
+        InputError: it has too few images, lacks cameras that are not solved, or its truth has no point in the crop.
     """
     scene = read_scene(path, image_scale=image_scale)
     if job.poses == "given" and len(scene.cameras) < len(scene):
         bare = next(name for name in scene.images if name not in scene.cameras)
-        raise InputError(f"{path}: {bare} has no camera: give cameras of all images, or let --poses solve find them")
+        raise InputError(f"{path}: expected cameras of all images, got none for {bare}; or set --poses solve")
     if len(scene) < _MIN_IMAGES:
         raise InputError(
             f"{path}: expected at least {_MIN_IMAGES} images, of which one in 8 is held out, got {len(scene)}"
         )
-    if job.crop is not None and (truth := _truth(path)).is_file():
+    if job.crop is not None and (truth := _truth_file(path)).is_file():
         check_crop(job.crop, read_cloud(truth), f"{truth}: the truth's")
     return scene
 
 
-def _truth(path: Path) -> Path:
-    """Where the true cloud of a scene is, if there is one."""
+def _truth_file(path: Path) -> Path:
+    """Return the path of a scene's true cloud, which need not exist."""
     return path / "truth" / "cloud.ply"
 
 
-def _synthetic(cities: Cities, out: Path, seed: int, step: Callable[[str], None]) -> Iterator[Path]:
-    """Cities under the paper's seven circles, each of another kind."""
+def _synthetic_scenes(cities: Cities, out: Path, seed: int, step: Callable[[str], None]) -> Iterator[Path]:
+    """Create cities of different kinds with cameras on the paper's seven circles."""
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
 
-    (out / _SCENES).mkdir(exist_ok=True)
-    intrinsics = Intrinsics.from_fov(cities.width, cities.height, _FOV)
-    for number, (density, height, relief) in zip(range(cities.count), cycle(_KINDS), strict=False):
+    (out / _SCENES_FOLDER).mkdir(exist_ok=True)
+    intrinsics = Intrinsics.from_fov(cities.width, cities.height, _FOV_DEG)
+    for number, (density, height, relief) in zip(range(cities.count), cycle(_CITY_KINDS), strict=False):
         town = CitySettings(cities.extent, density, height, relief, seed=seed + number)
-        made = SceneSettings(town, cities.images, intrinsics, "circles", points=_POINTS)
+        made = SceneSettings(town, cities.images, intrinsics, "circles", points=_TRUTH_POINTS)
         step(Step(f"photographing city {number + 1} of {cities.count}", _MAKING_S, _SCENE_S * cities.count))
         key = {"settings": repr(made)}
 
         def make(folder: Path, made: SceneSettings = made) -> None:
             write_scene(folder, made)
 
-        yield stage(out / _SCENES, f"city_{number + 1}", key, make)
+        yield stage(out / _SCENES_FOLDER, f"city_{number + 1}", key, make)

@@ -1,4 +1,4 @@
-"""What is made of a scene, and where it is measured."""
+"""The clouds to reconstruct from a scene, and the region to measure."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.regions import Sphere
 
 SPARSE, MVS, MEANS, SURFACE = "sparse", "mvs", "splat-means", "splat-surface"
-SPLAT = "splat"  # the workspace of both
-_REACH = 0.4  # of the farthest camera's distance from what all look at: on the paper's circles, the inner city
-_FIXED = 0.01  # of a direction: what axes that are so nearly parallel meet at is left to chance
+SPLAT = "splat"  # workspace that both clouds of splats share
+_REGION_SHARE = 0.4  # of the farthest camera's distance from the focus; on the paper's circles, the inner city
+_MIN_EIGENVALUE = 0.01  # of the mean projection across the axes; below, the axes are nearly parallel
 
-# As the paper has it, as far as two cores get: its densification begins at step 1000 of 30,000 and more, so the rules
-# of the method that it follows are the default, whose rates here are for fewer steps.
+# As in the paper, but short enough for two cores. The paper densifies from step 1000 of at least 30,000; the rates of
+# density=classic here suit fewer steps.
 SPLAT_SETTINGS = {"start": "sfm", "density": "classic", "hold_out": "every", "steps": "2000", "sh_degree": "3"}
-_OURS = ("cloud", "seed", "poses")  # settings that the experiment makes itself
+_RESERVED_SETTINGS = ("cloud", "seed", "poses")  # set by the experiment
 
 
 @dataclass(frozen=True)
 class Cities:
-    """What to make where no scene is given: cities of different kinds, photographed from seven circles."""
+    """Cities to create if no scene is given: different kinds, with cameras on seven circles."""
 
     count: int = 3
     images: int = 48
@@ -38,17 +38,19 @@ class Cities:
 
 @dataclass(frozen=True)
 class GaoJob:
-    """The experiment.
+    """Settings of the experiment.
 
     Attributes:
-        scenes: folders as `read_scene` reads them; none: cities are made.
-        poses: `solve` finds the cameras once, by `sfm`, as the paper does, and every cloud has these; `given` takes
-            those of the scene, which needs some for all images then.
-        settings: of `splat`, in place of those of `SPLAT_SETTINGS`.
-        crop: region that is measured, as `pcbench.geometry.region_text` has it; None: a sphere about the place that the
-            cameras look at.
-        image_scale: of the images of given scenes.
-        time_limit: seconds, of one cloud.
+        scenes: folders for `read_scene`; if empty, cities are created.
+        cities: cities to create.
+        poses: `solve` solves the cameras once by `sfm`, as the paper does, and uses them for all clouds; `given` uses
+            the cameras of the scene, which must cover all images.
+        settings: settings of `splat`, which override `SPLAT_SETTINGS`.
+        crop: region to measure, as text (see `pcbench.geometry.region_text`); None: a sphere around the focus of the
+            cameras.
+        image_scale: scale of the images of given scenes.
+        time_limit: time limit per cloud, in seconds.
+        seed: random seed.
     """
 
     scenes: tuple[Path, ...] = ()
@@ -62,13 +64,13 @@ class GaoJob:
 
 
 class CloudMethod(NamedTuple):
-    """A cloud that is made.
+    """A cloud to reconstruct.
 
     Attributes:
-        name: of the cloud.
-        plugin: the reconstructor.
-        settings: of it.
-        workspace: clouds with the same one share what is made on the way.
+        name: name of the cloud.
+        plugin: reconstructor.
+        settings: settings of the reconstructor.
+        workspace: name of the workspace; clouds with the same one share intermediate results.
     """
 
     name: str
@@ -78,15 +80,15 @@ class CloudMethod(NamedTuple):
 
 
 def methods(job: GaoJob) -> list[CloudMethod]:
-    """Sparse, dense, and the two clouds of one training, in the order in which they are made.
+    """List the clouds in order: sparse, dense, and the two clouds of one training.
 
     Raises:
-        InputError: a setting of `splat` is one that the experiment makes.
+        InputError: a setting of `splat` is one that the experiment sets.
     """
-    if taken := [key for key in _OURS if key in job.settings]:
-        raise InputError(f"expected settings of splat that the experiment leaves open, got {taken[0]}")
+    if taken := [key for key in _RESERVED_SETTINGS if key in job.settings]:
+        raise InputError(f"expected settings of splat that the experiment does not set itself, got {taken[0]}")
     if job.settings.get("hold_out") == "none":
-        raise InputError("expected hold_out=every or hold_out=blocks: new views are measured too")
+        raise InputError("expected hold_out=every or hold_out=blocks, got none; the experiment measures novel views")
     seed = str(job.seed)
     splat = {**SPLAT_SETTINGS, **job.settings, "poses": "given", "seed": seed}
     return [
@@ -97,9 +99,10 @@ def methods(job: GaoJob) -> list[CloudMethod]:
     ]
 
 
-def looked_at(cameras: Iterable[Camera]) -> FloatArray | None:
-    """The place (3,) that is nearest to the axes of cameras, in least squares; None where these are nearly parallel, or
-    where it lies behind cameras.
+def focus_point(cameras: Iterable[Camera]) -> FloatArray | None:
+    """Return the point (3,) closest to the axes of cameras, in least squares.
+
+    Returns None if the axes are nearly parallel, or if the point is behind the cameras.
     """
     cameras = list(cameras)
     if len(cameras) < 2:
@@ -108,20 +111,21 @@ def looked_at(cameras: Iterable[Camera]) -> FloatArray | None:
     axes = np.stack([camera.direction for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix = across.mean(axis=0)
-    if float(np.linalg.eigvalsh(matrix)[0]) < _FIXED:
+    if float(np.linalg.eigvalsh(matrix)[0]) < _MIN_EIGENVALUE:
         return None
     place: FloatArray = np.linalg.solve(matrix, np.einsum("nij,nj->i", across, positions) / len(cameras))
     ahead = np.einsum("ni,ni->n", place - positions, axes)
     return place if np.median(ahead) > 0 else None
 
 
-def region_of(cameras: Iterable[Camera]) -> str:
-    """What is measured of a scene: a sphere about the place that its cameras look at, which is the same in any frame;
-    half of the reference where there is no such place.
+def default_region(cameras: Iterable[Camera]) -> str:
+    """Return the default region: a sphere around the focus of the cameras, or half of the reference without a focus.
+
+    The sphere has the same content in any coordinate frame.
     """
     cameras = list(cameras)
-    place = looked_at(cameras)
+    place = focus_point(cameras)
     if place is None:
         return "quantile:0.5"
     farthest = max(float(np.linalg.norm(camera.position - place)) for camera in cameras)
-    return Sphere(place.round(3) + 0.0, round(_REACH * farthest, 3)).text
+    return Sphere(place.round(3) + 0.0, round(_REGION_SHARE * farthest, 3)).text

@@ -1,4 +1,4 @@
-"""What the experiment found, as types; experiment.json holds them as they are."""
+"""Results of the experiment as types; their fields are the keys of experiment.json."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from pcbench.studies.gao.plan import MVS
 
 SCHEMA = "pcbench.experiment.gao/1"
 DOCUMENT = "experiment.json"
-TRUTH = "truth"  # beside mvs, what clouds are held against
+TRUTH = "truth"  # the second reference, next to mvs
 
 
 @dataclass(frozen=True)
-class Against:
-    """A cloud held against a reference.
+class ReferenceEvaluation:
+    """Evaluation of a cloud against one reference.
 
     Attributes:
         reference: `mvs` or `truth`.
-        points: of the cloud after the crop.
-        measures: by the paper's definitions; None where it could not be measured.
-        floor: what a cloud without errors would have for D1, c→r, because the reference's points are apart.
-        deformation: the verdict.
+        points: number of the cloud's points after the crop.
+        measures: measures by the paper's definitions; None if the cloud could not be measured.
+        floor: D1 (c→r) of a cloud without errors, which is above 0 because of the spacing of the reference's points.
+        deformation: verdict on the deformation.
         doubts: warnings of the registration.
-        failure: why it could not be measured.
+        failure: why the cloud could not be measured.
     """
 
     reference: str
@@ -43,28 +43,34 @@ class Against:
     failure: str = ""
 
     @property
-    def back_mse(self) -> float | None:
-        """Mean squared distance from the reference to the cloud, which the paper's D1 leaves out."""
+    def r2c_mse(self) -> float | None:
+        """Mean squared distance from the reference to the cloud, which the paper's D1 does not include."""
         return None if self.measures is None else self.measures.d1_back_mse
 
     @property
-    def forth_rms(self) -> float | None:
+    def c2r_rms(self) -> float | None:
         """Root mean square distance from the cloud to the reference."""
         return None if self.measures is None else math.sqrt(self.measures.d1_mse)
 
     @property
-    def back_rms(self) -> float | None:
+    def r2c_rms(self) -> float | None:
         """Root mean square distance from the reference to the cloud."""
-        return None if self.back_mse is None else math.sqrt(self.back_mse)
+        return None if self.r2c_mse is None else math.sqrt(self.r2c_mse)
 
 
 @dataclass(frozen=True)
 class CloudResult:
-    """A cloud: what it took, and what it is worth.
+    """A cloud with its cost and its evaluations.
 
     Attributes:
-        seconds: of its process; `resumed`: it found a part of its work done.
-        extra: whether it is another cloud of the training before it, whose seconds come on top.
+        name: name of the cloud.
+        points: number of points.
+        seconds: wall time of its process.
+        resumed: whether the process resumed an earlier one, so that `seconds` is too short.
+        memory_bytes: peak memory of its process.
+        extra: whether it is a second cloud of the training before it, so that its seconds add to those.
+        against: evaluations, one per reference.
+        notes: notes of the reconstructor.
         failure: why there is no cloud.
     """
 
@@ -74,23 +80,25 @@ class CloudResult:
     resumed: bool = False
     memory_bytes: int | None = None
     extra: bool = False
-    against: tuple[Against, ...] = ()
+    against: tuple[ReferenceEvaluation, ...] = ()
     notes: tuple[str, ...] = ()
     failure: str = ""
 
-    def held(self, reference: str) -> Against | None:
-        """Against one reference; None where it was not, or could not be."""
+    def evaluation(self, reference: str) -> ReferenceEvaluation | None:
+        """Return the evaluation against a reference; None if there is none or it failed."""
         return next((a for a in self.against if a.reference == reference and a.measures is not None), None)
 
 
 @dataclass(frozen=True)
-class SurfaceMoved:
-    """Displacement of the true surface that solved cameras make by themselves.
+class SurfaceDeformation:
+    """Displacement of the true surface that the errors of solved cameras cause by themselves.
 
     Attributes:
-        moved, bent: RMS along the normals beyond a rigid motion, and beyond an affine one.
-        with_distance, with_height: horizontal distance from the centre, or height above the lowest place, and mean
-            vertical displacement beyond the rigid motion there.
+        moved: RMS along the normals beyond a rigid motion.
+        bent: RMS along the normals beyond an affine motion.
+        with_distance: pairs of horizontal distance from the centre and mean vertical displacement beyond the rigid
+            motion.
+        with_height: pairs of height above the lowest point and mean vertical displacement beyond the rigid motion.
     """
 
     moved: float
@@ -101,14 +109,16 @@ class SurfaceMoved:
 
 @dataclass(frozen=True)
 class CameraErrors:
-    """Of solved cameras, against those of the scene: what the best similarity of their positions leaves.
+    """Errors of solved cameras after the best similarity of their positions to those of the scene.
 
     Attributes:
-        solved: images with a camera; given: images.
-        median, largest: distances between positions.
-        focal_ratio: solved focal length over the scene's, the median.
-        astray: cameras that are more than ten times the median off: they were placed wrongly.
-        surface: what the others do by themselves to the true one; None where that is not known.
+        solved: number of images with a solved camera.
+        given: number of images with a camera of the scene.
+        median: median distance between positions.
+        largest: largest distance between positions.
+        focal_ratio: median ratio of solved to given focal length.
+        astray: number of outliers: cameras with more than ten times the median distance.
+        surface: deformation of the true surface by the other cameras; None if the surface is unknown.
     """
 
     solved: int
@@ -117,12 +127,12 @@ class CameraErrors:
     largest: float
     focal_ratio: float
     astray: int = 0
-    surface: SurfaceMoved | None = None
+    surface: SurfaceDeformation | None = None
 
 
 @dataclass(frozen=True)
 class NewViews:
-    """Means over views that were trained on, and over those that were held out."""
+    """Mean scores of training views and of held-out views."""
 
     train: ViewScores | None
     test: ViewScores | None
@@ -133,16 +143,20 @@ class NewViews:
 
 @dataclass(frozen=True)
 class SceneResult:
-    """One scene.
+    """Results of one scene.
 
     Attributes:
-        unit: of lengths; None where it is not known.
-        images: how many.
-        positions: of the cameras (x, y, z) in their order; looked_at: the place that all look at.
-        region: that was measured, as `pcbench.geometry.region_text` has it.
-        cameras: errors of solved ones; None where those of the scene were taken.
-        references: points of each reference, all and after the crop.
-        clouds: in the order in which they were made.
+        name: name of the scene.
+        path: its folder.
+        unit: unit of lengths; None if unknown.
+        images: number of images.
+        positions: positions of the cameras (x, y, z), in their order.
+        looked_at: focus of the cameras; None if they have none.
+        region: measured region, as text (see `pcbench.geometry.region_text`).
+        cameras: errors of solved cameras; None if the cameras of the scene were used.
+        references: number of points of each reference, before and after the crop.
+        clouds: results in the order of reconstruction.
+        views: mean scores of novel views, if there are any.
     """
 
     name: str
@@ -158,7 +172,7 @@ class SceneResult:
     views: NewViews | None = None
 
     def cloud(self, name: str) -> CloudResult:
-        """The cloud of that name.
+        """Return the cloud of that name.
 
         Raises:
             KeyError: there is none.
@@ -168,23 +182,26 @@ class SceneResult:
                 return cloud
         raise KeyError(name)
 
-    def held(self, name: str, reference: str) -> Against | None:
-        """A cloud against a reference; None where it was not, or could not be."""
-        return self.cloud(name).held(reference)
+    def evaluation(self, name: str, reference: str) -> ReferenceEvaluation | None:
+        """Return the evaluation of a cloud against a reference; None if there is none or it failed."""
+        return self.cloud(name).evaluation(reference)
 
     @property
     def has_truth(self) -> bool:
+        """Whether the truth is one of the references."""
         return TRUTH in self.references
 
 
 @dataclass(frozen=True)
-class Study:
-    """All scenes, and what follows.
+class GaoStudy:
+    """Results of all scenes.
 
     Attributes:
         poses: `solve` or `given`.
-        splat: the settings of `splat`.
-        sentences: computed from the figures.
+        splat: settings of `splat`.
+        scenes: results of the scenes.
+        sentences: conclusions, computed from the results.
+        provenance: versions, machine and seed.
     """
 
     poses: str
@@ -195,18 +212,18 @@ class Study:
 
     @property
     def unit(self) -> str:
-        """Of lengths, for words; nothing where it is not known, or not one."""
+        """Unit of lengths; empty if unknown or not the same in all scenes."""
         units = {scene.unit or "" for scene in self.scenes}
         return units.pop() if len(units) == 1 else ""
 
 
 def references(scene: SceneResult) -> Sequence[str]:
-    """Those that clouds of a scene are held against, the paper's first."""
+    """Return the references of a scene, that of the paper first."""
     return [name for name in (MVS, TRUTH) if name in scene.references]
 
 
-def document(study: Study) -> dict[str, Any]:
-    """What experiment.json holds of a study."""
+def document(study: GaoStudy) -> dict[str, Any]:
+    """Return a study as the document of experiment.json."""
 
     def values(of: Any) -> dict[str, Any]:
         return {field.name: getattr(of, field.name) for field in fields(of)}
@@ -223,21 +240,21 @@ def document(study: Study) -> dict[str, Any]:
     return {"schema": SCHEMA, **values(study), "scenes": scenes}
 
 
-def read_study(folder: Path) -> Study:
-    """What experiment.json in a folder holds.
+def read_study(folder: Path) -> GaoStudy:
+    """Read experiment.json of a folder.
 
     Raises:
-        InputError: it is another one, or damaged.
-        OSError: it cannot be read.
+        InputError: the file has another schema or is damaged.
+        OSError: the file cannot be read.
     """
     values: dict[str, Any] = read_json(folder / DOCUMENT)
     if not isinstance(values, dict) or values.get("schema") != SCHEMA:
         raise InputError(f"{folder / DOCUMENT}: expected the schema {SCHEMA}")
     try:
         scenes = tuple(_scene(scene) for scene in values["scenes"])
-        return Study(values["poses"], values["splat"], scenes, tuple(values["sentences"]), values["provenance"])
+        return GaoStudy(values["poses"], values["splat"], scenes, tuple(values["sentences"]), values["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder / DOCUMENT}: it is damaged: {type(error).__name__}: {error}") from error
+        raise InputError(f"{folder / DOCUMENT}: the file is damaged: {type(error).__name__}: {error}") from error
 
 
 def _scene(values: dict[str, Any]) -> SceneResult:
@@ -258,23 +275,23 @@ def _cameras(values: dict[str, Any]) -> CameraErrors:
     if of is None:
         return CameraErrors(**values)
     profiles = {key: tuple(map(tuple, of[key])) for key in ("with_distance", "with_height")}
-    return CameraErrors(**{**values, "surface": SurfaceMoved(of["moved"], of["bent"], **profiles)})
+    return CameraErrors(**{**values, "surface": SurfaceDeformation(of["moved"], of["bent"], **profiles)})
 
 
 def _cloud(values: dict[str, Any]) -> CloudResult:
-    against = tuple(against_from(row) for row in values["against"])
+    against = tuple(evaluation_from_json(row) for row in values["against"])
     return CloudResult(**{**values, "against": against, "notes": tuple(values["notes"])})
 
 
-def against_from(values: Mapping[str, Any]) -> Against:
-    """A cloud held against a reference, as JSON holds it."""
+def evaluation_from_json(values: Mapping[str, Any]) -> ReferenceEvaluation:
+    """Return an evaluation from its JSON values."""
     measures, bend = values["measures"], values["deformation"]
     parts = {
         "measures": None if measures is None else _measures(measures),
         "deformation": None if bend is None else Deformation.from_json(bend),
         "doubts": tuple(values["doubts"]),
     }
-    return Against(**{**values, **parts})
+    return ReferenceEvaluation(**{**values, **parts})
 
 
 def _measures(values: Mapping[str, float]) -> Gao2025:

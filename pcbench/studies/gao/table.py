@@ -1,4 +1,4 @@
-"""The tables of the experiment: the paper's with both directions, what clouds took, and all of it as CSV."""
+"""The tables of the experiment: the paper's measures in both directions, time and memory, and everything as CSV."""
 
 from __future__ import annotations
 
@@ -9,65 +9,66 @@ from pcbench.deformation import Deformation
 from pcbench.measure.presets import Gao2025
 from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.markup import markdown_table
-from pcbench.studies.gao.results import Against, CloudResult, SceneResult, Study, references
+from pcbench.studies.gao.results import CloudResult, GaoStudy, ReferenceEvaluation, SceneResult, references
 from pcbench.studies.views.scores import ViewStudy
 from pcbench.studies.views.table import markdown as views_markdown
 from pcbench.studies.views.table import table as views_table
 
-_NONE = "–"
+_DASH = "–"
 _MEASURES = ("D1 c→r", "D1 r→c", "D2", "D2 mesh", "Hausdorff", "Chamfer")
 LEGEND = (
-    "D1 and Chamfer: mean squares [{unit}²], c→r as in the paper, r→c the other way; D2 to tangent planes, D2 mesh"
-    " to the reference's Poisson mesh; Hausdorff [{unit}] symmetric, unsquared; bend: RMS beyond affine [{unit}], 95 %"
+    "D1 and Chamfer: mean squares [{unit}²], c→r as in the paper, r→c in the opposite direction; D2: to tangent planes;"
+    " D2 mesh: to the reference's Poisson mesh; Hausdorff: symmetric, unsquared [{unit}]; bend RMS: deformation beyond"
+    " affine [{unit}] with 95 % interval"
 )
 
 
-def console_tables(study: Study, views: ViewStudy | None) -> Iterator[list[list[str]]]:
-    """What is printed: the paper's table, what clouds took, and its table of new views."""
+def console_tables(study: GaoStudy, views: ViewStudy | None) -> Iterator[list[list[str]]]:
+    """Yield the printed tables: the paper's measures, time and memory, and scores of novel views."""
     yield list(measures_table(study))
     yield list(cost_table(study))
     if views is not None:
         yield views_table(views)
 
 
-def measures_table(study: Study) -> Iterator[list[str]]:
-    """The paper's table, a row a cloud and reference, a header first."""
+def measures_table(study: GaoStudy) -> Iterator[list[str]]:
+    """Yield the paper's measures, one row per cloud and reference, a header first."""
     yield (head := ["", "against", "points", "cropped", *_MEASURES, "verdict", "bend RMS"])
     for scene in study.scenes:
-        yield from _lead(scene, study, len(head))
+        yield from _scene_row(scene, study, len(head))
         for reference in references(scene):
             for cloud in scene.clouds:
-                if (of := _against(cloud, reference)) is not None:
-                    yield [cloud.name, reference, f"{cloud.points or 0:,}", *_measured(of)]
+                if (of := _find_evaluation(cloud, reference)) is not None:
+                    yield [cloud.name, reference, f"{cloud.points or 0:,}", *_measure_cells(of)]
         for cloud in scene.clouds:
             if cloud.failure:
                 yield [cloud.name, "failed", *[""] * (len(_MEASURES) + 2), "", ""]
 
 
-def cost_table(study: Study) -> Iterator[list[str]]:
-    """What each cloud took, a header first."""
+def cost_table(study: GaoStudy) -> Iterator[list[str]]:
+    """Yield time and memory of each cloud, a header first."""
     yield (head := ["", "points", "seconds", "memory", "images"])
     for scene in study.scenes:
-        yield from _lead(scene, study, len(head))
+        yield from _scene_row(scene, study, len(head))
         for cloud in scene.clouds:
             images = str(scene.images)
             if scene.cameras is not None:
                 images = f"{scene.cameras.solved}/{images}"
-            elif len(scene.positions) < scene.images:  # solved, and there are none to hold them against
+            elif len(scene.positions) < scene.images:  # solved cameras without given ones to compare with
                 images = f"{len(scene.positions)}/{images}"
             points = f"{cloud.points:,}" if cloud.points is not None else "failed"
-            yield [cloud.name, points, seconds(cloud), _memory(cloud), images]
+            yield [cloud.name, points, seconds_text(cloud), _memory(cloud), images]
 
 
-def seconds(cloud: CloudResult) -> str:
-    """Of its process; on top of those of the training before it, or at least."""
+def seconds_text(cloud: CloudResult) -> str:
+    """Return the seconds of a cloud's process: `+` adds to those of the training before it, `≥` marks a resumed one."""
     if cloud.seconds is None:
-        return _NONE
+        return _DASH
     return ("≥ " if cloud.resumed else "+ " if cloud.extra else "") + f"{cloud.seconds:.0f}"
 
 
-def failures(study: Study) -> Iterator[str]:
-    """What failed, a line each."""
+def failures(study: GaoStudy) -> Iterator[str]:
+    """Yield one line per failure."""
     for scene in study.scenes:
         for cloud in scene.clouds:
             if cloud.failure:
@@ -77,32 +78,32 @@ def failures(study: Study) -> Iterator[str]:
                     yield f"{_title(scene, cloud, study)} could not be measured against {of.reference}: {of.failure}"
 
 
-def markdown(study: Study, views: ViewStudy | None) -> str:
-    """All tables, sentences, verdicts and notes as Markdown."""
+def markdown(study: GaoStudy, views: ViewStudy | None) -> str:
+    """Return all tables, sentences, verdicts and notes as Markdown."""
     unit = study.unit or "unit"
     parts = ["# The paper, reproduced", "\n".join(f"- {text}" for text in study.sentences)]
     parts += ["## Clouds against both references", LEGEND.format(unit=unit), markdown_table(measures_table(study), 2)]
-    parts += ["## What they took", markdown_table(cost_table(study), 1)]
+    parts += ["## Time and memory", markdown_table(cost_table(study), 1)]
     if views is not None:
         parts += ["## New views", views_markdown(views).rstrip()]
-    parts += ["## Verdicts", "\n".join(f"- {text}" for text in verdicts(study)) or _NONE]
-    parts += ["## Notes", "\n".join(f"- {text}" for text in _notes(study)) or _NONE]
+    parts += ["## Verdicts", "\n".join(f"- {text}" for text in verdicts(study)) or _DASH]
+    parts += ["## Notes", "\n".join(f"- {text}" for text in _notes(study)) or _DASH]
     return "\n\n".join(parts) + "\n"
 
 
-def verdicts(study: Study) -> Iterator[str]:
-    """Every verdict in its own words."""
+def verdicts(study: GaoStudy) -> Iterator[str]:
+    """Yield one sentence per verdict."""
     for scene in study.scenes:
         for reference in references(scene):
             for cloud in scene.clouds:
-                of = cloud.held(reference)
+                of = cloud.evaluation(reference)
                 if of is not None and of.deformation is not None:
                     name = f"{_title(scene, cloud, study)}, against {reference}"
                     yield of.deformation.sentence(name, scene.unit or "")
 
 
-def csv_text(study: Study) -> str:
-    """A line a cloud and reference; a failed cloud has one."""
+def csv_text(study: GaoStudy) -> str:
+    """Return CSV with one line per cloud and reference; a failed cloud has one line."""
     fields = list(Gao2025.__annotations__)
     bend = ("verdict", "model", "bend_rms", "bend_low", "bend_high", "detectable")
     head = ["scene", "cloud", "points", "seconds", "resumed", "memory_bytes", "reference", "points_in_region"]
@@ -110,44 +111,44 @@ def csv_text(study: Study) -> str:
     for scene in study.scenes:
         for cloud in scene.clouds:
             first = [scene.name, cloud.name, cloud.points, cloud.seconds, cloud.resumed, cloud.memory_bytes]
-            for of in cloud.against or (Against("", failure=cloud.failure),):
+            for of in cloud.against or (ReferenceEvaluation("", failure=cloud.failure),):
                 values = [None if of.measures is None else getattr(of.measures, field) for field in fields]
                 rest = [of.floor, *_bend_values(of.deformation), of.failure or cloud.failure]
                 rows.append([*first, of.reference, of.points, *values, *rest])
     return csv_of([*head, *fields, "d1_floor", *bend, "failure"], rows)
 
 
-def _against(cloud: CloudResult, reference: str) -> Against | None:
+def _find_evaluation(cloud: CloudResult, reference: str) -> ReferenceEvaluation | None:
     return next((of for of in cloud.against if of.reference == reference), None)
 
 
-def _lead(scene: SceneResult, study: Study, columns: int) -> Iterator[list[str]]:
-    """The name of a scene as a row, where there are several."""
+def _scene_row(scene: SceneResult, study: GaoStudy, columns: int) -> Iterator[list[str]]:
+    """Yield a row with the name of the scene, if there are several scenes."""
     if len(study.scenes) > 1:
         yield [scene.name, *[""] * (columns - 1)]
 
 
-def _title(scene: SceneResult, cloud: CloudResult, study: Study) -> str:
+def _title(scene: SceneResult, cloud: CloudResult, study: GaoStudy) -> str:
     return f"{scene.name} {cloud.name}" if len(study.scenes) > 1 else cloud.name
 
 
-def _measured(of: Against) -> list[str]:
+def _measure_cells(of: ReferenceEvaluation) -> list[str]:
     if of.measures is None:
         return ["failed", *[""] * len(_MEASURES), "", ""]
     m, bend = of.measures, of.deformation
-    values = (m.d1_mse, of.back_mse, m.d2_mse, m.d2_poisson_mse, m.hausdorff, m.chamfer)
-    size = _NONE if bend is None or bend.amplitude is None else _size(bend)
-    return [f"{of.points or 0:,}", *map(number, values), _NONE if bend is None else bend.verdict, size]
+    values = (m.d1_mse, of.r2c_mse, m.d2_mse, m.d2_poisson_mse, m.hausdorff, m.chamfer)
+    size = _DASH if bend is None or bend.amplitude is None else _size_text(bend)
+    return [f"{of.points or 0:,}", *map(format_number, values), _DASH if bend is None else bend.verdict, size]
 
 
-def number(value: float | None) -> str:
-    """Three digits, without an exponent where that is as short."""
+def format_number(value: float | None) -> str:
+    """Format a number with three digits, without an exponent if that is as short."""
     if value is None:
-        return _NONE
+        return _DASH
     return f"{value:.3g}" if not 0 < abs(value) < 1e-3 else f"{value:.1e}".replace("e-0", "e-")
 
 
-def _size(bend: Deformation) -> str:
+def _size_text(bend: Deformation) -> str:
     assert bend.amplitude is not None
     low, high = bend.amplitude.ci
     return f"{bend.amplitude.rms:.2g} [{low:.2g}, {high:.2g}]"
@@ -161,10 +162,10 @@ def _bend_values(bend: Deformation | None) -> Sequence[object]:
 
 
 def _memory(cloud: CloudResult) -> str:
-    return _NONE if cloud.memory_bytes is None else f"{cloud.memory_bytes / 2**20:,.0f} MiB"
+    return _DASH if cloud.memory_bytes is None else f"{cloud.memory_bytes / 2**20:,.0f} MiB"
 
 
-def _notes(study: Study) -> Iterator[str]:
+def _notes(study: GaoStudy) -> Iterator[str]:
     for scene in study.scenes:
         yield f"{scene.name} ({Path(scene.path).name}): measured in {scene.region}"
         for cloud in scene.clouds:

@@ -1,4 +1,4 @@
-"""New views of scenes: how like their photographs the renderings of a reconstructor are.
+"""Novel views of scenes: how similar the renderings of a reconstructor are to their photographs.
 
-`runs` gets rendered views of scenes, `scores` measures them, `table` and `pictures` show what came of it.
+`runs` collects or renders the views, `scores` measures them, `table` and `pictures` present the results.
 """

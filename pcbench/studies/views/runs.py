@@ -1,4 +1,4 @@
-"""`pcbench views`: rendered views of scenes, made where they are not there yet, measured, as table and pictures."""
+"""`pcbench views`: render missing views of scenes, measure all views, and write tables."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ from pcbench.errors import InputError, Notice, ReconstructionError, recorded
 from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
 from pcbench.scenes.views import find_views
-from pcbench.studies.folder import StudyKind, check_folder, named_folders, study_folder, write_pages
+from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_pages
 from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_views, write_scores
 from pcbench.studies.views.table import markdown
 
 KIND = StudyKind("views", DOCUMENT, SCHEMA)
-_RUNS = "runs"
-_MAKING_S = 300.0  # that one scene takes, roughly, for progress bars
+_RUNS_FOLDER = "runs"
+_EXPECTED_SCENE_S = 300.0  # rough duration of rendering a scene, for progress bars
 
 
 @dataclass(frozen=True)
 class ViewsJob:
-    """What is measured, and how views are made where there are none.
+    """Scenes to measure, and how to render views if they have none.
 
     Attributes:
-        scenes: scenes as `read_scene` reads them, folders of rendered views, or workspaces that have one.
-        method: the reconstructor that makes views of a scene.
-        settings: of the reconstructor.
-        cameras, image_scale: as for `read_scene`.
-        time_limit: seconds, of one scene.
+        scenes: scenes for `read_scene`, folders of rendered views, or workspaces that contain one.
+        method: reconstructor that renders views of a scene.
+        settings: settings of the reconstructor.
+        cameras: cameras, as for `read_scene`.
+        image_scale: image scale, as for `read_scene`.
+        time_limit: time limit per scene, in seconds.
     """
 
     scenes: tuple[Path, ...]
@@ -40,28 +41,33 @@ class ViewsJob:
 
 
 def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: None) -> ViewStudy:
-    """Make the rendered views that are not there yet, one scene after the other, and measure all of them.
+    """Render missing views, one scene after another, and measure all views.
 
-    A scene of which none can be made is a note; the others are measured. What is made is kept in `out`, from where the
-    same call goes on; `scores.json`, `scores.csv` and `views.md` are written there.
+    A scene without views becomes a note; the others are measured. Renderings stay in `out` and are used again by a
+    later call. `scores.json`, `scores.csv` and `views.md` are written there.
+
+    Args:
+        job: scenes to measure.
+        out: output folder.
+        step: progress callback.
 
     Raises:
-        InputError: `out` is something else, another run is writing there, or a workspace holds no views.
+        InputError: `out` holds something else, another run is writing there, or a workspace has no views.
         ReconstructionError: no scene has views.
         MissingExtra: a library that measures views is not installed.
         OSError: a file cannot be written.
     """
-    _check(job, out)
+    _check_job(job, out)
     with study_folder(out, KIND, job):
-        (out / _RUNS).mkdir(exist_ok=True)
+        (out / _RUNS_FOLDER).mkdir(exist_ok=True)
         folders, failed = [], []
-        for number, (name, scene) in enumerate(named_folders(job.scenes).items(), 1):
+        for number, (name, scene) in enumerate(folders_by_name(job.scenes).items(), 1):
             if (found := find_views(scene)) is not None:
                 folders.append(found)
                 continue
-            step(Step(f"{job.method} {number} of {len(job.scenes)}: {name}", _MAKING_S))
+            step(Step(f"{job.method} {number} of {len(job.scenes)}: {name}", _EXPECTED_SCENE_S))
             try:
-                folders.append(_make(job, scene, out / _RUNS / name, step))
+                folders.append(_render_views(job, scene, out / _RUNS_FOLDER / name, step))
             except (InputError, ReconstructionError) as error:
                 failed.append(Notice("no-views", f"{scene}: {recorded(error)}"))
         if not folders:
@@ -73,32 +79,32 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
     return study
 
 
-def _make(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], None]) -> Path:
-    """The folder of views that the reconstructor makes of one scene.
+def _render_views(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], None]) -> Path:
+    """Reconstruct one scene and return its folder of rendered views.
 
     Raises:
         InputError: the reconstructor writes no views.
-        PcbenchError: it fails.
+        PcbenchError: the reconstruction fails.
     """
     asked = ReconstructionJob(job.method, scene, job.settings, cameras=job.cameras, image_scale=job.image_scale)
     run(asked, workspace, job.time_limit, lambda text: step(f"{job.method}, {scene.name}: {text}")).required()
     found = find_views(workspace)
     if found is None:
-        raise InputError(f"{job.method} made a cloud but no rendered views (pcbench.scenes.views.write_views)")
+        raise InputError(f"{job.method} wrote a cloud but no rendered views (pcbench.scenes.views.write_views)")
     return found
 
 
-def _check(job: ViewsJob, out: Path) -> None:
+def _check_job(job: ViewsJob, out: Path) -> None:
     if not job.scenes:
         raise InputError("expected at least one scene or folder of rendered views")
-    if job.settings.get("hold_out") == "none":  # before hours of work
-        raise InputError("expected hold_out=every or hold_out=blocks, got none: views are measured of held-out images")
+    if job.settings.get("hold_out") == "none":  # checked before hours of work
+        raise InputError("expected hold_out=every or hold_out=blocks, got none; the scores need held-out images")
     if missing := [path for path in job.scenes if not path.exists()]:
         raise InputError(f"{missing[0]}: no such file or folder: expected a scene or a folder of rendered views")
     for path in job.scenes:
         if find_views(path) is None and (path / JOB).is_file() and (path / PLUGIN).is_dir():
             raise InputError(
-                f"{path}: the workspace holds no rendered views: give the folder of photographs, or make them by"
+                f"{path}: the workspace holds no rendered views; give the folder of photographs, or render them with"
                 " `pcbench reconstruct splat PHOTOS -o CLOUD --set hold_out=every`"
             )
     check_folder(out, KIND)

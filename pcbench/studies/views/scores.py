@@ -1,4 +1,4 @@
-"""The scores of rendered views, of each and of a scene, and the files that keep them."""
+"""Scores of rendered views, per view and per scene, and the files that store them."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from pcbench.studies.folder import write_pages
 
 SCHEMA = "pcbench.view-scores/1"
 DOCUMENT = "scores.json"
-_SECONDS = 0.3  # that a view takes, roughly, for progress bars
+_EXPECTED_VIEW_S = 0.3  # rough duration of measuring a view, for progress bars
 
 
 class ScoredView(NamedTuple):
-    """A view and what was measured of it."""
+    """A view and its scores."""
 
     view: RenderedView
     scores: ViewScores
@@ -34,28 +34,31 @@ class ScoredView(NamedTuple):
 
 @dataclass(frozen=True)
 class ScoredScene:
-    """A scene's rendered views and their scores, in the order of `views.views`."""
+    """Rendered views of a scene and their scores, in the order of `views.views`."""
 
     views: RenderedViews
     scores: tuple[ViewScores, ...]
 
-    def of(self, *, test: bool) -> tuple[ScoredView, ...]:
-        """Those that were held out, or those that were trained on."""
+    def select(self, *, test: bool) -> tuple[ScoredView, ...]:
+        """Return the held-out views (`test`), or the training views."""
         both = zip(self.views.views, self.scores, strict=True)
         return tuple(ScoredView(view, scores) for view, scores in both if view.is_test == test)
 
     def mean(self, *, test: bool) -> ViewScores | None:
-        """Means over the views that were held out, or trained on; None where there are none. A view of which nothing
-        counts is left out."""
-        found = [scored.scores for scored in self.of(test=test)]
+        """Return the mean scores of the held-out or the training views; None if there are none.
+
+        Views without a score, for example because they are masked entirely, are left out.
+        """
+        found = [scored.scores for scored in self.select(test=test)]
         return mean_scores(found) if found else None
 
     def standard_error(self) -> float | None:
-        """Of the mean PSNR of held-out views, dB: from the spread of the means of their blocks, because views that are
-        near each other are well or badly made together. None for fewer than two blocks.
+        """Return the standard error of the mean PSNR of the held-out views, in dB; None for fewer than two blocks.
+
+        It is computed from the means of blocks, because the errors of neighbouring views are correlated.
         """
         blocks: dict[int, list[float]] = {}
-        for scored in self.of(test=True):
+        for scored in self.select(test=True):
             if math.isfinite(scored.scores.psnr):
                 blocks.setdefault(scored.view.block or 0, []).append(scored.scores.psnr)
         means = [sum(block) / len(block) for block in blocks.values()]
@@ -64,9 +67,10 @@ class ScoredScene:
 
 @dataclass(frozen=True)
 class ViewStudy:
-    """What was measured of several scenes.
+    """Scores of several scenes.
 
     Attributes:
+        scenes: scored scenes.
         notes: what could not be measured, and why.
     """
 
@@ -77,10 +81,12 @@ class ViewStudy:
 def score_views(
     folders: Sequence[Path], on_step: Callable[[str], None] = lambda _: None, perceptual: Perceptual | None = None
 ) -> ViewStudy:
-    """Measure the rendered views of folders or workspaces that `pcbench.scenes.views` knows.
+    """Measure the rendered views of folders or workspaces.
 
     Args:
-        perceptual: metrics of other packages; None: those that are here.
+        folders: folders or workspaces, as for `pcbench.scenes.views.read_views`.
+        on_step: progress callback.
+        perceptual: LPIPS and FLIP of other packages; None uses those that are installed.
 
     Raises:
         InputError: a folder holds no rendered views, or a picture cannot be decoded.
@@ -94,39 +100,39 @@ def score_views(
         scores = []
         for view in views.views:
             left -= 1
-            on_step(Step(f"measuring the views of {views.scene}", _SECONDS, _SECONDS * left))
+            on_step(Step(f"measuring the views of {views.scene}", _EXPECTED_VIEW_S, _EXPECTED_VIEW_S * left))
             pictures = view.read()
             scores.append(measured.scores(pictures.rendering, pictures.photograph, pictures.mask))
         scenes.append(ScoredScene(views, tuple(scores)))
-    return ViewStudy(tuple(scenes), (*measured.missing, *_uncounted(scenes)))
+    return ViewStudy(tuple(scenes), (*measured.missing, *_masked_view_notices(scenes)))
 
 
-def _uncounted(scenes: Iterable[ScoredScene]) -> Iterable[Notice]:
+def _masked_view_notices(scenes: Iterable[ScoredScene]) -> Iterable[Notice]:
     for scene in scenes:
         if bare := [v.name for v, s in zip(scene.views.views, scene.scores, strict=True) if math.isnan(s.ssim)]:
             yield Notice(
                 "masked-views",
-                f"{scene.views.scene}: {len(bare)} views such as {bare[0]} count nowhere in a whole window of SSIM,"
-                " whose mean is without them",
+                f"{scene.views.scene}: {len(bare)} views such as {bare[0]} have no SSIM, because their masks leave no"
+                " complete window; the mean SSIM omits them",
             )
 
 
 def write_scores(out: Path, study: ViewStudy) -> None:
-    """Write `scores.json`, which `read_scores` reads, and `scores.csv`, a row a view.
+    """Write `scores.json`, which `read_scores` reads, and `scores.csv`, one row per view.
 
     Raises:
         OSError: a file cannot be written.
     """
     notes = [{"code": note.code, "text": note.text} for note in study.notes]
-    document = {"schema": SCHEMA, "scenes": [_plain(scene) for scene in study.scenes], "notes": notes}
+    document = {"schema": SCHEMA, "scenes": [_scene_values(scene) for scene in study.scenes], "notes": notes}
     write_pages(out, {"scores.csv": _csv(study), DOCUMENT: to_json(document)})
 
 
 def read_scores(out: Path) -> ViewStudy:
-    """What `write_scores` wrote.
+    """Read the `scores.json` of a folder.
 
     Raises:
-        InputError: it is something else, or its pictures are gone.
+        InputError: the file has another schema, or its views have changed or are missing.
     """
     document = read_json(out / DOCUMENT)
     if document.get("schema") != SCHEMA:
@@ -136,27 +142,31 @@ def read_scores(out: Path) -> ViewStudy:
         views = read_views(Path(row["folder"]))
         scores = {view["name"]: _scores(view) for view in row["views"]}
         if missing := [view.name for view in views.views if view.name not in scores]:
-            raise InputError(f"{out / DOCUMENT}: {views.folder} has other views by now, such as {missing[0]}")
+            raise InputError(
+                f"{out / DOCUMENT}: expected scores of {missing[0]} too; views were added in {views.folder}"
+            )
         scenes.append(ScoredScene(views, tuple(scores[view.name] for view in views.views)))
     return ViewStudy(tuple(scenes), tuple(Notice(**note) for note in document["notes"]))
 
 
-def _plain(scene: ScoredScene) -> dict[str, Any]:
+def _scene_values(scene: ScoredScene) -> dict[str, Any]:
     views = scene.views
     rows = [
-        {"name": view.name, "block": view.block, **_numbers(scores)}
+        {"name": view.name, "block": view.block, **_score_values(scores)}
         for view, scores in zip(views.views, scene.scores, strict=True)
     ]
     means = {
-        key: None if (mean := scene.mean(test=test)) is None else {"views": len(scene.of(test=test)), **_numbers(mean)}
+        key: None
+        if (mean := scene.mean(test=test)) is None
+        else {"views": len(scene.select(test=test)), **_score_values(mean)}
         for key, test in (("train", False), ("test", True))
     }
     named = {"scene": views.scene, "method": views.method, "split": views.split, "folder": str(views.folder.absolute())}
     return {**named, **means, "test_psnr_standard_error": scene.standard_error(), "views": rows}
 
 
-def _numbers(scores: ViewScores) -> dict[str, float | str | None]:
-    """Infinity, which JSON has no number for, as a word."""
+def _score_values(scores: ViewScores) -> dict[str, float | str | None]:
+    """Return scores as JSON values; infinity, for which JSON has no number, as "inf"."""
     return {key: "inf" if value == math.inf else value for key, value in scores._asdict().items()}
 
 
@@ -181,7 +191,7 @@ def _csv(study: ViewStudy) -> str:
 
 
 def mean_scores(scores: Sequence[ViewScores]) -> ViewScores:
-    """Means of at least one; those that are NaN are left out, and LPIPS and FLIP are None unless all are known."""
+    """Return the means of at least one view's scores, without NaN; LPIPS and FLIP are None unless all have them."""
 
     def mean(values: Iterable[float]) -> float:
         known = [value for value in values if not math.isnan(value)]

@@ -1,4 +1,4 @@
-"""The table of new views: a row a scene, means over views that were trained on and over those that were held out."""
+"""The table of novel views: one row per scene, with means over training views and over held-out views."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pcbench.measure.images import ViewScores
 from pcbench.report.markup import markdown_table
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, mean_scores
 
-_NONE = "–"
+_DASH = "–"
 
 
 class _Metric(NamedTuple):
@@ -28,8 +28,10 @@ _METRICS = (
 
 
 def table(study: ViewStudy) -> list[list[str]]:
-    """Cells, the header first. A metric that nothing here measures has no column; scenes of one study are averaged in a
-    last row where there are several."""
+    """Return the cells, the header first; only measured metrics have columns.
+
+    If there are several scenes, the last row has their mean.
+    """
     means = [(scene.mean(test=False), scene.mean(test=True)) for scene in study.scenes]
     known = [
         metric
@@ -41,31 +43,31 @@ def table(study: ViewStudy) -> list[list[str]]:
     names = [f"{kind} {metric.header}" for kind in ("train", "test") for metric in known]
     rows = [[*head, "views", *names]]
     for scene, pair in zip(study.scenes, means, strict=True):
-        counts = " + ".join(str(len(scene.of(test=test))) for test in (False, True))
+        counts = " + ".join(str(len(scene.select(test=test))) for test in (False, True))
         method = [scene.views.method] if several else []
         rows.append([scene.views.scene, *method, scene.views.split, counts, *_cells(pair, known, scene)])
     if len(study.scenes) > 1:
-        over = [_over([pair[k] for pair in means]) for k in (0, 1)]
+        over = [_mean_over_scenes([pair[k] for pair in means]) for k in (0, 1)]
         blank = [""] * (len(head) - 1)
         rows.append([f"mean of {len(study.scenes)}", *blank, "", *_cells(over, known)])
     return rows
 
 
 def sentences(study: ViewStudy) -> list[str]:
-    """What is to be known beside the table."""
+    """Return the notes on the table."""
     perceptual = any(s.lpips is not None or s.flip is not None for scene in study.scenes for s in scene.scores)
     lines = [
-        "means over views; PSNR in dB and SSIM: more is better" + ("; LPIPS and FLIP: less is better" * perceptual),
+        "means over views; PSNR in dB and SSIM: higher is better" + ("; LPIPS and FLIP: lower is better" * perceptual),
     ]
     if any(scene.standard_error() is not None for scene in study.scenes):
-        lines.append("±: one standard error, over the blocks of held-out views")
-    if bare := [scene.views.scene for scene in study.scenes if not scene.of(test=True)]:
-        lines.append(f"no view was held out of {', '.join(bare)}: views that were trained on say little of new ones")
+        lines.append("±: one standard error, from the means of blocks of held-out views")
+    if bare := [scene.views.scene for scene in study.scenes if not scene.select(test=True)]:
+        lines.append(f"no view of {', '.join(bare)} was held out: scores of training views say little about new views")
     return [*lines, *(f"note: {note.text}" for note in study.notes)]
 
 
 def markdown(study: ViewStudy) -> str:
-    """The table and its sentences as Markdown."""
+    """Return the table and its notes as Markdown."""
     rows = table(study)
     lines = [markdown_table(rows, rows[0].index("views")), "", *(f"- {sentence}" for sentence in sentences(study))]
     return "\n".join(lines) + "\n"
@@ -79,16 +81,16 @@ def _cells(
         for metric in known:
             value = None if mean is None else getattr(mean, metric.field)
             of_error = error is not None and number == 1 and metric.field == "psnr"
-            yield _text(value, metric) + (f" ± {error:.2f}" if of_error else "")
+            yield _format(value, metric) + (f" ± {error:.2f}" if of_error else "")
 
 
-def _text(value: float | None, metric: _Metric) -> str:
+def _format(value: float | None, metric: _Metric) -> str:
     if value is None or math.isnan(value):
-        return _NONE
+        return _DASH
     return "∞" if math.isinf(value) else f"{value:.{metric.decimals}f}"
 
 
-def _over(means: Sequence[ViewScores | None]) -> ViewScores | None:
-    """Mean over scenes, where all of them have views of the kind."""
+def _mean_over_scenes(means: Sequence[ViewScores | None]) -> ViewScores | None:
+    """Return the mean over scenes, or None if some scene has no such views."""
     there = [mean for mean in means if mean is not None]
     return mean_scores(there) if len(there) == len(means) else None

@@ -16,8 +16,8 @@ from pcbench.studies.bench.truth import read_truth
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    """A folder with photos/, truth.ply, made.ply and methods.py; the current one."""
+def bench_folder(tmp_path, monkeypatch):
+    """Current folder with photos/, truth.ply, made.ply and methods.py."""
     image = import_or_skip("PIL.Image")
     (tmp_path / "photos/images").mkdir(parents=True)
     for camera in RIG:
@@ -31,15 +31,15 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def truth(here):
-    return read_truth(here / "truth.ply", None, {camera.name: camera for camera in RIG}, print)
+def truth(bench_folder):
+    return read_truth(bench_folder / "truth.ply", None, {camera.name: camera for camera in RIG}, print)
 
 
 @pytest.fixture
-def one_process(monkeypatch):
-    """Reconstructors run in this process: half a second less each, for tests of what the bench makes of their runs.
+def in_process(monkeypatch):
+    """Run reconstructors in this process, which saves half a second each, for tests of the bench alone.
 
-    That a process of their own keeps the bench from their crashes is shown by tests without this.
+    Tests without this fixture show that separate processes protect the bench from crashes.
     """
 
     def run_module(name, *arguments, limits, environment=None, log=None):
@@ -51,6 +51,6 @@ def one_process(monkeypatch):
                     describe_child.main(arguments[0], Path(arguments[1]))
         return Ended(code=0, timed_out=False, cpu_s=0.0, output="", errors="", received=0)
 
-    # The code that runs in a process of its own is none of what decides the results of this one.
+    # The code of the child process does not belong to the inputs of this run.
     monkeypatch.setattr(reconstruct_child, "register_plugin_code", lambda module: None)
     monkeypatch.setattr("pcbench.plugins.run.run_module", run_module)

@@ -1,4 +1,4 @@
-"""The charts of a bench: what stands in them does not lie on each other."""
+"""Charts of a bench: labels do not overlap."""
 
 import itertools
 
@@ -18,40 +18,42 @@ def document(rows):
 
 
 @pytest.fixture
-def drawn(monkeypatch, tmp_path):
-    """Draws a chart of rows, and gives its figure."""
+def draw_chart(monkeypatch, tmp_path):
+    """Function that draws a chart of rows and returns its figure."""
     from matplotlib.figure import Figure
 
-    kept = []
+    figures = []
     save = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **how: (kept.append(figure), save(figure, path, **how)))
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, path, **options: (figures.append(figure), save(figure, path, **options))
+    )
 
-    def draw(rows, chart=charts.speed):
+    def draw(rows, chart=charts.draw_speed):
         assert chart(document(rows), tmp_path / "chart.png")
-        return kept[-1]
+        return figures[-1]
 
     return draw
 
 
-def words(figure):
-    """Texts of the strips of failures, by strip."""
+def failure_labels(figure):
+    """Labels in the strips of failures, one list per strip."""
     return [axis.texts for axis in figure.axes if axis.get_ylabel() == "failed"]
 
 
 TIMES = {
-    "apart": [1.0, 10.0, 100.0],
+    "far apart": [1.0, 10.0, 100.0],
     "close": [5.0, 5.1, 5.4, 6.0, 6.1, 7.0, 7.5, 8.0, 8.1, 9.0, 9.5, 11.0],
     "at the end": [98.0, 99.0, 100.0, 100.0, 103.0],
 }
 
 
 @pytest.mark.parametrize("times", TIMES.values(), ids=TIMES)
-def test_words_on_failures_do_not_overlap(drawn, times):
+def test_failure_labels_do_not_overlap(draw_chart, times):
     rows = [row("good", 2.0, 0.5), row("good", 60.0, 0.7, choices={"x": "1"})]
     statuses = itertools.cycle(["crashed", "failed", "timeout", "unmeasured"])
     rows += [row(f"m{n % 3}", time, None, next(statuses), seed=n) for n, time in enumerate(times)]
-    figure = drawn(rows)
-    strips = words(figure)
+    figure = draw_chart(rows)
+    strips = failure_labels(figure)
     assert len(strips) == 2
     for texts in strips:
         assert sum(int(text.get_text().partition("×")[2] or 1) for text in texts) == len(times)
@@ -63,17 +65,17 @@ def test_words_on_failures_do_not_overlap(drawn, times):
             assert frame.y0 - 1 <= box.y0 < box.y1 <= frame.y1 + 1
 
 
-def test_crosses_that_lie_on_each_other_are_counted(drawn):
+def test_overlapping_failure_crosses_are_counted(draw_chart):
     rows = [row("good", 2.0, 0.5), *(row("bad", 5.0 + 0.001 * n, None, "crashed", seed=n) for n in range(9))]
-    for texts in words(drawn(rows)):
+    for texts in failure_labels(draw_chart(rows)):
         assert [text.get_text() for text in texts] == ["crashed ×9"]
-    apart = [row("good", 2.0, 0.5), *(row(f"bad{n}", 5.0, None, "crashed") for n in range(3))]
-    for texts in words(drawn(apart)):
-        assert [text.get_text() for text in texts] == ["crashed"] * 3  # of three methods
+    three_methods = [row("good", 2.0, 0.5), *(row(f"bad{n}", 5.0, None, "crashed") for n in range(3))]
+    for texts in failure_labels(draw_chart(three_methods)):
+        assert [text.get_text() for text in texts] == ["crashed"] * 3  # one per method
 
 
-def test_benches_from_before_thresholds_were_pixels_are_drawn(drawn):
+def test_benches_without_pixel_thresholds_are_drawn(draw_chart):
     rows = [row("a", 1.0, 0.5, threshold=0.3), row("b", 2.0, 0.9, threshold=0.3)]
-    figure = drawn(rows)
+    figure = draw_chart(rows)
     assert figure.axes[0].get_ylabel() == "F-score at 0.3 m"
-    assert words(figure) == []
+    assert failure_labels(figure) == []

@@ -1,4 +1,4 @@
-"""The bench that ends `pcbench demo`."""
+"""The bench at the end of `pcbench demo`."""
 
 import json
 
@@ -11,7 +11,7 @@ from pcbench.plugins.run import Description
 
 
 @pytest.mark.parametrize("library", ["pycolmap", "torch"])
-def test_the_demo_says_why_it_has_no_bench(monkeypatch, tmp_path, library):
+def test_demo_reports_why_it_cannot_bench(monkeypatch, tmp_path, library):
     from pcbench.studies.bench import demo
 
     monkeypatch.setattr(demo, "check_renderer", lambda: None)
@@ -20,10 +20,10 @@ def test_the_demo_says_why_it_has_no_bench(monkeypatch, tmp_path, library):
     assert "apt-get install libusb-1.0-0" in demo.why_not()
 
 
-def test_the_demo_removes_nothing_but_its_own(tmp_path, monkeypatch):
+def test_demo_removes_only_its_own_folder(tmp_path, monkeypatch):
     from pcbench.studies.bench.demo import demo_job
 
-    monkeypatch.setattr("pcbench.scenes.synthetic.files.check_renderer", lambda: None)  # nothing is drawn
+    monkeypatch.setattr("pcbench.scenes.synthetic.files.check_renderer", lambda: None)  # nothing is rendered
     (tmp_path / "city").mkdir()
     mine = tmp_path / "city" / "mine.txt"
     mine.write_text("mine")
@@ -32,7 +32,7 @@ def test_the_demo_removes_nothing_but_its_own(tmp_path, monkeypatch):
     assert mine.read_text() == "mine"
 
 
-def test_the_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
+def test_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
     from pcbench.studies.bench import demo
     from pcbench.studies.bench.plan import Method, trials
 
@@ -41,7 +41,7 @@ def test_the_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
     known = {"sfm": ("upsample",), "mvs": ("spacing",), "splat": ("steps", "cloud")}
     found, notes = trials([Method(name, name, Description(known[name])) for name in job.methods], job.axes, job.seeds)
     assert not notes
-    assert [trial.words for trial in found] == [
+    assert [trial.title for trial in found] == [
         "sfm image_scale=0.5 upsample=false",
         "sfm image_scale=0.5 upsample=true",
         "sfm image_scale=1 upsample=false",
@@ -54,7 +54,7 @@ def test_the_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_demo_ends_with_a_bench(tmp_path, run):
+def test_demo_ends_with_a_bench(tmp_path, run):
     import_or_skip("pycolmap")
     import_or_skip("torch")
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo")
@@ -70,4 +70,4 @@ def test_the_demo_ends_with_a_bench(tmp_path, run):
     assert surface["fscore"] > means["fscore"]
     assert (tmp_path / "demo/bench/figures/speed.png").is_file()
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo", "--no-figures")
-    assert out.count("(done before)") == 8  # the same city, byte for byte
+    assert out.count("(from an earlier bench)") == 8  # the city is the same in all bytes

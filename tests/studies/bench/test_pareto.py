@@ -1,26 +1,26 @@
-"""Which configurations nothing else beats."""
+"""The Pareto front of configurations."""
 
 import numpy as np
 import pytest
 from benches import row
 
-from pcbench.studies.bench.pareto import configurations, front_of, mark_front, pareto_front
+from pcbench.studies.bench.pareto import configurations, front_configurations, mark_front, pareto_front
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_front_is_what_nothing_beats(seed):
+def test_pareto_front_matches_pairwise_domination(seed):
     costs = np.random.default_rng(seed).integers(0, 6, (40, 2)).astype(float)  # with ties and duplicates
     expected = []
     for a in costs:
-        beaten = False
+        dominated = False
         for b in costs:
             if b[0] <= a[0] and b[1] <= a[1] and (b[0] < a[0] or b[1] < a[1]):
-                beaten = True
-        expected.append(not beaten)
+                dominated = True
+        expected.append(not dominated)
     assert pareto_front(costs).tolist() == expected
 
 
-def test_the_front_is_of_medians_over_seeds():
+def test_front_uses_medians_over_seeds():
     rows = [
         *(row("slow", 10.0, f, seed=k) for k, f in enumerate((0.8, 0.9, 0.1))),  # median 0.8
         *(row("fast", t, 0.5, seed=k) for k, t in enumerate((1.0, 2.0, 90.0))),  # median 2
@@ -32,11 +32,11 @@ def test_the_front_is_of_medians_over_seeds():
     assert [r["pareto"] for r in rows] == [True] * 6 + [False, False, None]
     found = configurations(rows)
     assert [c.method for c in found] == ["slow", "fast", "worse", "lucky", "dead"]
-    assert [c.method for c in front_of(found, "chamfer", high=False)] == ["fast", "slow"]
-    assert front_of(found[-1:], "fscore", high=True) == []
+    assert [c.method for c in front_configurations(found, "chamfer", higher_is_better=False)] == ["fast", "slow"]
+    assert front_configurations(found[-1:], "fscore", higher_is_better=True) == []
 
 
-def test_what_one_of_three_seeds_scores_is_no_choice():
-    rows = [row("sure", 2.0, 0.5), row("lucky", 1.0, 0.9), row("lucky", 1.0, None, "failed", seed=1)]
+def test_configuration_with_a_failed_seed_is_not_on_the_front():
+    rows = [row("reliable", 2.0, 0.5), row("lucky", 1.0, 0.9), row("lucky", 1.0, None, "failed", seed=1)]
     mark_front(rows)
     assert [r["pareto"] for r in rows] == [True, False, None]

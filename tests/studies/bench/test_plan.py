@@ -1,7 +1,7 @@
-"""What a bench runs: methods, sweeps and seeds, and the mistakes in them."""
+"""The runs of a bench: methods, sweeps and seeds, and wrong options."""
 
 import pytest
-from benches import counted
+from benches import methods_run
 from wording import said
 
 from pcbench.plugins.run import Description
@@ -34,22 +34,22 @@ from pcbench.studies.bench.plan import Axis, Method, labels, trials
         ("--reference", "nowhere.ply"),
     ],
 )
-def test_mistakes_are_said_before_anything_runs(here, run, one_process, arguments):
+def test_wrong_options_are_rejected_before_any_run(bench_folder, run, in_process, arguments):
     command = ("bench", "photos", "--reference", "truth.ply", "--method", "methods.py:Good", "--out", "out")
     code, out, err = run(*command, *arguments)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
-    said(err.partition(" (see ")[0])  # how pytest was called
-    assert counted() == []
+    said(err.partition(" (see ")[0])  # the rest depends on how pytest was started
+    assert methods_run() == []
 
 
-def test_no_seeds_are_a_mistake(here, run):
+def test_zero_seeds_are_rejected(bench_folder, run):
     code, _, err = run("bench", "photos", "--reference", "truth.ply", "--method", "methods.py:Good", "--seeds", "0")
     assert code == 2
-    assert "--seeds" in err  # the rest is click's
+    assert "--seeds" in err  # the rest is click's message
 
 
-def test_no_method_is_a_mistake(here, run):
+def test_missing_method_is_rejected(bench_folder, run):
     assert "--method" in said(run("bench", "photos", "--reference", "truth.ply", "--out", "out")[2])
 
 
@@ -57,14 +57,14 @@ def method(label, *settings, problem=None):
     return Method(label, f"x.py:{label}", Description(settings, problem=problem))
 
 
-def test_the_product_of_sweeps():
+def test_trials_are_the_product_of_sweeps():
     a, b, unknown = method("A", "n", "seed"), method("B", "n", "m"), method("C", problem="it cannot be imported")
     axes = [Axis.sweep("image_scale=0.5,1"), Axis.sweep("n=1,2"), Axis.sweep("B.m=x,y"), Axis.fixed("A.n=7,8")]
     found, notes = trials([a, b, unknown], axes, 2)
-    words = [trial.words for trial in found]
-    assert words[:4] == [f"A image_scale={s} n=7,8 seed {k}" for s in ("0.5", "1") for k in (0, 1)]
-    assert words[4:12] == [f"B image_scale={s} n={n} m={m}" for s in ("0.5", "1") for n in "12" for m in "xy"]
-    assert words[12:] == ["C image_scale=0.5", "C image_scale=1"]
+    titles = [trial.title for trial in found]
+    assert titles[:4] == [f"A image_scale={s} n=7,8 seed {k}" for s in ("0.5", "1") for k in (0, 1)]
+    assert titles[4:12] == [f"B image_scale={s} n={n} m={m}" for s in ("0.5", "1") for n in "12" for m in "xy"]
+    assert titles[12:] == ["C image_scale=0.5", "C image_scale=1"]
     assert found[1].settings == {"n": "7,8", "seed": "1"}
     assert found[1].image_scale == 0.5
     assert found[4].settings == {"n": "1", "m": "x"}

@@ -1,4 +1,4 @@
-"""A bench from its methods to its folder: whatever they do is a row, and what is done is kept."""
+"""A complete bench: each run is a row, and finished runs are reused."""
 
 import csv
 import json
@@ -14,7 +14,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from benches import METHODS, OWN, counted, job
+from benches import METHODS, OWN, job, methods_run
 from optional import import_or_skip
 from processes import ends
 from wording import refused, said
@@ -28,7 +28,7 @@ from pcbench.studies.bench.plan import Axis
 from pcbench.studies.bench.runs import COLUMNS, BenchJob, bench
 
 
-def test_whatever_methods_do_is_a_row(here, run):
+def test_each_run_is_a_row(bench_folder, run):
     names = ("Good", "Crash", "Garbage", "Cannot", "Elsewhere", "Missing", "Nobody")
     methods = [word for name in names for word in ("--method", f"methods.py:{name}")]
     sweeps = ("--sweep", "Good.image_scale=0.5,1", "--set", "Good.noise=1", "--seeds", "2", "--threshold", "1px,1")
@@ -55,7 +55,7 @@ def test_whatever_methods_do_is_a_row(here, run):
         assert row["gpu_bytes"] == ""
         assert 0 < float(row["recall_visible"]) <= 1
     assert float(good[0]["fscore"]) > float(good[2]["fscore"])
-    assert good[2]["d1_c2r"] != good[3]["d1_c2r"]  # of another seed
+    assert good[2]["d1_c2r"] != good[3]["d1_c2r"]  # different seeds
     assert [(row["method"], row["status"]) for row in bad] == [
         ("Crash", "crashed"),
         ("Garbage", "garbage"),
@@ -88,8 +88,8 @@ def test_whatever_methods_do_is_a_row(here, run):
     assert not (folder / "plugin").exists()
     assert {p.name for p in Path("out/figures").iterdir()} == {"speed.png", "accuracy_completeness.png"}
     with Path("out/bench.md").open() as file:
-        assert sum(line.startswith("| Good") for line in file) == 2 + 2 * 2  # and one for each threshold
-    # The same threshold, registration and matrix by the other command.
+        assert sum(line.startswith("| Good") for line in file) == 2 + 2 * 2  # and one per threshold
+    # `compare` with the same threshold and matrix gives the same score.
     code, text, _ = run(
         "compare",
         "truth.ply",
@@ -105,70 +105,70 @@ def test_whatever_methods_do_is_a_row(here, run):
     assert json.loads(text)["candidates"][0]["metrics"]["fscore"][-1]["fscore"] == first["fscore"]
 
 
-def test_done_rows_are_kept(here, run, one_process):
+def test_finished_runs_are_reused(bench_folder, run, in_process):
     command = ("bench", "photos", "--reference", "truth.ply", "--no-figures", "--out", "out")
     command += ("--method", "methods.py:Good", "--method", "methods.py:Cannot", "--sweep")
     assert run(*command, "noise=0.02,1")[0] == 0
-    assert counted() == ["Good", "Good", "Cannot"]
+    assert methods_run() == ["Good", "Good", "Cannot"]
     before = Path("out/bench.csv").read_text()
     code, out, _ = run(*command, "noise=0.02,1")
     assert code == 0
-    assert out.count("(done before)") == 3
-    assert len(counted()) == 3
+    assert out.count("(from an earlier bench)") == 3
+    assert len(methods_run()) == 3
     assert Path("out/bench.csv").read_text() == before
-    # Fewer rows: the others are not in the tables, which is said.
+    # Runs of other settings are not in the tables, and a note says so.
     _, out, _ = run(*command, "noise=1")
-    assert len(counted()) == 3
+    assert len(methods_run()) == 3
     said(next(line for line in out.splitlines() if "out/runs" in line))
     assert len(Path("out/bench.csv").read_text().splitlines()) == 3
-    # Another threshold measures again, and runs nothing.
+    # A new threshold measures again without new runs.
     run(*command, "noise=1", "--threshold", "0.5")
-    assert len(counted()) == 3
+    assert len(methods_run()) == 3
     with Path("out/bench.csv").open() as file:
         assert [row["threshold"] for row in csv.DictReader(file)] == ["0.5", ""]
-    # Another reconstructor under the same name, and another image.
+    # A changed reconstructor and a changed image need new runs.
     Path("methods.py").write_text(METHODS + "\n# changed\n")
     run(*command, "noise=1")
-    assert len(counted()) == 5
+    assert len(methods_run()) == 5
     with Path("photos/images/0.png").open("ab") as file:
         file.write(b"\0")
     run(*command, "noise=1")
-    assert len(counted()) == 7
+    assert len(methods_run()) == 7
 
 
 @pytest.mark.parametrize("name", ["outcome.json", "cloud.ply", "run.json", "score.json"])
 @pytest.mark.parametrize("content", [None, "[]", "{}"])
-def test_a_damaged_run_is_made_again(here, one_process, name, content):
-    whole = BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"])
-    first = bench(whole, Path("out"))["rows"][0]
+def test_damaged_run_is_repeated(bench_folder, in_process, name, content):
+    bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"])
+    first = bench(bench_job, Path("out"))["rows"][0]
     (file,) = Path("out").glob(f"runs/*/{name}")
     file.unlink()
     if content is not None:
         file.write_text(content)
-    again = bench(whole, Path("out"))["rows"][0]
+    again = bench(bench_job, Path("out"))["rows"][0]
     assert (again["status"], again["fscore"]) == ("ok", first["fscore"])
 
 
-def test_a_method_that_breaks_its_folder_is_a_row(here, monkeypatch):
-    deeds = (
+def test_method_that_damages_its_folder_is_a_row(bench_folder, monkeypatch):
+    actions = (
         "(workspace.parent / 'outcome.json').write_text('{}'); os._exit(0)",
         "(workspace.parent / 'outcome.json').write_text('[]'); os._exit(0)",
         "(workspace.parent / 'outcome.json').write_text('{\"status\": \"ok\"}'); os._exit(0)",
         "(workspace.parent / 'outcome.json').mkdir(); os._exit(0)",
         "shutil.rmtree(workspace.parent); os._exit(0)",
     )
-    vandals = [f"Vandal{number}" for number in range(len(deeds))]
+    vandals = [f"Vandal{number}" for number in range(len(actions))]
     classes = [
-        f"@dataclass(frozen=True)\nclass {name}:\n    def reconstruct(self, scene, workspace):\n        {deed}\n"
-        for name, deed in zip(vandals, deeds, strict=True)
+        f"@dataclass(frozen=True)\nclass {name}:\n    def reconstruct(self, scene, workspace):\n        {action}\n"
+        for name, action in zip(vandals, actions, strict=True)
     ]
     Path("methods.py").write_text("\n".join(["import shutil", METHODS, *classes]))
-    monkeypatch.setattr(runs, "describe", lambda *_: Description())  # they do nothing when they are looked at
+    monkeypatch.setattr(runs, "describe", lambda *_: Description())  # importing them is harmless
     rows = bench(job(*vandals, "Good"), Path("out"))["rows"]
-    assert [row["status"] for row in rows] == ["crashed"] * len(deeds) + ["ok"]
+    assert [row["status"] for row in rows] == ["crashed"] * len(actions) + ["ok"]
 
 
-def test_an_interrupted_bench_goes_on(here, one_process):
+def test_interrupted_bench_is_resumed(bench_folder, in_process):
     class Stop(Exception):
         pass
 
@@ -176,46 +176,46 @@ def test_an_interrupted_bench_goes_on(here, one_process):
         if done.number == 2:
             raise Stop
 
-    whole = job("Good", axes=[Axis.sweep("noise=0.02,0.1,1")])
+    bench_job = job("Good", axes=[Axis.sweep("noise=0.02,0.1,1")])
     with pytest.raises(Stop):
-        bench(whole, Path("out"), on_row=stop)
+        bench(bench_job, Path("out"), on_row=stop)
     assert len(json.loads(Path("out/bench.json").read_text())["rows"]) == 2
-    kept = []
-    doc = bench(whole, Path("out"), on_row=lambda done: kept.append(done.kept))
-    assert kept == [True, True, False]
-    assert counted() == ["Good"] * 3
+    reused = []
+    doc = bench(bench_job, Path("out"), on_row=lambda done: reused.append(done.kept))
+    assert reused == [True, True, False]
+    assert methods_run() == ["Good"] * 3
     assert len(doc["rows"]) == 3
     shutil.rmtree(Path("out") / doc["rows"][1]["folder"])
-    bench(whole, Path("out"))
-    assert counted() == ["Good"] * 4
-    # A half-written record is none.
+    bench(bench_job, Path("out"))
+    assert methods_run() == ["Good"] * 4
+    # A truncated record is ignored.
     (Path("out") / doc["rows"][0]["folder"] / "run.json").write_text('{"key"')
-    bench(whole, Path("out"))
-    assert counted() == ["Good"] * 5
+    bench(bench_job, Path("out"))
+    assert methods_run() == ["Good"] * 5
 
 
-def test_a_timeout_stands_for_shorter_limits(here, monkeypatch):
-    monkeypatch.setattr(runs, "describe", lambda *_: Description())  # which may take longer or not
+def test_timeout_is_reused_for_shorter_limits(bench_folder, monkeypatch):
+    monkeypatch.setattr(runs, "describe", lambda *_: Description())  # importing it may exceed the limit
     first = bench(job("Hang", time_limit_s=0.2), Path("out"))["rows"][0]
     assert (first["status"], first["message"]) == ("timeout", "it exceeded the time limit of 0.2 s")
     assert bench(job("Hang", time_limit_s=0.1), Path("out"))["rows"][0]["time_limit_s"] == 0.2
     assert bench(job("Hang", time_limit_s=0.3), Path("out"))["rows"][0]["time_limit_s"] == 0.3
 
 
-def test_a_refusal_stands_for_no_later_run(here, one_process):
+def test_refused_run_is_repeated(bench_folder, in_process):
     assert bench(job("Missing"), Path("out"))["rows"][0]["status"] == "refused"
     Path("installed").touch()
     assert bench(job("Missing"), Path("out"))["rows"][0]["status"] == "ok"
 
 
 @pytest.mark.parametrize("error", [MissingExtra("open3d", "open3d"), MemoryError()])
-def test_a_measurement_that_may_succeed_later_is_tried_again(here, one_process, monkeypatch, error):
-    whole = runs.score
+def test_temporary_measurement_failure_is_retried(bench_folder, in_process, monkeypatch, error):
+    original = runs.score
     monkeypatch.setattr(runs, "score", Mock(side_effect=error))
     assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "unmeasured"
-    monkeypatch.setattr(runs, "score", whole)
+    monkeypatch.setattr(runs, "score", original)
     assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "ok"
-    assert counted() == ["Good"]
+    assert methods_run() == ["Good"]
 
 
 @pytest.mark.parametrize(
@@ -225,47 +225,47 @@ def test_a_measurement_that_may_succeed_later_is_tried_again(here, one_process, 
         ("from pcbench.errors import MissingExtra; raise MissingExtra('x', 'y')", "refused"),
     ],
 )
-def test_a_run_that_may_succeed_later_is_tried_again(here, one_process, body, status):
+def test_temporary_run_failure_is_retried(bench_folder, in_process, body, status):
     Path("passing.py").write_text(
         METHODS
         + f"""
 @dataclass(frozen=True)
 class Passing:
     def reconstruct(self, scene, workspace):
-        if (HERE / "mended").exists():
+        if (HERE / "repaired").exists():
             return Reconstruction(read_cloud(HERE / "made.ply"), "georeferenced")
         {body}
 """
     )
-    whole = BenchJob(Path("photos"), Path("truth.ply"), ["passing.py:Passing"])
-    assert bench(whole, Path("out"))["rows"][0]["status"] == status
-    Path("mended").touch()
-    assert bench(whole, Path("out"))["rows"][0]["status"] == "ok"
+    bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["passing.py:Passing"])
+    assert bench(bench_job, Path("out"))["rows"][0]["status"] == status
+    Path("repaired").touch()
+    assert bench(bench_job, Path("out"))["rows"][0]["status"] == "ok"
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_a_stopped_bench_leaves_what_is_done_and_nothing_running(here, how):
+@pytest.mark.parametrize("stop_signal", [signal.SIGINT, signal.SIGKILL])
+def test_stopped_bench_keeps_finished_rows_and_no_process(bench_folder, stop_signal):
     command = [sys.executable, "-m", "pcbench.cli", "bench", "photos", "--reference", "truth.ply", "--out", "out"]
     command += ["--method", "methods.py:Good", "--method", "methods.py:Hang"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
-        told = Path("pid.txt")
-        while process.poll() is None and not (told.exists() and told.read_text()):  # however busy the machine is
+        pid_file = Path("pid.txt")
+        while process.poll() is None and not (pid_file.exists() and pid_file.read_text()):
             time.sleep(0.05)
-        child = int(told.read_text())
-        process.send_signal(how)
+        child = int(pid_file.read_text())
+        process.send_signal(stop_signal)
         _, err = process.communicate()
     finally:
         process.kill()
-    if how == signal.SIGINT:
+    if stop_signal == signal.SIGINT:
         assert (process.returncode, err.strip()) == (130, "interrupted")
     assert len(Path("out/bench.csv").read_text().splitlines()) == 2
     assert ends(child)
 
 
-def test_a_bench_that_measured_nothing_is_an_error(here, run, one_process):
+def test_bench_without_a_measured_row_is_an_error(bench_folder, run, in_process):
     command = ("bench", "photos", "--reference", "truth.ply", "--no-figures", "--out", "out", "--method")
-    for method in ("Cannot", "Elsewhere"):  # one fails, the other's cloud cannot be measured
+    for method in ("Cannot", "Elsewhere"):  # a failed run, and a cloud that cannot be measured
         code, out, err = run(*command, f"methods.py:{method}")
         assert code == 2
         said(err)
@@ -273,16 +273,16 @@ def test_a_bench_that_measured_nothing_is_an_error(here, run, one_process):
     assert run(*command, "methods.py:Cannot", "--method", "methods.py:Good")[0] == 0
 
 
-def test_one_bench_a_folder(here, one_process):
-    inside = []
+def test_folder_is_locked_by_one_bench(bench_folder, in_process):
+    calls = []
 
     def again(_):
         with refused():
             bench(job("Good"), Path("out"))
-        inside.append(True)
+        calls.append(True)
 
     bench(job("Good"), Path("out"), on_row=again)
-    assert inside
+    assert calls
     with refused():
         bench(job("Good"), Path("photos"))
     with refused():
@@ -292,17 +292,17 @@ def test_one_bench_a_folder(here, one_process):
 @pytest.mark.parametrize(
     ("body", "limit"), [("import os; os._exit(3)", None), ("import time; time.sleep(600)", 0.5), ("1 / 0", None)]
 )
-def test_a_method_that_cannot_be_looked_at_is_a_row(here, body, limit):
+def test_method_that_cannot_be_described_is_a_row(bench_folder, body, limit):
     Path("bad.py").write_text(body)
-    described = describe("bad.py:A", limit or 120)
-    assert described.problem
-    assert described.settings == ()
-    whole = BenchJob(Path("photos"), Path("truth.ply"), ["bad.py:A"], time_limit_s=limit)
-    assert bench(whole, Path("out"))["rows"][0]["status"] in ("crashed", "timeout", "refused")
+    description = describe("bad.py:A", limit or 120)
+    assert description.problem
+    assert description.settings == ()
+    bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["bad.py:A"], time_limit_s=limit)
+    assert bench(bench_job, Path("out"))["rows"][0]["status"] in ("crashed", "timeout", "refused")
 
 
-def test_gpu_memory_is_what_torch_held(here, one_process, monkeypatch):
-    """There need be no GPU: a torch of our own says what it held."""
+def test_gpu_memory_is_that_of_torch(bench_folder, in_process, monkeypatch):
+    """A replacement of torch reports its memory, so that no GPU is needed."""
 
     def yes():
         return True
@@ -314,8 +314,8 @@ def test_gpu_memory_is_what_torch_held(here, one_process, monkeypatch):
     assert bench(job("Good"), Path("out"))["rows"][0]["gpu_bytes"] == 2001
 
 
-def test_with_cameras_withheld_they_still_register(here, one_process):
-    """--cameras none is what methods get; the truth is what the scene has."""
+def test_withheld_cameras_still_register_clouds(bench_folder, in_process):
+    """`--cameras none` withholds the cameras from methods; the scene's cameras still register their clouds."""
     frame = np.array2string(OWN.matrix, separator=",")
     Path("own.py").write_text(
         METHODS
@@ -336,14 +336,14 @@ class Own:
         return Reconstruction(Cloud(frame.apply(read_cloud(HERE / "made.ply").points)), "arbitrary", found)
 """
     )
-    whole = BenchJob(Path("photos"), Path("truth.ply"), ["own.py:Own", "methods.py:Good"], [Axis.fixed("noise=0")])
-    whole = replace(whole, cameras="none")
-    own, good = bench(whole, Path("out"))["rows"]
+    bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["own.py:Own", "methods.py:Good"], [Axis.fixed("noise=0")])
+    bench_job = replace(bench_job, cameras="none")
+    own, good = bench(bench_job, Path("out"))["rows"]
     assert (own["status"], own["registration"], good["registration"]) == ("ok", "cameras", "none")
-    assert own["d1_c2r"] == pytest.approx(good["d1_c2r"], rel=1e-4)  # printed with eight digits
+    assert own["d1_c2r"] == pytest.approx(good["d1_c2r"], rel=1e-4)  # the matrix is printed with eight digits
 
 
-def test_sfm_on_photographs_whose_truth_is_known(tmp_path, run):
+def test_sfm_on_photographs_with_known_truth(tmp_path, run):
     import_or_skip("pycolmap")
     import textured_corner as corner
     from PIL import Image
@@ -372,10 +372,10 @@ def test_sfm_on_photographs_whose_truth_is_known(tmp_path, run):
     assert full["precision"] > 0.9
 
 
-def test_json_on_standard_output_is_the_document_and_nothing_else(here, run):
+def test_json_on_standard_output_is_only_the_document(bench_folder, run):
     command = ("bench", "photos", "--reference", "truth.ply", "--method", "methods.py:Good", "--no-figures")
     code, out, err = run(*command, "--out", "out", "--json", "-")
     assert code == 0
     assert out == Path("out/bench.json").read_text()
     assert [row["status"] for row in json.loads(out)["rows"]] == ["ok"]
-    assert err.startswith("1/1 ")  # how far it is
+    assert err.startswith("1/1 ")  # progress

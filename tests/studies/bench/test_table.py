@@ -8,7 +8,7 @@ from pcbench.studies.bench.pareto import mark_front
 from pcbench.studies.bench.table import bench_markdown, print_bench
 
 
-def test_best_and_second_are_marked():
+def test_best_and_second_best_are_marked():
     rows = [row("a", 1.0, 0.5), row("b", 2.0, 0.9), row("c", 3.0, 0.7), row("d", 0.1, None, "failed", message="no")]
     for r in rows:
         r |= {"registration": "none", "points": 10, "threshold": 0.1}
@@ -27,10 +27,10 @@ def test_best_and_second_are_marked():
     assert "*" not in lines["c"].replace("_0.7_", "")
     assert "0 of 1 ok, failed" in lines["d"]
     said(bench_markdown(doc))
-    assert "of seen |" not in bench_markdown(doc).split("Best in bold")[1]  # of a bench from before several thresholds
+    assert "of seen |" not in bench_markdown(doc).split("Best in bold")[1]  # as a single threshold has no table
 
 
-def test_floors_stand_beside_scores_and_every_threshold_has_its_row():
+def test_floors_are_in_brackets_and_each_threshold_has_a_row():
     rows = [row("a", 1.0, 0.5, seed=0), row("a", 1.0, 0.5, seed=1), row("b", 1.0, None, "failed", message="no")]
     shares = {"recall": 0.4, "recall_visible": 0.45, "fscore_visible": 0.6}
     for n, r in enumerate(rows[:2]):
@@ -54,7 +54,7 @@ def test_floors_stand_beside_scores_and_every_threshold_has_its_row():
 
 
 @pytest.mark.parametrize("columns", [None, "40", "80"])
-def test_the_printed_table_breaks_no_number_and_no_word(capsys, monkeypatch, columns):
+def test_printed_table_does_not_wrap_numbers_or_words(capsys, monkeypatch, columns):
     monkeypatch.delenv("COLUMNS", raising=False)
     if columns is not None:
         monkeypatch.setenv("COLUMNS", columns)

@@ -1,4 +1,4 @@
-"""What a bench measures against: true errors beside their floors, pixels on the ground, what was seen."""
+"""The truth of a bench: errors and their floors, pixel size on the ground, visible part."""
 
 from pathlib import Path
 
@@ -10,20 +10,20 @@ from pcbench import Cloud
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.mesh import Mesh
 from pcbench.plugins import Reconstruction
-from pcbench.studies.bench.score import Rules, Yardstick, score
+from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
 from pcbench.studies.bench.truth import Truth
 
 K = Intrinsics(200, 200, 100, 100, 100, 100)
 
 
 def square(side, height=0.0):
-    """A horizontal mesh from the origin."""
+    """Horizontal square mesh with a corner at the origin."""
     corners = np.array([[0, 0, height], [side, 0, height], [side, side, height], [0, side, height]], dtype=float)
     return Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), unit="m")
 
 
 def from_above(*heights, side=40.0):
-    """Cameras that look straight down on the middle, at their heights, a little beside each other."""
+    """Nadir cameras above the middle, at different heights and slightly different positions."""
     middle = side / 2
     poses = [look_at([middle + 0.01 * n, middle, h], [middle + 0.01 * n, middle, 0]) for n, h in enumerate(heights)]
     return {f"{n}.png": Camera(f"{n}.png", K, pose) for n, pose in enumerate(poses)}
@@ -31,18 +31,18 @@ def from_above(*heights, side=40.0):
 
 def truth_of(mesh, points, cameras=(), visible=None):
     seen = np.ones(points, bool) if visible is None else visible
-    return Truth(mesh.sample(points, seed=1), dict(cameras), seen, "said so", mesh)
+    return Truth(mesh.sample(points, seed=1), dict(cameras), seen, "by the test", mesh)
 
 
 def values(truth, points, tmp_path, **rules):
     made = Reconstruction(Cloud(points), "georeferenced")
-    return score(Yardstick.of(truth, Rules(**rules)), made, tmp_path)
+    return score(EvaluationProtocol.from_rules(truth, Rules(**rules)), made, tmp_path)
 
 
 @pytest.mark.parametrize("error", [0.056, 0.110, 0.190])
-def test_accuracy_is_the_true_one_however_sparse_the_reference(tmp_path, error):
+def test_accuracy_is_independent_of_reference_density(tmp_path, error):
     mesh = square(40.0)
-    truth = truth_of(mesh, 1600)  # one a square metre: half a metre to the nearest
+    truth = truth_of(mesh, 1600)  # one per square metre: mean distance to the nearest 0.5 m
     cloud = mesh.sample(20_000, seed=2)
     offsets = np.random.default_rng(3).normal(0, error * np.sqrt(np.pi / 2), len(cloud))
     points = cloud.points + offsets[:, None] * [0, 0, 1]
@@ -51,77 +51,83 @@ def test_accuracy_is_the_true_one_however_sparse_the_reference(tmp_path, error):
     assert found.mean_c2r == pytest.approx(np.abs(offsets).mean(), rel=1e-9)
     assert found.mean_c2r == pytest.approx(error, rel=0.03)
     assert found.d1_c2r == pytest.approx(np.mean(offsets**2), rel=1e-9)
-    assert (found.mean_c2r_floor, found.at[0].precision_floor) == (0, 1)
-    for at in found.at:
+    assert (found.mean_c2r_floor, found.threshold_scores[0].precision_floor) == (0, 1)
+    for at in found.threshold_scores:
         assert at.precision == pytest.approx(np.mean(np.abs(offsets) <= at.threshold), abs=1e-12)
-    assert found.row()["threshold"] == 0.5  # the last one heads
+    assert found.row()["threshold"] == 0.5  # the last threshold
     assert [at["threshold"] for at in found.row()["thresholds"]] == [0.1, 0.2, 0.5]
-    # Against points alone it drowns, and the floor beside it says so.
+    # Against points alone their spacing dominates, and the floor shows it.
     bare = values(Truth(truth.cloud, {}, None, ""), points, tmp_path, threshold="0.1,0.2,0.5")
     assert bare.accuracy_to == "points"
     assert bare.mean_c2r > 0.45
     assert bare.mean_c2r_floor > 0.45
-    for at in bare.at:
+    for at in bare.threshold_scores:
         assert at.precision_floor == pytest.approx(1 - np.exp(-np.pi * at.threshold**2), rel=0.06)
         assert at.recall_floor is None
 
 
-def test_the_floor_of_precision_is_what_no_error_scores(tmp_path):
-    """Beside what error-free clouds score, by uneven samples, and by some that keep a distance from each other."""
+def test_precision_floor_is_precision_of_error_free_clouds(tmp_path):
+    """Compare the floor with scores of error-free clouds, for uneven and for jittered samples."""
     rng = np.random.default_rng(0)
     uneven = np.column_stack([40 * rng.random((3000, 2)) ** 1.7, np.zeros(3000)])
     jittered = np.stack(np.meshgrid(np.arange(55), np.arange(55)), axis=2).reshape(-1, 2) + rng.random((55**2, 2))
     for points, off in ((uneven, 0.03), (np.column_stack([jittered * 40 / 55, np.zeros(55**2)]), 0.15)):
         candidate = square(40.0).sample(8000, seed=4).points
         found = values(Truth(Cloud(points), {}, None, ""), candidate, tmp_path, threshold="0.3,0.6,1")
-        for at in found.at:
+        for at in found.threshold_scores:
             assert at.precision_floor == pytest.approx(at.precision, abs=off)
 
 
-def test_completeness_is_of_areas_not_of_the_references_points(tmp_path):
-    """A lattice of points a metre apart comes within t of pi t^2 of the plane."""
+def test_completeness_is_measured_by_area(tmp_path):
+    """A lattice with a spacing of 1 m covers the share pi t^2 of the plane within t."""
     mesh = square(40.0)
     visible = np.random.default_rng(0).random(500) < 0.9
     truth = truth_of(mesh, 500, from_above(30.0, 31.0, 32.0), visible)
     lattice = np.stack(np.meshgrid(np.arange(-0.5, 41), np.arange(-0.5, 41), [0.0]), axis=-1).reshape(-1, 3)
     found = values(truth, lattice, tmp_path, threshold="0.05,0.1,0.4")
-    for at in found.at:
+    for at in found.threshold_scores:
         assert at.recall_visible == pytest.approx(np.pi * at.threshold**2, rel=0.02)
-        assert at.recall_visible_floor == pytest.approx(at.recall_visible, rel=1e-9)  # it has no error
+        assert at.recall_visible_floor == pytest.approx(at.recall_visible, rel=1e-9)  # the lattice has no error
         assert at.fscore_visible == pytest.approx(2 / (1 / at.precision + 1 / at.recall_visible), rel=1e-9)
-    # Errors cost what is between recall and its floor.
-    lifted = values(truth, lattice + [0, 0, 0.3], tmp_path, threshold="0.05,0.1,0.4").at[-1]
+    # Errors account for the difference between recall and its floor.
+    lifted = values(truth, lattice + [0, 0, 0.3], tmp_path, threshold="0.05,0.1,0.4").threshold_scores[-1]
     assert lifted.recall_visible == pytest.approx(np.pi * (0.4**2 - 0.3**2), rel=0.02)
-    assert lifted.recall_visible_floor == pytest.approx(found.at[-1].recall_visible, rel=1e-9)
-    # What is far from the surface stands for no place on it.
-    astray = values(truth, lattice + [0, 0, 1] * (lattice[:, :1] > 20), tmp_path, threshold="0.4").at[-1]
-    assert astray.recall_visible_floor == pytest.approx(found.at[-1].recall_visible / 2, rel=0.03)
+    assert lifted.recall_visible_floor == pytest.approx(found.threshold_scores[-1].recall_visible, rel=1e-9)
+    # Points far from the surface do not count in the floor.
+    outliers = values(truth, lattice + [0, 0, 1] * (lattice[:, :1] > 20), tmp_path, threshold="0.4").threshold_scores[
+        -1
+    ]
+    assert outliers.recall_visible_floor == pytest.approx(found.threshold_scores[-1].recall_visible / 2, rel=0.03)
 
 
-def test_what_was_seen_is_sampled_as_densely_as_thresholds_ask(monkeypatch):
+def test_visible_part_is_sampled_at_threshold_spacing(monkeypatch):
     from pcbench.studies.bench import truth as module
 
     mesh = square(40.0)
-    truth = truth_of(mesh, 500, from_above(15.0, 15.0, 15.0))  # they see the middle 30 m
-    stick = Yardstick.of(truth, Rules(threshold="0.2,1"))
-    assert stick.seen_spacing == pytest.approx(0.2)
-    assert len(stick.seen) == pytest.approx(900 / 0.2**2, rel=0.03)
-    assert np.abs(stick.seen[:, :2] - 20).max() <= 15.03
-    part = Yardstick.of(truth, Rules(threshold="0.2", crop="box:10,10,-1,20,20,1"))
-    assert len(part.seen) == pytest.approx(100 / 0.2**2, rel=0.06)
-    # The reference's own points where they do.
-    own = Yardstick.of(truth, Rules(threshold="5"))
-    np.testing.assert_array_equal(own.seen, truth.cloud.points)
-    monkeypatch.setattr(module, "_MOST_SAMPLES", 10_000)
-    assert Yardstick.of(truth, Rules(threshold="0.01")).seen_spacing == pytest.approx(np.sqrt(1600 / 10_000))
-    assert Yardstick.of(Truth(truth.cloud, {}, None, ""), Rules(threshold="0.2")).seen is None
+    truth = truth_of(mesh, 500, from_above(15.0, 15.0, 15.0))  # they see the central 30 m
+    protocol = EvaluationProtocol.from_rules(truth, Rules(threshold="0.2,1"))
+    assert protocol.visible_spacing == pytest.approx(0.2)
+    assert len(protocol.visible_points) == pytest.approx(900 / 0.2**2, rel=0.03)
+    assert np.abs(protocol.visible_points[:, :2] - 20).max() <= 15.03
+    part = EvaluationProtocol.from_rules(truth, Rules(threshold="0.2", crop="box:10,10,-1,20,20,1"))
+    assert len(part.visible_points) == pytest.approx(100 / 0.2**2, rel=0.06)
+    # The reference's own points are used if they are dense enough.
+    own = EvaluationProtocol.from_rules(truth, Rules(threshold="5"))
+    np.testing.assert_array_equal(own.visible_points, truth.cloud.points)
+    monkeypatch.setattr(module, "_MAX_VISIBLE_SAMPLES", 10_000)
+    assert EvaluationProtocol.from_rules(truth, Rules(threshold="0.01")).visible_spacing == pytest.approx(
+        np.sqrt(1600 / 10_000)
+    )
+    assert (
+        EvaluationProtocol.from_rules(Truth(truth.cloud, {}, None, ""), Rules(threshold="0.2")).visible_points is None
+    )
 
 
-def test_a_pixel_is_depth_over_focal_length_on_what_was_seen():
+def test_pixel_size_is_depth_over_focal_length():
     mesh = square(40.0)
     assert truth_of(mesh, 500, from_above(50.0)).pixel == pytest.approx(0.5)
     assert truth_of(mesh, 500, from_above(30.0, 40.0, 60.0)).pixel == pytest.approx(0.4)
-    # A roof hides the ground, which only the surface tells; without cameras there are no pixels.
+    # A roof occludes the ground, which only the surface reveals. Without cameras there is no pixel size.
     roof = square(40.0, height=20.0)
     both = Mesh(np.concatenate([mesh.vertices, roof.vertices]), np.concatenate([mesh.faces, roof.faces + 4]))
     cameras = from_above(50.0, 50.0, 50.0)
@@ -135,21 +141,27 @@ def test_a_pixel_is_depth_over_focal_length_on_what_was_seen():
 
 def test_thresholds_are_lengths_or_pixels():
     truth = truth_of(square(40.0), 500, from_above(50.0))
-    assert [(t.length, t.pixels) for t in Yardstick.of(truth, Rules()).thresholds] == [(0.5, 1), (1.0, 2), (2.5, 5)]
-    mixed = Yardstick.of(truth, Rules(threshold="0.3, 3px")).thresholds
+    assert [(t.length, t.pixels) for t in EvaluationProtocol.from_rules(truth, Rules()).thresholds] == [
+        (0.5, 1),
+        (1.0, 2),
+        (2.5, 5),
+    ]
+    mixed = EvaluationProtocol.from_rules(truth, Rules(threshold="0.3, 3px")).thresholds
     assert [(t.length, t.pixels) for t in mixed] == [(0.3, None), (pytest.approx(1.5), 3)]
     bare = Truth(truth.cloud, {}, None, "")
-    assert [t.length / bare.spacing for t in Yardstick.of(bare, Rules()).thresholds] == pytest.approx([1, 2, 5])
+    assert [t.length / bare.spacing for t in EvaluationProtocol.from_rules(bare, Rules()).thresholds] == pytest.approx(
+        [1, 2, 5]
+    )
     for text in ("0", "-1px", "a", "1,,2", "nan", "inf", ""):
         with refused():
-            Yardstick.of(truth, Rules(threshold=text))
+            EvaluationProtocol.from_rules(truth, Rules(threshold=text))
     with refused():
-        Yardstick.of(bare, Rules(threshold="2px"))
+        EvaluationProtocol.from_rules(bare, Rules(threshold="2px"))
     with refused():
-        Yardstick.of(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
+        EvaluationProtocol.from_rules(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
 
 
-def test_far_from_the_origin_nothing_changes(tmp_path):
+def test_scores_are_invariant_to_large_coordinates(tmp_path):
     far = np.array([4_500_000.0, 5_200_000.0, 0.0])
     mesh = square(40.0)
     noise = np.random.default_rng(3).normal(0, 0.05, 3000)
@@ -158,10 +170,10 @@ def test_far_from_the_origin_nothing_changes(tmp_path):
     moved = Mesh(mesh.vertices + far, mesh.faces, unit="m")
     there = values(truth_of(moved, 2000), points + far, tmp_path, threshold="0.1")
     assert there.mean_c2r == pytest.approx(near.mean_c2r, rel=1e-6)
-    assert there.at[0].precision == near.at[0].precision
+    assert there.threshold_scores[0].precision == near.threshold_scores[0].precision
 
 
-def test_the_scenes_own_mesh_is_found(here, one_process):
+def test_mesh_of_the_scene_is_used(bench_folder, in_process):
     from benches import RIG
 
     from pcbench import write_cloud
@@ -179,11 +191,11 @@ def test_the_scenes_own_mesh_is_found(here, one_process):
     assert row["mean_c2r"] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
     assert doc["reference"]["mesh"]["path"] == "photos/truth/mesh.ply"
     assert [at["pixels"] for at in row["thresholds"]] == [1, 2, 5]
-    assert 25 / 35 < doc["reference"]["pixel"] < 60 / 35  # of cameras 25 m up
+    assert 25 / 35 < doc["reference"]["pixel"] < 60 / 35  # cameras at a height of 25 m
     assert row["threshold"] == pytest.approx(5 * doc["reference"]["pixel"])
     assert len(RIG) == 5
     text = Path("out/bench.md").read_text()
-    assert "measured to the true surface" in text
+    assert "against the true surface" in text
     assert "F of seen" in text
     # A reference from elsewhere is not of that truth.
     elsewhere = bench(BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"]), Path("out2"))

@@ -1,4 +1,4 @@
-"""`pcbench experiment bend`: what it says of clouds whose bend is known, and the whole of it on a small scene."""
+"""`pcbench experiment bend`: results for clouds of known deformation, and the complete experiment on a small scene."""
 
 import csv
 import json
@@ -22,18 +22,26 @@ from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import surface_cloud
 from pcbench.scenes.synthetic.warp import turn, warp_of
-from pcbench.studies.bend.bend import in_the_world
+from pcbench.studies.bend.bend import register_by_rays
 from pcbench.studies.bend.findings import (
     Solution,
     Variant,
-    _intrinsics_words,
+    _correlation_sentence,
     csv_text,
     explain,
-    findings,
     intrinsics_error,
+    measure_solutions,
     table,
 )
-from pcbench.studies.bend.results import Bend, BendStudy, Lens, SolutionResult, SurveyedScene, document, read_study
+from pcbench.studies.bend.results import (
+    BendStudy,
+    BendVerdict,
+    Lens,
+    SolutionResult,
+    SurveyedScene,
+    document,
+    read_study,
+)
 from reconstructors.sfm.alignment import moved
 
 INTRINSICS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
@@ -56,32 +64,32 @@ def solution(name, *factors, bend=None, seed=1, intrinsics=INTRINSICS):
 
 @pytest.fixture(scope="module")
 def study():
-    """Three solutions, one of them a dome because its lens is wrong, one that failed."""
+    """Study of a correct solution, two domes caused by a wrong lens, and a failure."""
     solutions = [
         solution("true lens", "nadir", "true", "true", False),
         solution("no distortion", "nadir", "true", "zero", False, bend=0.4, seed=2, intrinsics=PLAIN),
         solution("no distortion, control points", "nadir", "true", "zero", True, bend=0.35, seed=3, intrinsics=PLAIN),
         Solution(Variant("every second", "half", "true", "true", False), 6, failure="nothing registers"),
     ]
-    rows = findings(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
-    scene = SurveyedScene("photos", 12, Lens.of(INTRINSICS), "m")
+    rows = measure_solutions(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
+    scene = SurveyedScene("photos", 12, Lens.from_intrinsics(INTRINSICS), "m")
     return BendStudy(scene, "sfm", rows, tuple(explain(rows, "m")), {"seed": 0})
 
 
-def test_bends_are_found_against_the_truth_and_each_other(study):
-    straight, bent, held, failed = study.rows
+def test_deformations_against_truth_and_first_solution(study):
+    straight, dome, control, failed = study.rows
     assert (straight.truth.verdict, straight.mutual) == ("none", None)
-    for row, size in ((bent, 0.4), (held, 0.35)):
+    for row, size in ((dome, 0.4), (control, 0.35)):
         assert row.truth.is_bent
-        # Along the normals: what walls show of a vertical bend is nothing.
+        # Displacements are along the normals, so walls show nothing of a vertical deformation.
         assert 0.6 * size < row.truth.rms < size
         assert row.mutual.is_bent
         assert row.mutual.against == "true lens"
     assert failed.truth is None
-    assert bent.reprojection_error == 0.5
+    assert dome.reprojection_error == 0.5
 
 
-def test_experiment_json_is_read_as_it_was_written(study, tmp_path):
+def test_experiment_json_round_trip(study, tmp_path):
     assert list(document(study)) == ["schema", "scene", "plugin", "rows", "sentences", "provenance"]
     (tmp_path / "experiment.json").write_text(to_json(document(study)))
     read = read_study(tmp_path)
@@ -104,7 +112,7 @@ def test_experiment_json_is_read_as_it_was_written(study, tmp_path):
             read_study(tmp_path)
 
 
-def test_the_cause_is_the_setting_that_changes_the_bend(study):
+def test_cause_is_the_setting_that_changes_the_deformation(study):
     sentences = study.sentences
     said("\n".join(sentences))
     assert re.search(r"lens distortion.* 0\.3", sentences[0])
@@ -113,11 +121,11 @@ def test_the_cause_is_the_setting_that_changes_the_bend(study):
     assert any("0.5 and 0.5 px" in sentence for sentence in sentences)
 
 
-def test_the_cause_follows_the_numbers(study):
-    """The same rows with the bend in another place: nothing about the cause is fixed."""
-    straight, bent, held = study.rows[:3]
+def test_cause_follows_from_results(study):
+    """Other factors for the same rows change the cause."""
+    straight, dome, control = study.rows[:3]
     elsewhere = {**straight.factors, "images": "half"}
-    rows = [straight, replace(bent, factors=elsewhere), replace(held, factors=straight.factors)]
+    rows = [straight, replace(dome, factors=elsewhere), replace(control, factors=straight.factors)]
     said(next(explain(rows[:2], "m")))
 
     def all_with(**changes):
@@ -132,7 +140,7 @@ def test_the_cause_follows_the_numbers(study):
     said(next(explain(wide[:2], "m")))
 
 
-def test_no_solution_that_could_be_judged_is_an_error(study, run, monkeypatch, tmp_path):
+def test_no_evaluated_solution_is_an_error(study, run, monkeypatch, tmp_path):
     failed = replace(study, rows=study.rows[3:], sentences=tuple(explain(study.rows[3:], "m")))
     monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (failed, None))
     code, out, err = run("experiment", "bend", "--out", tmp_path)
@@ -144,13 +152,17 @@ def test_no_solution_that_could_be_judged_is_an_error(study, run, monkeypatch, t
     assert run("experiment", "bend", "--out", tmp_path)[0] == 0
 
 
-@pytest.mark.parametrize("errors", [[1, 2, 3, 3], [4, 3, 2, 1], [1, 1, 1, 1]], ids=["together", "opposite", "constant"])
-def test_lens_and_bend_go_together_only_if_they_do(errors):
+@pytest.mark.parametrize(
+    "errors", [[1, 2, 3, 3], [4, 3, 2, 1], [1, 1, 1, 1]], ids=["correlated", "opposite", "constant"]
+)
+def test_rank_correlation_of_lens_error_and_deformation(errors):
     rows = [
-        SolutionResult(str(k), {}, 9, 9, lens_error_px=e, truth=Bend("none", "rigid", k + 1.0, None, None, None, None))
+        SolutionResult(
+            str(k), {}, 9, 9, lens_error_px=e, truth=BendVerdict("none", "rigid", k + 1.0, None, None, None, None)
+        )
         for k, e in enumerate(errors)
     ]
-    words = list(_intrinsics_words(rows))
+    words = list(_correlation_sentence(rows))
     if len(set(errors)) == 1:
         assert words == []
     else:
@@ -172,22 +184,22 @@ def test_table_and_csv(study):
     assert read[3]["failure"] == "nothing registers"
 
 
-def test_the_error_of_intrinsics_leaves_their_focal_length_out():
+def test_intrinsics_error_ignores_focal_length():
     assert intrinsics_error(INTRINSICS, INTRINSICS) == pytest.approx(0, abs=1e-9)
-    # Half the focal length and a distortion that goes with it: the same images of a flat scene from half the height.
+    # Half the focal length with matching distortion: the same images of a flat scene from half the height.
     half = replace(INTRINSICS, fx=175.0, fy=175.0, distortion=(-0.05 / 4, 0.0, 0.0, 0.0))
     assert intrinsics_error(half, INTRINSICS) == pytest.approx(0, abs=1e-9)
-    # k1 r^3 f less its best multiple of r, over the image, by hand: r up to 0.71.
+    # By hand: k1 r^3 f minus its best multiple of r over the image, with r up to 0.71.
     u, v = np.meshgrid(np.linspace(-200, 200, 400) / 350, np.linspace(-150, 150, 300) / 350)
     r = np.hypot(u, v)
     off = 0.05 * r**3
     off = off - r * (off * r).sum() / (r * r).sum()
-    # The true rays are a little further out than their pixels say.
+    # The true rays are slightly further out than their pixels.
     assert intrinsics_error(PLAIN, INTRINSICS) == pytest.approx(350 * np.sqrt(np.mean(off**2)), rel=0.1)
 
 
-def test_clouds_come_into_the_world_by_what_cameras_see():
-    """Whatever frame a solution has; a wrong focal length moves the ground, but only along the rays."""
+def test_clouds_are_registered_by_rays():
+    """Clouds in any frame are registered."""
     town = build_city(CitySettings(extent=120.0, seed=3), texel=0.5)
     surface = MeshIndex(town.mesh)
     cameras = {c.name: c for c in rig("drone", 18, Site(120.0, 0.0, town.plan.top), INTRINSICS)}
@@ -197,13 +209,13 @@ def test_clouds_come_into_the_world_by_what_cameras_see():
     cloud = Cloud(
         frame.apply(points), attributes={"reprojection_error": np.ones(len(points)), "other": np.ones(len(points))}
     )
-    back = in_the_world(cloud, found, cameras, surface)
+    back = register_by_rays(cloud, found, cameras, surface)
     error = np.linalg.norm(back.points - points, axis=1)
-    assert error.max() < 0.01  # points that are hidden from their camera are strays among the pairs
+    assert error.max() < 0.01  # occluded points are outliers among the pairs
     assert set(back.attributes) == {"reprojection_error"}
 
 
-def test_the_picture(study, tmp_path):
+def test_picture_is_drawn(study, tmp_path):
     import_or_skip("matplotlib")
     from PIL import Image
 
@@ -215,14 +227,14 @@ def test_the_picture(study, tmp_path):
         assert np.asarray(image.convert("L")).std() > 10
 
 
-def test_what_is_no_scene_with_truth_is_refused(run, tmp_path):
+def test_scene_without_truth_is_rejected(run, tmp_path):
     from PIL import Image
 
     Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "a.png")
     for arguments in ((tmp_path,), (tmp_path, "--images", "20"), ("--size", "20")):
         code, _, err = run("experiment", "bend", *arguments, "--out", tmp_path / "out")
         assert code == 2
-        said(err.partition(" (see ")[0])  # how pytest was called
+        said(err.partition(" (see ")[0])  # the rest depends on how pytest was started
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Rendered views of scenes: scores of each, means over blocks and scenes, the table, the pictures, the command."""
+"""Rendered views: scores, means over blocks and scenes, table, pictures and command."""
 
 import csv
 import json
@@ -10,7 +10,7 @@ import pytest
 from command_line import one_line
 from optional import import_or_skip
 from scene_folders import orbit, ten_pictures
-from view_folders import photograph, psnr_of, views_of
+from view_folders import photograph, psnr_of, write_view_folder
 from wording import refused, said
 
 from pcbench.errors import ReconstructionError
@@ -20,7 +20,7 @@ from pcbench.measure.perceptual import Perceptual
 from pcbench.report.figures import Figures
 from pcbench.scenes.splits import every
 from pcbench.scenes.views import Pictures, write_views
-from pcbench.studies.views.pictures import chosen, draw_views
+from pcbench.studies.views.pictures import draw_views, select_views
 from pcbench.studies.views.runs import ViewsJob, run_views
 from pcbench.studies.views.scores import read_scores, score_views, write_scores
 from pcbench.studies.views.table import markdown, sentences, table
@@ -30,7 +30,7 @@ Image = import_or_skip("PIL.Image")
 PLAIN = Perceptual(None, None)
 NINE = every([f"{k}.png" for k in range(9)])
 
-# A reconstructor as anybody may write one: it paints all views in one grey.
+# A user's reconstructor that renders all views in one grey.
 PAINTER = textwrap.dedent(
     """
     from dataclasses import dataclass
@@ -67,10 +67,10 @@ PAINTER = textwrap.dedent(
 )
 
 
-def test_scores_of_views_and_their_means(tmp_path):
-    (scene,) = score_views([views_of(tmp_path)], perceptual=PLAIN).scenes
+def test_scores_of_views_and_means(tmp_path):
+    (scene,) = score_views([write_view_folder(tmp_path)], perceptual=PLAIN).scenes
     test, train = (0, 8, 16), [k for k in range(18) if k % 8]
-    for scored in (*scene.of(test=True), *scene.of(test=False)):
+    for scored in (*scene.select(test=True), *scene.select(test=False)):
         number = int(scored.view.name.removesuffix(".png"))
         truth = photograph(number)
         assert scored.scores.psnr == pytest.approx(psnr_of(number))
@@ -81,19 +81,19 @@ def test_scores_of_views_and_their_means(tmp_path):
     assert scene.standard_error() == pytest.approx(np.std([psnr_of(k) for k in test], ddof=1) / math.sqrt(3))
 
 
-def test_a_block_counts_once_in_the_standard_error(tmp_path):
-    (scene,) = score_views([views_of(tmp_path, count=40, blocks=2)], perceptual=PLAIN).scenes
+def test_standard_error_is_computed_over_blocks(tmp_path):
+    (scene,) = score_views([write_view_folder(tmp_path, count=40, blocks=2)], perceptual=PLAIN).scenes
     found = {}
-    for scored in scene.of(test=True):
+    for scored in scene.select(test=True):
         found.setdefault(scored.view.block, []).append(int(scored.view.name[:-4]))
     means = [np.mean([psnr_of(k) for k in block]) for block in found.values()]
     assert [len(block) for block in found.values()] == [2, 2]
     assert scene.standard_error() == pytest.approx(np.std(means, ddof=1) / math.sqrt(2))
 
 
-def test_files_are_read_as_they_were_written(tmp_path):
+def test_scores_round_trip(tmp_path):
     nothing = np.zeros((48, 64), dtype=bool)
-    folders = [views_of(tmp_path / "a"), views_of(tmp_path / "b", "masked", 9, mask=nothing)]
+    folders = [write_view_folder(tmp_path / "a"), write_view_folder(tmp_path / "b", "masked", 9, mask=nothing)]
     write_views(tmp_path / "c", "same", "splat", NINE, lambda name: Pictures(name, photograph(1), photograph(1)))
     study = score_views([*folders, tmp_path / "c"], perceptual=PLAIN)
     write_scores(tmp_path, study)
@@ -110,13 +110,15 @@ def test_files_are_read_as_they_were_written(tmp_path):
     document = json.loads((tmp_path / "scores.json").read_text())
     assert document["scenes"][0]["test"]["psnr"] == pytest.approx(study.scenes[0].mean(test=True).psnr)
     assert document["scenes"][2]["test"]["psnr"] == "inf"
-    views_of(tmp_path / "a", count=20)
+    write_view_folder(tmp_path / "a", count=20)
     with refused():
         read_scores(tmp_path)
 
 
-def test_the_table_has_a_row_a_scene_and_their_mean(tmp_path):
-    study = score_views([views_of(tmp_path / "a", "near", 9), views_of(tmp_path / "b", "far", 18)], perceptual=PLAIN)
+def test_table_has_one_row_per_scene_and_a_mean(tmp_path):
+    study = score_views(
+        [write_view_folder(tmp_path / "a", "near", 9), write_view_folder(tmp_path / "b", "far", 18)], perceptual=PLAIN
+    )
     header, near, far, mean = table(study)
     assert header == ["scene", "held out", "views", "train PSNR", "train SSIM", "test PSNR", "test SSIM"]
     assert near[:3] == ["near", "one image in 8", "7 + 2"]
@@ -128,31 +130,33 @@ def test_the_table_has_a_row_a_scene_and_their_mean(tmp_path):
     assert mean[5] == f"{np.mean(of):.2f}"
     assert markdown(study).count("\n| ") == 4
     said("\n".join(sentences(study)))
-    several = score_views([tmp_path / "a", views_of(tmp_path / "c", "near", 9, method="mine")], perceptual=PLAIN)
+    several = score_views(
+        [tmp_path / "a", write_view_folder(tmp_path / "c", "near", 9, method="mine")], perceptual=PLAIN
+    )
     assert [row[1] for row in table(several)[:3]] == ["method", "splat", "mine"]
 
 
-def test_metrics_that_are_there_have_columns(tmp_path):
+def test_measured_metrics_have_columns(tmp_path):
     measured = Perceptual(lambda *_: 0.25, None)
-    study = score_views([views_of(tmp_path, count=9)], perceptual=measured)
+    study = score_views([write_view_folder(tmp_path, count=9)], perceptual=measured)
     header, row = table(study)
     assert row[header.index("test LPIPS")] == "0.250"
     assert not any("FLIP" in name for name in header)
 
 
-def test_worst_median_and_best_are_chosen(tmp_path):
-    (scene,) = score_views([views_of(tmp_path / "a", count=40)], perceptual=PLAIN).scenes
-    assert {word: s.view.name for word, s in chosen(scene).items()} == {
+def test_worst_median_and_best_views_are_selected(tmp_path):
+    (scene,) = score_views([write_view_folder(tmp_path / "a", count=40)], perceptual=PLAIN).scenes
+    assert {word: s.view.name for word, s in select_views(scene).items()} == {
         "worst": "32.png",
         "median": "16.png",
         "best": "0.png",
     }
-    (scene,) = score_views([views_of(tmp_path / "b", count=9)], perceptual=PLAIN).scenes
-    assert {word: s.view.name for word, s in chosen(scene).items()} == {"median": "8.png", "best": "0.png"}
+    (scene,) = score_views([write_view_folder(tmp_path / "b", count=9)], perceptual=PLAIN).scenes
+    assert {word: s.view.name for word, s in select_views(scene).items()} == {"median": "8.png", "best": "0.png"}
 
 
-def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
-    """Colours are those of the errors: a patch that is off by more than all else is yellow, the rest is dark."""
+def test_picture_shows_photograph_rendering_and_error(tmp_path):
+    """The patch with the largest errors is yellow, the rest is dark."""
     import_or_skip("matplotlib")
     truth = np.full((48, 64, 3), (90, 60, 30), dtype=np.uint8)
     image = truth + np.uint8(6)
@@ -163,7 +167,7 @@ def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
     write_views(tmp_path / "v", "city", "splat", split, lambda name: Pictures(name, image, truth, mask))
     (scene,) = score_views([tmp_path / "v"], perceptual=PLAIN).scenes
     path = tmp_path / "p.png"
-    draw_views({"best": scene.of(test=True)[0]}, "a title", path, Figures(range=50.0))
+    draw_views({"best": scene.select(test=True)[0]}, "a title", path, Figures(range=50.0))
     drawn = np.array(Image.open(path).convert("RGB")).astype(int)
 
     def share(color):
@@ -172,36 +176,36 @@ def test_a_picture_shows_photograph_rendering_and_error(tmp_path):
     panel = share((90, 60, 30))  # pixels of the photograph
     assert panel > 1e5
     assert share((196, 166, 136)) / panel == pytest.approx(16 / (48 * 64), rel=0.1)
-    assert share((253, 231, 37)) / panel == pytest.approx(16 / (48 * 64), rel=0.6)  # and a piece of the bar
+    assert share((253, 231, 37)) / panel == pytest.approx(16 / (48 * 64), rel=0.6)  # and a part of the bar
     assert share((150, 150, 150)) / panel == pytest.approx(18 * 20 / (48 * 64), rel=0.1)
 
 
-def test_views_are_made_where_there_are_none(tmp_path):
+def test_missing_views_are_rendered(tmp_path):
     plugin = tmp_path / "painter.py"
     plugin.write_text(PAINTER)
     scenes = [ten_pictures(tmp_path / name) for name in ("one", "two")]
     for scene in scenes:
         write_colmap_model(scene / "sparse/0", orbit([f"{k}.png" for k in range(10)]))
-    there = views_of(tmp_path / "three" / "plugin" / "rendered", "three", 9).parent.parent
+    workspace = write_view_folder(tmp_path / "three" / "plugin" / "rendered", "three", 9).parent.parent
     (tmp_path / "empty").mkdir()
     out = tmp_path / "out"
-    job = ViewsJob((*scenes, there, tmp_path / "empty"), f"{plugin}:Painter", {"hold_out": "every", "grey": "0.25"})
+    job = ViewsJob((*scenes, workspace, tmp_path / "empty"), f"{plugin}:Painter", {"hold_out": "every", "grey": "0.25"})
     study = run_views(job, out)
     assert [scene.views.scene for scene in study.scenes] == ["one", "two", "three"]
-    assert [len(scene.of(test=True)) for scene in study.scenes] == [2, 2, 2]
+    assert [len(scene.select(test=True)) for scene in study.scenes] == [2, 2, 2]
     assert study.notes[0].code == "no-views"
     assert "empty" in study.notes[0].text
-    first = study.scenes[0].of(test=True)[0]
+    first = study.scenes[0].select(test=True)[0]
     assert (first.view.read().rendering == 64).all()
     assert (out / "views.md").read_text().count("\n| ") == 5
     with refused():
         run_views(job, tmp_path / "one")
 
 
-def test_the_command(tmp_path, run, monkeypatch):
+def test_views_command(tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    views_of(tmp_path / "a", "near", 9)
-    views_of(tmp_path / "b", "far", 18)
+    write_view_folder(tmp_path / "a", "near", 9)
+    write_view_folder(tmp_path / "b", "far", 18)
     code, out, _ = run("views", "a", "b", "--out", "out", "--no-figures")
     lines = out.splitlines()
     assert code == 0
@@ -226,14 +230,14 @@ def test_the_command(tmp_path, run, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["Silent", "Nobody"])
-def test_a_method_without_views_is_said(tmp_path, name):
+def test_method_without_views_is_an_error(tmp_path, name):
     (tmp_path / "painter.py").write_text(PAINTER)
     scene = ten_pictures(tmp_path / "one")
     with refused(ReconstructionError):
         run_views(ViewsJob((scene,), f"{tmp_path}/painter.py:{name}"), tmp_path / "out")
 
 
-def test_views_without_held_out_images_are_refused_at_once(tmp_path, run):
+def test_views_without_held_out_images_are_rejected_early(tmp_path, run):
     code, _, err = run(
         "views", str(ten_pictures(tmp_path / "one")), "--out", str(tmp_path / "o"), "--set", "hold_out=none"
     )
@@ -243,7 +247,7 @@ def test_views_without_held_out_images_are_refused_at_once(tmp_path, run):
     assert not (tmp_path / "o").exists()
 
 
-def test_a_workspace_without_renderings_is_said_before_the_work(tmp_path, run):
+def test_workspace_without_renderings_is_rejected_early(tmp_path, run):
     (tmp_path / "cloud.work/plugin").mkdir(parents=True)
     (tmp_path / "cloud.work/job.json").write_text("{}")
     code, _, err = run("views", tmp_path / "cloud.work", "--out", tmp_path / "o")

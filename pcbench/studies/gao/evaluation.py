@@ -1,5 +1,4 @@
-"""Clouds held against one reference: a report folder as `pcbench compare` makes it, and what the experiment takes from
-it."""
+"""Evaluate clouds against one reference: a report folder as of `pcbench compare`, and the results from it."""
 
 from __future__ import annotations
 
@@ -24,93 +23,106 @@ from pcbench.report import Comparison, to_json
 from pcbench.report.compare_files import ComparisonJob, Outputs, compare_files
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.gao.plan import MVS
-from pcbench.studies.gao.results import Against, against_from
+from pcbench.studies.gao.results import ReferenceEvaluation, evaluation_from_json
 
-_RESULTS = "held.json"
+_RESULTS_FILE = "held.json"
 
 
-class Held(NamedTuple):
-    """Clouds against one reference.
+class CloudEvaluation(NamedTuple):
+    """Results of clouds against one reference.
 
     Attributes:
-        folder: of the report; None where no cloud could be measured.
-        counts: points of the reference, all and after the crop; None as well.
-        clouds: by name, each with what was measured or why it was not.
+        folder: folder of the report; None if no cloud could be measured.
+        counts: number of points of the reference, before and after the crop; None if no cloud could be measured.
+        clouds: results by cloud, or the reasons for failure.
     """
 
     folder: Path | None
     counts: tuple[int, int] | None
-    clouds: dict[str, Against]
+    clouds: dict[str, ReferenceEvaluation]
 
 
-def hold(reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int) -> Held:
-    """Register clouds to a reference, crop both and measure; kept in `out`/against-NAME for the next run.
+def evaluate_against(
+    reference: Path, name: str, clouds: Mapping[str, Path], crop: str, out: Path, seed: int
+) -> CloudEvaluation:
+    """Register clouds to a reference by ICP, crop all to the same region and measure them.
 
-    Each is registered by ICP, and all are cropped to the same region. Against `mvs` its Poisson mesh is made too.
+    The results are saved in `out`/against-NAME for later runs. Measures against `mvs` include its Poisson mesh.
 
     Args:
-        reference: its file; name: `mvs` or `truth`.
+        reference: file of the reference.
+        name: `mvs` or `truth`.
         clouds: files by name.
         crop: region as text, in the reference's coordinates.
+        out: output folder.
+        seed: random seed.
 
     Raises:
-        MissingExtra, OSError: what stands in the way may pass, so that nothing is kept.
+        MissingExtra: a library is missing. Nothing is saved.
+        OSError: a file cannot be read or written. Nothing is saved.
     """
     settings = Settings(crop=crop, presets=("gao2025",), maps=("poisson",) if name == MVS else (), seed=seed)
     key = {
         "reference": digest(reference),
         "clouds": {cloud: digest(path) for cloud, path in clouds.items()},
         "settings": settings.plain(),
-        "results": _RESULTS,
+        "results": _RESULTS_FILE,
     }
 
-    def compare(those: dict[str, Path], folder: Path) -> Comparison | str:
-        """The comparison, or why the clouds do not allow one."""
+    def compare(files: dict[str, Path], folder: Path) -> Comparison | str:
+        """Return the comparison, or the reason why these clouds cannot be compared."""
         try:
-            job, outputs = ComparisonJob(reference, those, settings, {}), Outputs(folder, figures=False)
+            job, outputs = ComparisonJob(reference, files, settings, {}), Outputs(folder, figures=False)
             return compare_files(job, outputs, lambda _: None).comparison
         except (InputError, RegistrationError) as error:
             return recorded(error)
 
     def make(folder: Path) -> None:
         failed: dict[str, str] = {}
-        # A comparison has all candidates or none: where it has none, those that cannot be measured are found.
+        # One bad candidate fails the complete comparison. If it fails, find the bad ones and compare the others.
         found = compare(dict(clouds), folder)
         if isinstance(found, str):
-            asked = _Asked.of(read_cloud(reference), crop)
-            failed = {cloud: why for cloud, path in clouds.items() if (why := asked.why_not(path)) is not None}
+            target = _ReferenceRegion.from_crop(read_cloud(reference), crop)
+            failed = {cloud: why for cloud, path in clouds.items() if (why := target.problem(path)) is not None}
             others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
-            if others and isinstance(found := compare(others, folder), str):  # the reference cannot
+            if others and isinstance(found := compare(others, folder), str):  # the reference is at fault
                 failed |= dict.fromkeys(others, found)
-        (folder / _RESULTS).write_text(to_json(_document(name, found, failed)), encoding="utf-8")
+        (folder / _RESULTS_FILE).write_text(to_json(_document(name, found, failed)), encoding="utf-8")
 
     return _read(stage(out, f"against-{name}", key, make))
 
 
 def _document(name: str, found: Comparison | str, failed: Mapping[str, str]) -> dict[str, object]:
-    """What `_read` reads."""
-    clouds = {cloud: Against(name, failure=why) for cloud, why in failed.items()}
+    """Return the document that `_read` reads."""
+    clouds = {cloud: ReferenceEvaluation(name, failure=why) for cloud, why in failed.items()}
     if isinstance(found, str):
         return {"counts": None, "clouds": clouds}
-    clouds |= {candidate.name: _against(name, candidate) for candidate in found}
+    clouds |= {candidate.name: _evaluation(name, candidate) for candidate in found}
     return {"counts": (found.reference.points, found.reference.points_in_region), "clouds": clouds}
 
 
-def _read(folder: Path) -> Held:
-    values = read_json(folder / _RESULTS)
-    clouds = {cloud: against_from(row) for cloud, row in values["clouds"].items()}
+def _read(folder: Path) -> CloudEvaluation:
+    values = read_json(folder / _RESULTS_FILE)
+    clouds = {cloud: evaluation_from_json(row) for cloud, row in values["clouds"].items()}
     counts = values["counts"]
-    return Held(None, None, clouds) if counts is None else Held(folder, (counts[0], counts[1]), clouds)
+    return (
+        CloudEvaluation(None, None, clouds)
+        if counts is None
+        else CloudEvaluation(folder, (counts[0], counts[1]), clouds)
+    )
 
 
 def draw_maps(folder: Path) -> str | None:
-    """The pictures of a report, unless they are there; what stands in the way."""
+    """Draw the pictures of a report unless they exist; return the reason if that is impossible."""
     return None if (folder / "figures").is_dir() else draw_if_possible(folder)
 
 
 def visible_truth(truth: Path, out: Path) -> Path:
-    """What cameras saw of a true cloud (its attribute `visible`, where it has one), as a file: a cloud that lacks what
-    no photograph shows is not to blame."""
+    """Write the part of a true cloud that the cameras saw (its attribute `visible`) and return the file.
+
+    Without the attribute, or if nothing is visible, the cloud is written unchanged. A cloud should not be penalised for
+    parts that no photograph shows.
+    """
 
     def make(folder: Path) -> None:
         cloud = read_cloud(truth)
@@ -121,19 +133,19 @@ def visible_truth(truth: Path, out: Path) -> Path:
     return stage(out, "truth", {"cloud": digest(truth)}, make) / "truth.ply"
 
 
-class _Asked(NamedTuple):
-    """A reference and the region of it that is asked for."""
+class _ReferenceRegion(NamedTuple):
+    """A reference and the region to evaluate."""
 
     target: Target
     cloud: Cloud
     region: Region | None
 
     @classmethod
-    def of(cls, cloud: Cloud, crop: str) -> _Asked:
+    def from_crop(cls, cloud: Cloud, crop: str) -> _ReferenceRegion:
         return cls(Target.of(cloud, local_origin(cloud)), cloud, as_region(crop, cloud))
 
-    def why_not(self, path: Path) -> str | None:
-        """One line if a cloud cannot be held against it."""
+    def problem(self, path: Path) -> str | None:
+        """Return one line if a cloud cannot be evaluated, else None."""
         cloud = read_cloud(path)
         try:
             found = register(self.cloud, cloud, "icp", target=self.target)
@@ -144,10 +156,10 @@ class _Asked(NamedTuple):
         return f"the region {self.region.describe()} holds none of its {len(cloud):,} points"
 
 
-def _against(name: str, candidate: Candidate) -> Against:
+def _evaluation(name: str, candidate: Candidate) -> ReferenceEvaluation:
     measures = candidate.metrics.presets["gao2025"]
     assert isinstance(measures, Gao2025)
-    return Against(
+    return ReferenceEvaluation(
         reference=name,
         points=candidate.points_in_region,
         measures=measures,

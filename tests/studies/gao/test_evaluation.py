@@ -1,4 +1,4 @@
-"""What clouds are held against: what belongs to them is kept for the next run, and what may pass is not."""
+"""Evaluation against a reference: failures of a cloud are saved for later runs, temporary failures are not."""
 
 import errno
 
@@ -8,7 +8,7 @@ import pytest
 from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError, MissingExtra, RegistrationError
 from pcbench.scenes.synthetic import city
-from pcbench.studies.gao import held
+from pcbench.studies.gao import evaluation
 from pcbench.studies.gao.results import TRUTH
 
 
@@ -21,48 +21,48 @@ def clouds(tmp_path):
     return tmp_path
 
 
-def hold(folder):
+def evaluate(folder):
     clouds = {"candidate": folder / "candidate.ply"}
-    return held.hold(folder / "reference.ply", TRUTH, clouds, "none", folder, 0)
+    return evaluation.evaluate_against(folder / "reference.ply", TRUTH, clouds, "none", folder, 0)
 
 
-def failing_once(monkeypatch, error):
-    """`compare_files` that fails once, as on a machine where something is missing."""
-    whole, left = held.compare_files, [error]
+def fail_once(monkeypatch, error):
+    """Make `compare_files` fail once."""
+    compare, left = evaluation.compare_files, [error]
 
     def compare_files(*arguments):
         if left:
             raise left.pop()
-        return whole(*arguments)
+        return compare(*arguments)
 
-    monkeypatch.setattr(held, "compare_files", compare_files)
+    monkeypatch.setattr(evaluation, "compare_files", compare_files)
 
 
 @pytest.mark.parametrize(
     "error", [MissingExtra("open3d", "open3d"), OSError(errno.ENOSPC, "No space left on device"), MemoryError()]
 )
-def test_what_may_pass_is_raised_and_tried_again(clouds, monkeypatch, error):
-    failing_once(monkeypatch, error)
+def test_temporary_failure_is_raised_and_retried(clouds, monkeypatch, error):
+    fail_once(monkeypatch, error)
     with pytest.raises(type(error)):
-        hold(clouds)
-    found = hold(clouds).clouds["candidate"]
+        evaluate(clouds)
+    found = evaluate(clouds).clouds["candidate"]
     assert (found.failure, found.points) == ("", 3000)
-    assert found.measures.d1_back_mse == found.back_mse > 0
-    assert found.measures.chamfer == pytest.approx(found.measures.d1_mse + found.back_mse, rel=1e-12)  # one addition
+    assert found.measures.d1_back_mse == found.r2c_mse > 0
+    assert found.measures.chamfer == pytest.approx(found.measures.d1_mse + found.r2c_mse, rel=1e-12)  # one addition
 
 
 @pytest.mark.parametrize("error", [InputError("too few points"), RegistrationError("no overlap")])
-def test_what_belongs_to_a_cloud_is_kept(clouds, monkeypatch, error):
+def test_failure_of_a_cloud_is_saved(clouds, monkeypatch, error):
     calls = []
 
     def compare_files(*_):
         calls.append(1)
         raise error
 
-    monkeypatch.setattr(held, "compare_files", compare_files)
-    first = hold(clouds)
+    monkeypatch.setattr(evaluation, "compare_files", compare_files)
+    first = evaluate(clouds)
     assert first.clouds["candidate"].failure == str(error)
     assert (first.folder, first.counts) == (None, None)
     made = len(calls)
-    assert hold(clouds) == first
+    assert evaluate(clouds) == first
     assert len(calls) == made
