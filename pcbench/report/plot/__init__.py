@@ -1,8 +1,8 @@
 """Pictures of a report: maps of distances and deformation, and distributions.
 
-They are drawn with matplotlib from a report folder, in a process of their own with a time limit: whatever happens
-there, the numbers are delivered. Clouds become images in `splats`, without any graphics library. A study draws its
-charts in the same way, with a `Drawer` of its own.
+A child process draws them with matplotlib from a report folder, with a time limit, so that a failure does not affect
+the numbers. `splats` renders clouds as images without a graphics library. A study draws its charts in the same way,
+with its own `Drawer`.
 """
 
 from __future__ import annotations
@@ -23,32 +23,31 @@ _MAX_SECONDS = 600
 
 
 class Picture(NamedTuple):
-    """One picture of a folder.
+    """A picture of a folder.
 
     Args:
-        draw: writes it to a path; false where there is nothing to draw.
-        why_not: what is then said to somebody who asked for it by name.
+        draw: writes the picture to a path; returns false if there is nothing to draw.
+        reason: the message for a user who requested it by name if there is nothing to draw.
     """
 
     draw: Callable[[Path], bool]
-    why_not: str = "there is nothing to draw"
+    reason: str = "there is nothing to draw"
 
 
 class Drawer(NamedTuple):
-    """What draws the pictures of one kind of folder.
+    """The function that draws the pictures of one kind of folder.
 
     Args:
-        function: `module:function` of a function from the folder and `Figures` to its pictures by name,
-            `dict[str, Picture]`. It is looked up in the drawing process alone, so that libraries for drawing are loaded
-            there and nowhere else.
-        documents: a folder of this kind holds one of these files.
+        function: `module:function` of a function that takes the folder and `Figures` and returns `dict[str, Picture]`.
+            Only the drawing process imports it, so that drawing libraries are loaded only there.
+        documents: file names, one of which identifies a folder of this kind.
     """
 
     function: str
     documents: tuple[str, ...]
 
     def fits(self, folder: Path) -> bool:
-        """Whether the folder is of its kind."""
+        """Whether a folder is of this kind."""
         return any((folder / name).is_file() for name in self.documents)
 
 
@@ -58,14 +57,16 @@ REPORT = Drawer("pcbench.report.plot.pictures:pictures", ("comparison.json", "de
 def draw(
     report: Path, names: tuple[str, ...] = (), drawer: Drawer = REPORT, figures: Figures | None = None
 ) -> list[Path]:
-    """Draw the pictures of a report folder into its `figures/`, or those of them that are named.
+    """Draw all or some pictures of a report folder into its `figures/`.
 
     Args:
-        names: with an ending, `distribution.svg`, in that format.
-        figures: how they look; None: as the report's settings have it.
+        report: the folder.
+        names: names of the pictures, all by default. An extension selects the format, as in `distribution.svg`.
+        drawer: the kind of folder.
+        figures: appearance of the pictures; default: as recorded in the report.
 
     Returns:
-        The files that were written.
+        The written files.
 
     Raises:
         InputError: the folder is not of the drawer's kind, its `figures` is a link, or no picture has that name.
@@ -75,35 +76,35 @@ def draw(
     if not drawer.fits(report):
         raise InputError(f"{report}: expected a report folder (with {' or '.join(drawer.documents)})")
     check_figures_folder(report)
-    look = figures or recorded_figures(report / "settings.json")
-    done = run_module(
+    style = figures or recorded_figures(report / "settings.json")
+    result = run_module(
         "pcbench.report.plot.worker",
         str(report.absolute()),
         drawer.function,
-        json.dumps(look.plain()),
+        json.dumps(style.plain()),
         *names,
         limits=Limits(seconds=_MAX_SECONDS),
         environment=OFF_SCREEN,
     )
-    if done.timed_out:
+    if result.timed_out:
         raise NoFiguresError(f"no pictures: drawing took longer than {_MAX_SECONDS} s")
-    lines = done.output.splitlines()
-    if done.code == 2 and lines:
+    lines = result.output.splitlines()
+    if result.code == 2 and lines:
         raise InputError(lines[-1])
-    if done.code != 0:
+    if result.code != 0:
         require("matplotlib")
-        raise NoFiguresError(f"no pictures: drawing failed ({done.last_words or 'it crashed'})")
+        raise NoFiguresError(f"no pictures: drawing failed ({result.last_words or 'it crashed'})")
     record_files(report, lines)
     return [report / line for line in lines]
 
 
 def drawing_seconds(candidates: int) -> float:
-    """Roughly what the pictures of a report take, for progress bars."""
+    """Return the approximate time to draw the pictures of a report, for progress bars."""
     return 2.0 + 2.0 * candidates
 
 
 def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | None = None) -> str | None:
-    """Draw a report's pictures; what stands in the way is returned, because the numbers are delivered all the same."""
+    """Draw the pictures of a report, and return the reason if that fails; the numbers do not depend on them."""
     try:
         draw(report, drawer=drawer, figures=figures)
     except PcbenchError as error:

@@ -1,4 +1,4 @@
-"""Pictures of a deformation: how it grows, which model explains it, where something changed, and which way it goes."""
+"""Pictures of a deformation: growth, cross-validation of models, local changes, and displacement arrows."""
 
 from __future__ import annotations
 
@@ -20,34 +20,46 @@ from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import Frame, Viewpoint, round_length
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
-_FAINTEST = 0.12  # from the ground to the ink: a tile of which nothing is left
-_ARROW = 0.1  # of the scene: how long the 95th percentile of the arrows is drawn
+_MIN_CONTRAST_SHARE = 0.12  # of the contrast, for a tile without a residual
+_ARROW_SHARE = 0.1  # of the scene's size, for the 95th percentile of the arrows
 
 
 def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path, look: Figures) -> bool:
-    """Growth with distance and height, the models' cross-validation, and the map of local changes: those of them that
-    there are, False where there is none.
+    """Draw growth with distance and height, cross-validation and local changes, as far as they exist.
+
+    Args:
+        bend: the verdict.
+        field: the cells with their displacements.
+        title: title of the picture.
+        unit: unit of lengths.
+        path: the file to write.
+        look: appearance of the picture.
+
+    Returns:
+        Whether there was anything to draw.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    factor, short = _readable(bend, unit)
+    factor, short = _display_unit(bend, unit)
     growth = bend.growth or Growth(None, None)
     panels: list[Callable[[Any], None]] = []
     for trend, along in (
         (growth.with_distance, "horizontal distance from the centre"),
-        (growth.with_height, "height above the lowest place"),
+        (growth.with_height, "height above the lowest cell"),
     ):
         if trend is not None and len(trend.profile) > 1:
             panels.append(partial(_growth, trend=trend, along=along, unit=unit, factor=factor, short=short))
-    grown = len(panels)
+    growth_panels = len(panels)
     if bend.rungs:
-        panels.append(lambda axis: _rungs(axis, bend, factor, short))
+        panels.append(lambda axis: _cross_validation(axis, bend, factor, short))
     tested = np.isfinite(np.asarray(field.attributes["local"], np.float64))
     if tested.any():
-        shown = field.select(tested)
+        tested_cells = field.select(tested)
         ground = look.ground("white")
-        panels.append(partial(_changes, bend=bend, field=shown, unit=unit, factor=factor, short=short, ground=ground))
+        panels.append(
+            partial(_changes, bend=bend, field=tested_cells, unit=unit, factor=factor, short=short, ground=ground)
+        )
     if not panels:
         return False
     columns = min(len(panels), 2)
@@ -57,12 +69,12 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, y=1 - 0.22 / height, va="center")
     figure.subplots_adjust(left=0.85 / width, right=1 - 0.3 / width, top=1 - 0.75 / height,
-                           bottom=(1.0 if grown else 0.65) / height, hspace=0.28, wspace=0.22)  # fmt: skip
+                           bottom=(1.0 if growth_panels else 0.65) / height, hspace=0.28, wspace=0.22)  # fmt: skip
     axes = [figure.add_subplot(rows, columns, number + 1) for number in range(len(panels))]
     for axis, panel in zip(axes, panels, strict=True):
         panel(axis)
         axis.spines[["top", "right"]].set_visible(False)
-    if grown:
+    if growth_panels:
         handles = axes[0].get_legend_handles_labels()
         figure.legend(*handles, loc="lower center", bbox_to_anchor=(0.5, 0.02 / height), ncols=3, frameon=False)
     save(figure, path)
@@ -70,22 +82,35 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
 
 
 def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path: Path, look: Figures) -> bool:
-    """Displacements, exaggerated, over the aligned candidate; False where the chosen model has none."""
+    """Draw exaggerated displacements over the aligned candidate.
+
+    Args:
+        cloud: the aligned candidate.
+        field: the cells with their displacements.
+        title: title of the picture.
+        unit: unit of lengths.
+        frame: the frame of the picture.
+        path: the file to write.
+        look: appearance of the picture.
+
+    Returns:
+        Whether the chosen model has displacements.
+    """
     vectors = np.stack([np.asarray(field.attributes[f"displacement_{k}"], np.float64) for k in "xyz"], axis=1)
     lengths = np.linalg.norm(vectors, axis=1)
     inside = frame.box.holds(field.points) & (lengths > 0)
     if not inside.any():
         return False
     typical = float(np.percentile(lengths[inside], 95))
-    # A round factor, so that a reader can divide by it.
-    exaggeration = round_length(_ARROW * float(np.linalg.norm(frame.box.high - frame.box.low)) / typical)
+    # A round factor is easy to divide by.
+    exaggeration = round_length(_ARROW_SHARE * float(np.linalg.norm(frame.box.high - frame.box.low)) / typical)
     vectors = vectors[inside]
     tails = field.points[inside] - frame.box.center
     scale = Range(-typical, typical, "blue: below the reference, red: above it", signed=True)
     colors = scale.colors(vectors[:, 2]) / 255
     ground = look.ground("dark")
     behind = np.array([int(ground[k : k + 2], 16) for k in (1, 3, 5)])
-    # Between the ground and a middle grey: there to tell where the arrows stand, not to be looked at.
+    # The cloud is only background for the arrows: between the background colour and a middle grey.
     faint = np.broadcast_to(np.rint(0.7 * behind + 0.3 * 138).astype(np.uint8), cloud.points.shape)
     about = cloud.points - frame.box.center
 
@@ -95,19 +120,19 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
     def over(axis: Any, view: Viewpoint, placed: Callable[[FloatArray], FloatArray], factor: float) -> None:
         flat = view.axes[:2].T
         (x, y), (u, v) = placed(tails @ flat).T, exaggeration * factor * (vectors @ flat).T
-        # Like a pencil's: a shaft that is seen, a head that is told from it.
+        # A visible shaft with a distinct head.
         style = {"units": "inches", "width": 0.016, "headwidth": 4, "headlength": 5, "headaxislength": 4.5}
-        axis.scatter(x, y, s=14, c=colors, linewidths=0)  # what points at the viewer has no length
+        axis.scatter(x, y, s=14, c=colors, linewidths=0)  # an arrow towards the viewer has no length
         axis.quiver(x, y, u, v, color=colors, angles="xy", scale_units="xy", scale=1, minlength=0, **style)
 
-    title = f"{title}; displacements {exaggeration:g} times as long as they are"
-    label = f"vertical part of the displacement [{unit}]"
+    title = f"{title}; displacements exaggerated {exaggeration:g} times"
+    label = f"vertical displacement [{unit}]"
     compose(image, frame, title, unit, path, look, scale=scale, label=label, over=over)
     return True
 
 
-def _readable(bend: Deformation, unit: str) -> tuple[float, str]:
-    """Factor and name of the unit for small displacements: millimetres where metres are known."""
+def _display_unit(bend: Deformation, unit: str) -> tuple[float, str]:
+    """Return factor and name of the unit for displacements: millimetres for small displacements in metres."""
     return (1000.0, "mm") if unit == "m" and (bend.remaining_rms or 1.0) < 0.5 else (1.0, unit)
 
 
@@ -120,7 +145,7 @@ def _growth(axis: Any, trend: Trend, along: str, unit: str, factor: float, short
     low, high = factor * np.array([row.ci for row in trend.profile]).T
     null = factor * np.array([row.null for row in trend.profile])
     axis.fill_between(x, -null, null, color=_GREY, alpha=0.3, linewidth=0, label="noise alone (95 %)")
-    axis.fill_between(x, low, high, color=_BLUE, alpha=0.25, linewidth=0, label="95 % over blocks")
+    axis.fill_between(x, low, high, color=_BLUE, alpha=0.25, linewidth=0, label="95 % interval")
     axis.plot(x, mean, color=_BLUE, marker="o", markersize=4, linewidth=1.6, label="mean of the candidate")
     bounds = trend.ci
     scale = 1000.0  # per 1000 units: mm per m, or thousandths
@@ -129,16 +154,16 @@ def _growth(axis: Any, trend: Trend, along: str, unit: str, factor: float, short
     axis.grid(alpha=0.25)
 
 
-def _rungs(axis: Any, bend: Deformation, factor: float, short: str) -> None:
-    score = np.sqrt([rung.cv_score for rung in bend.rungs])
-    error = np.array([rung.cv_se for rung in bend.rungs]) / np.maximum(2 * score, 1e-300)
-    place = np.arange(len(bend.rungs))
-    axis.errorbar(place, factor * score, factor * error, color=_BLUE, marker="o", capsize=4, linewidth=1.4)
-    chosen = [rung.model for rung in bend.rungs].index(bend.model)
+def _cross_validation(axis: Any, bend: Deformation, factor: float, short: str) -> None:
+    score = np.sqrt([row.cv_score for row in bend.rungs])
+    error = np.array([row.cv_se for row in bend.rungs]) / np.maximum(2 * score, 1e-300)
+    position = np.arange(len(bend.rungs))
+    axis.errorbar(position, factor * score, factor * error, color=_BLUE, marker="o", capsize=4, linewidth=1.4)
+    chosen = [row.model for row in bend.rungs].index(bend.model)
     axis.plot(chosen, factor * score[chosen], "o", color=_RED, markersize=11, fillstyle="none", markeredgewidth=2)
-    axis.set_xticks(place, [f"{rung.model}\n{rung.parameters}" for rung in bend.rungs])
+    axis.set_xticks(position, [f"{row.model}\n{row.parameters}" for row in bend.rungs])
     axis.set_xlabel("model, parameters")
-    axis.set_ylabel(f"residual of tiles left out, RMS [{short}]")
+    axis.set_ylabel(f"residual of held-out tiles, RMS [{short}]")
     axis.set_title("cross-validation, ± standard error; the chosen model is circled", fontsize=10, loc="left")
     axis.grid(alpha=0.25)
 
@@ -152,11 +177,11 @@ def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: floa
     order = np.argsort(local)
     limit = float(np.percentile(local, 98)) or 1.0
     least, most = (np.array(to_rgb(color)) for color in (ground, ink(ground)))
-    # No tile vanishes in the ground, and what is left most is seen best on any.
-    cmap = LinearSegmentedColormap.from_list("changes", [least + _FAINTEST * (most - least), most])
+    # All tiles are visible on the background, and the largest residuals have the highest contrast.
+    cmap = LinearSegmentedColormap.from_list("changes", [least + _MIN_CONTRAST_SHARE * (most - least), most])
     dots = axis.scatter(x[order], y[order], c=local[order], s=26, marker="s", cmap=cmap, vmin=0, vmax=limit)
     axis.scatter(x[changed], y[changed], s=80, marker="s", facecolors="none", edgecolors=_RED, linewidths=1.8)
-    axis.figure.colorbar(dots, ax=axis, label=f"left by the largest model [{short}]", shrink=0.9)
+    axis.figure.colorbar(dots, ax=axis, label=f"residual of the largest model [{short}]", shrink=0.9)
     axis.set_aspect("equal")
     axis.set_xlabel(f"x [{unit}]")
     axis.set_ylabel(f"y [{unit}]")
@@ -164,7 +189,8 @@ def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: floa
         return
     changes = bend.local
     axis.set_title(
-        f"local changes: {changes.tiles_changed} of {changes.tiles_tested} tiles (framed, FDR {changes.fdr:.0%})",
+        f"local changes: {changes.tiles_changed} of {changes.tiles_tested} tiles (orange frame; false discovery rate"
+        f" {100 * changes.fdr:g} %)",
         fontsize=10,
         loc="left",
     )

@@ -1,6 +1,4 @@
-"""The cameras of a scene: where they stand, where they look, the rings they fly, and the sparse points below; or where
-its images were taken by GPS.
-"""
+"""Pictures of the cameras of a scene: positions, view pyramids, rings and sparse points, or GPS positions."""
 
 from __future__ import annotations
 
@@ -18,86 +16,90 @@ from pcbench.io.files import atomic_write
 if TYPE_CHECKING:
     from pcbench.scenes import Scene
 
-_CAMERA, _PATH, _POINT = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
-_SOFTWARE = "pcbench"  # by which its pictures are known
-_MAX_POINTS = 20_000  # more are drawn as a blot
-_MAX_TILT_DEG = 25.0  # of images that look down, from their mean direction, and of that from the normal of their places
-_MIN_WIDTH = 0.3  # of a flight that covers an area, to its length: a walk along a wall is narrower
+_CAMERA_COLOR, _PATH_COLOR, _POINT_COLOR = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
+_SOFTWARE = "pcbench"  # metadata that identifies pictures of pcbench
+_MAX_POINTS = 20_000
+_MAX_TILT_DEG = 25.0  # of nadir images from their mean direction, and of that from the normal of their positions
+_MIN_WIDTH_RATIO = 0.3  # width to length of a flight over an area; a walk along a wall is narrower
 
 
 def draw_cameras(scene: Scene, path: Path) -> None:
-    """Draw the cameras of a scene from the side and from above, in the frame of the cameras, as a PNG. Of a scene
-    without cameras the GPS positions are drawn.
+    """Draw the cameras of a scene from the side and from above as a PNG; without cameras, draw GPS positions.
 
-    Cameras whose frame has no upright axis of its own (a COLMAP model) are turned so that their images are upright, or
-    look down if they are those of a flight over an area.
+    If the frame of the cameras has no vertical axis (a COLMAP model), they are rotated so that their images are
+    upright, or look down for a flight over an area.
 
     Raises:
-        InputError: the scene has neither cameras nor positions, or `path` is a file that this did not draw.
+        InputError: the scene has neither cameras nor positions, or `path` is a file that pcbench did not draw.
         MissingExtra: matplotlib is not installed.
         OSError: the file cannot be written.
     """
     _check_picture(path)
-    drawn = _cameras(scene) if scene.cameras else _measured(scene)
+    picture = _cameras(scene) if scene.cameras else _gps_positions(scene)
     require("matplotlib.figure")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    positions, points, axes = drawn.positions, drawn.points, drawn.axes
+    positions, points, axes = picture.positions, picture.points, picture.axes
     figure = Figure(figsize=(14, 6.4), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     side: Any = figure.add_subplot(1, 2, 1, projection="3d")
     above = figure.add_subplot(1, 2, 2)
     if len(points):
-        side.scatter(*points.T, s=1.5, c=_POINT, alpha=0.7, linewidths=0)
-        above.scatter(points[:, 0], points[:, 1], s=0.8, c=_POINT, alpha=0.5, linewidths=0)
-    for number, ring in enumerate(_rings(positions)):
-        side.plot(*ring.T, color=_PATH, linewidth=1.2)
-        above.plot(ring[:, 0], ring[:, 1], color=_PATH, linewidth=1.2, label=None if number else "order of the images")
-    if not drawn.outlines:
-        side.scatter(*positions.T, s=24, c=_CAMERA, linewidths=0, depthshade=False)
-        above.scatter(positions[:, 0], positions[:, 1], s=24, c=_CAMERA, linewidths=0, zorder=3, label="GPS positions")
-    for number, outline in enumerate(drawn.outlines):
-        side.plot(*outline.T, color=_CAMERA, linewidth=0.7)
-        above.plot(outline[:, 0], outline[:, 1], color=_CAMERA, linewidth=0.7, label=None if number else "cameras")
-    everything = np.concatenate([*drawn.outlines, positions, points])
+        side.scatter(*points.T, s=1.5, c=_POINT_COLOR, alpha=0.7, linewidths=0)
+        above.scatter(points[:, 0], points[:, 1], s=0.8, c=_POINT_COLOR, alpha=0.5, linewidths=0)
+    for index, ring in enumerate(_rings(positions)):
+        side.plot(*ring.T, color=_PATH_COLOR, linewidth=1.2)
+        above.plot(
+            ring[:, 0], ring[:, 1], color=_PATH_COLOR, linewidth=1.2, label=None if index else "order of the images"
+        )
+    if not picture.outlines:
+        side.scatter(*positions.T, s=24, c=_CAMERA_COLOR, linewidths=0, depthshade=False)
+        above.scatter(
+            positions[:, 0], positions[:, 1], s=24, c=_CAMERA_COLOR, linewidths=0, zorder=3, label="GPS positions"
+        )
+    for index, outline in enumerate(picture.outlines):
+        side.plot(*outline.T, color=_CAMERA_COLOR, linewidth=0.7)
+        above.plot(outline[:, 0], outline[:, 1], color=_CAMERA_COLOR, linewidth=0.7, label=None if index else "cameras")
+    everything = np.concatenate([*picture.outlines, positions, points])
     middle, extent = everything.min(axis=0) + 0.5 * np.ptp(everything, axis=0), np.ptp(everything, axis=0)
-    extent = np.maximum(extent, 0.15 * extent.max() or 1.0)  # a level flight still gets a box with a height
+    extent = np.maximum(extent, 0.15 * extent.max() or 1.0)  # a level flight also needs a box with height
     side.set(**{f"{axis}lim": (m - 0.5 * e, m + 0.5 * e) for axis, m, e in zip("xyz", middle, extent, strict=True)})
     side.set_box_aspect(extent, zoom=0.9)
     for axis, label, length in zip((side.xaxis, side.yaxis, side.zaxis), axes, extent, strict=True):
         axis.set_label_text(label)
         axis.set_major_locator(MaxNLocator(2 if length < 0.3 * extent.max() else 5))
     side.set_title("from the side", fontsize=11)
-    above.set_xlabel(f"{axes[0]} [{drawn.unit}]")
-    above.set_ylabel(f"{axes[1]} [{drawn.unit}]")
+    above.set_xlabel(f"{axes[0]} [{picture.unit}]")
+    above.set_ylabel(f"{axes[1]} [{picture.unit}]")
     above.set_aspect("equal", adjustable="datalim")
     above.grid(True, alpha=0.3)
     above.spines[["top", "right"]].set_visible(False)
     above.set_title("from above", fontsize=11)
     figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    figure.suptitle(drawn.title, fontsize=12)
+    figure.suptitle(picture.title, fontsize=12)
     with atomic_write(path) as file:
         figure.savefig(file, format="png", metadata={"Software": _SOFTWARE})
 
 
 def _check_picture(path: Path) -> None:
-    """Raises InputError where there is a file already that this program did not draw (photographs are PNG too), or the
-    name is that of another format.
+    """Raise InputError if the file exists and was not drawn by pcbench, or has another extension than .png.
+
+    Photographs are PNG files too.
     """
     if not path.is_file():
         if path.suffix.lower() != ".png":
-            raise InputError(f"{path}: expected a file that ends in .png, as the picture is one")
+            raise InputError(f"{path}: expected the extension .png")
         return
     with path.open("rb") as file:
         start = file.read(1024)
     if not start.startswith(b"\x89PNG") or f"Software\0{_SOFTWARE}".encode() not in start:
-        raise InputError(f"{path}: there is a file already that is no picture of pcbench's: choose another name")
+        raise InputError(f"{path}: the file exists and is not a picture of pcbench: choose another name")
 
 
-class _Drawn(NamedTuple):
-    """What is drawn: places (N, 3), pyramids (10, 3) and points (M, 3) in one frame, its axes and unit, and a title."""
+class _Picture(NamedTuple):
+    """Positions (N, 3), view pyramids (10, 3) and points (M, 3) in one frame, its axes and unit, and a title."""
 
     positions: FloatArray
     outlines: list[FloatArray]
@@ -107,39 +109,41 @@ class _Drawn(NamedTuple):
     title: str
 
 
-def _cameras(scene: Scene) -> _Drawn:
+def _cameras(scene: Scene) -> _Picture:
     cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
-    turn, turned = _upright(cameras)
-    positions = np.stack([camera.position for camera in cameras]) @ turn.T
+    rotation, is_rotated = _upright_rotation(cameras)
+    positions = np.stack([camera.position for camera in cameras]) @ rotation.T
     size = 0.04 * float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
-    points = _near(scene.points.points @ turn.T, positions) if scene.points is not None else np.zeros((0, 3))
+    points = (
+        _nearby_points(scene.points.points @ rotation.T, positions) if scene.points is not None else np.zeros((0, 3))
+    )
     known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
-    axes = ("right", "forward", "up") if turned else ("x", "y", "z")
-    return _Drawn(
+    axes = ("right", "forward", "up") if is_rotated else ("x", "y", "z")
+    return _Picture(
         positions,
-        [_outline(camera, size) @ turn.T for camera in cameras],
+        [_outline(camera, size) @ rotation.T for camera in cameras],
         points,
-        ("east", "north", "up") if scene.origin is not None and not turned else axes,
+        ("east", "north", "up") if scene.origin is not None and not is_rotated else axes,
         "m" if scene.origin is not None else "units of the cameras",
         known + (f", {len(scene.points):,} points" if scene.points is not None else ""),
     )
 
 
-def _measured(scene: Scene) -> _Drawn:
+def _gps_positions(scene: Scene) -> _Picture:
     found, frame = scene.measured_positions()
     if not found:
         raise InputError(
-            f"{scene.folder}: nothing to draw: expected cameras (a COLMAP model, transforms.json or the like), or GPS"
-            " positions in the images' EXIF or in gps.txt"
+            f"{scene.folder}: expected cameras (such as a COLMAP model or transforms.json), or GPS positions in the images'"
+            " EXIF or in gps.txt, got neither"
         )
     positions = np.stack([found[name] for name in scene.images if name in found])
     axes = ("x", "y", "z") if scene.positions else ("east", "north", "up")
     title = f"no cameras, GPS positions of {len(positions)} of {len(scene)} images, {frame}"
-    return _Drawn(positions, [], np.zeros((0, 3)), axes, "m", title)
+    return _Picture(positions, [], np.zeros((0, 3)), axes, "m", title)
 
 
 def _outline(camera: Camera, size: float) -> FloatArray:
-    """A camera as one line in the world (10, 3): the pyramid from its centre through the image's corners."""
+    """Return the view pyramid of a camera as one line (10, 3) in world coordinates."""
     k = camera.intrinsics
     x, y = np.array([0, k.width]), np.array([0, k.height])
     (left, right), (top, bottom) = (x - k.cx) / k.fx, (y - k.cy) / k.fy
@@ -149,13 +153,11 @@ def _outline(camera: Camera, size: float) -> FloatArray:
 
 
 def _rings(positions: FloatArray) -> list[FloatArray]:
-    """Positions (N, 3) in their order, as lines: closed rings about a common vertical axis if that is what they are,
-    else one open line.
-    """
+    """Return positions (N, 3) as lines: closed rings about a common vertical axis if they form such, else one line."""
     if len(positions) < 2:
         return []
-    # On a ring neither the distance from the axis nor the height changes: a step that is mostly such a change leads to
-    # another ring. The mean of whole rings is on their axis.
+    # Distance from the axis and height are constant on a ring, so a step that mostly changes them leads to another ring.
+    # The mean of complete rings is on their axis.
     radius = np.linalg.norm(positions[:, :2] - positions[:, :2].mean(axis=0), axis=1)
     across = np.linalg.norm(np.diff(np.stack([radius, positions[:, 2]], axis=1), axis=0), axis=1)
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
@@ -166,17 +168,16 @@ def _rings(positions: FloatArray) -> list[FloatArray]:
 
 
 def _is_closed(ring: FloatArray) -> bool:
-    """Whether the ends of a line (N, 3) are as near as neighbours."""
+    """Whether the ends of a line (N, 3) are as close as neighbours."""
     longest = np.linalg.norm(np.diff(ring, axis=0), axis=1).max(initial=0)
     return len(ring) > 3 and bool(np.linalg.norm(ring[0] - ring[-1]) < 1.5 * longest)
 
 
-def _upright(cameras: list[Camera]) -> tuple[FloatArray, bool]:
-    """The rotation (3, 3) that brings the scene's up to +z, and whether it is one at all.
+def _upright_rotation(cameras: list[Camera]) -> tuple[FloatArray, bool]:
+    """Return the rotation (3, 3) that maps the scene's upward direction to +z, and whether one is needed.
 
-    +z is up already where the images' upper sides point that way on average, or where the cameras look down along it.
-    Else up is against the view of cameras that look down, whose upper sides point anywhere, and along the upper sides
-    of others.
+    +z is up already if the tops of the images point there on average, or if the cameras look along -z. Otherwise up is
+    opposite to the view of nadir cameras, and along the tops of the images of other cameras.
     """
     rotations = np.stack([camera.cam_from_world.rotation for camera in cameras])
     up, direction = -rotations[:, 1].mean(axis=0), rotations[:, 2].mean(axis=0)
@@ -187,31 +188,32 @@ def _upright(cameras: list[Camera]) -> tuple[FloatArray, bool]:
     up, forward = (-direction, up) if looks_down else (up, direction)
     z = up / np.linalg.norm(up)
     forward = forward - (forward @ z) * z
-    if np.linalg.norm(forward) < 1e-6:  # all around: any horizontal axis does
+    if np.linalg.norm(forward) < 1e-6:  # without a mean direction, any horizontal axis is suitable
         forward = np.eye(3)[int(np.argmin(np.abs(z)))] - z[int(np.argmin(np.abs(z)))] * z
     y = forward / np.linalg.norm(forward)
     return np.stack([np.cross(y, z), y, z]), True
 
 
 def _looks_down(positions: FloatArray, directions: FloatArray) -> bool:
-    """Whether cameras at positions (N, 3) look the same way, off the level area that they are spread over: what a
-    survey from the air does. Who photographs a wall so, from near and far above each other, is taken for one.
+    """Whether cameras at positions (N, 3) look in one direction, across the plane of their positions, as in a survey.
+
+    A wall photographed from a grid of positions is mistaken for a survey.
     """
     if len(positions) < 4:
         return False
     mean = directions.mean(axis=0)
     mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
-    least = np.cos(np.radians(_MAX_TILT_DEG))
+    min_cosine = np.cos(np.radians(_MAX_TILT_DEG))
     _, lengths, axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)
-    is_area = lengths[1] > _MIN_WIDTH * lengths[0]
-    return bool(np.median(directions @ mean) > least and is_area and abs(axes[2] @ mean) > least)
+    is_area = lengths[1] > _MIN_WIDTH_RATIO * lengths[0]
+    return bool(np.median(directions @ mean) > min_cosine and is_area and abs(axes[2] @ mean) > min_cosine)
 
 
-def _near(points: FloatArray, positions: FloatArray) -> FloatArray:
-    """At most `_MAX_POINTS` of the points (N, 3), without the strays that would leave the cameras a dot."""
+def _nearby_points(points: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return at most about `_MAX_POINTS` of the points (N, 3), without distant outliers that would shrink the cameras."""
     centre = np.median(points, axis=0)
     distances = np.linalg.norm(points - centre, axis=1)
     reach = max(float(np.quantile(distances, 0.95)), float(np.linalg.norm(positions - centre, axis=1).max()))
-    kept = points[distances <= 1.5 * reach]
-    shown: FloatArray = kept[:: max(1, len(kept) // _MAX_POINTS)]
-    return shown
+    nearby = points[distances <= 1.5 * reach]
+    sample: FloatArray = nearby[:: max(1, len(nearby) // _MAX_POINTS)]
+    return sample

@@ -1,4 +1,4 @@
-"""Distributions of the distances: how many points lie how far away."""
+"""Distributions of the distances, as histograms and cumulative curves."""
 
 from __future__ import annotations
 
@@ -12,13 +12,20 @@ from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
 from pcbench.report.read import Report
 
-_STEPS = 80  # bins of the histograms
-_CURVE = 1000  # a curve of a million steps is drawn as well from a thousand of them
+_HISTOGRAM_BINS = 80
+_MAX_MAX_CURVE_POINTS_POINTS = 1000
 
 
 def distribution(report: Report, path: Path, look: Figures) -> bool:
-    """Histogram and cumulative curve of every candidate's distances, and the r→c percentiles beside them; False where
-    all distances are zero.
+    """Draw the histogram and the cumulative curve of each candidate's distances, with the r→c percentiles.
+
+    Args:
+        report: the report.
+        path: the file to write.
+        look: appearance of the picture.
+
+    Returns:
+        False if all distances are zero.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -31,20 +38,20 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
         return False
     figure = Figure(figsize=(14, 4.8), dpi=DPI)
     FigureCanvasAgg(figure)
-    # A layout that is computed takes as long as the rest of the picture.
+    # An automatic layout would take as long as the rest of the picture.
     margins = {"left": 0.045, "right": 0.81, "bottom": 0.12, "top": 0.93, "wspace": 0.14}
     density, cumulative = figure.subplots(1, 2, gridspec_kw=margins)
     low = min(float(np.percentile(v, 0.5)) for v in positive)
     high = max(float(v[-1]) for v in positive)
-    bins = np.geomspace(low, max(high, 1.001 * low), _STEPS)
+    bins = np.geomspace(low, max(high, 1.001 * low), _HISTOGRAM_BINS)
     handles = []
-    for number, (candidate, distances) in enumerate(zip(report.candidates, values, strict=True)):
-        color = SERIES[number % len(SERIES)]
+    for index, (candidate, distances) in enumerate(zip(report.candidates, values, strict=True)):
+        color = SERIES[index % len(SERIES)]
         share, _ = np.histogram(distances, bins)
         density.stairs(100 * share / len(distances), bins, color=color, fill=True, alpha=0.6 / len(values))
         density.stairs(100 * share / len(distances), bins, color=color, linewidth=1.4)
-        which = np.unique(np.linspace(0, len(distances) - 1, _CURVE).astype(int))
-        cumulative.plot(np.maximum(distances[which], low), 100 * (which + 1) / len(distances), color=color)
+        rows = np.unique(np.linspace(0, len(distances) - 1, _MAX_CURVE_POINTS).astype(int))
+        cumulative.plot(np.maximum(distances[rows], low), 100 * (rows + 1) / len(distances), color=color)
         back = [(float(v), float(rank[1:])) for rank, v in candidate.percentiles_completeness.items() if v > 0]
         if back:
             cumulative.plot(*zip(*back, strict=True), color=color, linestyle="--", marker=".")

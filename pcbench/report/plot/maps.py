@@ -1,4 +1,4 @@
-"""Maps: a cloud coloured by its distances, and the reference as it is; all of them in one frame."""
+"""Maps: a cloud coloured by its distances, and the reference in its own colours, in one frame."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.measure.wording import counted
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures
-from pcbench.report.plot.panels import Image, compose, titled
+from pcbench.report.plot.panels import Image, compose, join_title
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import AxisBox, Frame
 
 LABELS = {
-    "distance": "distance to the nearest reference point",
-    "completeness": "distance to the nearest point of the candidate",
+    "distance": "distance to the closest reference point",
+    "completeness": "distance to the closest candidate point",
     "plane_distance": "signed distance to the reference's tangent plane",
     "mesh_distance": "distance to the reference mesh",
     "poisson_distance": "distance to the reference's Poisson mesh",
     "m3c2_distance": "M3C2 distance along the reference's normal",
 }
-_GROUND = "dark"  # where the user chose none: large distances are light, and stand out
-_MOST_OUTSIDE = 0.5  # of a cloud's points: else it is framed for itself
-_WORTH_SAYING = 0.001  # of its points outside of the picture
+_DEFAULT_BACKGROUND = "dark"  # large distances are light and have a high contrast
+_MAX_OUTSIDE_SHARE = 0.5  # of a cloud's points; otherwise it has a separate frame
+_MIN_REPORTED_SHARE = 0.001  # of the points outside the frame
 
 
 def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
-    """What all pictures show: the measured region of the reference, and somewhat beyond it where candidates lie there.
-    One that is far off does not decide.
+    """Return the common frame: the measured region of the reference, enlarged for candidates that extend beyond it.
+
+    Candidates that are far off are ignored.
 
     Args:
-        measured: the reference's measured points; None in reports that do not hold them.
-        clouds: the candidates' measured points.
+        measured: the measured points of the reference; None in reports without them.
+        clouds: the measured points of the candidates.
     """
     if measured is None:
         boxes = [AxisBox.around(cloud.points) for cloud in clouds.values()]
         box = AxisBox(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
         return Frame.of(box, [cloud.points for cloud in clouds.values()])
     box = AxisBox.around(measured.points)
-    near = [cloud.points for cloud in clouds.values() if box.grown().share(cloud.points) > 1 - _MOST_OUTSIDE]
+    near = [cloud.points for cloud in clouds.values() if box.grown().share(cloud.points) > 1 - _MAX_OUTSIDE_SHARE]
     return Frame.of(box.widened(map(AxisBox.around, near)), [measured.points, *near])
 
 
@@ -52,23 +53,35 @@ def coloured(
     cloud: Cloud, values: FloatArray, title: str, scale: Range, label: str, unit: str, shared: Frame, path: Path,
     look: Figures,
 ) -> bool:  # fmt: skip
-    """A cloud by one scalar, NaN where it has none; framed for itself where most of it is outside the shared frame."""
+    """Draw a cloud coloured by a scalar; it has a separate frame if most of it is outside the shared one.
+
+    Args:
+        cloud: the cloud.
+        values: (N,) the scalar, NaN if unknown.
+        title: title of the picture.
+        scale: the colour range.
+        label: label of the colour bar.
+        unit: unit of lengths.
+        shared: the common frame.
+        path: the file to write.
+        look: appearance of the picture.
+    """
     known = np.isfinite(values)
     points, values = cloud.points[known], values[known]
     outside = 1 - shared.box.share(points)
     note = ""
-    if outside > _MOST_OUTSIDE:
+    if outside > _MAX_OUTSIDE_SHARE:
         shared = Frame.of(AxisBox.around(points), [points])
-        note = f"in a frame of its own, {outside:.0%} are outside the others' frame"
-    elif outside > _WORTH_SAYING:
-        note = f"{outside:.1%} of them outside the picture"
+        note = f"separate frame: {100 * outside:.0f} % of the points are outside the common one"
+    elif outside > _MIN_REPORTED_SHARE:
+        note = f"{100 * outside:.1f} % of points outside the frame"
     image = _image(points, scale.colors(values), shared, look)
-    compose(image, shared, titled(title, note), unit, path, look, scale=scale, label=label)
+    compose(image, shared, join_title(title, note), unit, path, look, scale=scale, label=label)
     return True
 
 
 def reference(cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: Figures) -> bool:
-    """The reference in its own colours, or by height; False where its file has gone."""
+    """Draw the reference in its own colours, or coloured by height; return false if its file no longer exists."""
     if cloud is None:
         return False
     colors, note = cloud.colors, ""
@@ -84,11 +97,11 @@ def reference(cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: F
 def _image(
     points: FloatArray, colors: NDArray[np.uint8], shared: Frame, look: Figures, *, shaded: bool = False
 ) -> Image:
-    ground = look.ground(_GROUND)
-    about = points - shared.box.center
+    ground = look.ground(_DEFAULT_BACKGROUND)
+    centered = points - shared.box.center
     behind = np.array([int(ground[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
 
     def image(view: Any, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
-        return splat(about, colors, view, window, pixels, behind, shaded=shaded)
+        return splat(centered, colors, view, window, pixels, behind, shaded=shaded)
 
     return image

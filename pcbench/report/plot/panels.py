@@ -1,4 +1,4 @@
-"""Pictures of clouds: three views at one scale beside each other, with a title, a scale bar each, and a colour bar."""
+"""Pictures of clouds: three views side by side at one scale, with title, scale bars and a colour bar."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.views import VIEWS, Frame, Viewpoint, round_length
 
 DPI = 120
-# All in inches.
-_WIDTH, _MAX_HEIGHT = 13.6, 6.6  # that the views take together at most
-_MIN_PANEL = 1.3  # of a view: room for its title
-_GAP, _BELOW, _ABOVE = 0.14, 0.42, 0.78  # between views, for scale bars, for titles
+# Lengths are in inches.
+_MAX_WIDTH, _MAX_HEIGHT = 13.6, 6.6  # of all views together
+_MIN_VIEW_WIDTH = 1.3  # leaves room for the title of a view
+_VIEW_GAP = 0.14
+_SCALE_BAR_MARGIN, _TITLE_MARGIN = 0.42, 0.78
 _BAR_WIDTH = 0.16
-_MIN_BAR, _MAX_BAR = 1.9, 4.2  # heights
-_LETTER = 0.092  # of the title, on average
-_SCALE_SHARE = 0.22  # of the widest view at most: the length of the scale bar
+_MIN_BAR_HEIGHT, _MAX_BAR_HEIGHT = 1.9, 4.2
+_TITLE_LETTER_WIDTH = 0.092  # mean
+_MAX_SCALE_BAR_SHARE = 0.22  # of the widest view
 
 Image = Callable[[Viewpoint, FloatArray, tuple[int, int]], NDArray[np.uint8]]
 Over = Callable[[Any, Viewpoint, Callable[[FloatArray], FloatArray], float], None]
@@ -43,54 +44,62 @@ def compose(
     label: str = "",
     over: Over | None = None,
 ) -> None:
-    """Draw the views of a frame.
+    """Draw the views of a frame side by side.
 
-    Args:
-        image: of a view, its window and a size in pixels.
-        unit: of lengths, for the scale bar.
-        scale, label: of the colour bar; None: there is none.
-        over: draws something of a view into axes: given is what brings places (N, 2) of its window there, and the
-            factor by which lengths change.
+    Args: image: renders a view, for a window and a size in pixels. frame: the frame. title: title of the picture. unit:
+        unit of lengths, for the scale bar. path: the file to write. look: appearance of the picture. scale: range of
+        the colour bar; None: no colour bar. label: label of the colour bar. over: draws over a view; it gets the axes,
+        the view, a function that maps window positions (N, 2) to the picture,
+            and the factor of lengths.
     """
     ground = look.ground("dark")
     color = ink(ground)
-    inches = min(_WIDTH / float(frame.sizes[:, 0].sum()), _MAX_HEIGHT / float(frame.sizes[:, 1].max()))
+    inches = min(_MAX_WIDTH / float(frame.sizes[:, 0].sum()), _MAX_HEIGHT / float(frame.sizes[:, 1].max()))
     drawn = frame.sizes * inches
-    panels = np.maximum(drawn[:, 0], _MIN_PANEL)
-    height = max(float(drawn[:, 1].max()), _MIN_BAR if scale is not None else 0.5)
-    bar = None if scale is None else _Bar.of(scale, label, float(np.clip(height - 0.5, _MIN_BAR - 0.5, _MAX_BAR)))
-    views, space = float(panels.sum()) + _GAP * (len(VIEWS) + 1), bar.space if bar is not None else 0.0
-    width, whole = max(views + space, _LETTER * len(title) + 2 * _GAP), height + _BELOW + _ABOVE
-    figure, axis = _canvas(width, whole, ground)
-    axis.text(0.5 * width, whole - 0.24, title, color=color, fontsize=14, ha="center", va="center")
-    length = round_length(_SCALE_SHARE * float(panels.max()) / inches)
-    left = 0.5 * (width - views - space) + _GAP
+    panels = np.maximum(drawn[:, 0], _MIN_VIEW_WIDTH)
+    height = max(float(drawn[:, 1].max()), _MIN_BAR_HEIGHT if scale is not None else 0.5)
+    bar = (
+        None
+        if scale is None
+        else _Bar.of(scale, label, float(np.clip(height - 0.5, _MIN_BAR_HEIGHT - 0.5, _MAX_BAR_HEIGHT)))
+    )
+    views, space = float(panels.sum()) + _VIEW_GAP * (len(VIEWS) + 1), bar.space if bar is not None else 0.0
+    width, total_height = (
+        max(views + space, _TITLE_LETTER_WIDTH * len(title) + 2 * _VIEW_GAP),
+        height + _SCALE_BAR_MARGIN + _TITLE_MARGIN,
+    )
+    figure, axis = _canvas(width, total_height, ground)
+    axis.text(0.5 * width, total_height - 0.24, title, color=color, fontsize=14, ha="center", va="center")
+    length = round_length(_MAX_SCALE_BAR_SHARE * float(panels.max()) / inches)
+    left = 0.5 * (width - views - space) + _VIEW_GAP
     for view, window, size, panel in zip(VIEWS, frame.windows, drawn, panels, strict=True):
-        corner = np.array([left + 0.5 * (panel - size[0]), _BELOW + 0.5 * (height - size[1])])
+        corner = np.array([left + 0.5 * (panel - size[0]), _SCALE_BAR_MARGIN + 0.5 * (height - size[1])])
         pixels = max(1, round(size[0] * DPI)), max(1, round(size[1] * DPI))
-        _place(axis, image(view, window, pixels), corner, size)
+        _show_image(axis, image(view, window, pixels), corner, size)
         if over is not None:
             over(axis, view, partial(_inches, corner, window, inches), inches)
-        axis.text(left + 0.5 * panel, whole - 0.58, view.title, color=color, fontsize=11, ha="center", va="center")
+        axis.text(
+            left + 0.5 * panel, total_height - 0.58, view.title, color=color, fontsize=11, ha="center", va="center"
+        )
         _scale_bar(axis, left, length, inches, unit, color)
-        left += panel + _GAP
+        left += panel + _VIEW_GAP
     if bar is not None:
-        bar.draw(axis, left, _BELOW + 0.5 * height, color)
-    axis.set(xlim=(0, width), ylim=(0, whole))
+        bar.draw(axis, left, _SCALE_BAR_MARGIN + 0.5 * height, color)
+    axis.set(xlim=(0, width), ylim=(0, total_height))
     save(figure, path)
 
 
 def save(figure: Any, path: Path) -> None:
-    """In the format that the path's ending names; the same drawing gives the same file."""
+    """Save a figure in the format of the path's extension; the same figure gives the same bytes."""
     kind = path.suffix[1:]
     undated: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    # Dots are noise to a compressor: more of its work takes long and saves little.
+    # Dots hardly compress: a higher level takes longer and saves little.
     quick: dict[str, Any] = {"pil_kwargs": {"compress_level": 2}} if kind == "png" else {}
     figure.savefig(path, facecolor=figure.get_facecolor(), metadata=undated.get(kind), **quick)
 
 
 def _canvas(width: float, height: float, ground: str) -> tuple[Any, Any]:
-    """A figure, and axes over all of it in inches: one pair is drawn far quicker than one a view."""
+    """Return a figure and axes over all of it in inches; one pair of axes is faster than one per view."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -102,26 +111,26 @@ def _canvas(width: float, height: float, ground: str) -> tuple[Any, Any]:
     return figure, axis
 
 
-def _place(axis: Any, image: NDArray[np.uint8], corner: FloatArray, size: FloatArray) -> None:
-    (x, y), (wide, high) = np.round(corner * DPI) / DPI, size  # on whole pixels: not smoothed
+def _show_image(axis: Any, image: NDArray[np.uint8], corner: FloatArray, size: FloatArray) -> None:
+    (x, y), (wide, high) = np.round(corner * DPI) / DPI, size  # aligned to pixels, which avoids smoothing
     axis.imshow(image, extent=(x, x + wide, y, y + high), aspect="auto", interpolation="nearest")
 
 
 def _inches(corner: FloatArray, window: FloatArray, inches: float, at: FloatArray) -> FloatArray:
-    """Where places (N, 2) of a window are in the picture."""
-    places: FloatArray = corner + (at - window[0]) * inches
-    return places
+    """Return the position (N, 2) in the picture of positions (N, 2) in a window."""
+    positions: FloatArray = corner + (at - window[0]) * inches
+    return positions
 
 
 def _bar_label(length: float, unit: str) -> str:
-    """A length with its unit; a unit that is not known is described by several words, too long for a bar."""
+    """Return a length with its unit; the words for an unknown unit are too long for a bar."""
     if len(unit) < 6:
         return f"{length:g} {unit}"
     return "1 unit" if length == 1 else f"{length:g} units"
 
 
 def _scale_bar(axis: Any, left: float, length: float, inches: float, unit: str, color: str) -> None:
-    """Below a view: lengths along its width are true in every one of them."""
+    """Draw a scale bar below a view; horizontal lengths are true in all views."""
     right = left + length * inches
     style = {"color": color, "linewidth": 1.3, "solid_capstyle": "butt", "solid_joinstyle": "miter"}
     axis.plot([left, left, right, right], [0.3, 0.24, 0.24, 0.3], **style)
@@ -129,7 +138,7 @@ def _scale_bar(axis: Any, left: float, length: float, inches: float, unit: str, 
 
 
 class _Bar(NamedTuple):
-    """A colour bar and its words, in inches."""
+    """A colour bar with its texts, in inches."""
 
     scale: Range
     height: float
@@ -139,29 +148,32 @@ class _Bar(NamedTuple):
 
     @classmethod
     def of(cls, scale: Range, label: str, height: float) -> _Bar:
+        """Return the bar of a colour range with its ticks and wrapped texts."""
         from matplotlib.ticker import MaxNLocator
 
         rounding = 1e-9 * scale.high
-        wanted = MaxNLocator(max(3, int(2 * height)), steps=(1, 2, 5, 10)).tick_values(scale.low, scale.high)
-        ticks = [float(t) for t in wanted if scale.low - rounding <= t <= scale.high + rounding]
+        candidates = MaxNLocator(max(3, int(2 * height)), steps=(1, 2, 5, 10)).tick_values(scale.low, scale.high)
+        ticks = [float(t) for t in candidates if scale.low - rounding <= t <= scale.high + rounding]
         ticks = [0.0 if abs(t) < rounding else t for t in ticks]
         return cls(scale, height, ticks, _lines(label, 14 * (height + 0.5)), _lines(scale.note, 17 * (height + 0.5)))
 
     @property
     def label_at(self) -> float:
-        """From its left side."""
+        """Distance of the label from the left side."""
         return _BAR_WIDTH + 0.2 + 0.078 * max(len(_number(tick)) for tick in self.ticks)
 
     @property
     def note_at(self) -> float:
+        """Distance of the note from the left side."""
         return self.label_at + 0.18 * len(self.label) + 0.04
 
     @property
     def space(self) -> float:
+        """Width of the bar with its texts."""
         return self.note_at + 0.135 * len(self.note) + 0.15
 
     def draw(self, axis: Any, left: float, middle: float, color: str) -> None:
-        """With an arrow at each end that values reach beyond."""
+        """Draw the bar, with an arrow at each end beyond which there are values."""
         from matplotlib.patches import Polygon
 
         scale, tip, center = self.scale, 0.14, left + 0.5 * _BAR_WIDTH
@@ -173,8 +185,8 @@ class _Bar(NamedTuple):
         if scale.signed:
             outline.append((center, low - tip))
             ends.append(([outline[4], outline[0], outline[5]], steps[-1, 0]))
-        for corners, of in ends:
-            axis.add_patch(Polygon(corners, facecolor=of / 255, edgecolor="none"))
+        for corners, end_color in ends:
+            axis.add_patch(Polygon(corners, facecolor=end_color / 255, edgecolor="none"))
         axis.add_patch(Polygon(outline, fill=False, edgecolor=color, linewidth=0.8))
         for tick in self.ticks:
             y = low + self.height * (tick - scale.low) / (scale.high - scale.low)
@@ -186,15 +198,15 @@ class _Bar(NamedTuple):
 
 
 def _lines(text: str, letters: float) -> list[str]:
-    """As many as it takes, of about one length."""
-    number = max(1, math.ceil(len(text) / letters))
-    return wrap(text, len(text) // number + (6 if number > 1 else 1))
+    """Wrap a text into lines of about equal length."""
+    count = max(1, math.ceil(len(text) / letters))
+    return wrap(text, len(text) // count + (6 if count > 1 else 1))
 
 
 def _number(value: float) -> str:
     return f"{value:.4g}".replace("-", "−")
 
 
-def titled(*parts: str) -> str:
-    """Parts of a title that are there, with semicolons."""
+def join_title(*parts: str) -> str:
+    """Join the non-empty parts of a title with semicolons."""
     return "; ".join(filter(None, parts))

@@ -1,4 +1,4 @@
-"""The pictures of a report folder by name: what each is drawn from, and by which function."""
+"""The pictures of a report folder by name, with their data and drawing functions."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from pcbench.report.read import Report, ReportedCandidate, read_deformation, rea
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
-    """Those of a folder that `pcbench compare` or `pcbench deform` wrote."""
+    """Return the pictures of a folder written by `pcbench compare` or `pcbench deform`."""
     if (folder / "comparison.json").is_file():
         return _pictures_of_comparison(folder, look)
     return _pictures_of_deformation(folder, look)
 
 
 def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
-    """Those of a folder that `pcbench deform` wrote."""
+    """Return the pictures of a folder written by `pcbench deform`."""
     bend = read_deformation(folder)
     if not (folder / "deformation.ply").is_file():
         return {}
     cloud, field = read_cloud(folder / "aligned.ply"), read_cloud(folder / "deformation.ply")
     frame = maps.frame(None, {"candidate": cloud})
-    return _bends("", bend, cloud, field, cloud.unit or field.unit or "units of the file", frame, look)
+    return _deformation_pictures("", bend, cloud, field, cloud.unit or field.unit or "units of the file", frame, look)
 
 
-def _bends(
+def _deformation_pictures(
     name: str, bend: Deformation, cloud: Cloud, field: Cloud, unit: str, frame: Frame, look: Figures
 ) -> dict[str, Picture]:
     title = f"{name or 'candidate'} against the reference: {bend.verdict} ({bend.model} model)"
-    prefix, still = f"{name}_" if name else "", "the chosen model moves nothing"
+    prefix, reason = f"{name}_" if name else "", "the chosen model has no displacements"
     return {
         f"{prefix}deformation": Picture(lambda path: bends.evidence(bend, field, title, unit, path, look)),
         f"{prefix}displacement": Picture(
-            lambda path: bends.arrows(cloud, field, title, unit, frame, path, look), still
+            lambda path: bends.arrows(cloud, field, title, unit, frame, path, look), reason
         ),
     }
 
@@ -53,35 +53,37 @@ def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
     deviations = {candidate.name: candidate.deviation for candidate in report.candidates}
     cores = {candidate.name: candidate.m3c2 for candidate in report.candidates if candidate.m3c2 is not None}
     frame = maps.frame(report.candidates[0].completeness(), deviations)
-    found = {
-        "distribution": Picture(lambda path: charts.distribution(report, path, look), "no point is off the reference"),
+    named = {
+        "distribution": Picture(lambda path: charts.distribution(report, path, look), "all distances are zero"),
         "reference": Picture(
             lambda path: maps.reference(report.reference(), report.unit, frame, path, look),
-            "the reference's file has gone",
+            "the file of the reference no longer exists",
         ),
     }
     for scalar in dict.fromkeys(name for cloud in deviations.values() for name in cloud.attributes):
-        found |= _maps(deviations, scalar, report, frame, look)
+        named |= _maps(deviations, scalar, report, frame, look)
         if scalar == "distance":
-            found |= _completeness(report, frame, look)
-    found |= _maps(cores, "m3c2_distance", report, frame, look)
+            named |= _completeness(report, frame, look)
+    named |= _maps(cores, "m3c2_distance", report, frame, look)
     for candidate in report.candidates:
         if candidate.field is not None and candidate.deformation is not None:
             bend = candidate.deformation
-            found |= _bends(candidate.name, bend, candidate.deviation, candidate.field, report.unit, frame, look)
-    return found
+            named |= _deformation_pictures(
+                candidate.name, bend, candidate.deviation, candidate.field, report.unit, frame, look
+            )
+    return named
 
 
 def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame, look: Figures) -> dict[str, Picture]:
-    """The pictures of one scalar, a candidate each."""
+    """Return the pictures of one scalar, one per candidate."""
     values = {
         name: np.asarray(cloud.attributes[scalar], dtype=np.float64)
         for name, cloud in clouds.items()
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
-    known = {name: of[np.isfinite(of)] for name, of in values.items()}
-    signed = any(bool((of < 0).any()) for of in known.values())
-    highest = {name: largest_but_strays(of) for name, of in known.items()}
+    finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
+    signed = any(bool((scalars < 0).any()) for scalars in finite.values())
+    highest = {name: largest_but_strays(scalars) for name, scalars in finite.items()}
     scales = ranges(highest, spacing=report.spacing_median, signed=signed, given=look.range)
     label = f"{maps.LABELS.get(scalar, scalar.replace('_', ' '))} [{report.unit}]"
     noun = "core point" if scalar.startswith("m3c2") else "point"
@@ -96,9 +98,9 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame
 
 
 def _completeness(report: Report, frame: Frame, look: Figures) -> dict[str, Picture]:
-    """The reference by its distance to each candidate: bright where something is missing from it."""
-    having = [candidate for candidate in report.candidates if candidate.has_completeness]
-    highest = {candidate.name: candidate.percentiles_completeness["p95"] for candidate in having}
+    """Return maps of the reference coloured by its distance to each candidate, which show missing parts."""
+    mapped = [candidate for candidate in report.candidates if candidate.has_completeness]
+    highest = {candidate.name: candidate.percentiles_completeness["p95"] for candidate in mapped}
     scales = ranges(highest, spacing=report.spacing_median, given=look.range)
     label = f"{maps.LABELS['completeness']} [{report.unit}]"
 
@@ -112,4 +114,4 @@ def _completeness(report: Report, frame: Frame, look: Figures) -> dict[str, Pict
 
         return Picture(draw)
 
-    return {f"{candidate.name}_completeness": picture(candidate, scales[candidate.name]) for candidate in having}
+    return {f"{candidate.name}_completeness": picture(candidate, scales[candidate.name]) for candidate in mapped}

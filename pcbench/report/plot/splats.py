@@ -1,5 +1,6 @@
-"""Points as an image: each a round dot in a parallel view, the nearest on top. Needs no graphics library, so it works,
-and looks the same, on every machine.
+"""Rendering of points as round dots in a parallel view, the nearest on top.
+
+It needs no graphics library, so that pictures are the same on each machine.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.plot.views import Viewpoint
 
-_FINER = 2  # drawn so many times larger and averaged: round dots, smooth edges
-_FUZZ = 0.01  # of a view's height: depths that are told apart no more
-_MIN_DOT, _MAX_DOT = 2.2, 9.0  # pixels
+_SUPERSAMPLING = 2  # along each side, for round dots with smooth edges
+_DEPTH_TOLERANCE_SHARE = 0.01  # of a view's height; points within this depth are drawn in random order
+_MIN_DOT_PX, _MAX_DOT_PX = 2.2, 9.0
 
 
 def splat(
@@ -25,32 +26,36 @@ def splat(
     *,
     shaded: bool = False,
 ) -> NDArray[np.uint8]:
-    """An image (height, width, 3) of what of the points is in the window.
+    """Render the points inside a window as an image (height, width, 3).
 
     Args:
-        points: (N, 3) from the centre that the window (2, 2) is about.
-        colors: (N, 3).
-        pixels: width and height.
-        ground: colour (3,) where there is no point.
-        shaded: whether places behind others' edges are darkened, which shows shapes. Never where colours are values.
+        points: (N, 3) relative to the centre of the frame.
+        colors: (N, 3) colours.
+        view: the viewpoint.
+        window: (2, 2) lower left and upper right corner of the window.
+        pixels: width and height of the image.
+        ground: (3,) background colour.
+        shaded: whether to darken points behind edges, which shows shapes; not for colours that represent values.
     """
-    width, height = _FINER * pixels[0], _FINER * pixels[1]
+    width, height = _SUPERSAMPLING * pixels[0], _SUPERSAMPLING * pixels[1]
     right, up, toward = points @ view.axes.T[:, 0], points @ view.axes.T[:, 1], points @ view.axes.T[:, 2]
     (left, bottom), (_, top) = window
     scale = height / (top - bottom)
     column, row = ((right - left) * scale).astype(np.int64), ((top - up) * scale).astype(np.int64)
-    seen = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
-    dot = float(np.clip(1.3 * np.sqrt(pixels[0] * pixels[1] / max(len(seen), 1)), _MIN_DOT, _MAX_DOT))
-    radius = 0.5 * dot * _FINER
+    inside = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
+    dot = float(np.clip(1.3 * np.sqrt(pixels[0] * pixels[1] / max(len(inside), 1)), _MIN_DOT_PX, _MAX_DOT_PX))
+    radius = 0.5 * dot * _SUPERSAMPLING
     edge = int(radius)
     if shaded:
-        order = seen[np.argsort(toward[seen])]  # from back to front: of several in one place the last one stays
+        order = inside[np.argsort(toward[inside])]  # from back to front: the last point at a pixel is visible
     else:
-        order = _fair(seen, column, row, toward, max(1, round(2 * radius)), _FUZZ * float(top - bottom))
+        order = _random_order(
+            inside, column, row, toward, max(1, round(2 * radius)), _DEPTH_TOLERANCE_SHARE * float(top - bottom)
+        )
     across = width + 2 * edge
-    place = (row[order] + edge) * across + column[order] + edge
-    top_most = np.zeros(across * (height + 2 * edge), dtype=np.int32)  # 1 + the place in the order; 0 for none
-    top_most[place] = np.arange(1, len(order) + 1)
+    position = (row[order] + edge) * across + column[order] + edge
+    top_most = np.zeros(across * (height + 2 * edge), dtype=np.int32)  # 1 + the index in the order; 0 for none
+    top_most[position] = np.arange(1, len(order) + 1)
     centers = np.flatnonzero(top_most)
     rank = top_most[centers]
     for down in range(-edge, edge + 1):
@@ -63,36 +68,40 @@ def splat(
     fine = palette[image].astype(np.uint16)
     if shaded:
         fine = (fine * _shade(image, toward[order], float(top - bottom))[..., None]).astype(np.uint16)
-    parts = [fine[down::_FINER, along::_FINER] for down in range(_FINER) for along in range(_FINER)]
+    parts = [
+        fine[down::_SUPERSAMPLING, along::_SUPERSAMPLING]
+        for down in range(_SUPERSAMPLING)
+        for along in range(_SUPERSAMPLING)
+    ]
     small = sum(parts[1:], start=parts[0]) + len(parts) // 2
     return (small // len(parts)).astype(np.uint8)
 
 
-def _fair(
-    seen: NDArray[np.int64],
+def _random_order(
+    inside: NDArray[np.int64],
     column: NDArray[np.int64],
     row: NDArray[np.int64],
     toward: FloatArray,
     side: int,
     fuzz: float,
 ) -> NDArray[np.int64]:
-    """Of the rows `seen` those that nothing hides, in an order left to chance.
+    """Return the visible points in random order.
 
-    The nearest points of a rough surface alone would tell of what lies above it, and not of the rest: whatever is
-    less than `fuzz` behind the nearest one in a square of `side` has the same chance.
+    Drawing only the nearest points would show the top of a noisy surface and make it look lifted. Points less than
+    `fuzz` behind the nearest one in a square of `side` pixels therefore have equal probability.
     """
-    down = row[seen] // side
-    cell = down * (int(column[seen].max(initial=0)) // side + 1) + column[seen] // side
+    down = row[inside] // side
+    cell = down * (int(column[inside].max(initial=0)) // side + 1) + column[inside] // side
     nearest = np.full(int(cell.max(initial=0)) + 1, -np.inf)
-    np.maximum.at(nearest, cell, toward[seen])
-    visible = seen[toward[seen] >= nearest[cell] - fuzz]
+    np.maximum.at(nearest, cell, toward[inside])
+    visible = inside[toward[inside] >= nearest[cell] - fuzz]
     return np.random.default_rng(0).permutation(visible)
 
 
 def _shade(image: NDArray[np.int32], depths: FloatArray, extent: float) -> NDArray[np.float32]:
-    """Of each pixel, from 0.35 to 1: eye-dome lighting (Boucheny 2009), darker the farther its neighbours stand out.
+    """Return the brightness of each pixel, 0.35 to 1, by eye-dome lighting (Boucheny 2009).
 
-    `depths` (N,) are toward the viewer; what lies a hundredth of the extent behind its neighbours is dark.
+    A pixel is darker the farther it lies behind its neighbours. `depths` (N,) point towards the viewer.
     """
     known = image > 0
     far = float(depths.min(initial=0.0)) - extent
@@ -100,7 +109,7 @@ def _shade(image: NDArray[np.int32], depths: FloatArray, extent: float) -> NDArr
     hidden = np.zeros_like(depth)
     for step in (2, 5):
         for axis in (0, 1):
-            for way in (-step, step):
-                near = np.roll(depth, way, axis=axis)
+            for offset in (-step, step):
+                near = np.roll(depth, offset, axis=axis)
                 hidden += np.clip(near - depth, 0, 0.02 * extent)
     return np.where(known, np.maximum(np.exp(-hidden * (12.0 / extent)), 0.35), 1.0).astype(np.float32)

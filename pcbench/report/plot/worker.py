@@ -1,8 +1,8 @@
 """The drawing process: `python -m pcbench.report.plot.worker FOLDER MODULE:FUNCTION FIGURES [NAME...]`.
 
-FIGURES is how they shall look, as JSON. The function says which pictures the folder has
-(`pcbench.report.plot.Drawer`); they are written into FOLDER/figures, and the names of the files are printed. A user's
-mistake is printed as one line, with exit code 2.
+FIGURES is the appearance of the pictures as JSON. The function returns the pictures of the folder
+(`pcbench.report.plot.Drawer`). They are written into FOLDER/figures, and the names of the files are printed. A user
+error is printed as one line, with exit code 2.
 """
 
 from __future__ import annotations
@@ -21,40 +21,49 @@ from pcbench.report.read import damage_in_one_line
 
 
 def draw(folder: Path, function: str, look: Figures, wanted: Sequence[str] = ()) -> list[Path]:
-    """Draw all pictures, or those that are wanted, each in the format that its name ends with, or in that of `look`;
-    the files that were written, relative to the folder.
+    """Draw all or some pictures of a folder.
+
+    Args:
+        folder: the folder.
+        function: `module:function` that returns its pictures.
+        look: appearance of the pictures.
+        wanted: names of pictures; an extension selects the format.
+
+    Returns:
+        The written files, relative to the folder.
 
     Raises:
         PcbenchError: there is no such picture, or the folder is damaged.
     """
     module, _, name = function.partition(":")
     pictures: Mapping[str, Picture] = getattr(import_module(module), name)(folder, look)
-    asked = [_split(name, pictures, look) for name in wanted]
-    if unknown := [name for name, _ in asked if name not in pictures]:
+    requested = [_split(name, pictures, look) for name in wanted]
+    if unknown := [name for name, _ in requested if name not in pictures]:
         raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}")
     (folder / "figures").mkdir(exist_ok=True)
     written = []
     with _colors_of(look):
-        for name, ending in asked or [(name, look.format) for name in pictures]:
+        for name, ending in requested or [(name, look.format) for name in pictures]:
             path = folder / "figures" / f"{name}.{ending}"
             if pictures[name].draw(path):
                 written.append(path.relative_to(folder))
-            elif asked:
-                raise PcbenchError(f"no picture {name!r}: {pictures[name].why_not}")
+            elif requested:
+                raise PcbenchError(f"no picture {name!r}: {pictures[name].reason}")
     return written
 
 
 def _split(name: str, pictures: Mapping[str, Picture], look: Figures) -> tuple[str, str]:
-    """Name and format of what a user asked for."""
+    """Return the name and the format of a requested picture."""
     stem, dot, ending = name.rpartition(".")
     return (stem, ending) if name not in pictures and dot and ending in FORMATS else (name, look.format)
 
 
 def main() -> int:
-    folder, function, chosen, *wanted = sys.argv[1:]
+    """Draw the pictures and return the exit code."""
+    folder, function, style, *wanted = sys.argv[1:]
     try:
         with damage_in_one_line(Path(folder)):
-            written = draw(Path(folder), function, Figures(**json.loads(chosen)), wanted)
+            written = draw(Path(folder), function, Figures(**json.loads(style)), wanted)
     except PcbenchError as error:
         print(" ".join(str(error).split()))
         return 2
@@ -63,16 +72,16 @@ def main() -> int:
 
 
 def _colors_of(look: Figures) -> AbstractContextManager[None]:
-    """Of charts: everything that has no colour of its own is read on the chosen background."""
+    """Return a context with readable default colours on the chosen background."""
     import matplotlib
 
     ground = look.ground("white")
     dark = ink(ground)
-    grounds = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), ground)
+    backgrounds = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), ground)
     inks = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), dark)
-    # Words stay words, which can be edited and searched; the same ids in the same file every time.
+    # Text stays text, which can be edited and searched; ids are the same in each run.
     files = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "pcbench"}
-    return matplotlib.rc_context({**grounds, **inks, **files})
+    return matplotlib.rc_context({**backgrounds, **inks, **files})
 
 
 if __name__ == "__main__":
