@@ -16,7 +16,7 @@ from pcbench.extras import require
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
 from pcbench.io.files import Warn
-from pcbench.io.polygons import merged
+from pcbench.io.polygons import merge_vertices
 from pcbench.regular_files import regular_status
 from pcbench.scratch import scratch_folder
 
@@ -40,13 +40,13 @@ def read_glb(path: Path, warn: Warn) -> Mesh:
             raise InputError(
                 f"truncated: {size} of {length} bytes" if length > size else f"{size - length} bytes too many"
             )
-        place = 12
-        while place < size:
-            file.seek(place)
+        offset = 12
+        while offset < size:
+            file.seek(offset)
             (chunk,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
-            place += 8 + chunk
-        if place != size:
-            raise InputError(f"truncated: the last chunk ends at byte {place} of {size}")
+            offset += 8 + chunk
+        if offset != size:
+            raise InputError(f"truncated: the last chunk ends at byte {offset} of {size}")
     return _read_with_trimesh(path)
 
 
@@ -56,7 +56,7 @@ def read_gltf(path: Path, warn: Warn) -> Mesh:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"expected glTF, which is JSON: {str(error)[:100]}") from error
-    for uri in _uris(content):
+    for uri in _external_uris(content):
         try:
             regular_status(path.parent / unquote(uri))
         except InputError as error:
@@ -66,7 +66,7 @@ def read_gltf(path: Path, warn: Warn) -> Mesh:
     return _read_with_trimesh(path)
 
 
-def _uris(content: Any) -> list[str]:
+def _external_uris(content: Any) -> list[str]:
     """The files beside a glTF file that it names."""
     parts = [content.get(kind) for kind in ("buffers", "images")] if isinstance(content, dict) else []
     entries = [entry for part in parts if isinstance(part, list) for entry in part if isinstance(entry, dict)]
@@ -90,8 +90,8 @@ def _read_with_trimesh(path: Path) -> Mesh:
             raise InputError(f"cannot be read: trimesh is not through with it after {2 * seconds} s")
         if done.code:
             require("trimesh")
-            said = done.last_words or f"it ended with {done.code}"
-            reason = "".join(c if c.isprintable() else " " for c in said)[:200]
+            reason_given = done.last_words or f"it ended with {done.code}"
+            reason = "".join(c if c.isprintable() else " " for c in reason_given)[:200]
             raise InputError(f"trimesh cannot read it: {reason}")
         vertices, faces = (np.load(output, allow_pickle=False) for output in outputs)
-    return merged(Mesh(vertices, faces, unit="m"))
+    return merge_vertices(Mesh(vertices, faces, unit="m"))

@@ -23,8 +23,8 @@ from pcbench.regular_files import open_regular
 EXTENSIONS = (".jpg", ".jpeg", ".png")
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_STANDALONE = {0x01, *range(0xD0, 0xD8)}  # markers without a length
-_START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # the three others are tables
+_STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
+_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # the three others are tables
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
 
 
@@ -79,13 +79,13 @@ def _jpeg(file: BinaryIO) -> ImageHeader:
             marker = marker[1:] + file.read(1)
         if len(marker) < 2 or marker[0] != 0xFF or marker[1] == _START_OF_SCAN:
             raise InputError("expected a JPEG with its size before the pixels: the image is cut off or damaged")
-        if marker[1] in _STANDALONE:
+        if marker[1] in _STANDALONE_MARKERS:
             continue
         length_bytes = file.read(2)
         length = int.from_bytes(length_bytes, "big")
         if len(length_bytes) < 2 or length < 2:
             raise InputError("expected a JPEG with its size before the pixels: the image is cut off or damaged")
-        if marker[1] in _START_OF_FRAME:
+        if marker[1] in _FRAME_MARKERS:
             frame = file.read(5)
             if len(frame) < 5:
                 raise InputError("expected a JPEG with its size before the pixels: the image is cut off or damaged")

@@ -11,8 +11,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.regular_files import read_text
 
-K_MATRIX = "K.txt"  # the name of the file
-_FACTORS = (1, 2, 3, 4, 6, 8)  # by which data sets reduce their images
+K_MATRIX_FILE = "K.txt"  # the name of the file
+_REDUCTION_FACTORS = (1, 2, 3, 4, 6, 8)  # by which data sets reduce their images
 _MAX_OFF_CENTER = 0.1  # of a principal point, in image sizes: lenses are mounted better than that
 
 
@@ -48,12 +48,12 @@ def intrinsics_from_k(k: FloatArray, width: int, height: int) -> tuple[Intrinsic
     Raises:
         InputError: the principal point is near no such middle.
     """
-    for factor in _FACTORS:
-        off = np.array([k[0, 2] / (factor * width), k[1, 2] / (factor * height)]) - 0.5
-        if np.abs(off).max() <= _MAX_OFF_CENTER:
+    for factor in _REDUCTION_FACTORS:
+        offset = np.array([k[0, 2] / (factor * width), k[1, 2] / (factor * height)]) - 0.5
+        if np.abs(offset).max() <= _MAX_OFF_CENTER:
             full = Intrinsics(factor * width, factor * height, k[0, 0], k[1, 1], k[0, 2], k[1, 2])
             return full.resized(width, height), factor
     raise InputError(
         f"K has its principal point at ({k[0, 2]:g}, {k[1, 2]:g}), which is not near the middle of an image of"
-        f" {width} x {height} pixels, nor of one up to {_FACTORS[-1]} times as large: give K for these images"
+        f" {width} x {height} pixels, nor of one up to {_REDUCTION_FACTORS[-1]} times as large: give K for these images"
     )

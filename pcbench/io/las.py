@@ -20,13 +20,13 @@ from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.las_checks import check_points
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
 from pcbench.io.las_header import (
-    EXTRA,
+    EXTRA_LAYOUT,
     EXTRA_TYPES,
     HEADER,
     HEADER_1_4,
     POINT_FORMATS,
     VLR,
-    Extra,
+    ExtraDimension,
     LasHeader,
     read_extras,
     read_header,
@@ -36,7 +36,7 @@ _AXES = ("X", "Y", "Z")
 _NORMALS = (("NormalX", "NormalY", "NormalZ"), ("nx", "ny", "nz"))
 _COLORS = ("red", "green", "blue")
 # The standard dimensions that are kept as attributes, with the type they are written in.
-_STANDARD: dict[str, np.dtype[Any]] = {
+_STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "intensity": np.dtype("u2"),
     "classification": np.dtype("u1"),
     "return_number": np.dtype("u1"),
@@ -45,7 +45,7 @@ _STANDARD: dict[str, np.dtype[Any]] = {
     "point_source_id": np.dtype("u2"),
 }
 # What readers call the dimensions of points: an attribute of one of these names would get in their way.
-_RESERVED = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
+_RESERVED_NAMES = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
     *("scan_angle_rank", "synthetic", "key_point", "withheld", "overlap", "scanner_channel"),
     *("scan_direction_flag", "edge_of_flight_line", "raw_classification", "bit_fields", "classification_flags"),
 }
@@ -89,22 +89,22 @@ def read_las(
             file.readinto(data.data)
     records = data.view(_record_type(header, extras))
     check_points(records, *_returns(records, header), header, warn)
-    withheld = records["flags"] & 4 if header.extended else records["class_flags"] & 128
+    withheld = records["flags"] & 4 if header.is_extended else records["class_flags"] & 128
     if count := int(np.count_nonzero(withheld)):
         warn(f"{count} of {header.count} points are marked as withheld; they were kept")
     if classes is not None or returns is not None:
-        records = _filtered(records, header, classes, returns)
+        records = _filter_records(records, header, classes, returns)
     return _fields(records, header, extras, warn)
 
 
-def _record_type(header: LasHeader, extras: list[Extra]) -> np.dtype[Any]:
+def _record_type(header: LasHeader, extras: list[ExtraDimension]) -> np.dtype[Any]:
     """A point record; extra dimensions are named by their number, for their own names may be anything."""
     standard = np.dtype(POINT_FORMATS[header.point_format])
-    fields = {name: (dtype, place) for name, (dtype, place, *_) in (standard.fields or {}).items()}
-    place = standard.itemsize
-    for number, extra in enumerate(extras):
-        fields[f"extra {number}"] = (np.dtype((extra.dtype, (extra.size,))), place)
-        place += extra.size * extra.dtype.itemsize
+    fields = {name: (dtype, byte_offset) for name, (dtype, byte_offset, *_) in (standard.fields or {}).items()}
+    byte_offset = standard.itemsize
+    for index, extra in enumerate(extras):
+        fields[f"extra {index}"] = (np.dtype((extra.dtype, (extra.size,))), byte_offset)
+        byte_offset += extra.size * extra.dtype.itemsize
     return np.dtype(
         {
             "names": list(fields),
@@ -116,39 +116,39 @@ def _record_type(header: LasHeader, extras: list[Extra]) -> np.dtype[Any]:
 
 
 def _classes(records: NDArray[Any], header: LasHeader) -> NDArray[Any]:
-    return records["classification"] if header.extended else records["class_flags"] & 31
+    return records["classification"] if header.is_extended else records["class_flags"] & 31
 
 
 def _returns(records: NDArray[Any], header: LasHeader) -> tuple[NDArray[Any], NDArray[Any]]:
     """Number of each return, and how many its pulse had."""
-    if header.extended:
+    if header.is_extended:
         return records["returns"] & 15, records["returns"] >> 4
     return records["returns"] & 7, records["returns"] >> 3 & 7
 
 
-def _filtered(
+def _filter_records(
     records: NDArray[Any], header: LasHeader, classes: Collection[int] | None, returns: str | Collection[int] | None
 ) -> NDArray[Any]:
-    present, (number, of) = _classes(records, header), _returns(records, header)
+    present, (return_number, return_count) = _classes(records, header), _returns(records, header)
     keep = np.ones(len(records), dtype=np.bool_)
     if classes is not None:
-        keep &= np.isin(present, _numbers("classes as", classes))
+        keep &= np.isin(present, _parse_numbers("classes as", classes))
     if returns == "first":
-        keep &= number == 1
+        keep &= return_number == 1
     elif returns == "last":
-        keep &= number == of
+        keep &= return_number == return_count
     elif returns is not None:
-        keep &= np.isin(number, _numbers("returns as 'first', 'last' or", returns))
+        keep &= np.isin(return_number, _parse_numbers("returns as 'first', 'last' or", returns))
     if not keep.any():
-        asked = [f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None]
+        filters = [f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None]
         raise InputError(
-            f"no point is left by {' and '.join(asked)}: the file has {_counts('class', present)};"
-            f" {_counts('return', number)}"
+            f"no point is left by {' and '.join(filters)}: the file has {_format_counts('class', present)};"
+            f" {_format_counts('return', return_number)}"
         )
     return records[keep]
 
 
-def _numbers(what: str, wanted: str | Collection[int]) -> list[int]:
+def _parse_numbers(what: str, wanted: str | Collection[int]) -> list[int]:
     try:
         numbers = [int(number) for number in (wanted.split(",") if isinstance(wanted, str) else wanted)]
     except (TypeError, ValueError):
@@ -158,12 +158,12 @@ def _numbers(what: str, wanted: str | Collection[int]) -> list[int]:
     return numbers
 
 
-def _counts(what: str, values: NDArray[Any]) -> str:
+def _format_counts(what: str, values: NDArray[Any]) -> str:
     counts = np.bincount(values)
     return ", ".join(f"{what} {value} ({counts[value]} points)" for value in np.flatnonzero(counts))
 
 
-def _fields(records: NDArray[Any], header: LasHeader, extras: list[Extra], warn: Warn) -> Fields:
+def _fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> Fields:
     attributes: dict[str, NDArray[Any]] = {"intensity": records["intensity"].copy()}
     attributes["classification"] = _classes(records, header).copy()
     attributes["return_number"], attributes["number_of_returns"] = _returns(records, header)
@@ -198,7 +198,7 @@ def _fields(records: NDArray[Any], header: LasHeader, extras: list[Extra], warn:
     )
 
 
-def _extra_columns(extra: Extra, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
+def _extra_columns(extra: ExtraDimension, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
     """The numbers (N, size) of an extra dimension as named columns: "name", or "name[0]", "name[1]"."""
     columns = []
     for k in range(extra.size if extra.name else 0):
@@ -249,8 +249,8 @@ def _write(path: Path, cloud: Cloud) -> None:
     compressed = path.suffix.lower() == ".laz"
     if path.name.lower().endswith(".copc.laz"):
         raise InputError("COPC is read but not written: write a plain .laz or .las")
-    scale, offsets, integers = _quantised(cloud)
-    standard, extras = _assigned(cloud)
+    scale, offsets, integers = _quantise(cloud)
+    standard, extras = _assign_attributes(cloud)
     point_format = 6 if cloud.colors is None else 7
     layout = np.dtype(
         POINT_FORMATS[point_format] + [(f"extra {k}", a.dtype.str) for k, a in enumerate(extras.values())]
@@ -261,9 +261,9 @@ def _write(path: Path, cloud: Cloud) -> None:
     for name in ("intensity", "classification", "gps_time", "point_source_id"):
         if name in standard:
             records[name] = standard[name]
-    number = standard.get("return_number", np.ones(len(cloud), np.uint8))
-    of = standard.get("number_of_returns", np.maximum(number, 1))
-    records["returns"] = number | of << 4
+    return_number = standard.get("return_number", np.ones(len(cloud), np.uint8))
+    return_count = standard.get("number_of_returns", np.maximum(return_number, 1))
+    records["returns"] = return_number | return_count << 4
     if cloud.colors is not None:
         for name, column in zip(_COLORS, cloud.colors.T, strict=True):
             records[name] = column * np.uint16(257)  # 255 becomes 65535
@@ -275,14 +275,14 @@ def _write(path: Path, cloud: Cloud) -> None:
     if cloud.crs:
         vlrs[WKT] = to_wkt(cloud.crs)
     if extras:
-        vlrs["LASF_Spec", 4] = b"".join(_description(name, column) for name, column in extras.items())
+        vlrs["LASF_Spec", 4] = b"".join(_describe_extra(name, column) for name, column in extras.items())
     if compressed:
         vlrs[laz.LASZIP] = laz.laszip_record(point_format, extra_bytes)
     if any(len(data) > 0xFFFF for data in vlrs.values()) or layout.itemsize > 0xFFFF:
         raise InputError(f"{len(extras)} attributes or the crs are more than LAS can describe: write a .ply")
-    block = b"".join(VLR.pack(0, user.encode(), number, len(data), b"") + data for (user, number), data in vlrs.items())
+    block = b"".join(VLR.pack(0, user.encode(), record_id, len(data), b"") + data for (user, record_id), data in vlrs.items())
     corners = np.stack([integers.max(axis=0), integers.min(axis=0)], axis=1) * scale + offsets[:, None]
-    by_return = np.bincount(number, minlength=16)[1:16].tolist()
+    by_return = np.bincount(return_number, minlength=16)[1:16].tolist()
     head = HEADER.pack(
         b"LASF", 0, 16 if cloud.crs else 0, b"", 1, 4, b"pcbench", b"pcbench", 0, 0,  # 16: the system is given as WKT
         HEADER.size + HEADER_1_4.size, HEADER.size + HEADER_1_4.size + len(block), len(vlrs),
@@ -291,13 +291,13 @@ def _write(path: Path, cloud: Cloud) -> None:
     ) + HEADER_1_4.pack(0, 0, 0, len(cloud), *by_return)  # fmt: skip
     points = records.view(np.uint8).data
     if compressed:
-        points = laz.compressed(points, vlrs[laz.LASZIP], len(head + block))
+        points = laz.compress(points, vlrs[laz.LASZIP], len(head + block))
     with atomic_write(path) as file:
         file.write(head + block)
         file.write(points)
 
 
-def _quantised(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int32]]:
+def _quantise(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int32]]:
     """Scale, offsets (3,) and integers (N, 3)."""
     low, high = cloud.bounds
     extent = float((high - low).max())
@@ -312,7 +312,7 @@ def _quantised(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int
     return scale, offsets, np.round((cloud.points - offsets) / scale).astype(np.int32)
 
 
-def _assigned(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+def _assign_attributes(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
     """Attributes by where they go: standard dimensions and extra bytes, both in the types written."""
     standard: dict[str, NDArray[Any]] = {}
     extras: dict[str, NDArray[Any]] = {}
@@ -321,15 +321,15 @@ def _assigned(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[
     for name, values in cloud.attributes.items():
         if values.dtype.kind not in "biuf":
             raise InputError(f"expected attribute {name!r} as numbers, got {values.dtype}")
-        if name in _STANDARD:
+        if name in _STANDARD_TYPES:
             with np.errstate(invalid="ignore", over="ignore"):
-                standard[name] = values.astype(_STANDARD[name])
+                standard[name] = values.astype(_STANDARD_TYPES[name])
             highest = 15 if "return" in name else np.inf
             if not np.array_equal(standard[name], values, equal_nan=True) or (standard[name] > highest).any():
-                limit = 15 if "return" in name else np.iinfo(_STANDARD[name]).max
+                limit = 15 if "return" in name else np.iinfo(_STANDARD_TYPES[name]).max
                 raise InputError(f"expected attribute {name!r} as whole numbers 0 to {limit}: rename or rescale it")
             continue
-        if name in extras or name.lower() in _RESERVED or not name.isprintable() or not 0 < len(name.encode()) <= 32:
+        if name in extras or name.lower() in _RESERVED_NAMES or not name.isprintable() or not 0 < len(name.encode()) <= 32:
             raise InputError(f"expected attribute names of 1 to 32 bytes that LAS does not use itself, got {name!r}")
         if values.dtype.kind == "b":
             values = values.astype(np.uint8)
@@ -339,6 +339,6 @@ def _assigned(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[
     return standard, extras
 
 
-def _description(name: str, column: NDArray[Any]) -> bytes:
+def _describe_extra(name: str, column: NDArray[Any]) -> bytes:
     kind = EXTRA_TYPES.index(column.dtype.str.lstrip("|")) + 1
-    return EXTRA.pack(b"", kind, 0, name.encode(), b"", b"", b"", b"", *[0.0] * 6, b"")
+    return EXTRA_LAYOUT.pack(b"", kind, 0, name.encode(), b"", b"", b"", b"", *[0.0] * 6, b"")

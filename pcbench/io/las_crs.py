@@ -14,7 +14,7 @@ WKT, GEO_KEYS = ("LASF_Projection", 2112), ("LASF_Projection", 34735)
 # GeoTIFF keys, and the EPSG codes of units in them.
 _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL = 2048, 3072, 3076, 4096
 _UNIT_CODES = {9001: "m", 9002: "ft", 9003: "US-ft"}
-_METRES = {1.0: "m", 0.3048: "ft", 0.3048006096: "US-ft"}  # units by their length, to ten digits
+_UNITS_BY_METRES = {1.0: "m", 0.3048: "ft", 0.3048006096: "US-ft"}  # units by their length, to ten digits
 
 
 def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | None, str | None]:
@@ -45,7 +45,7 @@ def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | N
 def _unit(crs: Any, warn: Warn) -> str | None:
     """The unit of x; heights in another one are worth a warning, for a distance then mixes the two."""
     units = [
-        "deg" if axis.unit_name == "degree" else _METRES.get(round(axis.unit_conversion_factor, 10), axis.unit_name)
+        "deg" if axis.unit_name == "degree" else _UNITS_BY_METRES.get(round(axis.unit_conversion_factor, 10), axis.unit_name)
         for axis in crs.axis_info
     ]
     if len(units) == 3 and units[2] != units[0]:

@@ -21,39 +21,39 @@ VLR = struct.Struct("<H 16s H H 32s")
 EVLR = struct.Struct("<H 16s H Q 32s")
 
 _XYZI = [("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"), ("intensity", "<u2"), ("returns", "u1")]
-_OLD = [*_XYZI, ("class_flags", "u1"), ("scan_angle", "i1"), ("user_data", "u1"), ("point_source_id", "<u2")]
-_NEW = [*_XYZI, ("flags", "u1"), ("classification", "u1"), ("user_data", "u1"), ("scan_angle", "<i2")]
-_NEW += [("point_source_id", "<u2"), ("gps_time", "<f8")]
+_LEGACY = [*_XYZI, ("class_flags", "u1"), ("scan_angle", "i1"), ("user_data", "u1"), ("point_source_id", "<u2")]
+_EXTENDED = [*_XYZI, ("flags", "u1"), ("classification", "u1"), ("user_data", "u1"), ("scan_angle", "<i2")]
+_EXTENDED += [("point_source_id", "<u2"), ("gps_time", "<f8")]
 _GPS = [("gps_time", "<f8")]
 _RGB = [("red", "<u2"), ("green", "<u2"), ("blue", "<u2")]
 _NIR = [("nir", "<u2")]
 _WAVE = [("wave_packet", "V29")]
 POINT_FORMATS = (
-    _OLD,
-    _OLD + _GPS,
-    _OLD + _RGB,
-    _OLD + _GPS + _RGB,
-    _OLD + _GPS + _WAVE,
-    _OLD + _GPS + _RGB + _WAVE,
-    _NEW,
-    _NEW + _RGB,
-    _NEW + _RGB + _NIR,
-    _NEW + _WAVE,
-    _NEW + _RGB + _NIR + _WAVE,
+    _LEGACY,
+    _LEGACY + _GPS,
+    _LEGACY + _RGB,
+    _LEGACY + _GPS + _RGB,
+    _LEGACY + _GPS + _WAVE,
+    _LEGACY + _GPS + _RGB + _WAVE,
+    _EXTENDED,
+    _EXTENDED + _RGB,
+    _EXTENDED + _RGB + _NIR,
+    _EXTENDED + _WAVE,
+    _EXTENDED + _RGB + _NIR + _WAVE,
 )
 
 # The types of extra bytes by their number, from 1; 11 to 20 and 21 to 30 are pairs and triples of the same.
 EXTRA_TYPES = ("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8")
-EXTRA = struct.Struct("<2s BB 32s 4s 24s 24s 24s 3d 3d 32s")
+EXTRA_LAYOUT = struct.Struct("<2s BB 32s 4s 24s 24s 24s 3d 3d 32s")
 EXTRA_NO_DATA, EXTRA_SCALE, EXTRA_OFFSET = 1, 8, 16  # bits of a description's options
 
 _MAX_RECORDS = 10_000  # real files have a dozen
 _MAX_RECORD_BYTES = 1 << 20  # bytes; longer extended records (waveforms, COPC's hierarchy) are of no interest here
 # The variable length records that are read: coordinate system, extra bytes, LASzip.
-_WANTED = {("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4), ("laszip encoded", 22204)}
+_READ_RECORDS = {("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4), ("laszip encoded", 22204)}
 
 
-class Extra(NamedTuple):
+class ExtraDimension(NamedTuple):
     """One described dimension behind the standard ones of a point record; `size` numbers of type `dtype`."""
 
     name: str
@@ -81,7 +81,7 @@ class LasHeader:
     by_return: tuple[int, ...]  # how many points are the first, second, ... return; empty where all are zero
 
     @property
-    def extended(self) -> bool:
+    def is_extended(self) -> bool:
         """Point formats 6 to 10: wider return numbers and classes."""
         return self.point_format >= 6
 
@@ -152,39 +152,39 @@ def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
 
 
 def _read_records(
-    file: BinaryIO, layout: struct.Struct, count: int, place: int, end: int
+    file: BinaryIO, layout: struct.Struct, count: int, offset: int, end: int
 ) -> dict[tuple[str, int], bytes]:
     """The wanted ones of `count` records between two bytes; of several alike the first."""
-    if count > min(_MAX_RECORDS, max(end - place, 0) // layout.size):
-        raise InputError(f"{count} variable length records do not fit between byte {place} and {end}: damaged header")
+    if count > min(_MAX_RECORDS, max(end - offset, 0) // layout.size):
+        raise InputError(f"{count} variable length records do not fit between byte {offset} and {end}: damaged header")
     records: dict[tuple[str, int], bytes] = {}
     for number in range(count):
-        file.seek(place)
-        head = file.read(layout.size) if place + layout.size <= end else b""
+        file.seek(offset)
+        head = file.read(layout.size) if offset + layout.size <= end else b""
         if len(head) < layout.size:
             raise InputError(f"{number} of {count} variable length records end at byte {end}: damaged header")
         _, user, record_id, length, _ = layout.unpack(head)
-        place += layout.size
-        if place + length > end:
+        offset += layout.size
+        if offset + length > end:
             raise InputError(
-                f"variable length record {number + 1} of {count} would end at byte {place + length}, behind byte {end}:"
+                f"variable length record {number + 1} of {count} would end at byte {offset + length}, behind byte {end}:"
                 " damaged header"
             )
         key = (user.split(b"\0")[0].decode("latin-1"), record_id)
-        if key in _WANTED and key not in records and length <= _MAX_RECORD_BYTES:
+        if key in _READ_RECORDS and key not in records and length <= _MAX_RECORD_BYTES:
             records[key] = file.read(length)
-        place += length
+        offset += length
     return records
 
 
-def read_extras(header: LasHeader, warn: Warn) -> list[Extra]:
+def read_extras(header: LasHeader, warn: Warn) -> list[ExtraDimension]:
     """The described extra bytes in their order, undescribed gaps (`name` is empty) included.
 
     Descriptions that do not fit the record are left out with a warning: the points do not depend on them.
     """
     data = header.records.get(("LASF_Spec", 4), b"")
     extras = []
-    for fields in EXTRA.iter_unpack(data[: len(data) // EXTRA.size * EXTRA.size]):
+    for fields in EXTRA_LAYOUT.iter_unpack(data[: len(data) // EXTRA_LAYOUT.size * EXTRA_LAYOUT.size]):
         _, kind, options, name, _, no_data, _, _, *numbers, _ = fields
         size, dtype = 1, np.dtype("u1")
         if kind == 0:  # undocumented bytes; the options are their number
@@ -195,7 +195,7 @@ def read_extras(header: LasHeader, warn: Warn) -> list[Extra]:
             warn(f"left out the extra bytes: expected a type of 0 to {3 * len(EXTRA_TYPES)}, got {kind}")
             return []
         extras.append(
-            Extra(
+            ExtraDimension(
                 name.split(b"\0")[0].decode("utf-8", errors="replace").strip(),
                 dtype,
                 size,

@@ -14,7 +14,7 @@ import io
 import os
 import sys
 
-_MAX_PIECE = 32 << 20  # bytes decompressed at a time: enough chunks to occupy all cores
+_MAX_BATCH_BYTES = 32 << 20  # bytes decompressed at a time: enough chunks to occupy all cores
 
 
 def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
@@ -26,31 +26,31 @@ def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
     source, target = sys.stdin.buffer, sys.stdout.buffer
     source.seek(start)
     vlr = lazrs.LazVlr(laszip)
-    chunks = _filled(lazrs.read_chunk_table(source, vlr), count)
+    chunks = _clip_chunks(lazrs.read_chunk_table(source, vlr), count)
     source.seek(start)
     decompressor = lazrs.ParLasZipDecompressor(source, laszip)
-    place, first = start + 8, 0  # in the file, behind where its chunk table is; among the points
-    wrong: list[tuple[int, int]] = []  # first point and number of the points of a chunk
+    offset, first = start + 8, 0  # in the file, behind where its chunk table is; among the points
+    damaged: list[tuple[int, int]] = []  # first point and number of the points of a chunk
     while chunks:
-        some = _piece(chunks, record_bytes)
-        piece = bytearray(sum(points for points, _ in some) * record_bytes)
-        decompressor.decompress_many(piece)
-        target.write(piece)
-        again = _encoded(piece, [points * record_bytes for points, _ in some], vlr)
-        for (points, size), bytes_again in zip(some, again, strict=True):
-            if os.pread(source.fileno(), size, place) != bytes_again:
-                wrong.append((first, points))
-            place, first = place + size, first + points
+        batch = _take_batch(chunks, record_bytes)
+        points_bytes = bytearray(sum(points for points, _ in batch) * record_bytes)
+        decompressor.decompress_many(points_bytes)
+        target.write(points_bytes)
+        encoded = _encode(points_bytes, [points * record_bytes for points, _ in batch], vlr)
+        for (points, size), encoded_chunk in zip(batch, encoded, strict=True):
+            if os.pread(source.fileno(), size, offset) != encoded_chunk:
+                damaged.append((first, points))
+            offset, first = offset + size, first + points
     target.flush()
-    number = sum(points for _, points in wrong)
+    number = sum(points for _, points in damaged)
     if number == count:
         sys.exit(5)
-    if wrong:
-        print(number, wrong[0][0], file=sys.stderr)
+    if damaged:
+        print(number, damaged[0][0], file=sys.stderr)
         sys.exit(4)
 
 
-def _filled(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
+def _clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
     """Number of points and compressed bytes of each chunk that holds some of the `count` points.
 
     Where all chunks have one size, the last one is rarely full.
@@ -65,17 +65,17 @@ def _filled(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
     return chunks
 
 
-def _piece(chunks: list[tuple[int, int]], record_bytes: int) -> list[tuple[int, int]]:
+def _take_batch(chunks: list[tuple[int, int]], record_bytes: int) -> list[tuple[int, int]]:
     """The next chunks to be decompressed together, taken from the front of `chunks`."""
-    number, room = 0, _MAX_PIECE
+    number, room = 0, _MAX_BATCH_BYTES
     while number < len(chunks) and (not number or chunks[number][0] * record_bytes <= room):
         room -= chunks[number][0] * record_bytes
         number += 1
-    some, chunks[:number] = chunks[:number], []
-    return some
+    batch, chunks[:number] = chunks[:number], []
+    return batch
 
 
-def _encoded(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[bytes]:  # type: ignore[name-defined]  # noqa: F821
+def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[bytes]:  # type: ignore[name-defined]  # noqa: F821
     """Each chunk, of so many bytes of points, compressed."""
     import lazrs
 
@@ -92,10 +92,10 @@ def _encoded(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[b
         table = lazrs.read_chunk_table(buffer, vlr)
     except lazrs.LazrsError:  # an old encoding that is only read
         return [b""] * len(sizes)
-    data, place, result = buffer.getbuffer(), 8, []
+    data, offset, result = buffer.getbuffer(), 8, []
     for _, size in table:
-        result.append(bytes(data[place : place + size]))
-        place += size
+        result.append(bytes(data[offset : offset + size]))
+        offset += size
     return result
 
 

@@ -10,7 +10,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn, as_path, check_readable, read_named
 from pcbench.io.formats import CLOUDS, MESHES
-from pcbench.io.ply import holds_faces
+from pcbench.io.ply import has_faces
 
 
 def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Mesh:
@@ -37,7 +37,7 @@ def holds_mesh(path: str | os.PathLike[str]) -> bool:
         return path.suffix.lower() in MESHES
     try:
         check_readable(path)
-        return holds_faces(path)
+        return has_faces(path)
     except (InputError, OSError):
         return False  # whoever reads it says what is wrong
 

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 _MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; plain arrays have 118
 _MAX_DIMENSION = 10**18  # more than any file holds; what numpy does with the shape stays within an int64
-_MAX_PIECE = 1 << 20  # bytes decompressed at a time
+_BLOCK_BYTES = 1 << 20  # bytes decompressed at a time
 # An archive may grow so many times when unpacked: coordinates shrink 2 to 20 times, a constant column up to 1000.
-_MAX_GROWTH, _MAX_FREE_GROWTH = 200, 16 << 20
-_TEXTS = ("crs", "unit")
+_MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 200, 16 << 20
+_TEXT_NAMES = ("crs", "unit")
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ def read_npz(path: Path, warn: Warn) -> Fields:
 
 def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     members = _members(archive, archive_bytes)
-    texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXTS if name in members}
+    texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXT_NAMES if name in members}
     key = "points" if "points" in members or len(members) != 1 else next(iter(members))
     if key not in members:
-        raise InputError(f"expected an array 'points', got {_listed(members)}")
+        raise InputError(f"expected an array 'points', got {_list_names(members)}")
 
     headers = {name: _member_header(archive, info, name) for name, info in members.items()}
     _check_points(headers[key])
@@ -123,14 +123,14 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     return fields
 
 
-def _listed(names: Iterable[str]) -> str:
+def _list_names(names: Iterable[str]) -> str:
     return ", ".join(repr(name[:40]) for name in sorted(names)[:10]) or "none"
 
 
 def _members(archive: ZipFile, archive_bytes: int) -> dict[str, ZipInfo]:
     """Members by array name, once it is known that unpacking them all is in proportion."""
     unpacked = sum(info.file_size for info in archive.infolist())
-    if unpacked > _MAX_FREE_GROWTH + _MAX_GROWTH * archive_bytes:
+    if unpacked > _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * archive_bytes:
         raise InputError(f"{archive_bytes} bytes would unpack to {unpacked}: refused, save it with numpy.savez")
     members: dict[str, ZipInfo] = {}
     for info in archive.infolist():
@@ -180,14 +180,14 @@ def _check_points(header: _Header) -> None:
 
 
 def _check_size(header: _Header, size: int) -> None:
-    present = size - header.header_bytes
-    if present < header.data_bytes:
+    available = size - header.header_bytes
+    if available < header.data_bytes:
         per_row = header.data_bytes // max(header.shape[0], 1) if header.shape else header.data_bytes
-        complete = present // max(per_row, 1)
+        complete = available // max(per_row, 1)
         total = header.shape[0] if header.shape else 1
         raise InputError(f"truncated: {complete} of {total} rows: copy or export the file again")
-    if present > header.data_bytes:
-        raise InputError(f"{present - header.data_bytes} bytes after the array: header and data disagree")
+    if available > header.data_bytes:
+        raise InputError(f"{available - header.data_bytes} bytes after the array: header and data disagree")
 
 
 def _points_fields(array: NDArray[Any]) -> Fields:
@@ -234,13 +234,13 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
 def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
     """The array itself, C-contiguous and in native byte order; its size has been checked against the file's."""
     data = np.empty(header.data_bytes, dtype=np.uint8)
-    place = 0
-    while place < len(data):
-        piece = file.read(min(_MAX_PIECE, len(data) - place))
-        if not piece:
-            raise InputError(f"truncated: {place} of {len(data)} bytes: copy or export the file again")
-        data[place : place + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
-        place += len(piece)
+    filled = 0
+    while filled < len(data):
+        block = file.read(min(_BLOCK_BYTES, len(data) - filled))
+        if not block:
+            raise InputError(f"truncated: {filled} of {len(data)} bytes: copy or export the file again")
+        data[filled : filled + len(block)] = np.frombuffer(block, dtype=np.uint8)
+        filled += len(block)
     values = data.view(header.dtype).reshape(header.shape, order="F" if header.fortran_order else "C")
     if header.dtype.kind == "b":
         values = data.reshape(values.shape) != 0  # a byte that is neither 0 nor 1 is no valid bool
@@ -266,13 +266,13 @@ def write_npz(path: Path, cloud: Cloud) -> None:
     """
     from zipfile import ZipFile, ZipInfo
 
-    own = {"points": cloud.points, "normals": cloud.normals, "colors": cloud.colors}
+    standard_arrays = {"points": cloud.points, "normals": cloud.normals, "colors": cloud.colors}
     texts = {"crs": cloud.crs, "unit": cloud.unit}
-    arrays = {name: array for name, array in own.items() if array is not None}
+    arrays = {name: array for name, array in standard_arrays.items() if array is not None}
     arrays |= {name: np.array(text) for name, text in texts.items() if text}
     for name, values in cloud.attributes.items():
-        if name in own or name in texts or not name or not name.isprintable():
-            raise InputError(f"{path}: expected attribute names other than {', '.join([*own, *texts])}, got {name!r}")
+        if name in standard_arrays or name in texts or not name or not name.isprintable():
+            raise InputError(f"{path}: expected attribute names other than {', '.join([*standard_arrays, *texts])}, got {name!r}")
         if values.dtype.kind not in "biuf":
             raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
         arrays[name] = values

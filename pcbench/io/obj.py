@@ -15,7 +15,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import fans
+from pcbench.io.polygons import triangulate_fans
 
 
 def read_obj(path: Path, warn: Warn) -> Mesh:
@@ -49,10 +49,10 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
                 left_out += 1
         except (ValueError, OverflowError):
             expected = "'v x y z'" if words[0] == b"v" else f"'f a b c' with vertices 1 to {len(coordinates) // 3}"
-            shown = repr(line.strip()[:60])[1:]
-            raise InputError(f"line {number}: expected {expected}, got {shown}") from None
+            excerpt = repr(line.strip()[:60])[1:]
+            raise InputError(f"line {number}: expected {expected}, got {excerpt}") from None
     if left_out:
         warn(f"left out {left_out} points and lines")
     vertices = np.frombuffer(coordinates, dtype=np.float64).reshape(-1, 3)
-    faces = fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
+    faces = triangulate_fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

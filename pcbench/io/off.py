@@ -14,7 +14,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import fans
+from pcbench.io.polygons import triangulate_fans
 
 _OFF = (b"OFF", b"COFF", b"NOFF", b"CNOFF")  # colours and normals follow the coordinates
 
@@ -59,5 +59,5 @@ def read_off(path: Path, warn: Warn) -> Mesh:
             what = f"vertex {number}" if number < vertex_count else f"face {number - vertex_count}"
             expected = "x y z" if number < vertex_count else "a count and as many vertices"
             raise InputError(f"{what}: expected {expected}, got {b' '.join(words)[:60]!r}") from None
-    faces = fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
+    faces = triangulate_fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

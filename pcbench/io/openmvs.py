@@ -24,9 +24,9 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.files import Fields, Warn, check_readable, finite_cloud
 
 _VERSIONS = range(1, 8)
-_NONE = 0xFFFFFFFF  # the number of a pose that an image does not have
-_VIEW_SCORE, _VIEW = 24, 8  # bytes of an item that is skipped
-_CAMERA_MATRICES = 21 * 8  # K, R, C
+_NO_POSE = 0xFFFFFFFF  # the number of a pose that an image does not have
+_VIEW_SCORE_BYTES, _VIEW_BYTES = 24, 8  # bytes of an item that is skipped
+_CAMERA_MATRIX_BYTES = 21 * 8  # K, R, C
 _MAX_ROTATION_ENTRY = 2.0  # those of a rotation are at most 1
 
 
@@ -102,7 +102,7 @@ class _Reader:
     """The bytes of a file, and how far they are read."""
 
     data: bytes
-    place: int = 0
+    offset: int = 0
     version: int = 0
 
     def scene(self, size_of: Callable[[str], tuple[int, int] | None], warn: Warn) -> OpenMvsScene:
@@ -111,7 +111,7 @@ class _Reader:
             raise InputError("expected OpenMVS's interface format, got its own project: save it with --archive-type -1")
         if identifier != b"MVSI":
             raise InputError("expected a scene of OpenMVS, which begins with MVSI")
-        self.place = 4
+        self.offset = 4
         self.version, _ = self._take("<II")
         if self.version not in _VERSIONS:
             raise InputError(f"expected version 1 to {_VERSIONS[-1]} of the interface format, got {self.version}")
@@ -127,7 +127,7 @@ class _Reader:
 
     def _platform(self) -> _Platform:
         self._text()
-        cameras = [self._mounted_camera() for _ in self._count(_CAMERA_MATRICES)]
+        cameras = [self._mounted_camera() for _ in self._count(_CAMERA_MATRIX_BYTES)]
         poses = []
         for _ in self._count(12 * 8):
             numbers = np.array(self._take("<12d"))
@@ -151,18 +151,18 @@ class _Reader:
             self._take("<I")
         if self.version > 6:
             self._take("<3f")
-            self._skip(len(self._count(_VIEW_SCORE)) * _VIEW_SCORE)
+            self._skip(len(self._count(_VIEW_SCORE_BYTES)) * _VIEW_SCORE_BYTES)
         return image
 
     def _points(self) -> Fields:
         count = len(self._count(12 + 8))
-        places, views = np.empty(count, np.int64), np.empty(count, np.int64)
+        offsets, views = np.empty(count, np.int64), np.empty(count, np.int64)
         for k in range(count):
-            places[k] = self.place
+            offsets[k] = self.offset
             self._skip(12)
-            views[k] = len(self._count(_VIEW))
-            self._skip(int(views[k]) * _VIEW)
-        columns = np.frombuffer(self.data, np.uint8)[places[:, None] + np.arange(12)].reshape(-1, 12)
+            views[k] = len(self._count(_VIEW_BYTES))
+            self._skip(int(views[k]) * _VIEW_BYTES)
+        columns = np.frombuffer(self.data, np.uint8)[offsets[:, None] + np.arange(12)].reshape(-1, 12)
         xyz = np.ascontiguousarray(columns).view("<f4").astype(np.float64)
         normals, colors = self._array("<f4", 3, count), self._array("u1", 3, count)
         return Fields(
@@ -178,7 +178,7 @@ class _Reader:
         count = len(self._count(size))
         if count not in (0, rows):
             raise InputError(f"expected as many normals and colours as points ({rows}), got {count}")
-        values = np.frombuffer(self.data, dtype, count * columns, self.place).reshape(count, columns)
+        values = np.frombuffer(self.data, dtype, count * columns, self.offset).reshape(count, columns)
         self._skip(count * size)
         return values if count else None
 
@@ -188,58 +188,58 @@ class _Reader:
             return False
         for _ in self._count(24 + 8):
             self._skip(24)
-            self._skip(len(self._count(_VIEW)) * _VIEW)
+            self._skip(len(self._count(_VIEW_BYTES)) * _VIEW_BYTES)
         self._skip(len(self._count(12)) * 12)
         self._skip(len(self._count(3)) * 3)
         return not np.array_equal(np.array(self._take("<16d")).reshape(4, 4), np.eye(4))
 
     def _take(self, code: str) -> tuple[Any, ...]:
-        start = self.place
+        start = self.offset
         self._skip(struct.calcsize(code))
         return struct.unpack_from(code, self.data, start)
 
     def _text(self) -> str:
         size = len(self._count(1))
-        start = self.place
+        start = self.offset
         self._skip(size)
         try:
-            return self.data[start : self.place].decode()
+            return self.data[start : self.offset].decode()
         except UnicodeDecodeError:
             raise InputError("expected names in UTF-8: the file is damaged") from None
 
     def _count(self, item: int) -> range:
         """The numbers of the items of a list that follows, each of at least so many bytes."""
         (count,) = self._take("<Q")
-        if count * item > len(self.data) - self.place:
+        if count * item > len(self.data) - self.offset:
             raise InputError(
-                f"truncated: {count} items of at least {item} bytes from byte {self.place} on, the file has"
+                f"truncated: {count} items of at least {item} bytes from byte {self.offset} on, the file has"
                 f" {len(self.data)}: copy or export it again"
             )
         return range(count)
 
     def _skip(self, size: int) -> None:
-        if self.place + size > len(self.data):
+        if self.offset + size > len(self.data):
             raise InputError(f"truncated: {len(self.data)} bytes, expected more: copy or export the file again")
-        self.place += size
+        self.offset += size
 
 
 def _camera(
     image: _Image, platforms: list[_Platform], size_of: Callable[[str], tuple[int, int] | None]
 ) -> Camera | None:
     """The camera of an image: that of its platform, where the platform was."""
-    if image.pose == _NONE:
+    if image.pose == _NO_POSE:
         return None
     try:
         platform = platforms[image.platform]
-        mounted, (turn, center) = platform.cameras[image.camera], platform.poses[image.pose]
+        mounted, (platform_rotation, center) = platform.cameras[image.camera], platform.poses[image.pose]
     except IndexError:
         raise InputError(f"image {image.name!r} has a platform, camera or pose that is not in the file") from None
     try:
-        if not (np.abs([mounted.rotation, turn]) <= _MAX_ROTATION_ENTRY).all():
+        if not (np.abs([mounted.rotation, platform_rotation]) <= _MAX_ROTATION_ENTRY).all():
             raise InputError("expected the rotations of platform and camera, got matrices that are none")
         intrinsics = mounted.intrinsics(size_of(image.name))
-        rotation = rotation_from(mounted.rotation @ turn)
-        translation = -rotation @ (turn.T @ mounted.center + center)
+        rotation = rotation_from(mounted.rotation @ platform_rotation)
+        translation = -rotation @ (platform_rotation.T @ mounted.center + center)
         if not np.isfinite(translation).all():
             raise InputError("expected a finite position")
     except InputError as error:

@@ -24,10 +24,10 @@ _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWP
 _TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)}
 _TYPES |= {"F4": "<f4", "F8": "<f8"}
 _IDENTITY = "0 0 0 1 0 0 0"  # viewpoint: translation, and rotation as a quaternion wxyz
-_DATA = ("ascii", "binary", "binary_compressed")
+_DATA_KINDS = ("ascii", "binary", "binary_compressed")
 _XYZ = ("x", "y", "z")
 _NORMALS = ("normal_x", "normal_y", "normal_z")
-_PACKED = ("rgb", "rgba")
+_PACKED_COLORS = ("rgb", "rgba")
 
 Columns = dict[str, NDArray[Any]]
 
@@ -85,16 +85,16 @@ def read_pcd(path: Path, warn: Warn) -> Fields:
         elif header.data == "binary":
             columns = _binary_columns(body, header, warn)
         else:
-            columns = _compressed_columns(body, header)
+            columns = _decompressed_columns(body, header)
         points = np.stack([columns.pop(name)[:, 0] for name in _XYZ], axis=1, dtype=np.float64, casting="unsafe")
         normals = None
         if columns.keys() >= set(_NORMALS) and all(columns[name].shape[1] == 1 for name in _NORMALS):
             normals = np.stack([columns.pop(name)[:, 0] for name in _NORMALS], axis=1)
-    packed = next((name for name in _PACKED if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None)
+    packed = next((name for name in _PACKED_COLORS if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None)
     return Fields(
         points=points,
         normals=normals,
-        colors=_unpacked(columns.pop(packed)) if packed else None,
+        colors=_unpack_colors(columns.pop(packed)) if packed else None,
         attributes=_attributes(columns),
     )
 
@@ -106,7 +106,7 @@ def _is_identity(viewpoint: str) -> bool:
         return False
 
 
-def _unpacked(values: NDArray[Any]) -> NDArray[np.uint8]:
+def _unpack_colors(values: NDArray[Any]) -> NDArray[np.uint8]:
     """Red, green and blue (N, 3) from the bits of a uint32 or float32: alpha, red, green, blue from the top."""
     bits = np.ascontiguousarray(values[:, 0]).view(np.uint32)
     return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
@@ -145,7 +145,7 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         if key == "COLUMNS":  # an old name
             key = "FIELDS"
         if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
-            raise InputError(f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_shown(line)}")
+            raise InputError(f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_excerpt(line)}")
         if key in entries:
             raise InputError(f"header: a second {key} line")
         entries[key] = words[1:]
@@ -162,23 +162,23 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         for name, kind, size, count in zip(names, entries["TYPE"], entries["SIZE"], counts, strict=True)
     ]
     _check_fields(fields)
-    width, height = _one(entries, "WIDTH"), _one(entries, "HEIGHT")
-    count = _one(entries, "POINTS") if "POINTS" in entries else width * height
+    width, height = _single_count(entries, "WIDTH"), _single_count(entries, "HEIGHT")
+    count = _single_count(entries, "POINTS") if "POINTS" in entries else width * height
     if "WIDTH" in entries and count != width * height:
         raise InputError(f"header: WIDTH {width} x HEIGHT {height} is not POINTS {count}")
     if not count:
         raise InputError("expected at least one point, got POINTS 0")
-    if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA:
-        raise InputError(f"header: expected DATA {', '.join(_DATA)}; got {' '.join(entries['DATA'])[:40]!r}")
+    if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA_KINDS:
+        raise InputError(f"header: expected DATA {', '.join(_DATA_KINDS)}; got {' '.join(entries['DATA'])[:40]!r}")
     return _PcdHeader(fields, count, entries["DATA"][0].lower(), " ".join(entries.get("VIEWPOINT", [_IDENTITY])))
 
 
-def _one(entries: dict[str, list[str]], key: str) -> int:
+def _single_count(entries: dict[str, list[str]], key: str) -> int:
     words = entries.get(key, ["1"])
-    return _whole(words[0] if len(words) == 1 else " ".join(words), key)
+    return _parse_count(words[0] if len(words) == 1 else " ".join(words), key)
 
 
-def _whole(word: str, key: str) -> int:
+def _parse_count(word: str, key: str) -> int:
     if not word.isdigit() or len(word) > 18:
         raise InputError(f"header: expected {key} as a whole number, got {word[:40]!r}")
     return int(word)
@@ -189,7 +189,7 @@ def _field(name: str, code: str, count: str) -> _Field:
         raise InputError(
             f"header: expected a type and size of {', '.join(_TYPES)}; got {code[:40]!r} for {name[:40]!r}"
         )
-    return _Field(name, np.dtype(_TYPES[code.upper()]), _whole(count, "COUNT"))
+    return _Field(name, np.dtype(_TYPES[code.upper()]), _parse_count(count, "COUNT"))
 
 
 def _check_fields(fields: list[_Field]) -> None:
@@ -199,11 +199,11 @@ def _check_fields(fields: list[_Field]) -> None:
     if missing := [name for name in _XYZ if name not in names]:
         raise InputError(f"expected fields x, y, z; missing: {', '.join(missing)}")
     for field in fields:
-        if not field.count or (field.name in _XYZ + _PACKED and field.count != 1):
+        if not field.count or (field.name in _XYZ + _PACKED_COLORS and field.count != 1):
             raise InputError(f"header: expected COUNT 1 of {field.name[:40]!r}, got {field.count}")
 
 
-def _shown(line: bytes) -> str:
+def _excerpt(line: bytes) -> str:
     text = line.strip()
     return repr(text[:60])[1:] + ("..." if len(text) > 60 else "")
 
@@ -217,16 +217,16 @@ def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> 
         raise header.truncated(len(body) // header.point_bytes)
     if extra := len(body) - header.count * header.point_bytes:
         warn(f"{extra} bytes after the last point were left out")
-    columns, place = {}, 0
+    columns, offset = {}, 0
     for field in header.fields:
         if field.name != "_":
             shape, strides = (header.count, field.count), (header.point_bytes, field.dtype.itemsize)
-            columns[field.name] = np.ndarray(shape, field.dtype, body.data, place, strides)
-        place += field.size
+            columns[field.name] = np.ndarray(shape, field.dtype, body.data, offset, strides)
+        offset += field.size
     return columns
 
 
-def _compressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Columns:
+def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Columns:
     """Columns (N, count) as views: fields stand one after the other, and are compressed as a whole."""
     total = header.count * header.point_bytes
     if len(body) < 8:
@@ -239,11 +239,11 @@ def _compressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Columns:
     if unpacked > packed * lzf.MAX_GROWTH:
         raise InputError(f"damaged LZF data: {packed} bytes cannot become {unpacked}: export the file again")
     data = lzf.decompress(body[8 : 8 + packed].tobytes(), total)
-    columns, place = {}, 0
+    columns, offset = {}, 0
     for field in header.fields:
         if field.name != "_":
-            columns[field.name] = np.ndarray((header.count, field.count), field.dtype, data, place)
-        place += field.size * header.count
+            columns[field.name] = np.ndarray((header.count, field.count), field.dtype, data, offset)
+        offset += field.size * header.count
     return columns
 
 
@@ -257,16 +257,16 @@ def _ascii_columns(text: bytes, header: _PcdHeader) -> Columns:
     if len(lines) > header.count:
         raise InputError(f"{len(lines) - header.count} lines after the last point: header and body disagree")
     table = _ascii_table(lines, header)
-    columns, place = {}, 0
+    columns, offset = {}, 0
     for field in header.fields:
-        values = table[:, place : place + field.count]
+        values = table[:, offset : offset + field.count]
         if field.name in _XYZ:
             columns[field.name] = values
         elif field.name != "_":
-            columns[field.name] = _typed(values, field)
+            columns[field.name] = _convert_column(values, field)
             if field.dtype.itemsize == 8 and field.dtype.kind != "f" and np.abs(values).max() >= 2**53:
-                columns[field.name] = _long_integers(lines, place, field)
-        place += field.count
+                columns[field.name] = _long_integers(lines, offset, field)
+        offset += field.count
     return columns
 
 
@@ -285,11 +285,11 @@ def _ascii_table(lines: list[bytes], header: _PcdHeader) -> NDArray[np.float64]:
             try:
                 float(word)
             except ValueError:
-                raise InputError(f"point {number + 1}: expected numbers, got {_shown(line)}") from None
+                raise InputError(f"point {number + 1}: expected numbers, got {_excerpt(line)}") from None
     raise InputError("expected lines of numbers, got something else")
 
 
-def _typed(values: NDArray[np.float64], field: _Field) -> NDArray[Any]:
+def _convert_column(values: NDArray[np.float64], field: _Field) -> NDArray[Any]:
     if field.dtype.kind == "f":
         return values.astype(field.dtype)
     typed = values.astype(field.dtype)
@@ -298,10 +298,10 @@ def _typed(values: NDArray[np.float64], field: _Field) -> NDArray[Any]:
     return typed
 
 
-def _long_integers(lines: list[bytes], place: int, field: _Field) -> NDArray[Any]:
+def _long_integers(lines: list[bytes], offset: int, field: _Field) -> NDArray[Any]:
     """Integers that float64 would round."""
     try:
-        words = [line.split()[place : place + field.count] for line in lines]
+        words = [line.split()[offset : offset + field.count] for line in lines]
         return np.array([[int(word) for word in row] for row in words], dtype=field.dtype)
     except (ValueError, OverflowError):
         raise InputError(f"expected {field.name!r} as {field.dtype.name}, got another number") from None
@@ -332,7 +332,7 @@ def write_pcd(path: Path, cloud: Cloud) -> None:
     for name, values in cloud.attributes.items():
         values = values.astype(np.uint8) if values.dtype.kind == "b" else values
         values = values.astype(np.float32) if values.dtype == np.float16 else values
-        if name in (*columns, *_PACKED, "_") or not name.isascii() or not name.isprintable() or len(name.split()) != 1:
+        if name in (*columns, *_PACKED_COLORS, "_") or not name.isascii() or not name.isprintable() or len(name.split()) != 1:
             raise InputError(
                 f"{path}: expected attribute names of ASCII that PCD does not use, got {name!r}: rename it"
             )

@@ -19,7 +19,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.ply_body import Columns, read_elements
 from pcbench.io.ply_header import TYPE_NAMES, XYZ, PlyHeader, check_faces, check_vertices, read_header
-from pcbench.io.polygons import fans
+from pcbench.io.polygons import triangulate_fans
 
 ABOUT = "coordinates about"  # of a comment: a place in the world that all coordinates are taken about
 _NORMALS = ("nx", "ny", "nz")
@@ -45,23 +45,23 @@ def read_ply(path: Path, warn: Warn) -> Fields:
         check_vertices(header)
         columns = read_elements(file, header, scalars=("vertex",))["vertex"].columns
         points = _points(columns, header)
-        normals = _stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
+        normals = _pop_stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
         colors = None
         for names in _COLORS:
             if columns.keys() >= set(names) and all(columns[name].dtype == np.uint8 for name in names):
-                colors = _stacked(columns, names, np.uint8)
+                colors = _pop_stacked(columns, names, np.uint8)
                 break
     return Fields(
         points=points,
         normals=normals if normals is not None and normals.any() else None,
         colors=colors,
         attributes={name: c.astype(c.dtype.newbyteorder("="), copy=False) for name, c in columns.items()},
-        crs=header.tagged("crs"),
-        unit=header.tagged("unit"),
+        crs=header.tag_value("crs"),
+        unit=header.tag_value("unit"),
     )
 
 
-def holds_faces(path: Path) -> bool:
+def has_faces(path: Path) -> bool:
     """Whether the header, all that is read, tells of faces.
 
     Raises:
@@ -87,13 +87,13 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
         points = _points(tables["vertex"].columns, header)
     polygons = tables["face"].polygons
     assert polygons is not None  # check_faces
-    return Mesh(points, fans(*polygons, warn), crs=header.tagged("crs"), unit=header.tagged("unit"))
+    return Mesh(points, triangulate_fans(*polygons, warn), crs=header.tag_value("crs"), unit=header.tag_value("unit"))
 
 
 def _points(columns: Columns, header: PlyHeader) -> FloatArray:
     """The coordinates, taken out of the columns, in the frame that the header tells."""
-    points = _stacked(columns, XYZ, np.float64)
-    words = (header.tagged(ABOUT) or "").split()
+    points = _pop_stacked(columns, XYZ, np.float64)
+    words = (header.tag_value(ABOUT) or "").split()
     try:
         origin = np.array([float(word) for word in words])
     except ValueError:
@@ -103,11 +103,11 @@ def _points(columns: Columns, header: PlyHeader) -> FloatArray:
     return points
 
 
-def _stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:
+def _pop_stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:
     """Three columns taken out of `columns` as one (N, 3) array: the only copy of them."""
-    taken = [columns.pop(name) for name in names]
-    stacked = np.empty((len(taken[0]), 3), dtype=dtype)
-    for axis, column in enumerate(taken):
+    popped = [columns.pop(name) for name in names]
+    stacked = np.empty((len(popped[0]), 3), dtype=dtype)
+    for axis, column in enumerate(popped):
         stacked[:, axis] = column
     return stacked
 

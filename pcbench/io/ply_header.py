@@ -73,12 +73,12 @@ class Element:
         """The list of a row's vertex numbers: the first one that has a name of such lists."""
         return next((prop for prop in self.lists if prop.name in _POLYGONS), None)
 
-    def counted(self, count: int) -> str:
+    def count_text(self, count: int) -> str:
         plural = {"vertex": "vertices", "face": "faces", "edge": "edges"}.get(self.name, f"{self.name[:40]!r} elements")
         return f"{count} of {self.count} {plural}"
 
     def truncated(self, complete: int) -> InputError:
-        return InputError(f"truncated: {self.counted(complete)}: copy or export the file again")
+        return InputError(f"truncated: {self.count_text(complete)}: copy or export the file again")
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class PlyHeader:
     def element(self, name: str) -> Element | None:
         return next((element for element in self.elements if element.name == name), None)
 
-    def tagged(self, tag: str) -> str | None:
+    def tag_value(self, tag: str) -> str | None:
         """What follows a tag in a comment line: `comment crs EPSG:32617`."""
         return next((c.removeprefix(tag).strip() for c in self.comments if c.startswith(f"{tag} ")), None)
 
@@ -157,7 +157,7 @@ def read_header(file: BinaryIO) -> PlyHeader:
                 comments.append(b" ".join(words[1:]).decode("utf-8", errors="replace"))
             continue
         if not line.isascii() or not b" ".join(words).decode().isprintable():
-            raise InputError(f"header line {number}: expected ASCII text, got {shown(line)}")
+            raise InputError(f"header line {number}: expected ASCII text, got {excerpt(line)}")
         match [word.decode() for word in words]:
             case ["end_header"]:
                 break
@@ -168,7 +168,7 @@ def read_header(file: BinaryIO) -> PlyHeader:
                 raise InputError(f"header line {number}: a second format line")
             case ["format", *_]:
                 known = ", ".join(_BYTE_ORDERS)
-                raise InputError(f"header line {number}: expected 'format {known} 1.0', got {shown(line)}")
+                raise InputError(f"header line {number}: expected 'format {known} 1.0', got {excerpt(line)}")
             case ["element", name, count]:
                 if name in elements:
                     raise InputError(f"header line {number}: a second element {name[:40]!r}")
@@ -179,14 +179,14 @@ def read_header(file: BinaryIO) -> PlyHeader:
                 raise InputError(f"header line {number}: a property before the first element")
             case _:
                 known = "format, element, property, comment or end_header"
-                raise InputError(f"header line {number}: expected {known}, got {shown(line)}")
+                raise InputError(f"header line {number}: expected {known}, got {excerpt(line)}")
     if not formats:
         raise InputError(f"header without a format line: expected one of {', '.join(_BYTE_ORDERS)}")
-    ordered = [_ordered(element, byte_order or "=") for element in elements.values()]
+    ordered = [_with_byte_order(element, byte_order or "=") for element in elements.values()]
     return PlyHeader(byte_order, ordered, comments)
 
 
-def shown(line: bytes) -> str:
+def excerpt(line: bytes) -> str:
     """The start of a line, for an error message."""
     text = line.strip()
     return repr(text[:60])[1:] + ("..." if len(text) > 60 else "")
@@ -223,7 +223,7 @@ def _type(word: str, number: int) -> np.dtype[Any]:
     return np.dtype(_TYPES[word])
 
 
-def _ordered(element: Element, byte_order: Literal["<", ">", "="]) -> Element:
+def _with_byte_order(element: Element, byte_order: Literal["<", ">", "="]) -> Element:
     properties = [
         Property(p.name, p.dtype.newbyteorder(byte_order), p.length and p.length.newbyteorder(byte_order))
         for p in element.properties

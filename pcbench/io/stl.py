@@ -18,13 +18,13 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import merged
+from pcbench.io.polygons import merge_vertices
 
 _MAX_WORD = 32  # characters of a number in a text file
-_STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("color", "<u2")])
-_STL_FACET = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet".split()
-_STL_WORDS = [place for place, word in enumerate(_STL_FACET) if word != b"0"]
-_STL_CORNERS = [8, 9, 10, 12, 13, 14, 16, 17, 18]
+_FACET_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("color", "<u2")])
+_FACET_WORDS = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet".split()
+_KEYWORD_POSITIONS = [position for position, word in enumerate(_FACET_WORDS) if word != b"0"]
+_CORNER_POSITIONS = [8, 9, 10, 12, 13, 14, 16, 17, 18]
 
 
 def read_stl(path: Path, warn: Warn) -> Mesh:
@@ -37,21 +37,21 @@ def read_stl(path: Path, warn: Warn) -> Mesh:
     # Many binary files start with "solid" too: the size decides, then the word.
     data = path.read_bytes()
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
-    if len(data) >= 84 and len(data) == 84 + _STL_ROW.itemsize * count:
-        corners = np.frombuffer(data, _STL_ROW, count, 84)["corners"].astype(np.float64)
+    if len(data) >= 84 and len(data) == 84 + _FACET_RECORD.itemsize * count:
+        corners = np.frombuffer(data, _FACET_RECORD, count, 84)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid":
         corners = _ascii_stl(data)
     elif len(data) < 84:
         raise InputError(f"expected an STL file: 84 bytes or more, or the word 'solid'; got {len(data)} bytes")
     else:
-        there = (len(data) - 84) // _STL_ROW.itemsize
-        if there < count:
-            raise InputError(f"truncated: {there} of {count} triangles: copy or export the file again")
+        complete = (len(data) - 84) // _FACET_RECORD.itemsize
+        if complete < count:
+            raise InputError(f"truncated: {complete} of {count} triangles: copy or export the file again")
         raise InputError(
             f"expected {84 + 50 * count} bytes for {count} triangles, got {len(data)}: header and body disagree"
         )
     vertices = corners.reshape(-1, 3)
-    return merged(Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3)))
+    return merge_vertices(Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3)))
 
 
 def _ascii_stl(data: bytes) -> FloatArray:
@@ -63,13 +63,13 @@ def _ascii_stl(data: bytes) -> FloatArray:
         raise InputError("expected a mesh with at least one face, got an STL file without facets")
     if max(map(len, words)) > _MAX_WORD:
         raise InputError(f"expected words of at most {_MAX_WORD} characters: the file is damaged")
-    whole = len(words) - len(words) % len(_STL_FACET)
-    table = np.array(words[:whole], dtype=f"S{_MAX_WORD}").reshape(-1, len(_STL_FACET))
-    wrong = np.flatnonzero((np.char.lower(table[:, _STL_WORDS]) != np.array(_STL_FACET)[_STL_WORDS]).any(axis=1))
-    if len(wrong) or whole < len(words):
-        facet = wrong[0] if len(wrong) else len(table)
+    complete_words = len(words) - len(words) % len(_FACET_WORDS)
+    table = np.array(words[:complete_words], dtype=f"S{_MAX_WORD}").reshape(-1, len(_FACET_WORDS))
+    damaged = np.flatnonzero((np.char.lower(table[:, _KEYWORD_POSITIONS]) != np.array(_FACET_WORDS)[_KEYWORD_POSITIONS]).any(axis=1))
+    if len(damaged) or complete_words < len(words):
+        facet = damaged[0] if len(damaged) else len(table)
         raise InputError(f"facet {facet}: expected 'facet normal x y z outer loop vertex x y z ... endloop endfacet'")
     try:
-        return table[:, _STL_CORNERS].astype(np.float64).reshape(-1, 3, 3)
+        return table[:, _CORNER_POSITIONS].astype(np.float64).reshape(-1, 3, 3)
     except ValueError as error:
         raise InputError(f"expected coordinates as numbers: {str(error)[:80]}") from error

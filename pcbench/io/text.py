@@ -26,8 +26,8 @@ _ALIASES |= {name: name for name in (*_XYZ, *_NORMALS, *_COLORS)}
 _COMMENTS = ("#", "//")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
-_MAX_LENGTH_ERROR = 0.02  # normals are often written with two digits
-_MAX_ROWS = 1 << 16  # written at a time
+_MAX_NORMAL_LENGTH_ERROR = 0.02  # normals are often written with two digits
+_ROWS_PER_WRITE = 1 << 16  # written at a time
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -67,11 +67,11 @@ def read_text(path: Path, warn: Warn) -> Fields:
         raise InputError(f"expected {layout.points} points as its first line says, got {len(table)}")
     names = layout.names or _default_names(table, is_pts=path.suffix.lower() == ".pts")
     columns = dict(zip(names, table.T, strict=True))
-    points = _taken(columns, _XYZ)
-    normals = _taken(columns, _NORMALS) if columns.keys() >= set(_NORMALS) else None
+    points = _pop_columns(columns, _XYZ)
+    normals = _pop_columns(columns, _NORMALS) if columns.keys() >= set(_NORMALS) else None
     colors = None
-    if columns.keys() >= set(_COLORS) and _are_bytes(np.stack([columns[name] for name in _COLORS])):
-        colors = _taken(columns, _COLORS).astype(np.uint8)
+    if columns.keys() >= set(_COLORS) and _are_8_bit(np.stack([columns[name] for name in _COLORS])):
+        colors = _pop_columns(columns, _COLORS).astype(np.uint8)
     return Fields(
         points=points,
         normals=normals,
@@ -82,11 +82,11 @@ def read_text(path: Path, warn: Warn) -> Fields:
     )
 
 
-def _taken(columns: Columns, names: tuple[str, str, str]) -> NDArray[np.float64]:
+def _pop_columns(columns: Columns, names: tuple[str, str, str]) -> NDArray[np.float64]:
     return np.stack([columns.pop(name) for name in names], axis=1)
 
 
-def _are_bytes(values: NDArray[np.float64]) -> bool:
+def _are_8_bit(values: NDArray[np.float64]) -> bool:
     return bool(((values >= 0) & (values <= 255) & (values == np.floor(values))).all())
 
 
@@ -95,13 +95,13 @@ def _default_names(table: NDArray[np.float64], is_pts: bool) -> list[str]:
     last = table[:, -3:]
     if is_pts and width == 4:
         return [*_XYZ, "intensity"]
-    if is_pts and width == 7 and _are_bytes(last):
+    if is_pts and width == 7 and _are_8_bit(last):
         return [*_XYZ, "intensity", *_COLORS]
-    if width == 6 and _are_bytes(last):
+    if width == 6 and _are_8_bit(last):
         return [*_XYZ, *_COLORS]
     if width == 6:
         with np.errstate(over="ignore", invalid="ignore"):
-            unit = np.abs(np.linalg.norm(last, axis=1) - 1) < _MAX_LENGTH_ERROR
+            unit = np.abs(np.linalg.norm(last, axis=1) - 1) < _MAX_NORMAL_LENGTH_ERROR
         if unit.all():
             return [*_XYZ, *_NORMALS]
     return [*_XYZ, *(f"column_{k}" for k in range(4, width + 1))]
@@ -120,10 +120,10 @@ def _content(line: str) -> str:
 def _layout(lines: list[str]) -> _Layout:
     """Walks over comments, a header and a count to the first line of numbers."""
     header: tuple[int, str] | None = None  # index and text
-    remark: str | None = None  # a comment that reads like a header
+    comment_header: str | None = None  # a comment that reads like a header
     count: int | None = None
     tags: dict[str, str] = {}
-    for place, line in enumerate(lines):
+    for index, line in enumerate(lines):
         text = line.strip()
         content = _content(text)
         if not content:
@@ -132,7 +132,7 @@ def _layout(lines: list[str]) -> _Layout:
             if tag in ("crs", "unit"):
                 tags.setdefault(tag, value.strip())
             elif _has_xyz(comment):
-                remark = comment
+                comment_header = comment
             continue
         delimiter = _delimiter(content)
         words = _split(content, delimiter)
@@ -141,18 +141,18 @@ def _layout(lines: list[str]) -> _Layout:
                 count = int(content)
                 continue
             if len(words) < 3:
-                raise InputError(f"line {place + 1}: expected at least 3 columns, got {_shown(text)}")
+                raise InputError(f"line {index + 1}: expected at least 3 columns, got {_excerpt(text)}")
             if header is not None:
                 names: list[str] | None = _header_names(*header, len(words))
             else:
-                names = _remark_names(remark, len(words))
-            return _Layout(place, delimiter, names, count, tags)
+                names = _comment_names(comment_header, len(words))
+            return _Layout(index, delimiter, names, count, tags)
         if any(_DECIMAL_COMMA.fullmatch(word) for word in words):
-            raise InputError(f"line {place + 1}: expected a point in decimal numbers, got a comma: {_shown(text)}")
+            raise InputError(f"line {index + 1}: expected a point in decimal numbers, got a comma: {_excerpt(text)}")
         is_header = _has_xyz(content) or not any(_NUMBER.fullmatch(word) for word in words)
         if not is_header or header is not None or count is not None:
-            raise InputError(f"line {place + 1}: expected numbers, got {_shown(text)}")
-        header = place, content
+            raise InputError(f"line {index + 1}: expected numbers, got {_excerpt(text)}")
+        header = index, content
     raise InputError(f"expected lines of numbers, got none in {len(lines)} lines")
 
 
@@ -180,24 +180,24 @@ def _has_xyz(text: str) -> bool:
     return set(_XYZ) <= set(_names(text))
 
 
-def _header_names(place: int, text: str, width: int) -> list[str]:
+def _header_names(index: int, text: str, width: int) -> list[str]:
     names = _names(text)
     if missing := [name for name in _XYZ if name not in names]:
-        raise InputError(f"line {place + 1}: expected columns x, y, z; missing {', '.join(missing)} in {_shown(text)}")
+        raise InputError(f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {_excerpt(text)}")
     if len(names) != width:
-        raise InputError(f"line {place + 1}: {len(names)} column names, but the first point has {width} values")
+        raise InputError(f"line {index + 1}: {len(names)} column names, but the first point has {width} values")
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"line {place + 1}: column {twice[:40]!r} stands twice")
+        raise InputError(f"line {index + 1}: column {twice[:40]!r} stands twice")
     return names
 
 
-def _remark_names(remark: str | None, width: int) -> list[str] | None:
+def _comment_names(comment_header: str | None, width: int) -> list[str] | None:
     """A comment that does not fit the columns was prose."""
-    names = _names(remark) if remark else []
+    names = _names(comment_header) if comment_header else []
     return names if len(names) == width == len(set(names)) else None
 
 
-def _shown(text: str) -> str:
+def _excerpt(text: str) -> str:
     return repr(text[:60]) + ("..." if len(text) > 60 else "")
 
 
@@ -219,7 +219,7 @@ def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
         if content := _content(line):
             words = _split(content, layout.delimiter)
             if not all(_NUMBER.fullmatch(word) for word in words):
-                raise InputError(f"line {number}: expected numbers, got {_shown(content)}")
+                raise InputError(f"line {number}: expected numbers, got {_excerpt(content)}")
             if len(words) != width:
                 raise InputError(
                     f"line {number}: expected {width} values as in line {layout.first + 1}, got {len(words)}"
@@ -247,16 +247,16 @@ def write_text(path: Path, cloud: Cloud) -> None:
         columns |= dict(zip(_COLORS, cloud.colors.T, strict=True))
     if cloud.normals is not None:
         columns |= dict(zip(_NORMALS, cloud.normals.T, strict=True))
-    taken = set(columns)
+    used_names = set(columns)
     for name, values in cloud.attributes.items():
         known = _ALIASES.get(name.lower(), name)
-        if known in taken:
+        if known in used_names:
             raise InputError(f"{path}: attribute {name!r} would be read back as {known}: rename it")
         if not name.isprintable() or len(name.split()) != 1 or re.search(r"[,;#\"']|//", name):
             raise InputError(f"{path}: expected attribute names without blanks and delimiters, got {name!r}: rename it")
         if values.dtype.kind not in "biuf":
             raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
-        taken.add(known)
+        used_names.add(known)
         columns[name] = values.astype(np.uint8) if values.dtype.kind == "b" else values
     head = [",".join(columns)] if is_csv else []
     if not is_csv:
@@ -267,6 +267,6 @@ def write_text(path: Path, cloud: Cloud) -> None:
     line = (",".join if is_csv else " ".join)(["%r"] * len(columns)) + "\n"
     with atomic_write(path) as file:
         file.writelines(f"{text}\n".encode() for text in head)
-        for start in range(0, len(cloud), _MAX_ROWS):
-            pieces = [column[start : start + _MAX_ROWS].tolist() for column in columns.values()]
+        for start in range(0, len(cloud), _ROWS_PER_WRITE):
+            pieces = [column[start : start + _ROWS_PER_WRITE].tolist() for column in columns.values()]
             file.write("".join([line % row for row in zip(*pieces, strict=True)]).encode())

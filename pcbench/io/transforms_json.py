@@ -24,7 +24,7 @@ Size = tuple[int, int]
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 _UNSUPPORTED = ("k3", "k4")
 # What a file may say and is not obeyed, and the value by which it says nothing.
-_NOT_OBEYED: dict[str, Any] = {
+_IGNORED_KEYS: dict[str, Any] = {
     **dict.fromkeys(("k5", "k6", "rolling_shutter_scanline_time", "rolling_shutter_time"), 0),
     "rolling_shutter": [0, 0, 0, 0],
     "applied_transform": np.eye(4)[:3].tolist(),
@@ -32,9 +32,9 @@ _NOT_OBEYED: dict[str, Any] = {
     **dict.fromkeys(("mask_path", "depth_file_path"), ""),
 }
 # Of a focal length from what the angle of view beside it says: files round, and some take the angle with distortion.
-_MAX_CONTRADICTION = 0.1
+_MAX_FOCAL_DISAGREEMENT = 0.1
 # OpenGL's axes to OpenCV's: y and z change their sign.
-_FLIP = np.diag([1.0, -1.0, -1.0])
+_OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
 def read_transforms(
@@ -64,7 +64,7 @@ def read_transforms(
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a transforms.json: {error}") from None
     names = [frame.get("file_path") if isinstance(frame, dict) else None for frame in document["frames"]]
-    _check_once(path, names, size_of)  # before poses are read: a file may repeat one frame many times
+    _check_duplicates(path, names, size_of)  # before poses are read: a file may repeat one frame many times
     cameras = []
     for number, (name, frame) in enumerate(zip(names, document["frames"], strict=True)):
         try:
@@ -79,13 +79,13 @@ def read_transforms(
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: frame {number} ({name}): expected numbers: {what}") from None
-    said = [document, *document["frames"]]
-    if ignored := [key for key, nothing in _NOT_OBEYED.items() if any(v.get(key, nothing) != nothing for v in said)]:
+    objects = [document, *document["frames"]]
+    if ignored := [key for key, neutral in _IGNORED_KEYS.items() if any(v.get(key, neutral) != neutral for v in objects)]:
         warn(f"{path}: not obeyed: {', '.join(ignored)}; cameras and lenses are read as they stand without")
     return tuple(cameras)
 
 
-def _check_once(path: Path, names: Sequence[Any], size_of: Callable[[str], Size | None]) -> None:
+def _check_duplicates(path: Path, names: Sequence[Any], size_of: Callable[[str], Size | None]) -> None:
     """Refuse two frames for one image that is there."""
     seen: set[str] = set()
     for number, name in enumerate(names):
@@ -114,23 +114,23 @@ def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | N
 
 def _focal(values: Mapping[str, Any], axis: str, pixels: int) -> float | None:
     """The focal length in pixels that a file gives, or that its angle of view means; None where it has neither."""
-    given, angle = (float(values[key]) if key in values else None for key in (f"fl_{axis}", f"camera_angle_{axis}"))
+    stated, angle = (float(values[key]) if key in values else None for key in (f"fl_{axis}", f"camera_angle_{axis}"))
     if angle is None:
-        return given
-    meant = 0.5 * pixels / float(np.tan(0.5 * angle))
-    if given is not None and abs(given - meant) > _MAX_CONTRADICTION * meant:
+        return stated
+    implied = 0.5 * pixels / float(np.tan(0.5 * angle))
+    if stated is not None and abs(stated - implied) > _MAX_FOCAL_DISAGREEMENT * implied:
         raise InputError(
-            f"fl_{axis} {given:g} px and camera_angle_{axis} {angle:g} (which is {meant:.4g} px) contradict each other:"
+            f"fl_{axis} {stated:g} px and camera_angle_{axis} {angle:g} (which is {implied:.4g} px) contradict each other:"
             " remove the wrong one"
         )
-    return meant if given is None else given
+    return implied if stated is None else stated
 
 
 def _pose(matrix: Any) -> Similarity:
     m = np.array(matrix, dtype=np.float64)
     if m.shape not in ((4, 4), (3, 4)) or not np.isfinite(m).all():
         raise InputError(f"expected a 4x4 transform_matrix of finite numbers, got shape {m.shape}")
-    cam_from_world = (rotation_from(m[:3, :3]) @ _FLIP).T
+    cam_from_world = (rotation_from(m[:3, :3]) @ _OPENCV_FROM_OPENGL).T
     return Similarity(cam_from_world, -cam_from_world @ m[:3, 3])
 
 
@@ -146,11 +146,11 @@ def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "image
     intrinsics = [_intrinsics_values(camera.intrinsics) for camera in cameras]
     shared = intrinsics[0] if intrinsics and all(values == intrinsics[0] for values in intrinsics) else {}
     frames = []
-    for camera, own in zip(cameras, intrinsics, strict=True):
+    for camera, camera_values in zip(cameras, intrinsics, strict=True):
         world_from_cam = camera.cam_from_world.inverse().matrix
-        world_from_cam[:3, :3] = world_from_cam[:3, :3] @ _FLIP
+        world_from_cam[:3, :3] = world_from_cam[:3, :3] @ _OPENCV_FROM_OPENGL
         name = f"{images}/{camera.name}" if images else camera.name
-        frames.append({"file_path": name, **({} if shared else own), "transform_matrix": world_from_cam.tolist()})
+        frames.append({"file_path": name, **({} if shared else camera_values), "transform_matrix": world_from_cam.tolist()})
     document = {"camera_model": "OPENCV", **shared, "frames": frames}
     with atomic_write(path) as file:
         file.write(json.dumps(document, indent=1).encode() + b"\n")

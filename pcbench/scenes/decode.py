@@ -23,8 +23,8 @@ MAX_PIXELS = 600_000_000  # of an image; survey cameras take up to 450 million
 Size = tuple[int, int]  # width and height in pixels
 
 # Tags of EXIF (CIPA DC-008): its directory, in it the size, and pixels to a unit of the sensor.
-_EXIF, _PIXELS, _RESOLUTIONS = 0x8769, (0xA002, 0xA003), (0xA20E, 0xA20F)
-_MAX_EXIF = 65_000  # bytes that a JPEG's segment takes
+_EXIF_TAG, _PIXEL_SIZE_TAGS, _RESOLUTION_TAGS = 0x8769, (0xA002, 0xA003), (0xA20E, 0xA20F)
+_MAX_EXIF_BYTES = 65_000  # bytes that a JPEG's segment takes
 
 
 def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
@@ -34,7 +34,7 @@ def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
         InputError: it cannot be decoded.
         MissingExtra: Pillow is not installed.
     """
-    return np.array(_open(path, "RGB", size), dtype=np.uint8)
+    return np.array(_load(path, "RGB", size), dtype=np.uint8)
 
 
 def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
@@ -44,7 +44,7 @@ def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
         InputError: it cannot be decoded.
         MissingExtra: Pillow is not installed.
     """
-    return np.array(_open(path, "L", size, smooth=False)) > 0
+    return np.array(_load(path, "L", size, smooth=False)) > 0
 
 
 def why_unreadable(path: Path) -> str | None:
@@ -57,11 +57,11 @@ def why_unreadable(path: Path) -> str | None:
     """
     pillow = require("PIL.Image")
     try:
-        with _large_images(), pillow.open(path) as image:
+        with _no_pixel_limit(), pillow.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
                 return f"too large ({image.width} x {image.height} pixels, at most {MAX_PIXELS / 1e6:.0f} million)"
             image.verify()
-        with _large_images(), pillow.open(path) as image:
+        with _no_pixel_limit(), pillow.open(path) as image:
             image.load()
     except MemoryError:
         return f"too large ({path.stat().st_size} bytes do not fit into memory)"
@@ -84,13 +84,13 @@ def resize_image(path: Path, out: Path, size: Size) -> None:
     options: dict[str, Any] = {"compress_level": 1} if lossless else {"quality": 97, "subsampling": 0}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Pillow, on damaged blocks
-        image = _open(path, "RGB", size)
-        if exif := _exif(path, size):
+        image = _load(path, "RGB", size)
+        if exif := _resized_exif(path, size):
             options["exif"] = exif
     image.save(out, **options)
 
 
-def _exif(path: Path, size: Size) -> bytes:
+def _resized_exif(path: Path, size: Size) -> bytes:
     """The EXIF block of an image as it is for another size: of the focal length, one of three ways to give it counts
     in pixels of the sensor. Empty where there is none, or none that can be read.
     """
@@ -103,8 +103,8 @@ def _exif(path: Path, size: Size) -> bytes:
             exif = original.getexif()
             if not exif:
                 return b""
-            fields = exif.get_ifd(_EXIF)
-            for pixels, resolution, length, scale in zip(_PIXELS, _RESOLUTIONS, size, scales, strict=True):
+            fields = exif.get_ifd(_EXIF_TAG)
+            for pixels, resolution, length, scale in zip(_PIXEL_SIZE_TAGS, _RESOLUTION_TAGS, size, scales, strict=True):
                 if pixels in fields:
                     fields[pixels] = length
                 if resolution in fields:
@@ -112,13 +112,13 @@ def _exif(path: Path, size: Size) -> bytes:
             block: bytes = exif.tobytes()
     except (OSError, ValueError, TypeError, KeyError, SyntaxError, ArithmeticError, struct.error):
         return b""
-    return block if len(block) <= _MAX_EXIF else b""
+    return block if len(block) <= _MAX_EXIF_BYTES else b""
 
 
-def _open(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
+def _load(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
     pillow = require("PIL.Image")
     try:
-        with _large_images(), pillow.open(path) as file:
+        with _no_pixel_limit(), pillow.open(path) as file:
             if file.width * file.height > MAX_PIXELS:
                 raise InputError(
                     f"{path}: expected an image of at most {MAX_PIXELS / 1e6:.0f} million pixels, got {file.width} x"
@@ -135,11 +135,11 @@ def _open(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
 
 
 @contextmanager
-def _large_images() -> Iterator[None]:
+def _no_pixel_limit() -> Iterator[None]:
     """Without Pillow's own limit, which is less than what cameras of surveys take."""
     pillow = require("PIL.Image")
-    kept, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
+    original_limit, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
     try:
         yield
     finally:
-        pillow.MAX_IMAGE_PIXELS = kept
+        pillow.MAX_IMAGE_PIXELS = original_limit

@@ -12,14 +12,14 @@ from pcbench.io.image_header import EXTENSIONS
 from pcbench.regular_files import has_entry, read_bytes
 
 # COLMAP and nerfstudio; NeRF's synthetic sets; RGB-D sets; Earth Studio's download.
-_IMAGES = ("images", "train", "rgb", "footage")
-_MODELS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # where a COLMAP model may stand in a scene's folder
-_TRANSFORMS = ("transforms.json", "transforms_train.json")
+_IMAGE_FOLDERS = ("images", "train", "rgb", "footage")
+_MODEL_FOLDERS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # where a COLMAP model may stand in a scene's folder
+_TRANSFORMS_FILES = ("transforms.json", "transforms_train.json")
 _CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # where Strecha's files may
-_CALIBRATION = re.compile(
+_CALIBRATION_NAMES = re.compile(
     r"(k|.*_par|(intrinsics?|calib|calibration|cameras?|cam)([_-].*)?)\.(txt|xml|json|ya?ml|csv|npz|bin)|transforms.*\.json"
 )
-_UNREAD = (".tif", ".tiff", ".webp", ".bmp", ".heic", ".jp2", ".dng", ".gif")
+_UNSUPPORTED_EXTENSIONS = (".tif", ".tiff", ".webp", ".bmp", ".heic", ".jp2", ".dng", ".gif")
 
 
 def natural_key(name: str) -> tuple[list[tuple[str, int]], str]:
@@ -36,17 +36,17 @@ def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
         InputError: there are none, or some are of a format that is not read.
     """
     # Only a folder of images is searched to its depths: beside it stand masks, depth maps and results.
-    folders = [(path / name, list((path / name).rglob("*"))) for name in _IMAGES if (path / name).is_dir()]
+    folders = [(path / name, list((path / name).rglob("*"))) for name in _IMAGE_FOLDERS if (path / name).is_dir()]
     for folder, found in [*folders, (path, list(path.iterdir()))]:
         files = [p.relative_to(folder) for p in found if not p.is_dir()]
         visible = [p for p in files if not any(part.startswith(".") for part in p.parts)]
-        unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNREAD)
+        unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNSUPPORTED_EXTENSIONS)
         if unread:
             raise InputError(f"{folder / unread[0]}: expected JPEG or PNG images: convert it, or move it elsewhere")
         names = sorted((p.as_posix() for p in visible if p.suffix.lower() in EXTENSIONS), key=natural_key)
         if names:
             return folder, tuple(names)
-    inner = ", ".join(f"{name}/" for name in _IMAGES)
+    inner = ", ".join(f"{name}/" for name in _IMAGE_FOLDERS)
     raise InputError(f"{path}: expected a folder with images (.jpg, .jpeg, .png), directly or in one of {inner}")
 
 
@@ -54,7 +54,7 @@ def scene_name(folder: Path) -> str:
     """What people call the scene whose images are in a folder: its name, or that of the folder above `images/` and the
     like."""
     path = folder.resolve()
-    return (path.parent if path.name in _IMAGES else path).name
+    return (path.parent if path.name in _IMAGE_FOLDERS else path).name
 
 
 def unread_calibrations(folder: Path, cameras: Path | None) -> tuple[str, ...]:
@@ -66,7 +66,7 @@ def unread_calibrations(folder: Path, cameras: Path | None) -> tuple[str, ...]:
     """
     if cameras is not None and cameras.resolve() == folder.resolve():
         return ()
-    names = sorted(path.name for path in folder.iterdir() if _CALIBRATION.fullmatch(path.name.lower()))
+    names = sorted(path.name for path in folder.iterdir() if _CALIBRATION_NAMES.fullmatch(path.name.lower()))
     return tuple(name for name in names if cameras is None or (folder / name).resolve() != cameras.resolve())
 
 
@@ -76,15 +76,15 @@ def find_cameras(path: Path) -> Path | None:
     Raises:
         InputError: there are two exports of Earth Studio, or two scenes of OpenMVS and none is called scene.mvs.
     """
-    for place in _MODELS:
-        if is_colmap_model(path / place):
-            return path / place
-    for name in _TRANSFORMS:
+    for subfolder in _MODEL_FOLDERS:
+        if is_colmap_model(path / subfolder):
+            return path / subfolder
+    for name in _TRANSFORMS_FILES:
         if has_entry(path / name):
             return path / name
-    for place in _CAMERA_FOLDERS:
-        if any((path / place).glob("*.camera")):
-            return path / place
+    for subfolder in _CAMERA_FOLDERS:
+        if any((path / subfolder).glob("*.camera")):
+            return path / subfolder
     if (scene := _openmvs_scene(path)) is not None:
         return scene
     exports = [file for file in sorted(path.glob("*.json")) if is_earth_studio(file)]

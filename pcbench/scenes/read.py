@@ -18,9 +18,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
-from pcbench.io.earth_studio import PROJECT, read_earth_studio, sphere_in_words
+from pcbench.io.earth_studio import PROJECT_FILE_HINT, read_earth_studio, describe_sphere_scale
 from pcbench.io.image_header import ImageHeader, read_image_header
-from pcbench.io.k_matrix import K_MATRIX, intrinsics_from_k, read_k_matrix
+from pcbench.io.k_matrix import K_MATRIX_FILE, intrinsics_from_k, read_k_matrix
 from pcbench.io.openmvs import is_openmvs, read_openmvs
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
@@ -31,7 +31,7 @@ from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
 # Of the longer side of an image, below which no focal length is one in pixels: 157 degrees of view.
-_MIN_FOCAL = 0.1
+_MIN_FOCAL_SHARE = 0.1
 
 
 def read_scene(
@@ -89,7 +89,7 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
         raise InputError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from error
     find = ImageNames(images)
     found: dict[str, FloatArray] = {}
-    lost: list[str] = []
+    unmatched: list[str] = []
     for number, line in enumerate(lines, 1):
         words = line.split()
         if not words or words[0].startswith("#"):
@@ -102,11 +102,11 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
             raise InputError(f"{path}: line {number}: expected a name and x y z, got {line.strip()[:60]!r}")
         name = find(words[0])
         if name is None:
-            lost.append(words[0])
+            unmatched.append(words[0])
         else:
             found[name] = position
-    if lost:
-        warn(f"{path}: {len(lost)} positions are left out, their images are missing: {_some(lost)}")
+    if unmatched:
+        warn(f"{path}: {len(unmatched)} positions are left out, their images are missing: {_list_names(unmatched)}")
     return found
 
 
@@ -149,20 +149,20 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     if source is None:
         _warn_of_unread(scene, None, scene.images, warn)
         if projects := sorted(path.glob("*.esp")):
-            warn(f"{projects[0]}: {PROJECT}")
+            warn(f"{projects[0]}: {PROJECT_FILE_HINT}")
         return scene
     if not source.exists():
         raise InputError(f"{source}: expected a file or folder with cameras, which does not exist")
     find = ImageNames(scene.images)
-    given = _read_cameras(source, scene, find, warn)
-    placed: dict[str, Camera] = {}
-    lost: list[str] = []
-    for camera in given.cameras:
+    camera_file = _read_cameras(source, scene, find, warn)
+    matched: dict[str, Camera] = {}
+    unmatched: list[str] = []
+    for camera in camera_file.cameras:
         name = find(camera.name)
         if name is None:
-            lost.append(camera.name)
+            unmatched.append(camera.name)
             continue
-        if name in placed:
+        if name in matched:
             raise InputError(f"{source}: two cameras for the image {name}")
         intrinsics = camera.intrinsics
         if not _same_aspect((intrinsics.width, intrinsics.height), scene.sizes[name]):
@@ -171,27 +171,27 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
                 f"{scene.folder / name}: the image has {width} x {height} pixels, but its camera in {source} is for"
                 f" {intrinsics.width} x {intrinsics.height}: use the images that the cameras were made for"
             )
-        if wrong := _no_intrinsics(intrinsics):
+        if wrong := _intrinsics_error(intrinsics):
             raise InputError(f"{source}: {name}: {wrong}")
-        placed[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
-    if not placed:
-        missing = lost[0] if lost else "a file_path"
-        raise InputError(f"{source}: missing images: none of {len(lost)} cameras has one, such as {missing!r}")
-    if lost:
-        count = f"{len(lost)} of {len(given.cameras)}"
-        warn(f"{source}: {count} cameras are left out, their images are missing: {_some(lost)}")
-    if bare := [name for name in scene.images if name not in placed]:
-        warn(f"{source}: {len(bare)} of {len(scene)} images have no camera: {_some(bare)}")
-    _warn_of_unread(scene, source, bare, warn)
-    if given.origin is not None:
-        warn(f"{source}: {sphere_in_words(given.origin)}")
-    on_sphere = given.origin is not None  # Earth Studio alone says where its origin is
-    return replace(scene, cameras=placed, points=given.points, origin=given.origin, on_sphere=on_sphere)
+        matched[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
+    if not matched:
+        missing = unmatched[0] if unmatched else "a file_path"
+        raise InputError(f"{source}: missing images: none of {len(unmatched)} cameras has one, such as {missing!r}")
+    if unmatched:
+        count = f"{len(unmatched)} of {len(camera_file.cameras)}"
+        warn(f"{source}: {count} cameras are left out, their images are missing: {_list_names(unmatched)}")
+    if without_camera := [name for name in scene.images if name not in matched]:
+        warn(f"{source}: {len(without_camera)} of {len(scene)} images have no camera: {_list_names(without_camera)}")
+    _warn_of_unread(scene, source, without_camera, warn)
+    if camera_file.origin is not None:
+        warn(f"{source}: {describe_sphere_scale(camera_file.origin)}")
+    on_sphere = camera_file.origin is not None  # Earth Studio alone says where its origin is
+    return replace(scene, cameras=matched, points=camera_file.points, origin=camera_file.origin, on_sphere=on_sphere)
 
 
-def _warn_of_unread(scene: Scene, source: Path | None, bare: Sequence[str], warn: Callable[[str], None]) -> None:
+def _warn_of_unread(scene: Scene, source: Path | None, without_camera: Sequence[str], warn: Callable[[str], None]) -> None:
     """Warn of a calibration among the images that is not read; that of a K.txt is, where images have no camera."""
-    unread = [name for name in unread_calibrations(scene.folder, source) if name != K_MATRIX or not bare]
+    unread = [name for name in unread_calibrations(scene.folder, source) if name != K_MATRIX_FILE or not without_camera]
     if unread:
         there = "there are no cameras" if source is None else f"cameras are those of {source}"
         warn(f"{scene.folder / unread[0]}: looks like a calibration and is not read: {there}")
@@ -199,20 +199,20 @@ def _warn_of_unread(scene: Scene, source: Path | None, bare: Sequence[str], warn
 
 def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> Scene:
     """The scene with the intrinsics of a K.txt for the images without a camera, or as it is where there is none."""
-    file = next((place / K_MATRIX for place in (scene.folder, path) if has_entry(place / K_MATRIX)), None)
-    bare = [name for name in scene.images if name not in scene.cameras]
-    if file is None or not bare:
+    file = next((place / K_MATRIX_FILE for place in (scene.folder, path) if has_entry(place / K_MATRIX_FILE)), None)
+    without_camera = [name for name in scene.images if name not in scene.cameras]
+    if file is None or not without_camera:
         return scene
     k = read_k_matrix(file)
     found: dict[str, Intrinsics] = {}
     reduced: dict[Size, int] = {}
-    for name in bare:
+    for name in without_camera:
         width, height = scene.sizes[name]
         try:
             intrinsics, factor = intrinsics_from_k(k, width, height)
         except InputError as error:
             raise InputError(f"{file}: {name}: {error}") from None
-        if wrong := _no_intrinsics(intrinsics):
+        if wrong := _intrinsics_error(intrinsics):
             raise InputError(f"{file}: {name}: {wrong}")
         found[name] = intrinsics.resized(*scene.size(name))
         if factor > 1:
@@ -223,7 +223,7 @@ def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> S
     return replace(scene, intrinsics=found)
 
 
-class _Given(NamedTuple):
+class _CameraFile(NamedTuple):
     """Cameras under the names that their file has for them, and what else it says."""
 
     cameras: Sequence[Camera]
@@ -231,24 +231,24 @@ class _Given(NamedTuple):
     origin: Gps | None = None
 
 
-def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _Given:
+def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _CameraFile:
     """The cameras of a file or folder, in whichever of the known formats it is."""
     if source.is_dir():
         if is_colmap_model(source):
-            return _Given(read_colmap_cameras(source), read_points3d(source) if has_points(source) else None)
+            return _CameraFile(read_colmap_cameras(source), read_points3d(source) if has_points(source) else None)
         if files := sorted(source.glob("*.camera")):
-            return _Given([read_strecha(file) for file in files])
+            return _CameraFile([read_strecha(file) for file in files])
         raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files in this folder")
     if source.suffix == ".camera":
-        return _Given([read_strecha(source)])
+        return _CameraFile([read_strecha(source)])
     if is_openmvs(source):
-        return _Given(*read_openmvs(source, lambda name: scene.sizes.get(find(name) or ""), warn))
+        return _CameraFile(*read_openmvs(source, lambda name: scene.sizes.get(find(name) or ""), warn))
     if source.suffix.lower() == ".esp":
-        raise InputError(f"{source}: {PROJECT}")
+        raise InputError(f"{source}: {PROJECT_FILE_HINT}")
     if is_earth_studio(source):
         frames, origin = read_earth_studio(source)
-        return _Given(_frames_to_images(source, frames, scene.images), origin=origin)
-    return _Given(read_transforms(source, lambda name: scene.sizes.get(find(name) or ""), warn))
+        return _CameraFile(_frames_to_images(source, frames, scene.images), origin=origin)
+    return _CameraFile(read_transforms(source, lambda name: scene.sizes.get(find(name) or ""), warn))
 
 
 def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[str]) -> list[Camera]:
@@ -270,11 +270,11 @@ def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[s
     return chosen
 
 
-def _no_intrinsics(k: Intrinsics) -> str:
+def _intrinsics_error(k: Intrinsics) -> str:
     """Why intrinsics cannot be those of an image, in words; empty where they can."""
     size = max(k.width, k.height)
     focal, at = f"a focal length of {k.fx:.4g} x {k.fy:.4g}", f"a principal point at ({k.cx:.4g}, {k.cy:.4g})"
-    in_pixels = min(k.fx, k.fy) >= _MIN_FOCAL * size and (max(k.cx, k.cy) > 1 or size <= 2)
+    in_pixels = min(k.fx, k.fy) >= _MIN_FOCAL_SHARE * size and (max(k.cx, k.cy) > 1 or size <= 2)
     if not in_pixels:
         what = "they look normalised or in millimetres"
     elif not (0 <= k.cx <= k.width and 0 <= k.cy <= k.height):
@@ -290,5 +290,5 @@ def _same_aspect(camera: Size, image: Size) -> bool:
     return abs(camera[1] * scale - image[1]) <= 1 + scale
 
 
-def _some(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

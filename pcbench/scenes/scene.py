@@ -156,18 +156,18 @@ class Scene:
         """
         if unknown := sorted(set(names) - set(self.images)):
             raise InputError(f"expected names of images, got {unknown[0]!r}: they are such as {self.images[0]!r}")
-        kept = tuple(name for name in self.images if name in set(names))
-        if not kept:
+        selected = tuple(name for name in self.images if name in set(names))
+        if not selected:
             raise InputError("expected at least one image, got none")
         return replace(
             self,
-            images=kept,
-            sizes={name: self.sizes[name] for name in kept},
-            cameras={name: self.cameras[name] for name in kept if name in self.cameras},
-            gps={name: self.gps[name] for name in kept if name in self.gps},
-            positions={name: self.positions[name] for name in kept if name in self.positions},
-            masks={name: self.masks[name] for name in kept if name in self.masks},
-            intrinsics={name: self.intrinsics[name] for name in kept if name in self.intrinsics},
+            images=selected,
+            sizes={name: self.sizes[name] for name in selected},
+            cameras={name: self.cameras[name] for name in selected if name in self.cameras},
+            gps={name: self.gps[name] for name in selected if name in self.gps},
+            positions={name: self.positions[name] for name in selected if name in self.positions},
+            masks={name: self.masks[name] for name in selected if name in self.masks},
+            intrinsics={name: self.intrinsics[name] for name in selected if name in self.intrinsics},
         )
 
     def split_every(self, n: int = 8) -> tuple[Scene, Scene]:
@@ -177,7 +177,7 @@ class Scene:
         Raises:
             InputError: there are too few images.
         """
-        return self._parts(every(self.images, n))
+        return self._select_split(every(self.images, n))
 
     def split_blocks(self, n: int = 8, blocks: int = 8) -> tuple[Scene, Scene]:
         """Train and test by `pcbench.scenes.splits.in_blocks`: an n-th of the images is for testing, as runs in the
@@ -187,9 +187,9 @@ class Scene:
             InputError: there are too few images.
         """
         positions = {name: camera.position for name, camera in self.cameras.items()}
-        return self._parts(in_blocks(self.images, blocks, 1 / n, positions))
+        return self._select_split(in_blocks(self.images, blocks, 1 / n, positions))
 
-    def _parts(self, split: Split) -> tuple[Scene, Scene]:
+    def _select_split(self, split: Split) -> tuple[Scene, Scene]:
         return self.select(split.train), self.select(split.test)
 
     @cached_property
@@ -201,8 +201,8 @@ class Scene:
     def describe(self) -> list[str]:
         """What is in the scene, a few lines for people."""
         sizes = sorted({self.size(name) for name in self.images})
-        shown = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
-        lines = [f"{self.folder}: {len(self)} images of {shown}"]
+        size_text = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
+        lines = [f"{self.folder}: {len(self)} images of {size_text}"]
         lines.append(f"  cameras {len(self.cameras)}, GPS {len(self.positions or self.gps)}, masks {len(self.masks)}")
         if self.cameras:
             positions = np.stack([camera.position for camera in self.cameras.values()])
@@ -222,13 +222,13 @@ class Scene:
 
     def fingerprint(self, *, cameras: bool = True) -> str:
         """SHA-256 of what a reconstruction depends on: the bytes of images and masks, scale, GPS and cameras."""
-        whole = hashlib.sha256(repr(self.image_scale).encode())
+        combined = hashlib.sha256(repr(self.image_scale).encode())
         for name in self.images:
-            whole.update(f"{name}\0{self._digests[name]}\0{self.gps.get(name)}\0".encode())
-            whole.update(self.positions[name].tobytes() if name in self.positions else b"")
+            combined.update(f"{name}\0{self._digests[name]}\0{self.gps.get(name)}\0".encode())
+            combined.update(self.positions[name].tobytes() if name in self.positions else b"")
             if cameras and name in self.cameras:
                 camera = self.cameras[name]
-                whole.update(repr(camera.intrinsics).encode() + camera.cam_from_world.matrix.tobytes())
+                combined.update(repr(camera.intrinsics).encode() + camera.cam_from_world.matrix.tobytes())
             elif cameras and name in self.intrinsics:
-                whole.update(repr(self.intrinsics[name]).encode())
-        return whole.hexdigest()
+                combined.update(repr(self.intrinsics[name]).encode())
+        return combined.hexdigest()

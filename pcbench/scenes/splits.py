@@ -14,9 +14,9 @@ from pcbench.geometry.arrays import FloatArray
 HoldOut = Literal["none", "every", "blocks"]
 """How images are held out, as a setting of a reconstructor: none, `every` 8th, or 8 `in_blocks`."""
 
-_BLOCKS = 8
-_SHORTEST = 2  # images of a block: one alone has neighbours on both sides, as every n-th has
-_DETOUR = 2.0
+_DEFAULT_BLOCKS = 8
+_MIN_BLOCK_IMAGES = 2  # images of a block: one alone has neighbours on both sides, as every n-th has
+_MAX_DETOUR = 2.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def every(names: Sequence[str], n: int = 8) -> Split:
 
 def in_blocks(
     names: Sequence[str],
-    count: int = _BLOCKS,
+    count: int = _DEFAULT_BLOCKS,
     share: float = 1 / 8,
     positions: Mapping[str, FloatArray] | None = None,
 ) -> Split:
@@ -92,7 +92,7 @@ def in_blocks(
     """
     if count < 1:
         raise InputError(f"expected at least one block, got {count}")
-    length = max(_SHORTEST, round(share * len(names) / count))
+    length = max(_MIN_BLOCK_IMAGES, round(share * len(names) / count))
     if 2 * length * count > len(names):
         raise InputError(
             f"expected images for training and for testing: for {count} blocks of {length} that are held out at least"
@@ -112,9 +112,9 @@ def for_choosing(names: Sequence[str], positions: Mapping[str, FloatArray] | Non
     Raises:
         InputError: there are fewer than four images, of which no two could be spared.
     """
-    if len(names) >= _BLOCKS * _SHORTEST * 2:
-        return in_blocks(names, _BLOCKS, positions=positions)
-    return every(names, _BLOCKS if len(names) >= 3 * _BLOCKS else 3)
+    if len(names) >= _DEFAULT_BLOCKS * _MIN_BLOCK_IMAGES * 2:
+        return in_blocks(names, _DEFAULT_BLOCKS, positions=positions)
+    return every(names, _DEFAULT_BLOCKS if len(names) >= 3 * _DEFAULT_BLOCKS else 3)
 
 
 def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> tuple[str, ...]:
@@ -129,23 +129,23 @@ def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> 
     if len(given) < 3 or any(name not in positions for name in given):
         return given
     places = np.array([positions[name] for name in given], dtype=np.float64)
-    path = _to_the_nearest(places)
-    return tuple(given[k] for k in path) if _length(places) > _DETOUR * _length(places[path]) else given
+    path = _nearest_neighbor_path(places)
+    return tuple(given[k] for k in path) if _path_length(places) > _MAX_DETOUR * _path_length(places[path]) else given
 
 
-def _to_the_nearest(places: FloatArray) -> list[int]:
+def _nearest_neighbor_path(places: FloatArray) -> list[int]:
     """A way through all places, from the first to the nearest that is left, and so on; ties by number."""
-    left = np.ones(len(places), dtype=bool)
+    remaining = np.ones(len(places), dtype=bool)
     path = [0]
-    left[0] = False
-    while left.any():
+    remaining[0] = False
+    while remaining.any():
         distances = np.square(places - places[path[-1]]).sum(axis=1)
-        path.append(int(np.where(left, distances, np.inf).argmin()))
-        left[path[-1]] = False
+        path.append(int(np.where(remaining, distances, np.inf).argmin()))
+        remaining[path[-1]] = False
     return path
 
 
-def _length(places: FloatArray) -> float:
+def _path_length(places: FloatArray) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 

@@ -128,10 +128,10 @@ def write_views(folder: Path, scene: str, method: str, split: Split, render: Cal
         row: dict[str, Any] = {"name": name, "block": blocks.get(name)}
         for kind, image in (("rendering", pictures.rendering), ("photograph", pictures.photograph)):
             row[kind] = f"{kind}s/{name}.png"
-            _write(_inside(folder, row[kind]), _bytes(image))
+            _write(_path_inside(folder, row[kind]), _to_uint8(image))
         if pictures.mask is not None:
             row["mask"] = f"masks/{name}.png"
-            _write(_inside(folder, row["mask"]), pictures.mask.astype(np.uint8) * 255)
+            _write(_path_inside(folder, row["mask"]), pictures.mask.astype(np.uint8) * 255)
         rows.append(row)
     document = {"schema": SCHEMA, "scene": scene, "method": method, "split": split.words, "views": rows}
     with atomic_write(folder / DOCUMENT) as file:
@@ -144,15 +144,15 @@ def read_views(folder: Path) -> RenderedViews:
     Raises:
         InputError: there are none, or `views.json` is not what it has to be.
     """
-    home = find_views(folder)
-    if home is None:
+    views_folder = find_views(folder)
+    if views_folder is None:
         raise InputError(f"{folder}: expected a folder of rendered views (with {DOCUMENT}), or a workspace with one")
-    path = home / DOCUMENT
+    path = views_folder / DOCUMENT
     try:
         document = read_json(path)
         if document["schema"] != SCHEMA:
             raise InputError(f"expected the schema {SCHEMA}, got {document['schema']!r}")
-        views = tuple(_view(home, row) for row in document["views"])
+        views = tuple(_view(views_folder, row) for row in document["views"])
         scene, method, split = (str(document[key]) for key in ("scene", "method", "split"))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -160,13 +160,13 @@ def read_views(folder: Path) -> RenderedViews:
         raise InputError(f"{path}: expected what pcbench writes of rendered views, got {error!r}") from error
     if not views:
         raise InputError(f"{path}: expected at least one view, got none")
-    return RenderedViews(home, scene, method, split, views)
+    return RenderedViews(views_folder, scene, method, split, views)
 
 
 def find_views(folder: Path) -> Path | None:
     """The folder of rendered views that this is, or that is in it as in a workspace of a reconstructor."""
-    places = (folder, folder / RENDERED, folder / "plugin" / RENDERED)
-    return next((place for place in places if (place / DOCUMENT).is_file()), None)
+    candidates = (folder, folder / RENDERED, folder / "plugin" / RENDERED)
+    return next((candidate for candidate in candidates if (candidate / DOCUMENT).is_file()), None)
 
 
 def _view(folder: Path, row: Any) -> RenderedView:
@@ -177,20 +177,20 @@ def _view(folder: Path, row: Any) -> RenderedView:
     return RenderedView(
         str(row["name"]),
         block,
-        _inside(folder, row["rendering"]),
-        _inside(folder, row["photograph"]),
-        None if mask is None else _inside(folder, mask),
+        _path_inside(folder, row["rendering"]),
+        _path_inside(folder, row["photograph"]),
+        None if mask is None else _path_inside(folder, mask),
     )
 
 
-def _inside(folder: Path, name: str) -> Path:
+def _path_inside(folder: Path, name: str) -> Path:
     path = folder / name
     if not path.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"expected names of files in {folder}, got {name!r}")
     return path
 
 
-def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
+def _to_uint8(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected an image of shape (height, width, 3), got {image.shape}")
     if image.dtype == np.uint8:
