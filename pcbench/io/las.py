@@ -1,6 +1,6 @@
-"""LAS, LAZ and COPC: read with own code up to the compressed points, which lazrs unpacks in a process of its own.
+"""Read and write LAS, LAZ and COPC. Only the compressed points need a library: lazrs, in a child process.
 
-Coordinates are the stored integers times scale plus offset, in float64, and nothing else.
+Coordinates are the stored integers times scale plus offset, in float64; nothing else is applied.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pcbench.io.las_header import (
 _AXES = ("X", "Y", "Z")
 _NORMALS = (("NormalX", "NormalY", "NormalZ"), ("nx", "ny", "nz"))
 _COLORS = ("red", "green", "blue")
-# The standard dimensions that are kept as attributes, with the type they are written in.
+# Standard dimensions that become attributes, with the types in which they are written.
 _STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "intensity": np.dtype("u2"),
     "classification": np.dtype("u1"),
@@ -44,7 +44,7 @@ _STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "gps_time": np.dtype("f8"),
     "point_source_id": np.dtype("u2"),
 }
-# What readers call the dimensions of points: an attribute of one of these names would get in their way.
+# Names that readers use for point dimensions: attributes with these names would conflict.
 _RESERVED_NAMES = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
     *("scan_angle_rank", "synthetic", "key_point", "withheld", "overlap", "scanner_channel"),
     *("scan_direction_flag", "edge_of_flight_line", "raw_classification", "bit_fields", "classification_flags"),
@@ -57,21 +57,23 @@ def read_las(
     classes: Collection[int] | None = None,
     returns: str | Collection[int] | None = None,
 ) -> Fields:
-    """The points of a LAS, LAZ or COPC file (all levels of it), or those of some classes or returns.
+    """Read the points of a LAS, LAZ or COPC file (all levels), optionally only some classes or returns.
 
-    Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id as far as
-    the point format has them, and the extra bytes, scaled where they say so and NaN where they hold no data. 16-bit
-    colours lose their lower byte. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz are the normals. Warnings say
-    where the points are not within the bounds, or not of the returns, that the header says.
+    Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id, if the
+    point format has them, and the extra bytes. Extra bytes are scaled if the file declares a scale; values marked as no
+    data become NaN. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz become the normals. 16-bit colours lose their
+    lower byte. Warnings report points outside the bounds or returns that differ from the counts in the header.
 
     Args:
-        classes: numbers of the classes to keep, such as (2, 6) for ground and buildings.
-        returns: "first", "last", or numbers of the returns to keep, (1, 2) or "1,2".
+        path: input file.
+        warn: callback for warnings.
+        classes: class numbers to keep, such as (2, 6) for ground and buildings.
+        returns: returns to keep: "first", "last", or return numbers, such as (1, 2) or "1,2".
 
     Raises:
-        InputError: the file is damaged, or no point is of these classes and returns.
-        MissingExtra: it is compressed, and lazrs is not installed.
-        OSError: it cannot be read.
+        InputError: the file is damaged, or no point has these classes and returns.
+        MissingExtra: the file is compressed, and lazrs is not installed.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         header = read_header(file, warn)
@@ -81,9 +83,9 @@ def read_las(
         else:
             complete = (header.end - header.start) // header.record_bytes
             if complete < header.count:
-                raise InputError(f"truncated: {complete} of {header.count} points: copy or export the file again")
+                raise InputError(f"truncated: got {complete} of {header.count} points: copy or export the file again")
             if complete > header.count:
-                warn(f"the header says {header.count} points, there is room for {complete}: the rest was left out")
+                warn(f"the header states {header.count} points, the file has space for {complete}: left out the rest")
             data = np.empty(header.count * header.record_bytes, dtype=np.uint8)
             file.seek(header.start)
             file.readinto(data.data)
@@ -91,14 +93,14 @@ def read_las(
     check_points(records, *_returns(records, header), header, warn)
     withheld = records["flags"] & 4 if header.is_extended else records["class_flags"] & 128
     if count := int(np.count_nonzero(withheld)):
-        warn(f"{count} of {header.count} points are marked as withheld; they were kept")
+        warn(f"kept {count} of {header.count} points that are marked as withheld")
     if classes is not None or returns is not None:
         records = _filter_records(records, header, classes, returns)
     return _fields(records, header, extras, warn)
 
 
 def _record_type(header: LasHeader, extras: list[ExtraDimension]) -> np.dtype[Any]:
-    """A point record; extra dimensions are named by their number, for their own names may be anything."""
+    """Return the type of a point record. Extra dimensions are named by index, since their own names may be anything."""
     standard = np.dtype(POINT_FORMATS[header.point_format])
     fields = {name: (dtype, byte_offset) for name, (dtype, byte_offset, *_) in (standard.fields or {}).items()}
     byte_offset = standard.itemsize
@@ -120,7 +122,7 @@ def _classes(records: NDArray[Any], header: LasHeader) -> NDArray[Any]:
 
 
 def _returns(records: NDArray[Any], header: LasHeader) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Number of each return, and how many its pulse had."""
+    """Return the return number of each point and the number of returns of its pulse."""
     if header.is_extended:
         return records["returns"] & 15, records["returns"] >> 4
     return records["returns"] & 7, records["returns"] >> 3 & 7
@@ -142,7 +144,7 @@ def _filter_records(
     if not keep.any():
         filters = [f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None]
         raise InputError(
-            f"no point is left by {' and '.join(filters)}: the file has {_format_counts('class', present)};"
+            f"expected points with {' and '.join(filters)}, got none: the file has {_format_counts('class', present)};"
             f" {_format_counts('return', return_number)}"
         )
     return records[keep]
@@ -154,7 +156,7 @@ def _parse_numbers(what: str, wanted: str | Collection[int]) -> list[int]:
     except (TypeError, ValueError):
         numbers = []
     if not numbers or not all(0 <= number <= 255 for number in numbers):
-        raise InputError(f"expected {what} numbers 0 to 255, such as 2,6; got {str(wanted)[:40]!r}")
+        raise InputError(f"expected {what} numbers from 0 to 255, such as 2,6; got {str(wanted)[:40]!r}")
     return numbers
 
 
@@ -172,7 +174,7 @@ def _fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimensio
         attributes["gps_time"] = records["gps_time"].copy()
     attributes["point_source_id"] = records["point_source_id"].copy()
 
-    with np.errstate(over="ignore", invalid="ignore"):  # damaged scales; the points are dropped later
+    with np.errstate(over="ignore", invalid="ignore"):  # from damaged scales; such points are dropped later
         points = np.empty((len(records), 3))
         for column, axis, scale, offset in zip(points.T, _AXES, header.scales, header.offsets, strict=True):
             np.multiply(records[axis], scale, out=column)
@@ -180,7 +182,7 @@ def _fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimensio
         for extra, values in zip(extras, (records[f"extra {k}"] for k in range(len(extras))), strict=True):
             for name, column in _extra_columns(extra, values):
                 if name in attributes or not name.isprintable():
-                    warn(f"left out the extra bytes {name[:40]!r}: the name is taken or unprintable")
+                    warn(f"left out the extra bytes {name[:40]!r}: the name is already used or not printable")
                 else:
                     attributes[name] = column
     normals = None
@@ -199,7 +201,7 @@ def _fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimensio
 
 
 def _extra_columns(extra: ExtraDimension, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
-    """The numbers (N, size) of an extra dimension as named columns: "name", or "name[0]", "name[1]"."""
+    """Split the values (N, size) of an extra dimension into named columns: "name", or "name[0]", "name[1]"."""
     columns = []
     for k in range(extra.size if extra.name else 0):
         raw = values[:, k]
@@ -216,7 +218,7 @@ def _extra_columns(extra: ExtraDimension, values: NDArray[Any]) -> list[tuple[st
 
 
 def _colors(records: NDArray[Any]) -> NDArray[np.uint8]:
-    """Eight bits a colour: the upper ones, unless the file was written with eight."""
+    """Return 8-bit colours: the upper byte of each, unless the file stores 8-bit values."""
     colors = np.stack([records[name] for name in _COLORS], axis=1)
     if colors.max() > 255:
         colors >>= 8
@@ -227,17 +229,21 @@ def _colors(records: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def write_las(path: Path, cloud: Cloud) -> None:
-    """Writes LAS 1.4, compressed if the name ends in .laz.
+    """Write LAS 1.4, compressed if the name ends in .laz.
 
-    Coordinates become integers of a millionth of the extent, at most of 0.0001 of the unit, about the centre: none is
-    off by more than half of that. Attributes with the names of standard dimensions go there, the others and the normals
-    (as float) into extra bytes; the crs becomes a WKT record. The unit has no place of its own.
+    Coordinates are rounded to a millionth of the extent or finer, but no coarser than 0.0001 units if 32 bits allow;
+    the error is at most half of that step. Attributes with the names of standard dimensions are written there, others
+    and the normals (as float) as extra bytes. The crs becomes a WKT record. LAS cannot store the unit.
+
+    Args:
+        path: output file.
+        cloud: cloud to write.
 
     Raises:
-        InputError: the extent is too large for 32 bits (800 km in metres), a name or a type cannot stand in LAS, or
-            pyproj does not know the crs.
+        InputError: the extent is too large for 32 bits (800 km in metres), LAS cannot store a name or type, or pyproj
+            does not know the crs.
         MissingExtra: lazrs (for .laz) or pyproj (for a crs) is not installed.
-        OSError: the file cannot be written; an existing one is then unchanged.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     try:
         _write(path, cloud)
@@ -248,7 +254,7 @@ def write_las(path: Path, cloud: Cloud) -> None:
 def _write(path: Path, cloud: Cloud) -> None:
     compressed = path.suffix.lower() == ".laz"
     if path.name.lower().endswith(".copc.laz"):
-        raise InputError("COPC is read but not written: write a plain .laz or .las")
+        raise InputError("COPC files can only be read: write a plain .laz or .las file")
     scale, offsets, integers = _quantise(cloud)
     standard, extras = _assign_attributes(cloud)
     point_format = 6 if cloud.colors is None else 7
@@ -279,7 +285,7 @@ def _write(path: Path, cloud: Cloud) -> None:
     if compressed:
         vlrs[laz.LASZIP] = laz.laszip_record(point_format, extra_bytes)
     if any(len(data) > 0xFFFF for data in vlrs.values()) or layout.itemsize > 0xFFFF:
-        raise InputError(f"{len(extras)} attributes or the crs are more than LAS can describe: write a .ply")
+        raise InputError(f"LAS cannot store {len(extras)} attributes and a crs of this size: write a .ply")
     block = b"".join(VLR.pack(0, user.encode(), record_id, len(data), b"") + data for (user, record_id), data in vlrs.items())
     corners = np.stack([integers.max(axis=0), integers.min(axis=0)], axis=1) * scale + offsets[:, None]
     by_return = np.bincount(return_number, minlength=16)[1:16].tolist()
@@ -298,39 +304,43 @@ def _write(path: Path, cloud: Cloud) -> None:
 
 
 def _quantise(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int32]]:
-    """Scale, offsets (3,) and integers (N, 3)."""
+    """Return scale, offsets (3,) and integer coordinates (N, 3)."""
     low, high = cloud.bounds
     extent = float((high - low).max())
-    # Between a millionth and a ten-millionth of the extent; 1e-9 still reaches the next whole number, the offset.
+    # Between a millionth and a ten-millionth of the extent. At 1e-9 the integers still reach the rounded offset.
     scale = float(f"1e{max(-9, math.floor(math.log10(extent)) - 6)}") if 0 < extent < 100 else 1e-4
     offsets = np.round(low / 2 + high / 2)
     reach = extent / 2 + 1
     if reach > scale * (2**31 - 1):
         scale = 2e-4
     if reach > scale * (2**31 - 1):
-        raise InputError(f"an extent of {extent:g} does not fit LAS's 32 bits at a scale of {scale:g}: write a .ply")
+        raise InputError(
+            f"expected an extent that fits LAS's 32 bits at a scale of {scale:g}, got {extent:g} units: write a .ply"
+        )
     return scale, offsets, np.round((cloud.points - offsets) / scale).astype(np.int32)
 
 
 def _assign_attributes(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """Attributes by where they go: standard dimensions and extra bytes, both in the types written."""
+    """Split attributes into standard dimensions and extra bytes, both in the types to write."""
     standard: dict[str, NDArray[Any]] = {}
     extras: dict[str, NDArray[Any]] = {}
     if cloud.normals is not None:
         extras |= {name: cloud.normals[:, k].astype("<f4") for k, name in enumerate(_NORMALS[0])}
     for name, values in cloud.attributes.items():
         if values.dtype.kind not in "biuf":
-            raise InputError(f"expected attribute {name!r} as numbers, got {values.dtype}")
+            raise InputError(f"expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
         if name in _STANDARD_TYPES:
             with np.errstate(invalid="ignore", over="ignore"):
                 standard[name] = values.astype(_STANDARD_TYPES[name])
             highest = 15 if "return" in name else np.inf
             if not np.array_equal(standard[name], values, equal_nan=True) or (standard[name] > highest).any():
                 limit = 15 if "return" in name else np.iinfo(_STANDARD_TYPES[name]).max
-                raise InputError(f"expected attribute {name!r} as whole numbers 0 to {limit}: rename or rescale it")
+                raise InputError(f"expected attribute {name!r} as integers from 0 to {limit}: rename or rescale it")
             continue
         if name in extras or name.lower() in _RESERVED_NAMES or not name.isprintable() or not 0 < len(name.encode()) <= 32:
-            raise InputError(f"expected attribute names of 1 to 32 bytes that LAS does not use itself, got {name!r}")
+            raise InputError(
+                f"expected attribute names of 1 to 32 bytes that LAS does not reserve, got {name!r}: rename it"
+            )
         if values.dtype.kind == "b":
             values = values.astype(np.uint8)
         elif values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8):

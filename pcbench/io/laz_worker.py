@@ -1,20 +1,19 @@
-"""Decompresses LAZ in a process of its own: `laz_worker.py START LASZIP COUNT BYTES`; the file is standard input, the
-points go to standard output.
+"""Decompress LAZ in a child process: `laz_worker.py START LASZIP COUNT BYTES`, from standard input to standard output.
 
-lazrs believes what a file says, and on damaged data may ask for 55 GB and abort. Nor has LAZ a checksum: bytes damaged
-in the middle may decode, to other times or colours. But the encoding of given points is always the same, so they are
+lazrs trusts the sizes in a file; on damaged data it may request 55 GB and abort. LAZ also lacks a checksum: damaged
+bytes in the middle may decode to other times or colours. Since encoding is deterministic, the decoded points are
 encoded again and compared with the file.
 
-Run by `pcbench.io.laz`, never imported: a script that needs neither pcbench nor numpy starts in 25 ms. The exit status
-is 0, 3 where lazrs does not load, 4 where some of the points encode to other bytes (their number, and that of the first
-of them, stand on standard error), 5 where all of them do, or anything else where the data are damaged.
+`pcbench.io.laz` runs this script and never imports it: without pcbench and numpy it starts in 25 ms. Exit status: 0;
+3 if lazrs does not load; 4 if the encoding of some points differs (their count and the first index go to standard
+error); 5 if that of all points differs; any other value if the data are damaged.
 """
 
 import io
 import os
 import sys
 
-_MAX_BATCH_BYTES = 32 << 20  # bytes decompressed at a time: enough chunks to occupy all cores
+_MAX_BATCH_BYTES = 32 << 20  # decompressed at a time: enough chunks to occupy all cores
 
 
 def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
@@ -29,8 +28,8 @@ def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
     chunks = _clip_chunks(lazrs.read_chunk_table(source, vlr), count)
     source.seek(start)
     decompressor = lazrs.ParLasZipDecompressor(source, laszip)
-    offset, first = start + 8, 0  # in the file, behind where its chunk table is; among the points
-    damaged: list[tuple[int, int]] = []  # first point and number of the points of a chunk
+    offset, first = start + 8, 0  # byte in the file, after the pointer to the chunk table; index of the point
+    damaged: list[tuple[int, int]] = []  # first point and point count of each damaged chunk
     while chunks:
         batch = _take_batch(chunks, record_bytes)
         points_bytes = bytearray(sum(points for points, _ in batch) * record_bytes)
@@ -51,9 +50,9 @@ def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
 
 
 def _clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
-    """Number of points and compressed bytes of each chunk that holds some of the `count` points.
+    """Return the point count and compressed size in bytes of each chunk that contains some of the `count` points.
 
-    Where all chunks have one size, the last one is rarely full.
+    If all chunks have one size, the last one is rarely full.
     """
     chunks = []
     for points, size in table:
@@ -61,12 +60,12 @@ def _clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, in
             chunks.append((min(points, count), size))
             count -= chunks[-1][0]
     if count:
-        sys.exit("the chunks hold too few points")
+        sys.exit("the chunks contain too few points")
     return chunks
 
 
 def _take_batch(chunks: list[tuple[int, int]], record_bytes: int) -> list[tuple[int, int]]:
-    """The next chunks to be decompressed together, taken from the front of `chunks`."""
+    """Remove the next chunks to decompress together from the front of `chunks`, and return them."""
     number, room = 0, _MAX_BATCH_BYTES
     while number < len(chunks) and (not number or chunks[number][0] * record_bytes <= room):
         room -= chunks[number][0] * record_bytes
@@ -76,7 +75,7 @@ def _take_batch(chunks: list[tuple[int, int]], record_bytes: int) -> list[tuple[
 
 
 def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[bytes]:  # type: ignore[name-defined]  # noqa: F821
-    """Each chunk, of so many bytes of points, compressed."""
+    """Compress each chunk of `sizes` bytes of points."""
     import lazrs
 
     buffer = io.BytesIO()
@@ -90,7 +89,7 @@ def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[by
         compressor.done()
         buffer.seek(0)
         table = lazrs.read_chunk_table(buffer, vlr)
-    except lazrs.LazrsError:  # an old encoding that is only read
+    except lazrs.LazrsError:  # an old encoding that lazrs can read but not write
         return [b""] * len(sizes)
     data, offset, result = buffer.getbuffer(), 8, []
     for _, size in table:

@@ -1,15 +1,15 @@
-"""LZF, the compression of binary_compressed PCD files. Marc Lehmann, LibLZF, 2000-2008."""
+"""Decompress LZF, used by binary_compressed PCD files. Marc Lehmann, LibLZF, 2000-2008."""
 
 from pcbench.errors import InputError
 
-MAX_GROWTH = 88  # three bytes make at most 264
+MAX_GROWTH = 88  # three bytes expand to at most 264
 
 
 def decompress(data: bytes, size: int) -> bytearray:
-    """The `size` bytes that the compressed data stand for.
+    """Decompress data to exactly `size` bytes.
 
     Raises:
-        InputError: they stand for more or fewer bytes, or point outside themselves.
+        InputError: the data decompress to another size or refer to bytes outside the output.
     """
     out = bytearray()
     position, end = 0, len(data)
@@ -17,7 +17,7 @@ def decompress(data: bytes, size: int) -> bytearray:
         while position < end:
             control = data[position]
             position += 1
-            if control < 32:  # so many bytes, and one more, as they are
+            if control < 32:  # literal run of control + 1 bytes
                 out += data[position : position + control + 1]
                 position += control + 1
                 continue
@@ -29,7 +29,7 @@ def decompress(data: bytes, size: int) -> bytearray:
             position += 1
             start = len(out) - distance
             if start < 0:
-                raise InputError("damaged LZF data: a reference to before the first byte: export the file again")
+                raise InputError("damaged LZF data: a back reference before the first byte: export the file again")
             repeated = out[start : start + length]
             # A copy that overlaps itself repeats its bytes.
             out += repeated if length <= distance else (repeated * (length // distance + 1))[:length]
