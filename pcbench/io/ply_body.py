@@ -1,6 +1,6 @@
-"""The body of a PLY file, ascii or binary, in one pass over its elements.
+"""Read the body of a PLY file, ascii or binary, in one pass over its elements.
 
-The body is read in one go into a buffer of the size the file has, and every count is checked against that buffer.
+The complete body is read into a buffer of the actual size, and each count is checked against that buffer.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Columns = dict[str, NDArray[Any]]
 
 
 class Polygons(NamedTuple):
-    """The vertex numbers of rows: `lengths` (rows,) how many each has, `corners` all of them in a row."""
+    """Vertex indices of rows: `lengths` (rows,) is the number of corners per row, `corners` lists all corners."""
 
     lengths: NDArray[np.int64]
     corners: NDArray[np.int64]
 
 
 class Table(NamedTuple):
-    """What was asked for of an element: its scalar properties by name, each (rows,), and its polygons."""
+    """Requested data of an element: its scalar properties by name, each (rows,), and its polygons."""
 
     columns: Columns
     polygons: Polygons | None
@@ -42,19 +42,19 @@ class _Selection(NamedTuple):
 def read_elements(
     file: BinaryIO, header: PlyHeader, *, scalars: Collection[str], polygons: Collection[str] = ()
 ) -> dict[str, Table]:
-    """The elements of a file that stands at its body, by name; those not asked for are checked for their size only.
+    """Read the elements of a file by name, from its body. Elements that are not requested are only checked for size.
 
-    Coordinates of an ascii file are float64 whatever type it declares: they keep the digits of the text. All other
-    columns have their declared type; those of a binary file are strided views into the bytes read where they can be.
+    Coordinates of an ascii file are float64, whatever type it declares, and keep all digits. All other columns have
+    their declared type. Those of a binary file are strided views into the bytes read if possible.
 
     Args:
-        file: where `read_header` left it.
+        file: input file at the position after `read_header`.
         header: its header.
-        scalars: the elements whose scalar properties are returned.
-        polygons: the elements whose list of vertex numbers (`Element.polygon`) is returned.
+        scalars: names of the elements whose scalar properties are returned.
+        polygons: names of the elements whose list of vertex indices (`Element.polygon`) is returned.
 
     Raises:
-        InputError: the body is not as long as the header says, or holds something else.
+        InputError: the length or content of the body does not match the header.
         OSError: the file cannot be read.
     """
     body = read_rest(file)
@@ -66,10 +66,10 @@ def read_elements(
 
 
 def _polygons(lengths: NDArray[np.int64], numbers: NDArray[Any]) -> Polygons:
-    """Vertex numbers may be declared as floats."""
+    """Convert vertex indices, which may be declared as floats, to integers."""
     corners = numbers.astype(np.int64)
     if numbers.dtype.kind == "f" and not (corners == numbers).all():
-        raise InputError("expected whole numbers of vertices in the faces, got fractions: the file is damaged")
+        raise InputError("expected integer vertex indices in the faces, got fractions: export the file again")
     return Polygons(lengths, corners)
 
 
@@ -83,16 +83,16 @@ def _tables(body: NDArray[np.uint8], header: PlyHeader, selection: dict[str, _Se
         tables[element.name], start = _table(body, start, element, selection[element.name])
     if start < len(body):
         raise InputError(
-            f"{len(body) - start} bytes after the last element: header and body disagree, export the file again"
+            f"expected the end of the file after the last element, got {len(body) - start} more bytes: export it again"
         )
     return tables
 
 
 def _table(body: NDArray[np.uint8], start: int, element: Element, selection: _Selection) -> tuple[Table, int]:
-    """What is wanted of an element, and where the next one starts."""
+    """Read the selected data of an element; also return the start of the next element."""
     if not element.count or not element.properties:
         return Table({}, Polygons(np.empty(0, np.int64), np.empty(0, np.int64)) if selection.polygons else None), start
-    # Most lists have one length throughout (triangles): suppose that of the first row, and check.
+    # Most lists have one length throughout (triangles), so try that of the first row first.
     first = _list_lengths(body, start, element, rows=1)[0]
     uniform = _uniform_rows(body, start, element, first.tolist(), selection)
     if uniform is not None:
@@ -102,8 +102,8 @@ def _table(body: NDArray[np.uint8], start: int, element: Element, selection: _Se
 
 
 def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: int) -> NDArray[np.int64]:
-    """Lengths (rows, lists) of the lists in the first `rows` rows, which are walked one by one."""
-    steps = []  # for each list: bytes of scalars before it, how to read its length, bytes of that and of an item
+    """Return the lengths (rows, lists) of the lists in the first `rows` rows, read row by row."""
+    steps = []  # for each list: bytes of scalars before it, reader of its length, bytes of the length and of an item
     before = 0
     for prop in element.properties:
         if prop.length is None:
@@ -123,7 +123,9 @@ def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: i
                 raise element.truncated(row)
             length = unpack(data, offset)[0]
             if length < 0:
-                raise InputError(f"{element.count_text(row)} read, then a list of length {length}: the file is damaged")
+                raise InputError(
+                    f"expected list lengths of at least 0, got {length} after {element.count_text(row)}: export it again"
+                )
             lengths.append(length)
             offset += counter_bytes + length * item_bytes
         if offset + before > len(data):
@@ -135,7 +137,7 @@ def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: i
 def _uniform_rows(
     body: NDArray[np.uint8], start: int, element: Element, lengths: Sequence[int], selection: _Selection
 ) -> tuple[Table, int] | None:
-    """Columns as strided views, if every row's lists have the given lengths (lists,); else None."""
+    """Return columns as strided views if the lists of all rows have the given lengths (lists,), else None."""
     remaining = iter(lengths)
     scalars: list[tuple[Property, int]] = []
     lists: list[tuple[Property, np.dtype[Any], int, int]] = []
@@ -172,11 +174,11 @@ def _uniform_rows(
 def _varying_rows(
     body: NDArray[np.uint8], start: int, element: Element, lengths: NDArray[np.int64], selection: _Selection
 ) -> tuple[Table, int]:
-    """Columns gathered row by row; lengths (rows, lists) are known to stay inside the body."""
+    """Gather columns row by row; lengths (rows, lists) are known to stay inside the body."""
     fixed_bytes = sum((prop.length or prop.dtype).itemsize for prop in element.properties)
     row_bytes = fixed_bytes + lengths @ np.array([prop.dtype.itemsize for prop in element.lists], dtype=np.int64)
     ends = start + np.cumsum(row_bytes)
-    offsets = ends - row_bytes  # of the property that the loop is at, in each row
+    offsets = ends - row_bytes  # of the current property, in each row
     columns: Columns = {}
     polygons: Polygons | None = None
     counts = iter(lengths.T)
@@ -197,7 +199,7 @@ def _varying_rows(
 
 
 def _gather(body: NDArray[np.uint8], offsets: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """One value at each place (N,), in bytes."""
+    """Return the value at each byte offset (N,)."""
     if not len(offsets):
         return np.empty(0, dtype)
     return np.lib.stride_tricks.sliding_window_view(body, dtype.itemsize)[offsets].view(dtype)[:, 0]
@@ -220,7 +222,7 @@ def _ascii_tables(text: bytes, header: PlyHeader, selection: dict[str, _Selectio
         tables[element.name] = _ascii_table(rows, element, selection[element.name])
     if start < len(lines):
         raise InputError(
-            f"{len(lines) - start} lines after the last element: header and body disagree, export it again"
+            f"expected the end of the file after the last element, got {len(lines) - start} more lines: export it again"
         )
     return tables
 
@@ -248,9 +250,9 @@ def _ascii_table(rows: list[bytes], element: Element, selection: _Selection) -> 
 
 
 def _load_scalar_rows(rows: list[bytes], element: Element) -> NDArray[np.float64] | None:
-    """The scalars (rows, scalars) of an element without lists, the fast way; float64 holds every PLY type exactly.
+    """Parse the scalars (rows, scalars) of an element without lists; float64 holds every PLY type exactly.
 
-    None where a row is not as it should be: the walk over the rows says which one.
+    Return None if a row is malformed, so that the slower row-by-row parser reports it.
     """
     try:
         values = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
@@ -260,9 +262,9 @@ def _load_scalar_rows(rows: list[bytes], element: Element) -> NDArray[np.float64
 
 
 def _ascii_row(row: bytes, number: int, element: Element) -> tuple[list[float], list[bytes]]:
-    """The scalars of one line and the words of its polygon.
+    """Parse the scalars of one line and the words of its polygon.
 
-    There must be as many words as the properties and list lengths say.
+    The number of words must match the properties and list lengths.
     """
     words = row.split()
     values: list[float] = []
@@ -286,10 +288,12 @@ def _ascii_row(row: bytes, number: int, element: Element) -> tuple[list[float], 
     except ValueError:
         offset = -1
     if offset < 0 or b"_" in row:  # Python reads 1_000 as a number; PLY does not
-        raise InputError(f"{element.count_text(number)} read, then expected numbers, got {excerpt(row)}")
+        raise InputError(f"after {element.count_text(number)}: expected numbers, got {excerpt(row)}: export it again")
     if offset != len(words):
         more = "at least " if offset > len(words) else ""
-        raise InputError(f"{element.count_text(number)} read, then expected {more}{offset} values, got {len(words)}")
+        raise InputError(
+            f"after {element.count_text(number)}: expected {more}{offset} values, got {len(words)}: export it again"
+        )
     return values, polygon
 
 
@@ -297,11 +301,11 @@ def _numbers(words: list[bytes]) -> NDArray[np.float64]:
     try:
         return np.array([float(word) for word in words])
     except ValueError as error:
-        raise InputError(f"expected vertex numbers in the faces, got something else: {str(error)[:60]}") from error
+        raise InputError(f"expected vertex indices in the faces, got other text: {str(error)[:60]}") from error
 
 
 def _convert_column(values: NDArray[np.float64], prop: Property) -> NDArray[Any]:
-    """An ascii column in its declared type; coordinates keep the digits of the text even if they are declared float."""
+    """Convert an ascii column to its declared type; coordinates stay float64 to keep all digits."""
     if prop.dtype.kind == "f":
         return values if prop.name in XYZ else values.astype(prop.dtype)
     typed = values.astype(prop.dtype)

@@ -1,4 +1,4 @@
-"""Faces as mesh files have them, made into the triangles of a Mesh."""
+"""Convert the faces of mesh files to the triangles of a Mesh."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pcbench.io.files import Warn
 
 
 def merge_vertices(mesh: Mesh) -> Mesh:
-    """The same faces, of vertices of which no two are equal."""
+    """Merge exactly equal vertices; the faces stay the same."""
     order = np.lexsort(mesh.vertices.T)
     ordered = mesh.vertices[order]
     is_distinct = np.ones(len(order), dtype=bool)
@@ -23,7 +23,13 @@ def merge_vertices(mesh: Mesh) -> Mesh:
 
 
 def triangulate_fans(lengths: IntArray, corners: IntArray, warn: Warn) -> IntArray:
-    """Triangles (F, 3) of polygons that have `lengths` (P,) of the vertex numbers `corners`, one after the other."""
+    """Triangulate polygons as fans, (F, 3).
+
+    Args:
+        lengths: number of corners of each polygon (P,).
+        corners: vertex indices of all polygons, one after the other.
+        warn: callback for warnings.
+    """
     if small := int(np.count_nonzero(lengths < 3)):
         warn(f"left out {small} of {len(lengths)} faces with fewer than three corners")
     triangles = np.maximum(lengths - 2, 0)
