@@ -1,4 +1,4 @@
-"""Scenes from folders: which images, masks, positions and cameras there are, and which of them belong together."""
+"""Read scenes from folders: find images, masks, positions and cameras, and match them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, u
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
-# Of the longer side of an image, below which no focal length is one in pixels: 157 degrees of view.
+# Smallest plausible focal length as a share of the longer image side: a field of view of 157 degrees.
 _MIN_FOCAL_SHARE = 0.1
 
 
@@ -42,31 +42,36 @@ def read_scene(
     image_scale: float = 1.0,
     on_warning: Callable[[str], None] | None = None,
 ) -> Scene:
-    """The scene in a folder: its JPEG and PNG images (in `images/`, `train/`, `rgb/` or `footage/`, else directly in
-    it) and what belongs to them.
+    """Read the scene in a folder: its JPEG and PNG images, cameras, masks and positions.
+
+    Images are searched in `images/`, `train/`, `rgb/` or `footage/`, else directly in the folder.
 
     Args:
-        path: the folder.
-        cameras: "auto": the first found of a COLMAP model (here, in sparse/0 or sparse), transforms.json,
-            transforms_train.json, Strecha's `.camera` files (here or in gt_dense_cameras), an OpenMVS scene (`.mvs`)
-            and an Earth Studio export; "none"; or one of these by its file or folder. Cameras are matched to images by
-            name, frames of Earth Studio by their number. Images without a camera get the intrinsics of a `K.txt` beside
-            them or in the folder. Intrinsics for images of another size are scaled if the aspect is the same.
-        masks: a folder with NAME.png for an image NAME, or with its stem; `masks/` in the folder if not given.
-        image_scale: work with images of this scale, 0 < scale <= 1.
-        on_warning: called with one line for each thing left out or not obeyed; `warnings.warn` if not given.
+        path: folder of the scene.
+        cameras: "auto", "none", or a camera file or folder. "auto" uses the first that exists: a COLMAP model (here, in
+            sparse/0 or sparse), transforms.json, transforms_train.json, Strecha's `.camera` files (here or in
+            gt_dense_cameras), an OpenMVS scene (`.mvs`), an Earth Studio export. Cameras are matched to images by name,
+            frames of Earth Studio by number. Images without a camera get the intrinsics of a `K.txt` next to them or in
+            the folder. Intrinsics for another image size are scaled if the aspect ratio is equal.
+        masks: folder with a mask NAME.png for an image NAME (with or without its extension). Defaults to `masks/` in
+            the folder.
+        image_scale: scale of the working size, 0 < scale <= 1.
+        on_warning: callback, called with one line per warning. Defaults to `warnings.warn`.
+
+    Returns:
+        The scene.
 
     Raises:
-        InputError: there are no images, an image is empty or damaged, a camera's size does not fit its image, its
-            intrinsics cannot be those of an image, a pose is no rotation, no camera has an image, or an option is
-            wrong.
+        InputError: there are no images, an image is empty or damaged, a camera's size does not match its image, its
+            intrinsics are implausible, a pose is not a rotation, no camera matches an image, or an option is invalid.
     """
     path = Path(path)
     warn = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
     if not path.is_dir():
-        raise InputError(f"{path}: expected a folder with images" + ("" if path.exists() else ", which does not exist"))
+        got = "got a file" if path.exists() else "but it does not exist"
+        raise InputError(f"{path}: expected a folder with images, {got}: check the path")
     if not 0 < image_scale <= 1:
-        raise InputError(f"expected an image scale above 0 and up to 1, got {image_scale:g}")
+        raise InputError(f"expected an image scale above 0 and at most 1, got {image_scale:g}")
     folder, names = find_images(path)
     headers = {name: read_image_header(folder / name) for name in names}
     scene = Scene(
@@ -82,7 +87,7 @@ def read_scene(
 
 
 def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
-    """Measured positions, lines of an image's name and x y z in metres; lines that start with # are comments."""
+    """Read measured positions: lines of image name and x y z in metres. Lines that start with # are comments."""
     try:
         lines = read_text(path).splitlines() if has_entry(path) else []
     except (InputError, OSError) as error:
@@ -99,14 +104,16 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
         except ValueError:
             position = np.zeros(0)
         if position.shape != (3,) or not np.isfinite(position).all():
-            raise InputError(f"{path}: line {number}: expected a name and x y z, got {line.strip()[:60]!r}")
+            raise InputError(
+                f"{path}: line {number}: expected a name and x y z, got {line.strip()[:60]!r}: correct the line"
+            )
         name = find(words[0])
         if name is None:
             unmatched.append(words[0])
         else:
             found[name] = position
     if unmatched:
-        warn(f"{path}: {len(unmatched)} positions are left out, their images are missing: {_list_names(unmatched)}")
+        warn(f"{path}: left out {len(unmatched)} positions without an image: {_list_names(unmatched)}")
     return found
 
 
@@ -114,14 +121,14 @@ def _masks_folder(path: Path, masks: Path | str | None) -> Path | None:
     if masks is None:
         return path / "masks" if (path / "masks").is_dir() else None
     if not Path(masks).is_dir():
-        raise InputError(f"{masks}: expected a folder with masks")
+        raise InputError(f"{masks}: expected a folder with masks, got none: check the path")
     return Path(masks)
 
 
 def _masks(
     folder: Path, names: Iterable[str], headers: Mapping[str, ImageHeader], masks: Path | None
 ) -> dict[str, Path]:
-    """The masks by image name; COLMAP's NAME.png (`a.jpg.png`) goes before the stem's (`a.png`)."""
+    """Find the masks by image name; COLMAP's NAME.png (`a.jpg.png`) takes precedence over the stem's (`a.png`)."""
     if masks is None:
         return {}
     found: dict[str, Path] = {}
@@ -132,17 +139,17 @@ def _masks(
                 if (mask.width, mask.height) != (image.width, image.height):
                     raise InputError(
                         f"{candidate}: expected a mask of {image.width} x {image.height} pixels as {folder / name},"
-                        f" got {mask.width} x {mask.height}"
+                        f" got {mask.width} x {mask.height}: resize the mask"
                     )
                 found[name] = candidate
                 break
     if not found:
-        raise InputError(f"{masks}: no mask has an image's name: expected files such as {next(iter(headers))}.png")
+        raise InputError(f"{masks}: expected masks named by their images, such as {next(iter(headers))}.png, got none")
     return found
 
 
 def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], None]) -> Scene:
-    """The scene with the cameras of a file or folder, or as it is where there are none."""
+    """Add the cameras of a file or folder to a scene; return it unchanged if there are none."""
     if choice == "none":
         return scene
     source = find_cameras(path) if choice == "auto" else Path(choice)
@@ -152,7 +159,7 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
             warn(f"{projects[0]}: {PROJECT_FILE_HINT}")
         return scene
     if not source.exists():
-        raise InputError(f"{source}: expected a file or folder with cameras, which does not exist")
+        raise InputError(f"{source}: expected a file or folder with cameras, but it does not exist: check the path")
     find = ImageNames(scene.images)
     camera_file = _read_cameras(source, scene, find, warn)
     matched: dict[str, Camera] = {}
@@ -163,42 +170,46 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
             unmatched.append(camera.name)
             continue
         if name in matched:
-            raise InputError(f"{source}: two cameras for the image {name}")
+            raise InputError(f"{source}: expected one camera per image, got two for {name}: remove one of them")
         intrinsics = camera.intrinsics
         if not _same_aspect((intrinsics.width, intrinsics.height), scene.sizes[name]):
             width, height = scene.sizes[name]
             raise InputError(
-                f"{scene.folder / name}: the image has {width} x {height} pixels, but its camera in {source} is for"
-                f" {intrinsics.width} x {intrinsics.height}: use the images that the cameras were made for"
+                f"{scene.folder / name}: expected an image of {intrinsics.width} x {intrinsics.height} pixels as its"
+                f" camera in {source}, got {width} x {height}: use the images of these cameras"
             )
         if wrong := _intrinsics_error(intrinsics):
             raise InputError(f"{source}: {name}: {wrong}")
         matched[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
     if not matched:
         missing = unmatched[0] if unmatched else "a file_path"
-        raise InputError(f"{source}: missing images: none of {len(unmatched)} cameras has one, such as {missing!r}")
+        raise InputError(
+            f"{source}: expected cameras of these images, got {len(unmatched)} of other images, such as {missing!r}"
+        )
     if unmatched:
         count = f"{len(unmatched)} of {len(camera_file.cameras)}"
-        warn(f"{source}: {count} cameras are left out, their images are missing: {_list_names(unmatched)}")
+        warn(f"{source}: left out {count} cameras whose images are missing: {_list_names(unmatched)}")
     if without_camera := [name for name in scene.images if name not in matched]:
-        warn(f"{source}: {len(without_camera)} of {len(scene)} images have no camera: {_list_names(without_camera)}")
+        warn(f"{source}: no camera for {len(without_camera)} of {len(scene)} images: {_list_names(without_camera)}")
     _warn_of_unread(scene, source, without_camera, warn)
     if camera_file.origin is not None:
         warn(f"{source}: {describe_sphere_scale(camera_file.origin)}")
-    on_sphere = camera_file.origin is not None  # Earth Studio alone says where its origin is
+    on_sphere = camera_file.origin is not None  # only Earth Studio exports state an origin
     return replace(scene, cameras=matched, points=camera_file.points, origin=camera_file.origin, on_sphere=on_sphere)
 
 
-def _warn_of_unread(scene: Scene, source: Path | None, without_camera: Sequence[str], warn: Callable[[str], None]) -> None:
-    """Warn of a calibration among the images that is not read; that of a K.txt is, where images have no camera."""
+def _warn_of_unread(
+    scene: Scene, source: Path | None, without_camera: Sequence[str], warn: Callable[[str], None]
+) -> None:
+    """Warn about a calibration file that is not read; K.txt is read if images have no camera."""
     unread = [name for name in unread_calibrations(scene.folder, source) if name != K_MATRIX_FILE or not without_camera]
     if unread:
-        there = "there are no cameras" if source is None else f"cameras are those of {source}"
-        warn(f"{scene.folder / unread[0]}: looks like a calibration and is not read: {there}")
+        there = "the scene has no cameras" if source is None else f"the cameras are read from {source}"
+        warn(f"{scene.folder / unread[0]}: ignored a file that looks like a calibration: {there}")
 
 
 def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> Scene:
-    """The scene with the intrinsics of a K.txt for the images without a camera, or as it is where there is none."""
+    """Add the intrinsics of a K.txt for the images without a camera; return the scene unchanged if there is none."""
     file = next((place / K_MATRIX_FILE for place in (scene.folder, path) if has_entry(place / K_MATRIX_FILE)), None)
     without_camera = [name for name in scene.images if name not in scene.cameras]
     if file is None or not without_camera:
@@ -219,12 +230,12 @@ def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> S
             reduced[width, height] = factor
     for (width, height), factor in reduced.items():
         full = f"{factor * width} x {factor * height}"
-        warn(f"{file}: taken to be for images of {full} pixels, by its principal point: scaled to {width} x {height}")
+        warn(f"{file}: its principal point fits images of {full} pixels: scaled it to {width} x {height}")
     return replace(scene, intrinsics=found)
 
 
 class _CameraFile(NamedTuple):
-    """Cameras under the names that their file has for them, and what else it says."""
+    """Cameras named as in their file, with the sparse points and origin if it has them."""
 
     cameras: Sequence[Camera]
     points: Cloud | None = None
@@ -232,13 +243,13 @@ class _CameraFile(NamedTuple):
 
 
 def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _CameraFile:
-    """The cameras of a file or folder, in whichever of the known formats it is."""
+    """Read the cameras of a file or folder in any supported format."""
     if source.is_dir():
         if is_colmap_model(source):
             return _CameraFile(read_colmap_cameras(source), read_points3d(source) if has_points(source) else None)
         if files := sorted(source.glob("*.camera")):
             return _CameraFile([read_strecha(file) for file in files])
-        raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files in this folder")
+        raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files, got neither")
     if source.suffix == ".camera":
         return _CameraFile([read_strecha(source)])
     if is_openmvs(source):
@@ -252,9 +263,9 @@ def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[
 
 
 def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[str]) -> list[Camera]:
-    """Frames under the names of their images: in order where all are there, else by the number that ends a name.
+    """Name frames by their images: in order if the counts match, else by the number at the end of an image's name.
 
-    An export has one frame more than the renderer writes images (96 of 97).
+    An export may have one frame more than the renderer writes images, such as 97 for 96.
     """
     if len(images) in (len(frames), len(frames) - 1):
         return [replace(camera, name=name) for camera, name in zip(frames, images, strict=False)]
@@ -263,29 +274,29 @@ def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[s
         number = re.search(r"(\d+)$", Path(name).stem)
         if number is None or int(number[1]) >= len(frames):
             raise InputError(
-                f"{source}: {len(frames)} frames for {len(images)} images, and {name!r} does not end in the number of"
-                f" a frame (0 to {len(frames) - 1})"
+                f"{source}: expected image names that end in a frame number (0 to {len(frames) - 1}), since there are"
+                f" {len(frames)} frames for {len(images)} images; got {name!r}: rename the image"
             )
         chosen.append(replace(frames[int(number[1])], name=name))
     return chosen
 
 
 def _intrinsics_error(k: Intrinsics) -> str:
-    """Why intrinsics cannot be those of an image, in words; empty where they can."""
+    """Describe why intrinsics are implausible for their image; empty if they are plausible."""
     size = max(k.width, k.height)
     focal, at = f"a focal length of {k.fx:.4g} x {k.fy:.4g}", f"a principal point at ({k.cx:.4g}, {k.cy:.4g})"
     in_pixels = min(k.fx, k.fy) >= _MIN_FOCAL_SHARE * size and (max(k.cx, k.cy) > 1 or size <= 2)
     if not in_pixels:
-        what = "they look normalised or in millimetres"
+        what = "they look normalised or in millimetres, convert them to pixels"
     elif not (0 <= k.cx <= k.width and 0 <= k.cy <= k.height):
-        what = "its principal point lies outside the image"
+        what = "the principal point lies outside the image, correct it"
     else:
         return ""
     return f"expected intrinsics in pixels of {k.width} x {k.height}, got {focal} and {at}: {what}"
 
 
 def _same_aspect(camera: Size, image: Size) -> bool:
-    """Whether one was resized to the other, up to the rounding of a pixel in either size."""
+    """Whether two sizes have the same aspect ratio, up to rounding by one pixel in either size."""
     scale = image[0] / camera[0]
     return abs(camera[1] * scale - image[1]) <= 1 + scale
 
