@@ -82,7 +82,9 @@ def _read_binary(data: bytes) -> Fields:
     if len(offsets) < count:
         raise InputError(f"truncated: got {len(offsets)} of {count} points: copy or export the model again")
     if offset < size:
-        raise InputError(f"expected the end of the file after {count} points, got {size - offset} more bytes: export the model again")
+        raise InputError(
+            f"expected the end of the file after {count} points, got {size - offset} more bytes: export the model again"
+        )
     if not count:
         raise InputError("expected at least one point, got a model without points: export it with its points")
     windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), _POINT.itemsize)

@@ -91,7 +91,9 @@ def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[floa
             f"expected a camera model of {known}, got {model}: undistort the images with COLMAP's image_undistorter"
         )
     if len(p) != _PARAMETER_COUNTS[model]:
-        raise InputError(f"expected {_PARAMETER_COUNTS[model]} parameters for {model}, got {len(p)}: export the model again")
+        raise InputError(
+            f"expected {_PARAMETER_COUNTS[model]} parameters for {model}, got {len(p)}: export the model again"
+        )
     if model == "PINHOLE":
         return Intrinsics(width, height, p[0], p[1], p[2], p[3])
     if model == "OPENCV":
@@ -106,7 +108,9 @@ def _camera(name: str, number: int, pose: Sequence[float], intrinsics: Mapping[i
     quaternion = np.array(pose[:4], dtype=np.float64)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1) < 1e-3:
-        raise InputError(f"image {name}: expected a unit quaternion, got one of length {length:.6g}: export the model again")
+        raise InputError(
+            f"image {name}: expected a unit quaternion, got one of length {length:.6g}: export the model again"
+        )
     return Camera(name, intrinsics[number], Similarity(_rotation(quaternion / length), np.array(pose[4:])))
 
 
@@ -200,9 +204,7 @@ def check_model_output(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for a COLMAP model, got a file")
     if (folder / "cameras.bin").exists():
-        raise InputError(
-            f"{folder}: contains a binary COLMAP model, which readers would prefer: choose another folder"
-        )
+        raise InputError(f"{folder}: contains a binary COLMAP model, which readers would prefer: choose another folder")
 
 
 def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | None = None) -> None:

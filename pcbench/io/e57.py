@@ -36,7 +36,9 @@ def read_e57(path: Path, warn: Warn) -> Fields:
     require("pye57")
     with path.open("rb") as file:
         if file.read(8) != b"ASTM-E57":
-            raise InputError("expected an E57 file that starts with ASTM-E57, got something else: export it again as E57")
+            raise InputError(
+                "expected an E57 file that starts with ASTM-E57, got something else: export it again as E57"
+            )
     with scratch_folder() as folder:
         limits = Limits(seconds=30 + path.stat().st_size / _MIN_SPEED, memory=_MAX_MEMORY)
         done = run_script(
@@ -63,7 +65,9 @@ def _fields(folder: Path, warn: Warn) -> Fields:
             f"dropped {dropped} of {dropped + sum(s['points'] for _, s in scans)} points that the file marks as invalid"
         )
     if not scans:
-        raise InputError(f"expected at least one valid point, got none in {len(described['scans'])} scans: export it again")
+        raise InputError(
+            f"expected at least one valid point, got none in {len(described['scans'])} scans: export it again"
+        )
     if empty := len(described["scans"]) - len(scans):
         warn(f"{empty} of {len(described['scans'])} scans have no valid point with coordinates")
     everywhere = [name for name in scans[0][1]["fields"] if all(name in scan["fields"] for _, scan in scans)]

@@ -52,7 +52,9 @@ def read_earth_studio(path: Path) -> EarthStudio:
     try:
         document = read_json(path)
         if not isinstance(document, dict) or not document.get("cameraFrames"):
-            raise InputError("expected an Earth Studio camera export with cameraFrames, got other JSON: export it again")
+            raise InputError(
+                "expected an Earth Studio camera export with cameraFrames, got other JSON: export it again"
+            )
         return _earth_studio(document)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

@@ -48,8 +48,8 @@ def read_json(path: Path) -> Any:
     """
     try:
         return json.loads(read_bytes(path, _MAX_JSON_BYTES).decode("utf-8-sig"))
+    except UnicodeDecodeError:
         raise InputError("expected JSON, got a binary file: choose the .json file") from None
-        raise InputError("expected JSON, got a binary file") from None
     except InputError:  # also a ValueError, but its message is complete
         raise
     except RecursionError:

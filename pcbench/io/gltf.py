@@ -48,7 +48,9 @@ def read_glb(path: Path, warn: Warn) -> Mesh:
             (chunk,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
             offset += 8 + chunk
         if offset != size:
-            raise InputError(f"truncated: the last chunk ends at byte {offset} of {size}: copy or export the file again")
+            raise InputError(
+                f"truncated: the last chunk ends at byte {offset} of {size}: copy or export the file again"
+            )
     return _read_with_trimesh(path)
 
 

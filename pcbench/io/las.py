@@ -142,7 +142,9 @@ def _filter_records(
     elif returns is not None:
         keep &= np.isin(return_number, _parse_numbers("returns as 'first', 'last' or", returns))
     if not keep.any():
-        filters = [f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None]
+        filters = [
+            f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None
+        ]
         raise InputError(
             f"expected points with {' and '.join(filters)}, got none: the file has {_format_counts('class', present)};"
             f" {_format_counts('return', return_number)}"
@@ -286,7 +288,9 @@ def _write(path: Path, cloud: Cloud) -> None:
         vlrs[laz.LASZIP] = laz.laszip_record(point_format, extra_bytes)
     if any(len(data) > 0xFFFF for data in vlrs.values()) or layout.itemsize > 0xFFFF:
         raise InputError(f"LAS cannot store {len(extras)} attributes and a crs of this size: write a .ply")
-    block = b"".join(VLR.pack(0, user.encode(), record_id, len(data), b"") + data for (user, record_id), data in vlrs.items())
+    block = b"".join(
+        VLR.pack(0, user.encode(), record_id, len(data), b"") + data for (user, record_id), data in vlrs.items()
+    )
     corners = np.stack([integers.max(axis=0), integers.min(axis=0)], axis=1) * scale + offsets[:, None]
     by_return = np.bincount(return_number, minlength=16)[1:16].tolist()
     head = HEADER.pack(
@@ -337,7 +341,12 @@ def _assign_attributes(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str,
                 limit = 15 if "return" in name else np.iinfo(_STANDARD_TYPES[name]).max
                 raise InputError(f"expected attribute {name!r} as integers from 0 to {limit}: rename or rescale it")
             continue
-        if name in extras or name.lower() in _RESERVED_NAMES or not name.isprintable() or not 0 < len(name.encode()) <= 32:
+        if (
+            name in extras
+            or name.lower() in _RESERVED_NAMES
+            or not name.isprintable()
+            or not 0 < len(name.encode()) <= 32
+        ):
             raise InputError(
                 f"expected attribute names of 1 to 32 bytes that LAS does not reserve, got {name!r}: rename it"
             )

@@ -14,7 +14,11 @@ _ROUNDING_SHARE = 1e-12  # relative rounding difference between writers
 
 
 def check_points(
-    records: NDArray[Any], return_numbers: NDArray[np.uint8], return_counts: NDArray[np.uint8], header: LasHeader, warn: Warn
+    records: NDArray[Any],
+    return_numbers: NDArray[np.uint8],
+    return_counts: NDArray[np.uint8],
+    header: LasHeader,
+    warn: Warn,
 ) -> None:
     """Warn if points lie outside the header's bounds, or if the return counts differ from the header's.
 

@@ -49,7 +49,9 @@ def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | N
 def _unit(crs: Any, warn: Warn) -> str | None:
     """Return the unit of x, or None with a warning if heights have another unit, since distances would mix them."""
     units = [
-        "deg" if axis.unit_name == "degree" else _UNITS_BY_METRES.get(round(axis.unit_conversion_factor, 10), axis.unit_name)
+        "deg"
+        if axis.unit_name == "degree"
+        else _UNITS_BY_METRES.get(round(axis.unit_conversion_factor, 10), axis.unit_name)
         for axis in crs.axis_info
     ]
     if len(units) == 3 and units[2] != units[0]:

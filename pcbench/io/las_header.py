@@ -113,21 +113,27 @@ def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
         raise InputError(f"expected LAS 1.0 to 1.4, got version {major}.{minor}: export it as LAS 1.4")
     least = {3: HEADER.size + 8, 4: HEADER.size + HEADER_1_4.size}.get(minor, HEADER.size)
     if header_bytes < least:
-        raise InputError(f"expected a LAS 1.{minor} header of {least} bytes or more, got {header_bytes}: export it again")
+        raise InputError(
+            f"expected a LAS 1.{minor} header of {least} bytes or more, got {header_bytes}: export it again"
+        )
     if not header_bytes <= start:
         raise InputError(f"expected points after the header of {header_bytes} bytes, got byte {start}: export it again")
     if start > size:
         raise InputError(f"truncated: points start at byte {start}, the file has {size} bytes: copy or export it again")
     point_format = format_byte & 0x3F  # LASzip uses the two upper bits as flags
     if point_format >= len(POINT_FORMATS):
-        raise InputError(f"expected a point format from 0 to {len(POINT_FORMATS) - 1}, got {point_format}: export it again")
+        raise InputError(
+            f"expected a point format from 0 to {len(POINT_FORMATS) - 1}, got {point_format}: export it again"
+        )
     least = np.dtype(POINT_FORMATS[point_format]).itemsize
     if record_bytes < least:
         raise InputError(
             f"expected at least {least} bytes per point in format {point_format}, got {record_bytes}: export it again"
         )
     if not all(math.isfinite(number) for number in (*scales, *offsets)) or 0 in scales:
-        raise InputError(f"expected finite non-zero scales and finite offsets, got {scales} and {offsets}: export it again")
+        raise InputError(
+            f"expected finite non-zero scales and finite offsets, got {scales} and {offsets}: export it again"
+        )
 
     highest, lowest = fields[27:33:2], fields[28:33:2]
     by_return = fields[16:21]

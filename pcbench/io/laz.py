@@ -102,7 +102,9 @@ def _check_chunks(file: BinaryIO, header: LasHeader) -> None:
         raise InputError(f"expected LASzip compressor 2 or 3 (chunked), got {compressor}: compress the file again")
     if len(record) < _LASZIP_LAYOUT.size + items * _ITEM_LAYOUT.size:
         raise _damage_error("the LASzip record is incomplete")
-    item_bytes = sum(_ITEM_LAYOUT.unpack_from(record, _LASZIP_LAYOUT.size + k * _ITEM_LAYOUT.size)[1] for k in range(items))
+    item_bytes = sum(
+        _ITEM_LAYOUT.unpack_from(record, _LASZIP_LAYOUT.size + k * _ITEM_LAYOUT.size)[1] for k in range(items)
+    )
     if item_bytes != header.record_bytes:
         raise _damage_error(f"the LASzip record states {item_bytes} bytes per point, the header {header.record_bytes}")
 

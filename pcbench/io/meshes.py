@@ -31,7 +31,7 @@ def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | 
 
 
 def holds_mesh(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is a mesh by its extension, or a PLY file whose header declares faces (only the header is read)."""
+    """Whether a file is a mesh by its extension, or by the faces in its header if it is PLY."""
     path = Path(path)
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in MESHES

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; typical arrays have 118
 _MAX_DIMENSION = 10**18  # more than any file stores; numpy's products of the shape stay within int64
 _BLOCK_BYTES = 1 << 20  # decompressed at a time
-# Upper bound of the decompressed size, as a factor and in bytes: coordinates shrink 2 to 20 times, constants up to 1000.
+# Bound of the decompressed size, as a factor and in bytes: coordinates shrink 2 to 20 times, constants up to 1000.
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 200, 16 << 20
 _TEXT_NAMES = ("crs", "unit")
 
@@ -189,7 +189,9 @@ def _check_size(header: _Header, size: int) -> None:
         total = header.shape[0] if header.shape else 1
         raise InputError(f"truncated: got {complete} of {total} rows: copy or export the file again")
     if available > header.data_bytes:
-        raise InputError(f"expected the end of the array, got {available - header.data_bytes} more bytes: save it again")
+        raise InputError(
+            f"expected the end of the array, got {available - header.data_bytes} more bytes: save it again"
+        )
 
 
 def _points_fields(array: NDArray[Any]) -> Fields:
@@ -281,7 +283,9 @@ def write_npz(path: Path, cloud: Cloud) -> None:
                 " rename it"
             )
         if values.dtype.kind not in "biuf":
-            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
+            raise InputError(
+                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
+            )
         arrays[name] = values
     with atomic_write(path) as file:
         with ZipFile(file, "w") as archive:

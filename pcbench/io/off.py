@@ -33,7 +33,9 @@ def read_off(path: Path, warn: Warn) -> Mesh:
                          else "expected an OFF file, got an empty one")  # fmt: skip
     counts = lines[0][1:] or (lines[1] if len(lines) > 1 else [])
     if len(counts) not in (2, 3) or not all(word.isdigit() and len(word) < 19 for word in counts):
-        raise InputError(f"expected counts of vertices, faces and edges, got {b' '.join(counts)[:40]!r}: export it again")
+        raise InputError(
+            f"expected counts of vertices, faces and edges, got {b' '.join(counts)[:40]!r}: export it again"
+        )
     vertex_count, face_count = int(counts[0]), int(counts[1])
     body = lines[1 if lines[0][1:] else 2 :]
     if len(body) < vertex_count + face_count:

@@ -239,9 +239,9 @@ def _camera(
         platform = platforms[image.platform]
         mounted, (platform_rotation, center) = platform.cameras[image.camera], platform.poses[image.pose]
     except IndexError:
-            raise InputError(
-                f"image {image.name!r}: its platform, camera or pose is not in the file: export it again"
-            ) from None
+        raise InputError(
+            f"image {image.name!r}: its platform, camera or pose is not in the file: export it again"
+        ) from None
     try:
         if not (np.abs([mounted.rotation, platform_rotation]) <= _MAX_ROTATION_ENTRY).all():
             raise InputError("expected rotation matrices for platform and camera, got others: export it again")

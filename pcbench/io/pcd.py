@@ -90,7 +90,9 @@ def read_pcd(path: Path, warn: Warn) -> Fields:
         normals = None
         if columns.keys() >= set(_NORMALS) and all(columns[name].shape[1] == 1 for name in _NORMALS):
             normals = np.stack([columns.pop(name)[:, 0] for name in _NORMALS], axis=1)
-    packed = next((name for name in _PACKED_COLORS if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None)
+    packed = next(
+        (name for name in _PACKED_COLORS if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None
+    )
     return Fields(
         points=points,
         normals=normals,
@@ -137,7 +139,9 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
                 f"expected a DATA line within {_MAX_HEADER_BYTES} header bytes, got none: export the file again"
             )
         if not line:
-            raise InputError("expected a PCD header (VERSION, FIELDS, SIZE, TYPE, ...), got no DATA line: export it again")
+            raise InputError(
+                "expected a PCD header (VERSION, FIELDS, SIZE, TYPE, ...), got no DATA line: export it again"
+            )
         words = line.decode("latin-1").split()
         if not words or words[0].startswith("#"):
             continue
@@ -145,9 +149,11 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         if key == "COLUMNS":  # an old name
             key = "FIELDS"
         if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
-            raise InputError(f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_excerpt(line)}")
+            raise InputError(
+                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_excerpt(line)}"
+            )
+        if key in entries:
             raise InputError(f"header: expected one {key} line, got two: export the file again")
-            raise InputError(f"header: a second {key} line")
         entries[key] = words[1:]
 
     if missing := [key for key in ("FIELDS", "SIZE", "TYPE") if not entries.get(key)]:
@@ -156,7 +162,9 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
     counts = entries.get("COUNT", ["1"] * len(names))
     for key, words in (("SIZE", entries["SIZE"]), ("TYPE", entries["TYPE"]), ("COUNT", counts)):
         if len(words) != len(names):
-            raise InputError(f"header: expected {len(names)} values in {key}, one per field, got {len(words)}: export it again")
+            raise InputError(
+                f"header: expected {len(names)} values in {key}, one per field, got {len(words)}: export it again"
+            )
     fields = [
         _field(name, kind + size, count)
         for name, kind, size, count in zip(names, entries["TYPE"], entries["SIZE"], counts, strict=True)
@@ -233,7 +241,9 @@ def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Column
         raise header.truncated(0)
     packed, unpacked = struct.unpack("<II", body[:8].tobytes())
     if unpacked != total:
-        raise InputError(f"expected {total} bytes for {header.count} points, the body states {unpacked}: export it again")
+        raise InputError(
+            f"expected {total} bytes for {header.count} points, the body states {unpacked}: export it again"
+        )
     if packed > len(body) - 8:
         raise InputError(f"truncated: got {len(body) - 8} of {packed} compressed bytes: copy or export the file again")
     if unpacked > packed * lzf.MAX_GROWTH:
@@ -308,7 +318,9 @@ def _long_integers(lines: list[bytes], offset: int, field: _Field) -> NDArray[An
         words = [line.split()[offset : offset + field.count] for line in lines]
         return np.array([[int(word) for word in row] for row in words], dtype=field.dtype)
     except (ValueError, OverflowError):
-        raise InputError(f"expected {field.name!r} as {field.dtype.name}, got another number: export it again") from None
+        raise InputError(
+            f"expected {field.name!r} as {field.dtype.name}, got another number: export it again"
+        ) from None
 
 
 # ---- writer -------------------------------------------------------------------------------------------------------
@@ -336,12 +348,19 @@ def write_pcd(path: Path, cloud: Cloud) -> None:
     for name, values in cloud.attributes.items():
         values = values.astype(np.uint8) if values.dtype.kind == "b" else values
         values = values.astype(np.float32) if values.dtype == np.float16 else values
-        if name in (*columns, *_PACKED_COLORS, "_") or not name.isascii() or not name.isprintable() or len(name.split()) != 1:
+        if (
+            name in (*columns, *_PACKED_COLORS, "_")
+            or not name.isascii()
+            or not name.isprintable()
+            or len(name.split()) != 1
+        ):
             raise InputError(
                 f"{path}: expected ASCII attribute names that PCD does not reserve, got {name!r}: rename it"
             )
         if values.dtype.kind not in "iuf" or values.dtype.str[1:].upper() not in _TYPES:
-            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
+            raise InputError(
+                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
+            )
         columns[name] = values
     codes = {name: column.dtype.str[1:] for name, column in columns.items()}
     rows = np.empty(len(cloud), dtype=[(name, f"<{code}") for name, code in codes.items()])

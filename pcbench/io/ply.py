@@ -32,7 +32,7 @@ def read_ply(path: Path, warn: Warn) -> Fields:
     Coordinates become float64; those of an ascii file keep all digits, whatever type it declares. Attributes keep their
     type and, in native byte order, are strided views into the bytes read. List properties and other elements are
     checked for their size and left out. Normals that are all zero, as in Gaussian splats, are left out. The lines
-    `comment crs EPSG:32617` and `comment unit m` set the crs and unit. `comment coordinates about X Y Z` gives an origin
+    `comment crs EPSG:32617` and `comment unit m` set the crs and unit. `comment coordinates about X Y Z` is an origin
     that is added to all points, since floats have too few digits for projected coordinates.
 
     Raises:

@@ -62,7 +62,11 @@ def read_elements(
         element.name: _Selection(element.name in scalars, element.name in polygons and element.polygon is not None)
         for element in header.elements
     }
-    return _ascii_tables(body.tobytes(), header, selection) if header.byte_order is None else _tables(body, header, selection)
+    return (
+        _ascii_tables(body.tobytes(), header, selection)
+        if header.byte_order is None
+        else _tables(body, header, selection)
+    )
 
 
 def _polygons(lengths: NDArray[np.int64], numbers: NDArray[Any]) -> Polygons:
@@ -124,7 +128,7 @@ def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: i
             length = unpack(data, offset)[0]
             if length < 0:
                 raise InputError(
-                    f"expected list lengths of at least 0, got {length} after {element.count_text(row)}: export it again"
+                    f"expected a list length of 0 or more, got {length} after {element.count_text(row)}: export again"
                 )
             lengths.append(length)
             offset += counter_bytes + length * item_bytes

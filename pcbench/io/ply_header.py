@@ -153,7 +153,9 @@ def read_header(file: BinaryIO) -> PlyHeader:
                 f"expected end_header within {_MAX_HEADER_BYTES} header bytes, got none: export the file again"
             )
         if not line:
-            raise InputError(f"truncated: the header ends after line {number - 1} without end_header: copy the file again")
+            raise InputError(
+                f"truncated: the header ends after line {number - 1} without end_header: copy the file again"
+            )
         if b"\0" in line:
             raise InputError(f"header line {number}: expected text, got a NUL byte")
         words = line.split()
@@ -183,7 +185,9 @@ def read_header(file: BinaryIO) -> PlyHeader:
             case ["property", *rest] if elements:
                 current.properties.append(_property(rest, number))
             case ["property", *_]:
-                raise InputError(f"header line {number}: expected an element before the first property: export it again")
+                raise InputError(
+                    f"header line {number}: expected an element before the first property: export it again"
+                )
             case _:
                 known = "format, element, property, comment or end_header"
                 raise InputError(f"header line {number}: expected {known}, got {excerpt(line)}")
@@ -205,7 +209,9 @@ def _count(word: str, element: str, number: int) -> int:
     if not word.isdigit():
         raise InputError(f"header line {number}: expected the count of {element!r} as an integer, got {word[:40]!r}")
     if len(word) > _MAX_COUNT_DIGITS:
-        raise InputError(f"header line {number}: {word[:40]} of {element!r} are more than any file contains: export it again")
+        raise InputError(
+            f"header line {number}: {word[:40]} of {element!r} are more than any file contains: export it again"
+        )
     return int(word)
 
 

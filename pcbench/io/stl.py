@@ -42,7 +42,9 @@ def read_stl(path: Path, warn: Warn) -> Mesh:
     elif data[:512].lstrip()[:5].lower() == b"solid":
         corners = _ascii_stl(data)
     elif len(data) < 84:
-        raise InputError(f"expected an STL file of at least 84 bytes or the word 'solid', got {len(data)} bytes: export it again")
+        raise InputError(
+            f"expected an STL file of at least 84 bytes or the word 'solid', got {len(data)} bytes: export it again"
+        )
     else:
         complete = (len(data) - 84) // _FACET_RECORD.itemsize
         if complete < count:
@@ -65,11 +67,13 @@ def _ascii_stl(data: bytes) -> FloatArray:
         raise InputError(f"expected words of at most {_MAX_WORD} characters, got a longer one: export the file again")
     complete_words = len(words) - len(words) % len(_FACET_WORDS)
     table = np.array(words[:complete_words], dtype=f"S{_MAX_WORD}").reshape(-1, len(_FACET_WORDS))
-    damaged = np.flatnonzero((np.char.lower(table[:, _KEYWORD_POSITIONS]) != np.array(_FACET_WORDS)[_KEYWORD_POSITIONS]).any(axis=1))
+    damaged = np.flatnonzero(
+        (np.char.lower(table[:, _KEYWORD_POSITIONS]) != np.array(_FACET_WORDS)[_KEYWORD_POSITIONS]).any(axis=1)
+    )
     if len(damaged) or complete_words < len(words):
         facet = damaged[0] if len(damaged) else len(table)
         raise InputError(
-            f"facet {facet}: expected 'facet normal x y z outer loop vertex x y z ... endloop endfacet': export it again"
+            f"facet {facet}: expected 'facet normal x y z outer loop vertex x y z ... endloop endfacet': export again"
         )
     try:
         return table[:, _CORNER_POSITIONS].astype(np.float64).reshape(-1, 3, 3)

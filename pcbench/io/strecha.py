@@ -16,7 +16,7 @@ from pcbench.regular_files import read_text
 
 
 def read_strecha(path: Path) -> Camera:
-    """Read the camera in a `.camera` file. Its name is the file name without `.camera` (`0000.jpg.camera` -> `0000.jpg`).
+    """Read the camera in a `.camera` file. Its name is the file name without `.camera` (such as `0000.jpg`).
 
     Raises:
         InputError: the file is malformed, the image is distorted, or R is not a rotation. The message starts with the
@@ -25,10 +25,14 @@ def read_strecha(path: Path) -> Camera:
     try:
         values = np.array([float(word) for word in read_text(path).split()])
         if values.shape != (26,):
-            raise InputError(f"expected 26 numbers (K, distortion, R, C, width and height), got {len(values)}: correct it")
+            raise InputError(
+                f"expected 26 numbers (K, distortion, R, C, width and height), got {len(values)}: correct it"
+            )
         k, distortion, rotation, centre, size = np.split(values, [9, 12, 21, 24])
         if distortion.any():
-            raise InputError("expected zero distortion (three zeros after K), got other values: undistort the images first")
+            raise InputError(
+                "expected zero distortion (three zeros after K), got other values: undistort the images first"
+            )
         if abs(k[1]) > 1e-6 * k[0] or k[3] or k[6] or k[7] or k[8] != 1 or (size != size.round()).any():
             raise InputError("expected K without skew and a size in integer pixels: undistort the images or correct it")
         world_from_cam = rotation_from(rotation.reshape(3, 3))

@@ -142,14 +142,18 @@ def _layout(lines: list[str]) -> _Layout:
                 count = int(content)
                 continue
             if len(words) < 3:
-                raise InputError(f"line {index + 1}: expected at least 3 columns, got {_excerpt(text)}: export it again")
+                raise InputError(
+                    f"line {index + 1}: expected at least 3 columns, got {_excerpt(text)}: export it again"
+                )
             if header is not None:
                 names: list[str] | None = _header_names(*header, len(words))
             else:
                 names = _comment_names(comment_header, len(words))
             return _Layout(index, delimiter, names, count, tags)
         if any(_DECIMAL_COMMA.fullmatch(word) for word in words):
-            raise InputError(f"line {index + 1}: expected a decimal point, got a comma: {_excerpt(text)}: replace the commas")
+            raise InputError(
+                f"line {index + 1}: expected a decimal point, got a comma: {_excerpt(text)}: replace the commas"
+            )
         is_header = _has_xyz(content) or not any(_NUMBER.fullmatch(word) for word in words)
         if not is_header or header is not None or count is not None:
             raise InputError(f"line {index + 1}: expected numbers, got {_excerpt(text)}: correct the line")
@@ -184,13 +188,17 @@ def _has_xyz(text: str) -> bool:
 def _header_names(index: int, text: str, width: int) -> list[str]:
     names = _names(text)
     if missing := [name for name in _XYZ if name not in names]:
-        raise InputError(f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {_excerpt(text)}")
+        raise InputError(
+            f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {_excerpt(text)}"
+        )
     if len(names) != width:
         raise InputError(
             f"line {index + 1}: expected {width} column names, one per value, got {len(names)}: correct the header"
         )
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them")
+        raise InputError(
+            f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them"
+        )
     return names
 
 
@@ -225,7 +233,7 @@ def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
                 raise InputError(f"line {number}: expected numbers, got {_excerpt(content)}: correct the line")
             if len(words) != width:
                 raise InputError(
-                    f"line {number}: expected {width} values as in line {layout.first + 1}, got {len(words)}: correct it"
+                    f"line {number}: expected {width} values as line {layout.first + 1}, got {len(words)}: correct it"
                 )
             rows.append([float(word) for word in words])
     return np.array(rows, dtype=np.float64)
@@ -256,11 +264,11 @@ def write_text(path: Path, cloud: Cloud) -> None:
         if known in used_names:
             raise InputError(f"{path}: attribute {name!r} would be read as {known}: rename it")
         if not name.isprintable() or len(name.split()) != 1 or re.search(r"[,;#\"']|//", name):
-            raise InputError(
-                f"{path}: expected attribute names without spaces and delimiters, got {name!r}: rename it"
-            )
+            raise InputError(f"{path}: expected attribute names without spaces and delimiters, got {name!r}: rename it")
         if values.dtype.kind not in "biuf":
-            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
+            raise InputError(
+                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
+            )
         used_names.add(known)
         columns[name] = values.astype(np.uint8) if values.dtype.kind == "b" else values
     head = [",".join(columns)] if is_csv else []

@@ -81,7 +81,9 @@ def read_transforms(
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: frame {number} ({name}): expected numbers: {what}") from None
     objects = [document, *document["frames"]]
-    if ignored := [key for key, neutral in _IGNORED_KEYS.items() if any(v.get(key, neutral) != neutral for v in objects)]:
+    if ignored := [
+        key for key, neutral in _IGNORED_KEYS.items() if any(v.get(key, neutral) != neutral for v in objects)
+    ]:
         warn(f"{path}: ignored {', '.join(ignored)}: cameras and lenses are read without them")
     return tuple(cameras)
 
@@ -92,7 +94,9 @@ def _check_duplicates(path: Path, names: Sequence[Any], size_of: Callable[[str],
     for number, name in enumerate(names):
         if isinstance(name, str):
             if name in seen and size_of(name) is not None:
-                raise InputError(f"{path}: frame {number}: expected one camera per image, got two for {name}: remove one")
+                raise InputError(
+                    f"{path}: frame {number}: expected one camera per image, got two for {name}: remove one"
+                )
             seen.add(name)
 
 
@@ -153,7 +157,9 @@ def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "image
         world_from_cam = camera.cam_from_world.inverse().matrix
         world_from_cam[:3, :3] = world_from_cam[:3, :3] @ _OPENCV_FROM_OPENGL
         name = f"{images}/{camera.name}" if images else camera.name
-        frames.append({"file_path": name, **({} if shared else camera_values), "transform_matrix": world_from_cam.tolist()})
+        frames.append(
+            {"file_path": name, **({} if shared else camera_values), "transform_matrix": world_from_cam.tolist()}
+        )
     document = {"camera_model": "OPENCV", **shared, "frames": frames}
     with atomic_write(path) as file:
         file.write(json.dumps(document, indent=1).encode() + b"\n")

@@ -51,7 +51,7 @@ def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def scene_name(folder: Path) -> str:
-    """Return the name of a scene from its image folder: the folder's name, or its parent's for `images/` and similar."""
+    """Return the name of a scene from its image folder: the folder's name, or its parent's for `images/` etc."""
     path = folder.resolve()
     return (path.parent if path.name in _IMAGE_FOLDERS else path).name
 
@@ -89,7 +89,7 @@ def find_cameras(path: Path) -> Path | None:
     exports = [file for file in sorted(path.glob("*.json")) if is_earth_studio(file)]
     if len(exports) > 1:
         raise InputError(
-            f"{path}: expected one camera export, got {exports[0].name} and {exports[1].name}: choose one with --cameras"
+            f"{path}: expected one camera export, got {exports[0].name} and {exports[1].name}: choose one by its file"
         )
     return exports[0] if exports else None
 
@@ -101,7 +101,7 @@ def _openmvs_scene(path: Path) -> Path | None:
         return path / "scene.mvs"
     if len(files) > 1:
         raise InputError(
-            f"{path}: expected one OpenMVS scene, got {files[0].name} and {files[1].name}: choose one with --cameras"
+            f"{path}: expected one OpenMVS scene, got {files[0].name} and {files[1].name}: choose one by its file"
         )
     return files[0] if files else None
 

@@ -18,7 +18,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
-from pcbench.io.earth_studio import PROJECT_FILE_HINT, read_earth_studio, describe_sphere_scale
+from pcbench.io.earth_studio import PROJECT_FILE_HINT, describe_sphere_scale, read_earth_studio
 from pcbench.io.image_header import ImageHeader, read_image_header
 from pcbench.io.k_matrix import K_MATRIX_FILE, intrinsics_from_k, read_k_matrix
 from pcbench.io.openmvs import is_openmvs, read_openmvs

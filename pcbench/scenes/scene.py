@@ -146,7 +146,7 @@ class Scene:
         """
         if not self.on_sphere or self.origin is None:
             raise InputError(
-                f"{self.folder}: expected Earth Studio cameras to convert to WGS84, got others: leave out the conversion"
+                f"{self.folder}: expected Earth Studio cameras to convert to WGS84, got others: do not convert them"
             )
         return self.origin
 
@@ -206,7 +206,9 @@ class Scene:
     def describe(self) -> list[str]:
         """Describe the scene in a few lines for users."""
         sizes = sorted({self.size(name) for name in self.images})
-        size_text = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
+        size_text = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (
+            ", ..." if len(sizes) > 3 else ""
+        )
         lines = [f"{self.folder}: {len(self)} images of {size_text}"]
         lines.append(f"  cameras {len(self.cameras)}, GPS {len(self.positions or self.gps)}, masks {len(self.masks)}")
         if self.cameras:

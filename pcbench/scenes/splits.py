@@ -130,6 +130,7 @@ def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> 
         names: image names.
         positions: camera positions (3,) by name; if one is missing, the given order is returned.
     """
+    given = tuple(names)
     if len(given) < 3 or any(name not in positions for name in given):
         return given
     places = np.array([positions[name] for name in given], dtype=np.float64)

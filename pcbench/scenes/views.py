@@ -163,7 +163,9 @@ def read_views(folder: Path) -> RenderedViews:
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: expected a file written by pcbench, got {error!r}: render the views again") from error
+        raise InputError(
+            f"{path}: expected a file written by pcbench, got {error!r}: render the views again"
+        ) from error
     if not views:
         raise InputError(f"{path}: expected at least one view, got none: render the views again")
     return RenderedViews(views_folder, scene, method, split, views)

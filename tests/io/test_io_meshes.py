@@ -83,7 +83,7 @@ def test_polygons_become_fans_and_what_is_left_out_is_said(tmp_path):
     path.write_bytes(obj() + b"l 1 2\np 1\n")
     notes.clear()
     is_the_cube(read_mesh(path, on_warning=notes.append))
-    assert notes == [f"{path}: left out 2 points and lines"]
+    assert notes == [f"{path}: left out 2 point and line elements"]
 
 
 def test_obj_coordinates_keep_their_digits_and_colors_do_not_matter(tmp_path):
@@ -174,7 +174,7 @@ def test_refusals(tmp_path, name):
         ("cut.gltf", b"{", "JSON"),
         ("deep.gltf", b"[" * 100_000, "JSON"),
         ("word.stl", ascii_stl().replace(b"vertex 1.0", b"vertex one"), "numbers"),
-        ("word.ply", ply_mesh().replace(b"4 0 1 3 2", b"4 0 1 x 2"), "numbers"),
+        ("word.ply", ply_mesh().replace(b"4 0 1 3 2", b"4 0 1 x 2"), "vertex indices"),
     ],
     ids=["cut.gltf", "deep.gltf", "word.stl", "word.ply"],
 )

@@ -203,7 +203,7 @@ def test_damaged_npz(tmp_path, name):
 
 def test_bomb_is_refused_by_its_size(tmp_path):
     (tmp_path / "a.npz").write_bytes(archive({"points.npy": BIG}, zipfile.ZIP_DEFLATED))
-    with pytest.raises(InputError, match=f"unpack to {len(BIG)}"):  # from how many bytes is zlib's
+    with pytest.raises(InputError, match=f"decompress to {len(BIG)} bytes"):  # from how many bytes is zlib's
         read_cloud(tmp_path / "a.npz")
 
 

@@ -102,7 +102,7 @@ def test_viewpoint_is_not_applied(tmp_path):
 def test_trailing_bytes_are_mentioned(tmp_path):
     notes = []
     assert len(read(tmp_path, pcd("binary", XYZ, points(4)) + b"12345", on_warning=notes.append)) == 4
-    assert notes == [f"{tmp_path / 'a.pcd'}: 5 bytes after the last point were left out"]
+    assert notes == [f"{tmp_path / 'a.pcd'}: left out 5 bytes after the last point"]
 
 
 # ---- LZF ----
