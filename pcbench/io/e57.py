@@ -66,7 +66,7 @@ def _fields(folder: Path, warn: Warn) -> Fields:
         )
     if not scans:
         raise InputError(
-            f"expected at least one valid point, got none in {len(described['scans'])} scans: export it again"
+            f"expected at least one valid point, got none (scans: {len(described['scans'])}): export it again"
         )
     if empty := len(described["scans"]) - len(scans):
         warn(f"{empty} of {len(described['scans'])} scans have no valid point with coordinates")

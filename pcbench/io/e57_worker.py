@@ -21,6 +21,7 @@ _STATES = ("cartesianInvalidState", "sphericalInvalidState")
 
 
 def main(source: str, folder: str) -> None:
+    """Write the scans of an E57 file to a folder."""
     try:
         from pye57 import libe57
     except (ImportError, OSError):

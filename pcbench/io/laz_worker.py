@@ -17,6 +17,7 @@ _MAX_BATCH_BYTES = 32 << 20  # decompressed at a time: enough chunks to occupy a
 
 
 def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
+    """Decompress and verify the points of a LAZ file."""
     try:
         import lazrs
     except ImportError:

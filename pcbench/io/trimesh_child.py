@@ -8,6 +8,7 @@ import sys
 
 
 def main(source: str, vertices: str, faces: str) -> None:
+    """Write the vertices and faces of a mesh file as .npy."""
     import numpy as np
     import trimesh
 
