@@ -62,18 +62,18 @@ def read_cloud(
     return read_named(model_file(as_path(path)), read, on_warning)
 
 
-def is_path(given: object) -> TypeGuard[str | os.PathLike[str]]:
+def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
     """Whether an argument is the path of a cloud rather than a cloud or an array."""
-    return isinstance(given, str | os.PathLike)
+    return isinstance(value, str | os.PathLike)
 
 
-def to_cloud(given: CloudLike) -> Cloud:
+def to_cloud(value: CloudLike) -> Cloud:
     """Return a cloud unchanged, wrap an (N, 3) array, or read the file at a path.
 
     Raises:
         InputError, MissingExtra: see `read_cloud` and `Cloud`.
     """
-    return read_cloud(given) if isinstance(given, str | os.PathLike) else as_cloud(given)
+    return read_cloud(value) if isinstance(value, str | os.PathLike) else as_cloud(value)
 
 
 def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:

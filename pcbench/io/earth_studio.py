@@ -127,12 +127,12 @@ def _gps_from_sliders(point: Mapping[str, Any]) -> Gps:
 
     Its `position` is relative to the origin; the sliders are global.
     """
-    found: dict[str, float] = {}
+    slider_values: dict[str, float] = {}
     for attribute in point["coordinate"]["position"]["attributes"]:
         value = attribute["value"]
         low, high = float(value["minValueRange"]), float(value["maxValueRange"])
-        found[attribute["type"]] = low + float(value["relative"]) * (high - low)
-    return Gps(found["latitude"], found["longitude"], found["altitude"])
+        slider_values[attribute["type"]] = low + float(value["relative"]) * (high - low)
+    return Gps(slider_values["latitude"], slider_values["longitude"], slider_values["altitude"])
 
 
 def _global_from_local(local: FloatArray, centred: FloatArray) -> FloatArray:

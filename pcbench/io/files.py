@@ -114,15 +114,15 @@ def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
     return cloud
 
 
-def as_path(given: object) -> Path:
+def as_path(value: object) -> Path:
     """Convert an argument to a `Path`.
 
     Raises:
         InputError: the argument is not a path.
     """
-    if isinstance(given, str | os.PathLike):
-        return Path(given)
-    raise InputError(f"expected the path of a file, got {type(given).__name__}")
+    if isinstance(value, str | os.PathLike):
+        return Path(value)
+    raise InputError(f"expected the path of a file, got {type(value).__name__}")
 
 
 def check_readable(path: Path) -> None:
@@ -193,8 +193,8 @@ def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()
         InputError: the folder does not exist, or an input or another result would be replaced.
     """
     target = path.resolve()
-    for given in inputs:
-        if target == given.resolve() or (path.exists() and target.is_relative_to(given.resolve())):
+    for input_path in inputs:
+        if target == input_path.resolve() or (path.exists() and target.is_relative_to(input_path.resolve())):
             raise InputError(f"{path}: the result would replace an input: choose another name")
     if any(target == other.resolve() for other in others):
         raise InputError(f"{path}: two results would be written to this file: give each its own name")

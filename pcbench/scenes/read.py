@@ -131,7 +131,7 @@ def _masks(
     """Find the masks by image name; COLMAP's NAME.png (`a.jpg.png`) takes precedence over the stem's (`a.png`)."""
     if masks is None:
         return {}
-    found: dict[str, Path] = {}
+    mask_files: dict[str, Path] = {}
     for name in names:
         for candidate in (masks / f"{name}.png", masks / Path(name).with_suffix(".png")):
             if has_entry(candidate):
@@ -141,11 +141,11 @@ def _masks(
                         f"{candidate}: expected a mask of {image.width} x {image.height} pixels as {folder / name},"
                         f" got {mask.width} x {mask.height}: resize the mask"
                     )
-                found[name] = candidate
+                mask_files[name] = candidate
                 break
-    if not found:
+    if not mask_files:
         raise InputError(f"{masks}: expected masks named by their images, such as {next(iter(headers))}.png, got none")
-    return found
+    return mask_files
 
 
 def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], None]) -> Scene:
@@ -215,7 +215,7 @@ def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> S
     if file is None or not without_camera:
         return scene
     k = read_k_matrix(file)
-    found: dict[str, Intrinsics] = {}
+    found_intrinsics: dict[str, Intrinsics] = {}
     reduced: dict[Size, int] = {}
     for name in without_camera:
         width, height = scene.sizes[name]
@@ -225,13 +225,13 @@ def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> S
             raise InputError(f"{file}: {name}: {error}") from None
         if wrong := _intrinsics_error(intrinsics):
             raise InputError(f"{file}: {name}: {wrong}")
-        found[name] = intrinsics.resized(*scene.size(name))
+        found_intrinsics[name] = intrinsics.resized(*scene.size(name))
         if factor > 1:
             reduced[width, height] = factor
     for (width, height), factor in reduced.items():
         full = f"{factor * width} x {factor * height}"
         warn(f"{file}: its principal point fits images of {full} pixels: scaled it to {width} x {height}")
-    return replace(scene, intrinsics=found)
+    return replace(scene, intrinsics=found_intrinsics)
 
 
 class _CameraFile(NamedTuple):

@@ -130,28 +130,32 @@ def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> 
         names: image names.
         positions: camera positions (3,) by name; if one is missing, the given order is returned.
     """
-    given = tuple(names)
-    if len(given) < 3 or any(name not in positions for name in given):
-        return given
-    places = np.array([positions[name] for name in given], dtype=np.float64)
-    path = _nearest_neighbor_path(places)
-    return tuple(given[k] for k in path) if _path_length(places) > _MAX_DETOUR * _path_length(places[path]) else given
+    original_order = tuple(names)
+    if len(original_order) < 3 or any(name not in positions for name in original_order):
+        return original_order
+    points = np.array([positions[name] for name in original_order], dtype=np.float64)
+    path = _nearest_neighbor_path(points)
+    return (
+        tuple(original_order[k] for k in path)
+        if _path_length(points) > _MAX_DETOUR * _path_length(points[path])
+        else original_order
+    )
 
 
-def _nearest_neighbor_path(places: FloatArray) -> list[int]:
+def _nearest_neighbor_path(points: FloatArray) -> list[int]:
     """Return the path from the first position to the nearest remaining one, and so on; ties go to the lower index."""
-    remaining = np.ones(len(places), dtype=bool)
+    remaining = np.ones(len(points), dtype=bool)
     path = [0]
     remaining[0] = False
     while remaining.any():
-        distances = np.square(places - places[path[-1]]).sum(axis=1)
+        distances = np.square(points - points[path[-1]]).sum(axis=1)
         path.append(int(np.where(remaining, distances, np.inf).argmin()))
         remaining[path[-1]] = False
     return path
 
 
-def _path_length(places: FloatArray) -> float:
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+def _path_length(points: FloatArray) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _without(names: Sequence[str], held_out: Sequence[str]) -> tuple[str, ...]:

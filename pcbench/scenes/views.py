@@ -75,8 +75,8 @@ class RenderedView:
             InputError: a file is missing, cannot be decoded, or has another size.
             MissingExtra: Pillow is not installed.
         """
-        found = read_image_header(self.photograph)
-        size = found.width, found.height
+        photograph_header = read_image_header(self.photograph)
+        size = photograph_header.width, photograph_header.height
         for path in filter(None, (self.rendering, self.mask)):
             header = read_image_header(path)
             if (header.width, header.height) != size:

@@ -54,9 +54,9 @@ def check_cameras_kept(path: Path, scene: Path, source: Path | None) -> None:
         InputError: a file that would be written exists in the scene's folder or in the source.
     """
     for file in cameras_files(path):
-        for given in (scene, source):
-            if given is not None and file.exists() and file.resolve().is_relative_to(given.resolve()):
-                raise InputError(f"{file}: would be replaced, but belongs to {given}: choose another output")
+        for owner in (scene, source):
+            if owner is not None and file.exists() and file.resolve().is_relative_to(owner.resolve()):
+                raise InputError(f"{file}: would be replaced, but belongs to {owner}: choose another output")
 
 
 def check_cameras_output(path: Path, scene: Path | None = None) -> None:
