@@ -146,7 +146,7 @@ class Scene:
         """
         if not self.on_sphere or self.origin is None:
             raise InputError(
-                f"{self.folder}: expected Earth Studio cameras to convert to WGS84, got others: do not convert them"
+                f"{self.folder}: expected Earth Studio cameras for WGS84 metres, got others: leave out --wgs84"
             )
         return self.origin
 
