@@ -1,4 +1,4 @@
-"""E57 files written through libE57Format, which pye57 wraps; and their checksums, without it."""
+"""E57 files written with libE57Format, which pye57 wraps, and their checksums computed without it."""
 
 import tempfile
 from pathlib import Path
@@ -11,7 +11,7 @@ _PAGE, _PAYLOAD = 1024, 1020
 
 
 def write(path, scans, crs=""):
-    """A file of scans: dictionaries of columns, and under `pose` a quaternion (w, x, y, z) and a translation."""
+    """Write scans, given as dictionaries of columns; `pose` is a quaternion (w, x, y, z) and a translation."""
     from pye57 import libe57
 
     file = libe57.ImageFile(str(path), "w")
@@ -69,7 +69,7 @@ def _fill(libe57, file, node, columns):
 
 
 def corpus():
-    """Two small files, as bytes."""
+    """Return two small files, as bytes."""
     rng = np.random.default_rng(3)
     points = rng.uniform(-1, 1, (50, 3))
     plain = dict(zip(XYZ, points.T, strict=True))
@@ -82,7 +82,7 @@ def corpus():
 
 
 def sealed(data):
-    """The bytes with the checksum of every whole page renewed: CRC-32C of 1,020 bytes, big-endian."""
+    """Recompute the checksum of each complete page: CRC-32C of 1,020 bytes, big-endian."""
     pages = [data[start : start + _PAGE] for start in range(0, len(data), _PAGE)]
     whole = [p[:_PAYLOAD] + _crc32c(p[:_PAYLOAD]).to_bytes(4, "big") if len(p) == _PAGE else p for p in pages]
     return b"".join(whole)

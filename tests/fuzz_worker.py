@@ -1,4 +1,4 @@
-"""Damaged files by the thousand: a cloud, a mesh or PcbenchError in one line comes out, in little memory and time.
+"""Read thousands of damaged files: each gives a cloud, a mesh or a one-line PcbenchError, in bounded memory and time.
 
 `fuzz_worker.run` starts this file as a script in a process of its own, so that memory and time are limited by the
 system and a crash is seen: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
@@ -32,7 +32,7 @@ TEXTS = {
     "semicolons": "x;y;z;nx;ny;nz\r\n" + "1.25; 2; nan; 0; 0; 1\r\n1;2;3;0;1;0\r\n" * 5,
     "tabs": "1\t2\t3\t0.5\n" * 9,
 }
-# Of each corpus: its files as name -> bytes; the extension is the corpus's, or the name's own.
+# Files of each corpus as name -> bytes; the extension is that of the name, or else the corpus.
 CORPORA = {
     "ply": ply_bytes.corpus,
     "las": las_bytes.corpus,
@@ -54,7 +54,7 @@ def run(corpus, count, seed, folder):
 
 
 def damaged(data, rng):
-    """What is done to PLY is done to all; in binary headers a number may become an extreme one besides."""
+    """Damage a file as for PLY; in binary headers also replace a number with an extreme one."""
     if rng.random() < 0.5:
         return ply_bytes.damaged(data, rng)
     data = bytearray(data)
@@ -63,7 +63,7 @@ def damaged(data, rng):
         extremes = [0, 1, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**40, 2**63, 2**64 - 1]
         number = rng.choice([float("nan"), float("inf"), 0.0, 1e300] if code == "d" else extremes)
         piece = struct.pack("<d", number) if code == "d" else struct.pack("<Q", number)[: struct.calcsize(code)]
-        # Most often where the header is, or the chunk table of a LAZ file.
+        # Mostly in the header, or in the chunk table of a LAZ file.
         place = rng.choice([rng.randrange(400), rng.randrange(1, 100) + len(data) - 100, rng.randrange(len(data))])
         data[max(place, 0) : max(place, 0) + len(piece)] = piece
     return bytes(data)
@@ -95,8 +95,8 @@ def main(corpus, count, seed, folder):
         name, data = rng.choice(files)
         path = folder / f"a{Path(name).suffix if corpus == 'meshes' else f'.{corpus}'}"
         data = damaged(data, rng)
-        # Damage that the checksums of E57 tell is refused at once: most files get new ones.
-        path.write_bytes(e57_bytes.sealed(data) if corpus == "e57" and rng.random() < 0.8 else data)  # stays for a look
+        # Most files get new checksums, since E57 checksums reveal damage at once.
+        path.write_bytes(e57_bytes.sealed(data) if corpus == "e57" and rng.random() < 0.8 else data)  # kept
         notes = []
         signal.alarm(MAX_SECONDS_PER_FILE)
         try:

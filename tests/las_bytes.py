@@ -1,9 +1,9 @@
-"""LAS files made by hand, byte by byte with struct; LAZ through lazrs alone. Imports nothing from pcbench."""
+"""Hand-made LAS files, packed with struct; LAZ through lazrs. Does not import pcbench."""
 
 import io
 import struct
 
-RECORDS = {  # a point of each format, without waveforms
+RECORDS = {  # layout of a point per format, without waveforms
     0: "<3iHBBbBH",
     1: "<3iHBBbBHd",
     2: "<3iHBBbBH3H",
@@ -20,7 +20,7 @@ def integers(i):
 
 
 def values(form, i, color=256):
-    """Point i: class 2 or 6 in turn, return 1, 2 or 3 of 3 in turn."""
+    """Pack point i: its class alternates between 2 and 6, its return cycles through 1, 2 and 3 of 3."""
     number, of, kind = i % 3 + 1, 3, 2 if i % 2 else 6
     if form < 6:
         row = [*integers(i), 100 + i, number | of << 3, kind, -5, 9, 40 + i]
@@ -57,7 +57,7 @@ def extras(*descriptions):
 
 
 def las(form=0, count=10, minor=None, vlrs=(), evlrs=(), tail=lambda i: b"", compress=None, **replaced):
-    """A file. `tail` gives the extra bytes of a point; `compress` is None, "chunks" or "variable" (as in COPC)."""
+    """Build a file: `tail` gives the extra bytes of a point; `compress` is None, "chunks" or "variable" (COPC)."""
     minor = (4 if form >= 6 else 2) if minor is None else minor
     points = b"".join(struct.pack(RECORDS[form], *values(form, i, replaced.get("color", 256))) + tail(i)
                       for i in range(count))  # fmt: skip
@@ -110,7 +110,7 @@ UTM = (
 
 
 def corpus():
-    """Valid uncompressed files of all variants, as name -> bytes."""
+    """Return valid uncompressed files of all variants, as name -> bytes."""
     described = extras(extra(b"height", 9), extra(b"count", 3, 8 | 16, b"", 0.5, 10.0), extra(b"", 0, 2))
     files = {f"format {form}": las(form, 20) for form in RECORDS}
     files |= {f"1.{minor}": las(1, 12, minor=minor, vlrs=[geo_keys(model=1, projected=32617)]) for minor in range(5)}

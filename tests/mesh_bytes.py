@@ -1,4 +1,4 @@
-"""A cube in mesh files of every format, made by hand. Imports nothing from pcbench."""
+"""Hand-made mesh files of a cube in all formats. Does not import pcbench."""
 
 import json
 import struct
@@ -39,7 +39,7 @@ def ply_mesh(form="ascii", name="vertex_indices", polygons=QUADS, order=1, types
 
 
 def glb(name="cube"):
-    """Two cubes, one moved and doubled by its node."""
+    """Build two cubes, one translated and scaled by 2 by its node."""
     positions, indices = VERTICES.astype("<f4").tobytes(), FACES.astype("<u2").tobytes()
     document = {
         "asset": {"version": "2.0"},

@@ -1,10 +1,10 @@
-"""PCD files made by hand, with a small LZF compressor. Imports nothing from pcbench."""
+"""Hand-made PCD files, with a small LZF compressor. Does not import pcbench."""
 
 import struct
 
 
 def pcd(data, fields, rows, viewpoint="0 0 0 1 0 0 0", **replaced):
-    """A file. A field is "x F4" or "id U2 3"; a row is flat. `replaced` changes or (None) drops header lines."""
+    """Build a file. A field is "x F4" or "id U2 3"; a row is flat. `replaced` changes or (None) drops header lines."""
     split = [(*field.split(), "1")[:3] for field in fields]
     entries = {
         "VERSION": "0.7",
@@ -44,7 +44,7 @@ def _code(kind):
 
 
 def lzf(data):
-    """Greedy: the last place where the next three bytes stood, or bytes as they are."""
+    """Compress greedily: refer to the last occurrence of the next three bytes, or copy bytes literally."""
     out, plain, seen, place = bytearray(), bytearray(), {}, 0
 
     def flush():
@@ -85,7 +85,7 @@ XYZ = ["x F4", "y F4", "z F4"]
 
 
 def corpus():
-    """Valid files of all variants, as name -> bytes."""
+    """Return valid files of all variants, as name -> bytes."""
     full = [
         "z F8",
         "rgb U4",

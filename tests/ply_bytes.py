@@ -1,4 +1,4 @@
-"""PLY files made by hand, byte by byte with struct, and damage done to them. Imports nothing from pcbench."""
+"""Hand-made PLY files, packed with struct, and ways to damage them. Does not import pcbench."""
 
 import random
 import re
@@ -28,7 +28,7 @@ XYZ = ["float x", "float y", "float z"]
 
 
 def ply(form, *elements, comments=(), newline="\n"):
-    """A file. An element is (name, properties, rows); a property "float x" or "list uchar int i"; a list is a tuple."""
+    """Build a file: an element is (name, properties, rows); a property "float x" or "list uchar int i"."""
     lines = ["ply", f"format {form} 1.0", *comments]
     for name, properties, rows in elements:
         lines += [f"element {name} {len(rows)}", *(f"property {prop}" for prop in properties)]
@@ -52,12 +52,12 @@ def _row(form, properties, row, newline):
 
 
 def points(count):
-    """Rows of coordinates that float32 holds exactly."""
+    """Return rows of coordinates that float32 represents exactly."""
     return [(i * 0.25, -i * 0.5, i + 0.125) for i in range(count)]
 
 
 def corpus():
-    """Valid files of all variants, as name -> bytes."""
+    """Return valid files of all variants, as name -> bytes."""
     faces = ("face", ["list uchar int vertex_indices"], [(0, 1, 2), (2, 1, 0), (1, 2, 3)])
     mixed = ("face", ["list uchar int vertex_indices", "uchar flag"], [((0, 1, 2), 1), ((0, 1, 2, 3), 2), ((), 3)])
     views = (
@@ -96,7 +96,7 @@ def corpus():
 
 
 def damaged(data, rng: random.Random):
-    """One to three kinds of damage: flipped bits, bytes inserted or deleted, a cut, header numbers or words changed."""
+    """Apply one to three kinds of damage: flipped bits, bytes inserted or deleted, truncation, changed header words."""
     for _ in range(rng.choice([1, 1, 2, 3])):
         data = rng.choice([_flip, _insert, _delete, _cut, _number, _word, _swap])(bytearray(data), rng)
     return bytes(data)
@@ -157,7 +157,7 @@ def _word(data, rng):
 
 
 def _swap(data, rng):
-    """A header line moved or doubled."""
+    """Move or duplicate a header line."""
     lines = bytes(data).split(b"\n")
     line = rng.choice(lines[:20])
     if rng.random() < 0.5:

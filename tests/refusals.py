@@ -1,4 +1,4 @@
-"""What a reader says of a file that it refuses."""
+"""Error messages of refused files."""
 
 from wording import refused
 
@@ -6,7 +6,7 @@ from pcbench import read_cloud
 
 
 def refusal(path, data=None, **options):
-    """The message without the path that it must start with. Bytes or text are written to the path first."""
+    """Return the message without the path that it starts with. Bytes or text are written to the path first."""
     if data is not None:
         path.write_bytes(data if isinstance(data, bytes | bytearray) else data.encode())
     with refused() as caught:

@@ -1,4 +1,4 @@
-"""Folders of small random pictures, and cameras around them."""
+"""Scene folders with small random images and their cameras."""
 
 import numpy as np
 from PIL import Image
@@ -24,7 +24,7 @@ def picture(path, size=(64, 48), value=0):
 
 
 def ten_pictures(folder):
-    """The folder, with images/0.png to 9.png of 64 x 48 pixels."""
+    """Create a folder with images/0.png to 9.png of 64 x 48 pixels."""
     for number in range(10):
         picture(folder / "images" / f"{number}.png", value=number)
     return folder

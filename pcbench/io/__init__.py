@@ -1,6 +1,6 @@
-"""Point clouds from and to files: the extension picks the format, see `formats.CLOUDS`.
+"""Read and write point clouds. The file extension selects the format, see `formats.CLOUDS`.
 
-To add a format, write a module with its reader beside the others and give it a line in `formats`.
+To add a format, write a module with its reader next to the others and add a line to `formats`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from pcbench.io.formats import CLOUDS, CloudFormat
 
 __all__ = ["FILTERED", "CloudLike", "check_cloud_output", "is_path", "read_cloud", "to_cloud", "write_cloud"]
 
-CloudLike = Cloud | ArrayLike | os.PathLike[str]  # what `to_cloud` takes; `ArrayLike` holds str, a path too
-FILTERED = tuple(extension for extension, form in CLOUDS.items() if form.filtered)  # have classes and returns
+CloudLike = Cloud | ArrayLike | os.PathLike[str]  # accepted by `to_cloud`; `ArrayLike` includes str, so paths too
+FILTERED = tuple(extension for extension, form in CLOUDS.items() if form.filtered)  # formats with classes and returns
 
 
 def read_cloud(
@@ -34,21 +34,21 @@ def read_cloud(
     min_opacity: float | None = None,
     max_axis: float | None = None,
 ) -> Cloud:
-    """The point cloud in a file, without the points whose coordinates are NaN or Inf.
+    """Read a point cloud from a file and drop points with NaN or Inf coordinates.
 
     Args:
-        path: a file with a known extension, in upper or lower case, or a folder with a COLMAP model.
-        on_warning: called with one line for each thing left out ("a.ply: dropped 12 of 1000 points with NaN or Inf
-            coordinates"); `warnings.warn` if not given.
-        classes: only points of these classes, such as (2, 6); LAS, LAZ and COPC.
-        returns: only the "first" or "last" return of each pulse, or those of these numbers; the same formats.
-        min_opacity: only Gaussian splats of at least this opacity, 0 to 1; PLY files of splats, whose logits of
-            opacities and logarithms of axes are understood.
-        max_axis: only splats whose largest axis (standard deviation) is at most so long, in the file's unit.
+        path: file with a known extension (upper or lower case), or folder with a COLMAP model.
+        on_warning: callback, called with one line per warning ("a.ply: dropped 12 of 1000 points with NaN or Inf
+            coordinates"). Defaults to `warnings.warn`.
+        classes: class numbers to keep, such as (2, 6). LAS, LAZ and COPC only.
+        returns: returns to keep: "first", "last", or return numbers. LAS, LAZ and COPC only.
+        min_opacity: minimum opacity (0 to 1) of the Gaussian splats to keep. PLY files of splats only; stored logits of
+            opacity and logarithms of the axes are converted.
+        max_axis: maximum length of the largest axis (standard deviation) of the splats to keep, in the file's unit.
 
     Raises:
-        InputError: the file cannot be read or is not what its extension says, or no point is left by what was asked
-            for; the message starts with the path.
+        InputError: the file cannot be read, does not match its extension, or no point passes the filters. The message
+            starts with the path.
         MissingExtra: an optional library is needed for this file.
     """
 
@@ -56,35 +56,35 @@ def read_cloud(
         form = _format(path)
         filters = {"classes": classes, "returns": returns} if classes is not None or returns is not None else {}
         if filters and not form.filtered:
-            raise InputError(f"classes and returns are known in {', '.join(FILTERED)} only")
+            raise InputError(f"expected {', '.join(FILTERED)} to filter by classes or returns, got another format")
         return filter_splats(finite_cloud(form.read(path, warn, **filters), warn), min_opacity, max_axis)
 
     return read_named(model_file(as_path(path)), read, on_warning)
 
 
-def is_path(given: object) -> TypeGuard[str | os.PathLike[str]]:
-    """Whether something that stands where a cloud may stand is the path of one."""
-    return isinstance(given, str | os.PathLike)
+def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
+    """Whether an argument is the path of a cloud rather than a cloud or an array."""
+    return isinstance(value, str | os.PathLike)
 
 
-def to_cloud(given: CloudLike) -> Cloud:
-    """A cloud as it is, one around an (N, 3) array, or the one in the file that a path names.
+def to_cloud(value: CloudLike) -> Cloud:
+    """Return a cloud unchanged, wrap an (N, 3) array, or read the file at a path.
 
     Raises:
-        InputError, MissingExtra: as `read_cloud` and `Cloud`.
+        InputError, MissingExtra: see `read_cloud` and `Cloud`.
     """
-    return read_cloud(given) if isinstance(given, str | os.PathLike) else as_cloud(given)
+    return read_cloud(value) if isinstance(value, str | os.PathLike) else as_cloud(value)
 
 
 def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:
-    """Writes a cloud, all or nothing: on an error an existing file stays as it was.
+    """Write a cloud to a file. If an error occurs, an existing file stays unchanged.
 
     Args:
-        path: its extension picks the format.
-        cloud: a cloud, its points (N, 3), or the path of a file with one.
+        path: output file; its extension selects the format.
+        cloud: cloud, points (N, 3), or path of a file with a cloud.
 
     Raises:
-        InputError: the extension is unknown, or the format cannot hold the cloud; or one of both is none.
+        InputError: the extension is unknown, the format cannot store the cloud, or an argument is not a path or cloud.
         OSError: the file cannot be written.
     """
     path = as_path(path)
@@ -93,10 +93,15 @@ def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:
 
 
 def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence[Path] = ()) -> None:
-    """Say before a long computation that its cloud cannot be written there; inputs and others as for `check_output`.
+    """Check before a long computation that a cloud can be written to a path.
+
+    Args:
+        path: output file.
+        inputs: input files and folders, which must not be replaced; see `check_output`.
+        others: other outputs, which must differ from this one.
 
     Raises:
-        InputError: the extension is unknown or only read, the folder does not exist, or an input or another result
+        InputError: the extension is unknown or read-only, the folder does not exist, or an input or another result
             would be replaced.
     """
     _writer(path)
@@ -109,7 +114,7 @@ def _writer(path: Path) -> Callable[[Path, Cloud], None]:
         is_known = path.name in CLOUDS or path.suffix.lower() in CLOUDS
         write = _format(path, CLOUDS if is_known else writable).write
         if write is None:
-            raise InputError(f"{path.suffix} is read but not written: choose one of {', '.join(writable)}")
+            raise InputError(f"{path.suffix} files can only be read: write one of {', '.join(writable)}")
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return write
@@ -119,5 +124,5 @@ def _format(path: Path, formats: Mapping[str, CloudFormat] = CLOUDS) -> CloudFor
     form = formats.get(path.name) or formats.get(path.suffix.lower())
     if form is None:
         known = ", ".join(extension for extension in formats if extension.startswith("."))
-        raise InputError(f"expected a file that ends in {known}; got {path.suffix.lower() or 'no extension'!r}")
+        raise InputError(f"expected a file with extension {known}; got {path.suffix.lower() or 'no extension'!r}")
     return form

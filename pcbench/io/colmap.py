@@ -1,4 +1,4 @@
-"""COLMAP's sparse models: points3D.bin and points3D.txt. Formats: colmap.github.io/format.html."""
+"""Read the points of COLMAP sparse models: points3D.bin and points3D.txt. Formats: colmap.github.io/format.html."""
 
 from __future__ import annotations
 
@@ -14,84 +14,86 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io.files import Fields, Warn, finite_cloud, read_named
 from pcbench.regular_files import has_entry
 
-NAMES = ("points3D.bin", "points3D.txt")  # binary first: it keeps every digit
-_MODELS = (".", "0", "sparse", "sparse/0")  # where COLMAP and its relatives put a model inside a folder
+POINT_FILES = ("points3D.bin", "points3D.txt")  # binary first: it stores the exact values
+_MODEL_FOLDERS = (".", "0", "sparse", "sparse/0")  # where COLMAP and related programs store a model in a folder
 
-# One point, without its track of (int32 image, int32 keypoint) pairs.
+# One point, without its track of (int32 image, int32 keypoint) entries.
 _POINT = np.dtype(
     [("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track_length", "<u8")], align=False
 )
-_TRACK_LENGTH = _POINT.itemsize - 8  # its place
-_PAIR = 8
+_TRACK_LENGTH_OFFSET = _POINT.itemsize - 8  # in bytes from the start of a point
+_TRACK_ENTRY_BYTES = 8
 
 
 def read_points3d(folder_or_file: str | os.PathLike[str]) -> Cloud:
-    """The points of a COLMAP sparse model, the same as `read_cloud`.
+    """Read the points of a COLMAP sparse model, as `read_cloud` does.
 
-    Coordinates are in the model's own, arbitrary frame. Attributes: `point3D_id`; `reprojection_error`, the mean in
-    pixels; `track_length`, the number of images that see the point.
+    Coordinates are in the model's arbitrary frame. Attributes: `point3D_id`; `reprojection_error`, the mean in
+    pixels; `track_length`, the number of images that observe the point.
 
     Args:
         folder_or_file: points3D.bin, points3D.txt, or a folder with either, directly or in 0/, sparse/ or sparse/0/.
 
     Raises:
-        InputError: there is no model, or it is damaged; the message starts with the path.
+        InputError: there is no model, or it is damaged. The message starts with the path.
     """
-    found = model_file(Path(folder_or_file))
-    if found.name not in NAMES:
-        raise InputError(f"{folder_or_file}: expected a COLMAP model: a folder with {' or '.join(NAMES)}")
-    return read_named(found, lambda path, warn: finite_cloud(read_colmap(path, warn), warn), None)
+    points_file = model_file(Path(folder_or_file))
+    if points_file.name not in POINT_FILES:
+        raise InputError(f"{folder_or_file}: expected a COLMAP model: a folder with {' or '.join(POINT_FILES)}")
+    return read_named(points_file, lambda path, warn: finite_cloud(read_colmap(path, warn), warn), None)
 
 
 def model_file(path: Path) -> Path:
-    """The points of the COLMAP model in a folder; any other path as it is: whoever reads it says what is wrong."""
+    """Return the points file of the COLMAP model in a folder; return any other path unchanged, for its reader."""
     try:
-        for place in _MODELS if path.is_dir() else ():
-            for name in NAMES:
-                if has_entry(path / place / name):
-                    return path / place / name
-    except OSError:  # a folder that must not be looked into
+        for subfolder in _MODEL_FOLDERS if path.is_dir() else ():
+            for name in POINT_FILES:
+                if has_entry(path / subfolder / name):
+                    return path / subfolder / name
+    except OSError:  # no permission to list the folder
         pass
     return path
 
 
 def read_colmap(path: Path, warn: Warn) -> Fields:
-    """The fields of a points3D file, see `read_points3d`.
+    """Read the fields of a points3D file, see `read_points3d`.
 
     Raises:
-        InputError: the file is not complete, or holds no point.
-        OSError: it cannot be read.
+        InputError: the file is incomplete or contains no points.
+        OSError: the file cannot be read.
     """
     return _read_binary(path.read_bytes()) if path.suffix.lower() == ".bin" else _read_text(path.read_bytes())
 
 
 def _read_binary(data: bytes) -> Fields:
     if len(data) < 8:
-        raise InputError(f"expected a count of 8 bytes, got {len(data)} bytes")
+        raise InputError(f"expected a point count of 8 bytes, got {len(data)} bytes: copy or export the model again")
     (count,) = struct.unpack_from("<Q", data)
-    # Tracks differ in length: each point says where the next one starts.
+    # Tracks differ in length: each point determines where the next one starts.
     unpack = struct.Struct("<Q").unpack_from
-    places: list[int] = []
-    place, size = 8, len(data)
+    offsets: list[int] = []
+    offset, size = 8, len(data)
     for _ in range(min(count, size // _POINT.itemsize)):
-        end = place + _POINT.itemsize
-        if end > size or (end := end + _PAIR * unpack(data, place + _TRACK_LENGTH)[0]) > size:
+        end = offset + _POINT.itemsize
+        if end > size or (end := end + _TRACK_ENTRY_BYTES * unpack(data, offset + _TRACK_LENGTH_OFFSET)[0]) > size:
             break
-        places.append(place)
-        place = end
-    if len(places) < count:
-        raise InputError(f"truncated: {len(places)} of {count} points: copy or export the model again")
-    if place < size:
-        raise InputError(f"{size - place} bytes after the last of {count} points: the file is damaged")
+        offsets.append(offset)
+        offset = end
+    if len(offsets) < count:
+        raise InputError(f"truncated: got {len(offsets)} of {count} points: copy or export the model again")
+    if offset < size:
+        raise InputError(
+            f"expected the end of the file after {count} points, got {size - offset} more bytes: export the model again"
+        )
     if not count:
-        raise InputError("expected at least one point, got a model without points")
+        raise InputError("expected at least one point, got a model without points: export it with its points")
     windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), _POINT.itemsize)
-    rows = windows[places].view(_POINT)[:, 0]
+    rows = windows[offsets].view(_POINT)[:, 0]
     return _fields(rows["xyz"], rows["rgb"], rows["id"], rows["error"], rows["track_length"])
 
 
 def _read_text(data: bytes) -> Fields:
-    """Lines of id, x y z, r g b, error, then pairs of image and keypoint; lines that start with # are comments."""
+    """Parse lines of id, x y z, r g b, error, then (image, keypoint) pairs. Lines that start with # are comments."""
     ids: list[int] = []
     values: list[list[float]] = []
     for number, line in enumerate(data.splitlines(), 1):
@@ -105,26 +107,26 @@ def _read_text(data: bytes) -> Fields:
             if not 0 <= int(words[0]) < 2**64 or not all(0 <= c <= 255 and c == int(c) for c in row[3:6]):
                 raise ValueError
         except (ValueError, OverflowError):
-            shown = repr(line.strip()[:60])[1:]
+            excerpt = repr(line.strip()[:60])[1:]
             raise InputError(
-                f"line {number}: expected id, x y z, r g b, error, then pairs of image and keypoint; got {shown}"
+                f"line {number}: expected id, x y z, r g b, error, then (image, keypoint) pairs; got {excerpt}"
             ) from None
         ids.append(int(words[0]))
         values.append([*row, (len(words) - 8) / 2])
     if not values:
-        raise InputError("expected at least one point, got a model without points")
-    declared = _declared(data)
+        raise InputError("expected at least one point, got a model without points: export it with its points")
+    declared = _declared_count(data)
     if declared is not None and len(values) < declared:
-        raise InputError(f"truncated: {len(values)} of {declared} points: copy or export the model again")
+        raise InputError(f"truncated: got {len(values)} of {declared} points: copy or export the model again")
     table = np.array(values)
     return _fields(table[:, :3], table[:, 3:6].astype(np.uint8), np.array(ids, np.uint64), table[:, 6], table[:, 7])
 
 
-def _declared(data: bytes) -> int | None:
-    """The count in COLMAP's own comment, `# Number of points: 7, mean track length: 3`."""
-    _, found, rest = data[:4096].partition(b"# Number of points:")
+def _declared_count(data: bytes) -> int | None:
+    """Return the point count in COLMAP's comment line, `# Number of points: 7, mean track length: 3`."""
+    _, separator, rest = data[:4096].partition(b"# Number of points:")
     word = rest.split(b",")[0].strip()
-    return int(word) if found and word.isdigit() and len(word) < 19 else None
+    return int(word) if separator and word.isdigit() and len(word) < 19 else None
 
 
 def _fields(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], ids: NDArray[np.uint64], error: NDArray[np.float64],

@@ -1,6 +1,6 @@
-"""Cameras of a COLMAP sparse model: cameras and images, text or binary. Formats: colmap.github.io/format.html.
+"""Read and write the cameras of a COLMAP sparse model, text or binary. Formats: colmap.github.io/format.html.
 
-Its points are read by `pcbench.io.colmap`. Rigs and frames of newer models are not needed: every image has its pose.
+`pcbench.io.colmap` reads its points. Rigs and frames of newer models are not needed: each image has its pose.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write
 from pcbench.regular_files import has_entry, open_regular, read_bytes
 
-# Name and number of parameters, by COLMAP's number of the model.
-_MODELS = {
+# Name and parameter count of the camera models, by COLMAP's model ID.
+_MODELS_BY_ID = {
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
     2: ("SIMPLE_RADIAL", 4),
     3: ("RADIAL", 5),
     4: ("OPENCV", 8),
 }
-_PARAMETERS = dict(_MODELS.values())
+_PARAMETER_COUNTS = dict(_MODELS_BY_ID.values())
 
 
-_MAX_MODEL_BYTES = 64 << 30  # of cameras or images, which hold every keypoint
+_MAX_MODEL_BYTES = 64 << 30  # of the cameras or images file; the latter stores all keypoints
 
-MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # that are written
+MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # written by `write_colmap_model`
 
 
 def is_colmap_model(folder: Path) -> bool:
-    """Whether a folder holds the cameras and images of a model, in text or binary."""
+    """Whether a folder contains the cameras and images files of a model, text or binary."""
     return any(has_entry(folder / f"cameras{e}") and has_entry(folder / f"images{e}") for e in (".bin", ".txt"))
 
 
 def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
-    """The cameras of the images of a COLMAP model, in the order of their names; binary files go before text.
+    """Read the cameras of a COLMAP model, sorted by image name. Binary files take precedence over text.
 
     Raises:
-        InputError: there is no model, it is damaged, a camera model is not supported, or a quaternion is no rotation;
-            the message starts with the path.
+        InputError: there is no model, it is damaged, a camera model is not supported, or a quaternion is not a
+            rotation. The message starts with the path.
     """
     binary = has_entry(folder / "cameras.bin") and has_entry(folder / "images.bin")
     names = ("cameras.bin", "images.bin") if binary else ("cameras.txt", "images.txt")
@@ -59,13 +59,13 @@ def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
             else:
                 cameras = _binary_images(data, intrinsics) if binary else _text_images(data, intrinsics)
         except FileNotFoundError:
-            raise InputError(f"{path}: no such file: expected a COLMAP model (cameras and images)") from None
+            raise InputError(f"{path}: no such file: expected the cameras and images of a COLMAP model") from None
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         except (ValueError, OverflowError) as error:
-            raise InputError(f"{path}: expected a COLMAP model: {error}") from None
+            raise InputError(f"{path}: expected a COLMAP model, got a damaged file: {error}") from None
         except struct.error:
             raise InputError(f"{path}: truncated: copy or export the model again") from None
     if not cameras:
@@ -74,16 +74,26 @@ def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
 
 
 def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[float]) -> Intrinsics:
-    """The intrinsics that a COLMAP camera's model and parameters mean.
+    """Convert the model and parameters of a COLMAP camera to intrinsics.
+
+    Args:
+        model: name of the camera model, such as "OPENCV".
+        width: image width in pixels.
+        height: image height in pixels.
+        p: parameters of the model, in COLMAP's order.
 
     Raises:
-        InputError: the model is none of those that `Intrinsics` holds, or the parameters are not as many as it has.
+        InputError: `Intrinsics` does not support the model, or the parameter count is wrong.
     """
-    if model not in _PARAMETERS:
-        known = ", ".join(_PARAMETERS)
-        raise InputError(f"camera model {model} is not supported (only {known}): run COLMAP's image_undistorter first")
-    if len(p) != _PARAMETERS[model]:
-        raise InputError(f"expected {_PARAMETERS[model]} parameters of {model}, got {len(p)}")
+    if model not in _PARAMETER_COUNTS:
+        known = ", ".join(_PARAMETER_COUNTS)
+        raise InputError(
+            f"expected a camera model of {known}, got {model}: undistort the images with COLMAP's image_undistorter"
+        )
+    if len(p) != _PARAMETER_COUNTS[model]:
+        raise InputError(
+            f"expected {_PARAMETER_COUNTS[model]} parameters for {model}, got {len(p)}: export the model again"
+        )
     if model == "PINHOLE":
         return Intrinsics(width, height, p[0], p[1], p[2], p[3])
     if model == "OPENCV":
@@ -94,11 +104,13 @@ def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[floa
 
 def _camera(name: str, number: int, pose: Sequence[float], intrinsics: Mapping[int, Intrinsics]) -> Camera:
     if number not in intrinsics:
-        raise InputError(f"image {name} has camera {number}, which is not in the file of cameras")
+        raise InputError(f"image {name}: camera {number} is missing in the cameras file: export the model again")
     quaternion = np.array(pose[:4], dtype=np.float64)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1) < 1e-3:
-        raise InputError(f"image {name}: expected a rotation as a unit quaternion, got one of length {length:.6g}")
+        raise InputError(
+            f"image {name}: expected a unit quaternion, got one of length {length:.6g}: export the model again"
+        )
     return Camera(name, intrinsics[number], Similarity(_rotation(quaternion / length), np.array(pose[4:])))
 
 
@@ -115,7 +127,7 @@ def _text_intrinsics(data: bytes) -> dict[int, Intrinsics]:
 
 
 def _text_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Camera]:
-    """Two lines an image: id, quaternion, translation, camera, name; then x, y, point triples, perhaps none."""
+    """Parse two lines per image: id, quaternion, translation, camera, name; then (x, y, point) triples or nothing."""
     cameras = []
     lines = iter(data.decode().splitlines())
     for line in lines:
@@ -125,48 +137,50 @@ def _text_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Came
         if len(words) < 10:
             raise ValueError(f"expected id, qw qx qy qz, tx ty tz, camera, name; got {line.strip()[:60]!r}")
         cameras.append(_camera(words[9].strip(), int(words[8]), [float(w) for w in words[1:8]], intrinsics))
-        # Without this line every second image would be taken for the points of the one before.
+        # Without this check, a missing line would make every second image the keypoints of the one before.
         if len(next(lines, "").split()) % 3:
-            raise ValueError(f"expected a line of x, y, point triples (or an empty one) after image {words[9]!r}")
+            raise ValueError(f"expected a line of (x, y, point) triples (or an empty line) after image {words[9]!r}")
     return cameras
 
 
 def _binary_intrinsics(data: bytes) -> dict[int, Intrinsics]:
     (count,) = struct.unpack_from("<Q", data)
-    intrinsics, place = {}, 8
+    intrinsics, offset = {}, 8
     for _ in range(count):
-        number, model, width, height = struct.unpack_from("<iiQQ", data, place)
-        if model not in _MODELS:
-            raise InputError(f"camera model {model} is not supported: run COLMAP's image_undistorter first")
-        name, parameters = _MODELS[model]
-        values = struct.unpack_from(f"<{parameters}d", data, place + 24)
+        number, model, width, height = struct.unpack_from("<iiQQ", data, offset)
+        if model not in _MODELS_BY_ID:
+            raise InputError(
+                f"camera model {model} is not supported: undistort the images with COLMAP's image_undistorter"
+            )
+        name, parameters = _MODELS_BY_ID[model]
+        values = struct.unpack_from(f"<{parameters}d", data, offset + 24)
         intrinsics[number] = intrinsics_from_colmap(name, width, height, values)
-        place += 24 + 8 * parameters
+        offset += 24 + 8 * parameters
     return intrinsics
 
 
 def _binary_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Camera]:
     (count,) = struct.unpack_from("<Q", data)
     cameras: list[Camera] = []
-    place = 8
+    offset = 8
     for _ in range(count):
-        _, *pose, number = struct.unpack_from("<I7di", data, place)
-        start = place + struct.calcsize("<I7di")
+        _, *pose, number = struct.unpack_from("<I7di", data, offset)
+        start = offset + struct.calcsize("<I7di")
         end = data.index(b"\0", start)
         (points,) = struct.unpack_from("<Q", data, end + 1)
-        place = end + 9 + 24 * points
-        if place > len(data):
-            raise ValueError(f"truncated: {len(cameras)} of {count} images: copy or export the model again")
+        offset = end + 9 + 24 * points
+        if offset > len(data):
+            raise ValueError(f"truncated: got {len(cameras)} of {count} images: copy or export the model again")
         cameras.append(_camera(data[start:end].decode(), number, pose, intrinsics))
     return cameras
 
 
 def has_points(folder: Path) -> bool:
-    """Return whether a model has points: a model of known poses alone has an empty points3D file.
+    """Return whether a model contains points. A model made of known poses has an empty points3D file.
 
     Raises:
-        InputError: points3D is no regular file; the message starts with the path.
-        OSError: it cannot be read.
+        InputError: points3D is not a regular file. The message starts with the path.
+        OSError: the file cannot be read.
     """
     binary, text = folder / "points3D.bin", folder / "points3D.txt"
     path = binary if has_entry(binary) else text
@@ -182,24 +196,24 @@ def has_points(folder: Path) -> bool:
 
 
 def check_model_output(folder: Path) -> None:
-    """Say that a text model cannot be written into a folder.
+    """Check that a text model can be written to a folder.
 
     Raises:
-        InputError: it is a file, or holds a binary model, which readers would take instead of a new text one.
+        InputError: the folder is a file or contains a binary model, which readers would prefer over a new text model.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for a COLMAP model, got a file")
     if (folder / "cameras.bin").exists():
-        raise InputError(f"{folder}: holds a binary COLMAP model, which would hide this one: choose another folder")
+        raise InputError(f"{folder}: contains a binary COLMAP model, which readers would prefer: choose another folder")
 
 
 def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | None = None) -> None:
-    """Write cameras, and points without tracks, as a COLMAP text model; the folder is made if it is missing.
+    """Write cameras, and points without tracks, as a COLMAP text model. Create the folder if it is missing.
 
-    Images get the numbers 1, 2, ... in the order given; equal intrinsics become one camera (PINHOLE or OPENCV).
+    Image IDs are 1, 2, ... in the given order. Equal intrinsics share one camera (PINHOLE or OPENCV).
 
     Raises:
-        InputError: the folder holds a binary model, which readers would take instead.
+        InputError: the folder contains a binary model, which readers would prefer.
         OSError: a file cannot be written.
     """
     check_model_output(folder)
@@ -209,30 +223,30 @@ def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | 
     for number, camera in enumerate(cameras, 1):
         shared = numbers.setdefault(camera.intrinsics, len(numbers) + 1)
         pose = [*_quaternion(camera.cam_from_world.rotation), *camera.cam_from_world.translation]
-        images += [f"{number} {_numbers(pose)} {shared} {camera.name}", ""]
+        images += [f"{number} {_format_numbers(pose)} {shared} {camera.name}", ""]
     table = ["# Camera list with one line of data per camera:", "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     for k, number in numbers.items():
         model, distortion = ("PINHOLE", ()) if k.is_pinhole else ("OPENCV", k.distortion)
-        parameters = _numbers([k.fx, k.fy, k.cx, k.cy, *distortion])
+        parameters = _format_numbers([k.fx, k.fy, k.cx, k.cy, *distortion])
         table.append(f"{number} {model} {k.width} {k.height} {parameters}")
     rows = ["# 3D point list with one line of data per point:"]
     rows += ["#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
     if points is not None:
         colors = np.full((len(points), 3), 128) if points.colors is None else points.colors
         for number, (xyz, rgb) in enumerate(zip(points.points, colors, strict=True), 1):
-            rows.append(f"{number} {_numbers(xyz)} {rgb[0]} {rgb[1]} {rgb[2]} 0")
+            rows.append(f"{number} {_format_numbers(xyz)} {rgb[0]} {rgb[1]} {rgb[2]} 0")
     folder.mkdir(parents=True, exist_ok=True)
     for name, lines in zip(MODEL_FILES, (table, images, rows), strict=True):
         with atomic_write(folder / name) as file:
             file.write("\n".join([*lines, ""]).encode())
 
 
-def _numbers(values: Sequence[float] | FloatArray) -> str:
-    return " ".join(repr(float(value)) for value in values)  # every digit
+def _format_numbers(values: Sequence[float] | FloatArray) -> str:
+    return " ".join(repr(float(value)) for value in values)  # repr is exact
 
 
 def _rotation(quaternion: FloatArray) -> FloatArray:
-    """The rotation (3, 3) of a unit quaternion w, x, y, z."""
+    """Return the rotation matrix (3, 3) of a unit quaternion w, x, y, z."""
     w, x, y, z = quaternion
     return np.array(
         [
@@ -244,8 +258,9 @@ def _rotation(quaternion: FloatArray) -> FloatArray:
 
 
 def _quaternion(rotation: FloatArray) -> FloatArray:
-    """The unit quaternion w, x, y, z with w >= 0 of a rotation (3, 3): the largest eigenvector of Bar-Itzhack 2000's
-    matrix, which needs no case for half turns.
+    """Return the unit quaternion w, x, y, z with w >= 0 of a rotation matrix (3, 3).
+
+    It is the eigenvector of the largest eigenvalue of Bar-Itzhack's (2000) matrix, which handles half turns too.
     """
     (a, b, c), (d, e, f), (g, h, i) = rotation
     k = np.array(

@@ -1,4 +1,4 @@
-"""A cloud cut to a region."""
+"""Crop a cloud to a region."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pcbench.io import CloudLike, to_cloud
 
 
 def crop(cloud: CloudLike, region: Region | str) -> Cloud:
-    """The points of a cloud inside a region, with their normals, colours and attributes.
+    """Return the points of a cloud inside a region, with their normals, colours and attributes.
 
     Args:
-        cloud: the cloud, its points (N, 3), or the path of its file.
-        region: in the cloud's coordinates; or its text, see `pcbench.geometry.region_text.parse_region`, where
-            `reference` and `quantile:q` speak of this cloud.
+        cloud: cloud, points (N, 3), or path of a file.
+        region: region in the cloud's coordinates, or its text, see `pcbench.geometry.region_text.parse_region`. In a
+            text, `reference` and `quantile:q` refer to this cloud.
 
     Raises:
-        InputError: the text names no region, or no point of the cloud lies inside.
+        InputError: the text does not describe a region, or no point of the cloud lies inside.
     """
     cloud = to_cloud(cloud)
-    found = as_region(region, cloud)
-    return cloud if found is None else cloud.select(points_inside(cloud.points, found, region, "the cloud's"))
+    parsed = as_region(region, cloud)
+    return cloud if parsed is None else cloud.select(points_inside(cloud.points, parsed, region, "the cloud's"))

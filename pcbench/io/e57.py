@@ -1,4 +1,4 @@
-"""E57 files (ASTM E2807), as laser scanners export them: by pye57 in a process of its own."""
+"""Read E57 files (ASTM E2807), the export format of laser scanners, with pye57 in a child process."""
 
 from __future__ import annotations
 
@@ -15,27 +15,30 @@ from pcbench.io.files import Fields, Warn, read_json
 from pcbench.scratch import scratch_folder
 
 _WORKER = str(Path(__file__).with_name("e57_worker.py"))
-_MAX_MEMORY = 2 << 30  # bytes of address space: numpy and libE57Format; points are written as they are read
-_MIN_SPEED = 1e6  # bytes per second, where libE57Format reads tens of millions
+_MAX_MEMORY = 2 << 30  # bytes of address space for numpy and libE57Format; points are written block by block
+_MIN_SPEED = 1e6  # bytes per second; libE57Format reads tens of millions
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
 _NORMALS = ("nor_normalX", "nor_normalY", "nor_normalZ")
 
 
 def read_e57(path: Path, warn: Warn) -> Fields:
-    """All scans of an E57 file in one frame, each where its pose puts it, in metres.
+    """Read all scans of an E57 file into one frame with their poses, in metres.
 
-    Points that the file marks as invalid are dropped. `scan` is the number of a point's scan from 0 on, where there are
-    several; intensity, times and whatever else all scans have are attributes. Fields that some scans lack are left out.
+    Points that the file marks as invalid are dropped. If there are several scans, the attribute `scan` is the index of
+    each point's scan, from 0. Intensity, times and all other fields that every scan has are attributes too; fields that
+    some scans lack are left out.
 
     Raises:
-        InputError: the file is damaged, or holds no valid point.
-        MissingExtra: pye57 is not installed, or does not load.
+        InputError: the file is damaged or contains no valid point.
+        MissingExtra: pye57 is not installed or does not load.
         OSError: the file cannot be read.
     """
     require("pye57")
     with path.open("rb") as file:
         if file.read(8) != b"ASTM-E57":
-            raise InputError("expected an E57 file, which begins with ASTM-E57")
+            raise InputError(
+                "expected an E57 file that starts with ASTM-E57, got something else: export it again as E57"
+            )
     with scratch_folder() as folder:
         limits = Limits(seconds=30 + path.stat().st_size / _MIN_SPEED, memory=_MAX_MEMORY)
         done = run_script(
@@ -44,17 +47,17 @@ def read_e57(path: Path, warn: Warn) -> Fields:
         if done.code == 3:
             raise MissingExtra("pye57", "e57", "it is installed but does not load")
         if done.code == 4:
-            raise OSError(errno.ENOSPC, "no room for temporary files", str(folder))
+            raise OSError(errno.ENOSPC, "no space left for temporary files", str(folder))
         if done.timed_out:
-            raise InputError(f"damaged E57 data: not read after {limits.seconds:.0f} s: export the file again")
+            raise InputError(f"damaged E57 data: not read within {limits.seconds:.0f} s: export the file again")
         if done.code:
             reason = "".join(c if c.isprintable() else " " for c in done.last_words)[:200]
-            raise InputError(f"damaged E57 data: {reason or 'the reader broke down'}: export the file again")
+            raise InputError(f"damaged E57 data: {reason or 'the reader crashed'}: export the file again")
         return _fields(folder, warn)
 
 
 def _fields(folder: Path, warn: Warn) -> Fields:
-    """What the worker wrote, scans one after the other."""
+    """Concatenate the scans that the worker wrote."""
     described = read_json(folder / "scans.json")
     scans = [(k, scan) for k, scan in enumerate(described["scans"]) if scan["points"]]
     if dropped := sum(scan["dropped"] for scan in described["scans"]):
@@ -62,12 +65,14 @@ def _fields(folder: Path, warn: Warn) -> Fields:
             f"dropped {dropped} of {dropped + sum(s['points'] for _, s in scans)} points that the file marks as invalid"
         )
     if not scans:
-        raise InputError(f"expected at least one point, got {len(described['scans'])} scans without a valid one")
+        raise InputError(
+            f"expected at least one valid point, got none (scans: {len(described['scans'])}): export it again"
+        )
     if empty := len(described["scans"]) - len(scans):
         warn(f"{empty} of {len(described['scans'])} scans have no valid point with coordinates")
     everywhere = [name for name in scans[0][1]["fields"] if all(name in scan["fields"] for _, scan in scans)]
     if partial := sorted({name for _, scan in scans for name in scan["fields"]} - set(everywhere)):
-        warn(f"left out, as some of {len(scans)} scans have none: {', '.join(partial)}")
+        warn(f"left out fields that only some of {len(scans)} scans have: {', '.join(partial)}")
 
     def column(name: str) -> NDArray[np.float64]:
         return np.concatenate([np.fromfile(folder / f"{k}.{name}", np.float64) for k, _ in scans])

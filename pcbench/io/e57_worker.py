@@ -1,10 +1,10 @@
-"""Reads an E57 file with pye57 in a process of its own: `e57_worker.py FILE FOLDER`.
+"""Read an E57 file with pye57 in a child process: `e57_worker.py FILE FOLDER`.
 
-libE57Format, which pye57 wraps, may crash or hang on damaged files: the limits that the process is started with end it,
-and the parent says which file it was. Nothing of pcbench is imported. The folder gets `scans.json` (one entry per scan:
-points, points dropped, fields) and the columns of scan k as raw float64: `k.points` and `k.FIELD`. Points are where the
-scan's pose puts them. The exit status is 0, 3 where pye57 does not load, 4 where the folder's disk is full, or 1 with a
-reason on standard error.
+libE57Format, which pye57 wraps, may crash or hang on damaged files. Then the limits of the process end it, and the
+parent reports the file. The script does not import pcbench. It writes to the folder `scans.json` (points, dropped
+points and fields of each scan) and the columns of scan k as raw float64: `k.points` and `k.FIELD`. Points are in the
+file's coordinates: the pose of the scan is applied. Exit status: 0, 3 if pye57 does not load, 4 if the disk is full,
+or 1 with a reason on standard error.
 """
 
 import json
@@ -12,7 +12,7 @@ import os
 import sys
 from typing import Any
 
-_RECORDS = 1 << 18  # read at a time: whatever count a damaged file states, memory is asked for what is there
+_RECORDS = 1 << 18  # points per read: memory depends on the data present, not on the count that a damaged file states
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
@@ -21,12 +21,13 @@ _STATES = ("cartesianInvalidState", "sphericalInvalidState")
 
 
 def main(source: str, folder: str) -> None:
+    """Write the scans of an E57 file to a folder."""
     try:
         from pye57 import libe57
     except (ImportError, OSError):
         sys.exit(3)
 
-    file = libe57.ImageFile(source, "r")  # every page's checksum is compared
+    file = libe57.ImageFile(source, "r")  # verifies the checksum of each page
     root = file.root()
     scans = root["data3D"] if root.isDefined("data3D") else []
     described = []
@@ -38,7 +39,7 @@ def main(source: str, folder: str) -> None:
 
 
 def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
-    """Write the columns of one scan; its number of points, how many were dropped as invalid, and its fields."""
+    """Write the columns of one scan; return its point count, the number of dropped points, and its fields."""
     import numpy as np
 
     points = scan["points"]
@@ -47,7 +48,7 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
     axes = next((axes for axes in (_CARTESIAN, _SPHERICAL) if set(axes) <= set(names)), None)
     if axes is None:
         return {"points": 0, "dropped": 0, "fields": []}
-    if not points.childCount():  # libE57Format does not begin to read such a scan
+    if not points.childCount():  # libE57Format refuses to read such a scan
         return {"points": 0, "dropped": 0, "fields": []}
     turn, shift = _pose(scan)
     state = _STATES[axes is _SPHERICAL]
@@ -85,12 +86,12 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
         output.close()
     stated = points.childCount()
     if kept + dropped != stated:
-        sys.exit(f"truncated: {kept + dropped} of {stated} points")
+        sys.exit(f"truncated: got {kept + dropped} of {stated} points")
     return {"points": kept, "dropped": dropped, "fields": [name.replace(":", "_") for name in others]}
 
 
 def _pose(scan: Any) -> tuple[Any, Any]:
-    """The rotation (3, 3) and the translation (3,) of a scan in the file's coordinates."""
+    """Return the rotation (3, 3) and translation (3,) from a scan to the file's coordinates."""
     import numpy as np
 
     turn, shift = np.eye(3), np.zeros(3)
@@ -115,7 +116,7 @@ def _pose(scan: Any) -> tuple[Any, Any]:
 
 
 def _scaled_colors(scan: Any, prototype: Any, libe57: Any) -> dict[str, tuple[float, float]]:
-    """The least and largest value of each colour, which become 0 and 255: as the scan says, else as its type does."""
+    """Return the minimum and maximum of each colour, to map to 0 and 255: from the scan's limits or the data type."""
     limits = {}
     for name in _COLORS:
         node = prototype.get(name)
@@ -134,9 +135,9 @@ def _scaled_colors(scan: Any, prototype: Any, libe57: Any) -> dict[str, tuple[fl
 if __name__ == "__main__":
     try:
         main(*sys.argv[1:])
-    except OSError:  # of the files that are written: libE57Format has errors of its own
+    except OSError:  # from writing outputs: libE57Format raises its own errors
         sys.exit(4)
     except MemoryError:
-        sys.exit("it asks for more memory than a file of its size can need")
+        sys.exit("it requests more memory than a file of its size can need")
     except Exception as error:
         sys.exit(" ".join((str(error).strip().splitlines() or [type(error).__name__])[0].split()))

@@ -1,9 +1,9 @@
-"""Google Earth Studio's JSON camera export (Render -> 3D camera export -> JSON), into local east-north-up.
+"""Read Google Earth Studio's JSON camera export (Render -> 3D camera export -> JSON) into local east-north-up.
 
-A frame has `position`, `rotation` (degrees), `coordinate` (latitude, longitude, altitude) and `fovVertical`. What the
-fields mean was found from real exports: the earth is a SPHERE of 6,371,010 m, positions are earth-centred (x to
-0 N 0 E, z to the north pole) or, with a track point set as the origin, relative to it; the camera's axes (x right,
-y down, z forward) in that frame are the columns of Rx(x) Ry(y) Rz(z).
+A frame has `position`, `rotation` (degrees), `coordinate` (latitude, longitude, altitude) and `fovVertical`. The
+meaning of the fields was derived from real exports. The earth is a SPHERE of radius 6,371,010 m. Positions are
+earth-centred (x to 0 N 0 E, z to the north pole) or, if a track point is set as the origin, relative to it. The
+camera's axes (x right, y down, z forward) in that frame are the columns of Rx(x) Ry(y) Rz(z).
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from pcbench.geometry.geodesy import Gps, enu_from_wgs84, radii_of_curvature
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.io.files import read_json
 
-# What is said of Earth Studio's own project file.
-PROJECT = (
-    "an Earth Studio project (.esp) holds keyframes and no cameras: render it with the 3D camera export as JSON, and"
-    " put that .json beside the images (global coordinates, if it asks)"
+# Hint for users who have Earth Studio's own project file.
+PROJECT_FILE_HINT = (
+    "expected cameras, got an Earth Studio project (.esp), which stores only keyframes: render it with the 3D camera"
+    " export as JSON (with global coordinates) and put that .json next to the images"
 )
 EARTH_RADIUS = 6_371_010.0  # metres
-_MIN_GLOBAL_RADIUS = 0.5 * EARTH_RADIUS  # positions nearer to zero than this are relative to a track point
+_MIN_GLOBAL_RADIUS = 0.5 * EARTH_RADIUS  # metres; positions closer to zero are relative to a track point
 
 
 class EarthStudio(NamedTuple):
-    """Cameras, one a frame in the frames' order and named by their numbers from 0, in local east-north-up (metres)
-    about `origin`: the track point that was set as the origin, else the first one, else the ground under frame 0.
+    """Cameras of an export in local east-north-up (metres), one per frame, named by the frame index from 0.
+
+    `origin` is the track point set as the origin, else the first track point, else the ground below frame 0.
     """
 
     cameras: tuple[Camera, ...]
@@ -40,18 +41,20 @@ class EarthStudio(NamedTuple):
 
 
 def read_earth_studio(path: Path) -> EarthStudio:
-    """The cameras of an Earth Studio export.
+    """Read the cameras of an Earth Studio export.
 
-    Local positions are brought back by the frames' own latitudes, longitudes and altitudes.
+    Local positions are converted with the latitudes, longitudes and altitudes of the frames.
 
     Raises:
-        InputError: it is no such export, a number is missing, or a local export cannot be brought back; the message
-            starts with the path.
+        InputError: the file is not such an export, a number is missing, or local positions cannot be converted. The
+            message starts with the path.
     """
     try:
         document = read_json(path)
         if not isinstance(document, dict) or not document.get("cameraFrames"):
-            raise InputError("expected an Earth Studio camera export with cameraFrames")
+            raise InputError(
+                "expected an Earth Studio camera export with cameraFrames, got other JSON: export it again"
+            )
         return _earth_studio(document)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -59,25 +62,26 @@ def read_earth_studio(path: Path) -> EarthStudio:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"{path}: expected an Earth Studio camera export (JSON): {what}") from None
+        raise InputError(f"{path}: expected an Earth Studio camera export (JSON), got a damaged one: {what}") from None
 
 
-def sphere_in_words(origin: Gps) -> str:
-    """How far the sphere's metres at a place are from those of WGS84."""
+def describe_sphere_scale(origin: Gps) -> str:
+    """Describe how much lengths on Earth Studio's sphere differ from WGS84 at a position."""
     along_parallel, along_meridian = radii_of_curvature(origin.latitude_deg)
     east, north = (100 * (EARTH_RADIUS / radius - 1) for radius in (along_parallel, along_meridian))
     return (
-        f"metres of the sphere that Earth Studio draws on: {east:+.2f} % to the east and {north:+.2f} % to the north"
-        f" against WGS84 at {origin.latitude_deg:.1f} degrees (--wgs84 gives those of WGS84)"
+        f"lengths are metres on Earth Studio's sphere: {east:+.2f} % (east) and {north:+.2f} % (north) relative to"
+        f" WGS84 at latitude {origin.latitude_deg:.1f} degrees; for WGS84 metres use --wgs84"
     )
 
 
 def wgs84_from_sphere(points: FloatArray, origin: Gps) -> FloatArray:
-    """East, north and up (N, 3) on WGS84 of points (N, 3) that are so on Earth Studio's sphere, about the same origin:
-    each keeps its latitude, longitude and altitude. Directions stay as they are, for the axes of east, north and up are
-    those of the latitude and longitude on either.
+    """Convert points (N, 3) in local east-north-up from Earth Studio's sphere to WGS84, about the same origin.
+
+    Each point keeps its latitude, longitude and altitude. Directions do not change: the east, north and up axes at a
+    given latitude and longitude are the same for both.
     """
-    centred = _on_sphere(np.array([origin])) + points @ _enu_axes(origin)
+    centred = _earth_centred(np.array([origin])) + points @ _enu_axes(origin)
     radius = np.linalg.norm(centred, axis=1)
     latitude, longitude = np.arcsin(centred[:, 2] / radius), np.arctan2(centred[:, 1], centred[:, 0])
     return enu_from_wgs84(np.column_stack([np.degrees(latitude), np.degrees(longitude), radius - EARTH_RADIUS]), origin)
@@ -85,18 +89,18 @@ def wgs84_from_sphere(points: FloatArray, origin: Gps) -> FloatArray:
 
 def _earth_studio(document: Mapping[str, Any]) -> EarthStudio:
     frames = document["cameraFrames"]
-    coordinates = np.array([_triple(f["coordinate"], "latitude", "longitude", "altitude") for f in frames])
-    given = np.array([_triple(f["position"]) for f in frames])
-    rotations = np.stack([_rotation(*_triple(f["rotation"])) for f in frames])
-    centred = _on_sphere(coordinates)
-    if np.linalg.norm(given, axis=1).max() > _MIN_GLOBAL_RADIUS:
-        centred = given  # the same to a nanometre, and what the renderer used
+    coordinates = np.array([_finite_triple(f["coordinate"], "latitude", "longitude", "altitude") for f in frames])
+    exported = np.array([_finite_triple(f["position"]) for f in frames])
+    rotations = np.stack([_rotation(*_finite_triple(f["rotation"])) for f in frames])
+    centred = _earth_centred(coordinates)
+    if np.linalg.norm(exported, axis=1).max() > _MIN_GLOBAL_RADIUS:
+        centred = exported  # equal to a nanometre, and used by the renderer
     else:
-        rotations = _global_from_local(given, centred) @ rotations
+        rotations = _global_from_local(exported, centred) @ rotations
 
     origin = _origin(document, coordinates)
     enu_from_earth = _enu_axes(origin)
-    base = _on_sphere(np.array([origin]))[0]
+    base = _earth_centred(np.array([origin]))[0]
     positions = (centred - base) @ enu_from_earth.T
     width, height = int(document["width"]), int(document["height"])
     cameras = []
@@ -111,56 +115,59 @@ def _origin(document: Mapping[str, Any], coordinates: FloatArray) -> Gps:
     points = document.get("trackPoints") or []
     origins = [p for p in points if (p.get("coordinate") or {}).get("isOrigin")]
     for point in [*origins, *points][:1]:
-        position = np.array(_triple(point["position"]))
+        position = np.array(_finite_triple(point["position"]))
         if np.linalg.norm(position) > _MIN_GLOBAL_RADIUS:
-            return _geodetic(position)
-        return _from_sliders(point)
+            return _gps_from_earth_centred(position)
+        return _gps_from_sliders(point)
     return Gps(float(coordinates[0, 0]), float(coordinates[0, 1]), 0.0)
 
 
-def _from_sliders(point: Mapping[str, Any]) -> Gps:
-    """A track point of a local export: its position is local too, but its sliders (0 to 1 of a range) are not."""
-    found: dict[str, float] = {}
+def _gps_from_sliders(point: Mapping[str, Any]) -> Gps:
+    """Return the position of a track point of a local export from its sliders (0 to 1 of a range).
+
+    Its `position` is relative to the origin; the sliders are global.
+    """
+    slider_values: dict[str, float] = {}
     for attribute in point["coordinate"]["position"]["attributes"]:
         value = attribute["value"]
         low, high = float(value["minValueRange"]), float(value["maxValueRange"])
-        found[attribute["type"]] = low + float(value["relative"]) * (high - low)
-    return Gps(found["latitude"], found["longitude"], found["altitude"])
+        slider_values[attribute["type"]] = low + float(value["relative"]) * (high - low)
+    return Gps(slider_values["latitude"], slider_values["longitude"], slider_values["altitude"])
 
 
 def _global_from_local(local: FloatArray, centred: FloatArray) -> FloatArray:
-    """The rotation (3, 3) from a local export's axes to the earth's, out of positions known in both."""
+    """Fit the rotation (3, 3) from a local export's axes to the earth's, from positions known in both."""
     offset = centred - local
-    if np.abs(offset - offset[0]).max() < 1e-2:  # moved, not turned
+    if np.abs(offset - offset[0]).max() < 1e-2:  # only translated
         return np.eye(3)
     try:
         fit = fit_similarity(local, centred, with_scale=False)
     except InputError:
         raise InputError(
-            "expected cameras on a curve, got a straight flight in local coordinates, which does not say how they are"
-            " turned: export again with global coordinates"
+            "expected cameras on a curve, got a straight flight in local coordinates, which does not determine the"
+            " rotation: export again with global coordinates"
         ) from None
     if (error := float(np.abs(fit.apply(local) - centred).max())) > 1e-2:
         raise InputError(f"positions and coordinates differ by {error:.3g} m: export again with global coordinates")
     return fit.rotation
 
 
-def _on_sphere(coordinates: FloatArray) -> FloatArray:
-    """Earth-centred positions (N, 3) of latitudes and longitudes in degrees and altitudes (N, 3)."""
+def _earth_centred(coordinates: FloatArray) -> FloatArray:
+    """Convert latitude and longitude (degrees) and altitude (metres), (N, 3), to earth-centred positions (N, 3)."""
     latitude, longitude = np.radians(coordinates[:, 0]), np.radians(coordinates[:, 1])
     direction = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
     positions: FloatArray = (EARTH_RADIUS + coordinates[:, 2:]) * np.stack(direction, axis=1)
     return positions
 
 
-def _geodetic(position: FloatArray) -> Gps:
+def _gps_from_earth_centred(position: FloatArray) -> Gps:
     x, y, z = position
     radius = float(np.linalg.norm(position))
     return Gps(float(np.degrees(np.arcsin(z / radius))), float(np.degrees(np.arctan2(y, x))), radius - EARTH_RADIUS)
 
 
 def _enu_axes(origin: Gps) -> FloatArray:
-    """East, north and up at a place on the sphere, as rows (3, 3) in the earth's axes."""
+    """Return east, north and up at a position on the sphere as rows (3, 3), in earth-centred axes."""
     latitude, longitude = np.radians(origin.latitude_deg), np.radians(origin.longitude_deg)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
     return np.array(
@@ -173,7 +180,7 @@ def _enu_axes(origin: Gps) -> FloatArray:
 
 
 def _rotation(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
-    """Rx(x) Ry(y) Rz(z), (3, 3)."""
+    """Return Rx(x) Ry(y) Rz(z), (3, 3)."""
     (cx, cy, cz), (sx, sy, sz) = (f(np.radians([x_deg, y_deg, z_deg])) for f in (np.cos, np.sin))
     rotation: FloatArray = (
         np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
@@ -183,7 +190,7 @@ def _rotation(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
     return rotation
 
 
-def _triple(values: Mapping[str, Any], a: str = "x", b: str = "y", c: str = "z") -> tuple[float, float, float]:
+def _finite_triple(values: Mapping[str, Any], a: str = "x", b: str = "y", c: str = "z") -> tuple[float, float, float]:
     x, y, z = float(values[a]), float(values[b]), float(values[c])
     if not np.isfinite([x, y, z]).all():
         raise ValueError(f"{a}, {b}, {c} are not finite")

@@ -1,7 +1,7 @@
-"""GPS positions in EXIF: the GPS directory of the TIFF block in a JPEG's APP1 segment (CIPA DC-008, 4.6.6).
+"""Read GPS positions from EXIF: the GPS directory of the TIFF block in a JPEG's APP1 segment (CIPA DC-008, 4.6.6).
 
-Read here and not by Pillow, see `image_header`. Pillow 13 skips what it cannot read of a damaged block, and gives
-positions that differ from these, such as heights below the sea without their sign.
+For why Pillow is not used, see `image_header`. In addition, Pillow 13 skips unreadable parts of a damaged block and
+returns other positions, such as heights below sea level without their sign.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from pcbench.geometry.geodesy import Gps
 
 _GPS_DIRECTORY = 0x8825
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}  # bytes of a value, by TIFF type
+_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}  # bytes of a value, by TIFF type
 
 
 def gps_from_exif(tiff: bytes) -> Gps | None:
-    """The position in an EXIF block; None where there is none, or where the block is damaged: a photograph whose
-    position cannot be read is still a photograph.
+    """Return the position in an EXIF block; None if there is none or the block is damaged.
+
+    An image whose position cannot be read is still a valid image.
     """
     order = {b"II": "<", b"MM": ">"}.get(tiff[:2])
     if order is None:
@@ -44,15 +45,15 @@ def gps_from_exif(tiff: bytes) -> Gps | None:
 
 
 def _directory(tiff: bytes, order: str, offset: int) -> dict[int, bytes]:
-    """Tag -> the bytes of its value, of one TIFF directory."""
+    """Return the value bytes of one TIFF directory by tag."""
     (count,) = struct.unpack_from(f"{order}H", tiff, offset)
     fields: dict[int, bytes] = {}
     for number in range(count):
-        place = offset + 2 + 12 * number
-        tag, kind, length = struct.unpack_from(f"{order}HHI", tiff, place)
-        size = _SIZES.get(kind, 0) * length
-        # Up to four bytes stand in the entry itself.
-        start = place + 8 if size <= 4 else struct.unpack_from(f"{order}I", tiff, place + 8)[0]
+        entry = offset + 2 + 12 * number
+        tag, kind, length = struct.unpack_from(f"{order}HHI", tiff, entry)
+        size = _TYPE_BYTES.get(kind, 0) * length
+        # Values of up to four bytes are stored in the entry itself.
+        start = entry + 8 if size <= 4 else struct.unpack_from(f"{order}I", tiff, entry + 8)[0]
         if start + size > len(tiff):
             raise ValueError("a value outside the block")
         fields[tag] = tiff[start : start + max(size, 4)] if size <= 4 else tiff[start : start + size]

@@ -1,4 +1,4 @@
-"""What all formats share: the fields a reader returns, checks before a file is opened, and writing all or nothing."""
+"""Shared by all formats: the fields that readers return, checks of paths, and atomic writing."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from pcbench.systems import rename_open
 Warn = Callable[[str], None]
 T = TypeVar("T")
 
-_MAX_JSON_BYTES = 1 << 30  # of results and cameras
-_NAMING_A_FILE = ("matrix", "points", "polygon")  # kinds of settings that do
+_MAX_JSON_BYTES = 1 << 30  # for results and cameras
+_FILE_SETTINGS = ("matrix", "points", "polygon")  # kinds of settings that name a file
 
 
 class Fields(TypedDict, total=False):
-    """The fields of a `pcbench.Cloud` as a file gives them: points may still be NaN or Inf."""
+    """Fields of a `pcbench.Cloud` as read from a file; points may still be NaN or Inf."""
 
     points: NDArray[Any]
     normals: NDArray[Any] | None
@@ -40,26 +40,26 @@ class Fields(TypedDict, total=False):
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds.
+    """Parse a JSON file.
 
     Raises:
-        InputError: it is no regular file, no JSON, or nested too deeply; the message does not name the path.
-        OSError: it cannot be read.
+        InputError: the file is not a regular file, not JSON, or nested too deeply. The message does not name the path.
+        OSError: the file cannot be read.
     """
     try:
         return json.loads(read_bytes(path, _MAX_JSON_BYTES).decode("utf-8-sig"))
     except UnicodeDecodeError:
-        raise InputError("expected JSON, got a binary file") from None
-    except InputError:  # a ValueError too, but it says all already
+        raise InputError("expected JSON, got a binary file: choose the .json file") from None
+    except InputError:  # also a ValueError, but its message is complete
         raise
     except RecursionError:
-        raise InputError("expected JSON, got some that is nested too deeply to be read") from None
+        raise InputError("expected JSON, got JSON that is nested too deeply") from None
     except ValueError as error:
         raise InputError(f"expected JSON: {error}") from None
 
 
 def json_object(path: Path) -> dict[str, Any]:
-    """The object that a JSON file holds; empty where it holds something else, or cannot be read."""
+    """Parse a JSON file that contains an object; return {} if it contains something else or cannot be read."""
     try:
         values = read_json(path)
     except (OSError, InputError):
@@ -68,16 +68,16 @@ def json_object(path: Path) -> dict[str, Any]:
 
 
 def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | None) -> T:
-    """What a reader makes of a file; its errors and warnings start with the path.
+    """Run a reader on a file and prefix its errors and warnings with the path.
 
     Args:
-        path: an existing file.
-        read: called with the path and a function that takes warnings, each a line without the path.
-        on_warning: called with each warning; `warnings.warn` if None, which names the caller of the function that
-            called this one.
+        path: input file.
+        read: reader, called with the path and a callback for warnings, which are lines without the path.
+        on_warning: callback for each warning. Defaults to `warnings.warn`, attributed to the caller of the function
+            that called this one.
 
     Raises:
-        InputError: there is no such file, or the reader refuses it.
+        InputError: the file does not exist, or the reader refuses it.
         MissingExtra: the reader needs a library that is not installed.
     """
     notes: list[str] = []
@@ -89,7 +89,7 @@ def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | N
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except MemoryError as error:
-        raise InputError(f"{path}: does not fit into memory") from error
+        raise InputError(f"{path}: does not fit into memory: crop or downsample the file") from error
     for note in notes:
         if on_warning is None:
             warnings.warn(f"{path}: {note}", stacklevel=3)
@@ -99,9 +99,9 @@ def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | N
 
 
 def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
-    """The cloud of what a reader returned, without the points whose coordinates are NaN or Inf.
+    """Build a cloud from the fields of a reader, without points whose coordinates are NaN or Inf.
 
-    Nobody but the reader holds the arrays: they are frozen, and the cloud keeps them without a copy.
+    Only the reader holds the arrays, so they are frozen and the cloud keeps them without a copy.
     """
     arrays = [fields["points"], fields.get("normals"), fields.get("colors"), *fields.get("attributes", {}).values()]
     for array in arrays:
@@ -114,34 +114,34 @@ def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
     return cloud
 
 
-def as_path(given: object) -> Path:
-    """A path as a `Path`.
+def as_path(value: object) -> Path:
+    """Convert an argument to a `Path`.
 
     Raises:
-        InputError: it is none.
+        InputError: the argument is not a path.
     """
-    if isinstance(given, str | os.PathLike):
-        return Path(given)
-    raise InputError(f"expected the path of a file, got {type(given).__name__}")
+    if isinstance(value, str | os.PathLike):
+        return Path(value)
+    raise InputError(f"expected the path of a file, got {type(value).__name__}")
 
 
 def check_readable(path: Path) -> None:
-    """Refuse a file that cannot hold a cloud or a mesh, before its reader opens it.
+    """Check that a file can contain a cloud or mesh, before its reader opens it.
 
     Raises:
-        InputError: the path is missing, a folder, not a regular file, or empty.
-        OSError: the path cannot be looked at.
+        InputError: the path does not exist, is a folder or not a regular file, or the file is empty.
+        OSError: the file status cannot be read.
     """
     try:
         status = regular_status(path)
     except FileNotFoundError:
         raise InputError("no such file: check the name and the folder") from None
     if not status.st_size:
-        raise InputError("expected a point cloud, got an empty file (0 bytes)")
+        raise InputError("expected a point cloud or mesh, got an empty file (0 bytes): copy or export it again")
 
 
 def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
-    """All bytes from the current position to the end, in one buffer that is as large as the file really is."""
+    """Read all bytes from the current position to the end into one buffer of the actual size."""
     start = file.tell()
     rest = np.empty(file.seek(0, 2) - start, dtype=np.uint8)
     file.seek(start)
@@ -150,11 +150,11 @@ def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file in hexadecimal digits; of a folder, over the names and contents of the files in it.
+    """Return the SHA-256 of a file in hexadecimal; for a folder, the hash of the names and contents of its files.
 
     Raises:
-        InputError: it is a pipe or a device; the message starts with the path.
-        OSError: it is missing, or cannot be read.
+        InputError: the path is a pipe or a device. The message starts with the path.
+        OSError: the file is missing or cannot be read.
     """
     if not path.is_dir():
         try:
@@ -162,14 +162,14 @@ def digest(path: Path) -> str:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-    whole = hashlib.sha256()
+    folder_hash = hashlib.sha256()
     for inner in sorted(p for p in path.iterdir() if p.is_file()):
-        whole.update(inner.name.encode() + b"\0" + bytes.fromhex(digest(inner)))
-    return whole.hexdigest()
+        folder_hash.update(inner.name.encode() + b"\0" + bytes.fromhex(digest(inner)))
+    return folder_hash.hexdigest()
 
 
 def named_file(setting: object) -> Path | None:
-    """The file that a registration or a region was, or is to be, read from; None where there is none.
+    """Return the file that a registration or region setting names, or None if it names none.
 
     Args:
         setting: `matrix:FILE`, `points:FILE` or `polygon:FILE`; or an object whose `text` is one of these.
@@ -178,37 +178,38 @@ def named_file(setting: object) -> Path | None:
     if not isinstance(text, str):
         return None
     kind, _, path = text.partition(":")
-    return Path(path.strip()) if path and kind.strip().lower() in _NAMING_A_FILE else None
+    return Path(path.strip()) if path and kind.strip().lower() in _FILE_SETTINGS else None
 
 
 def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()) -> None:
-    """Say before anything is computed that a result cannot be written there.
+    """Check before a computation that a result can be written to a path.
 
     Args:
-        inputs: files, and folders of whose files none may be replaced.
-        others: further results.
+        path: output file.
+        inputs: input files, and folders in which no file may be replaced.
+        others: other outputs, which must differ from this one.
 
     Raises:
         InputError: the folder does not exist, or an input or another result would be replaced.
     """
     target = path.resolve()
-    for given in inputs:
-        if target == given.resolve() or (path.exists() and target.is_relative_to(given.resolve())):
+    for input_path in inputs:
+        if target == input_path.resolve() or (path.exists() and target.is_relative_to(input_path.resolve())):
             raise InputError(f"{path}: the result would replace an input: choose another name")
     if any(target == other.resolve() for other in others):
-        raise InputError(f"{path}: two results would be written there: give each a name of its own")
+        raise InputError(f"{path}: two results would be written to this file: give each its own name")
     if (path.exists() and not path.is_file()) or not path.absolute().parent.is_dir():
-        raise InputError(f"{path}: expected the name of a file in an existing folder")
+        raise InputError(f"{path}: expected a file name in an existing folder: create the folder or choose another one")
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """A binary file that takes the name `path` once it is complete; on any error `path` stays as it was.
+    """Open a temporary binary file that is renamed to `path` once complete. On any error `path` stays unchanged.
 
     Raises:
-        OSError: the folder or the disk does not take the file; the temporary file is removed.
+        OSError: the file cannot be written; the temporary file is removed.
     """
-    target = path.resolve()  # through a symbolic link, as a plain open() would write
+    target = path.resolve()  # follow a symbolic link, as open() does
     if target.exists() and not target.is_file():
         raise OSError(f"cannot write to {path}: it is a folder or a device")
     with scratch_file(path) as (temporary, file):
@@ -217,7 +218,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
 
 def reading_seconds(path: Path) -> float:
-    """Roughly what reading a file of points takes, for progress bars; 0 where there is none."""
+    """Estimate the seconds needed to read a file of points, for progress bars; 0 if the file does not exist."""
     try:
         size = path.stat().st_size
     except OSError:

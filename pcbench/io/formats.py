@@ -1,9 +1,9 @@
-"""The file formats: one line for each extension.
+"""The file formats, one line per extension.
 
-A new format is one module with a reader, and perhaps a writer, and its line here; a test of it stands in tests/io.
-A reader takes (path, warn). It calls `warn` with a line for each thing that it leaves out, and raises InputError where
-the file is not what it should be. It names the path in neither, keeps points that are NaN or Inf, and need not look
-whether there is a file: `read_cloud` and `read_mesh` do that for all of them.
+To add a format, write a module with a reader (and a writer if needed), add its line here, and a test in tests/io.
+A reader takes (path, warn). It calls `warn` with one line for each item that it leaves out, and raises InputError if
+the file is invalid. Its messages do not name the path. It keeps points that are NaN or Inf, and does not check that
+the file exists: `read_cloud` and `read_mesh` handle these for all formats.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from pcbench.io.text import read_text, write_text
 
 
 class CloudFormat(NamedTuple):
-    """How the clouds of a format are read, and written where they can be."""
+    """Reader of a cloud format, and its writer if the format can be written."""
 
-    read: Callable[..., Fields]  # (path, warn); where `filtered`, also `classes` and `returns` by name
+    read: Callable[..., Fields]  # (path, warn); if `filtered`, also the keywords `classes` and `returns`
     write: Callable[[Path, Cloud], None] | None = None
     filtered: bool = False
 
 
-CLOUDS = {  # by extension in lower case, or by the whole name of the file
+CLOUDS = {  # by lower-case extension or complete file name
     ".asc": CloudFormat(read_text, write_text),
     ".csv": CloudFormat(read_text, write_text),
     ".e57": CloudFormat(read_e57),

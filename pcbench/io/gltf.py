@@ -1,4 +1,4 @@
-"""glTF meshes, .glb and .gltf: by trimesh in a process of its own, after a look at the file's own sizes."""
+"""Read glTF meshes (.glb and .gltf) with trimesh in a child process, after checking the sizes in the file."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pcbench.extras import require
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
 from pcbench.io.files import Warn
-from pcbench.io.polygons import merged
+from pcbench.io.polygons import merge_vertices
 from pcbench.regular_files import regular_status
 from pcbench.scratch import scratch_folder
 
 
 def read_glb(path: Path, warn: Warn) -> Mesh:
-    """All triangles of a binary glTF file.
+    """Read all triangles of a binary glTF file.
 
-    The chunks are followed before anything is parsed: glTF 2.0, section 4.4.
+    The chunk lengths are checked before anything is parsed: glTF 2.0, section 4.4.
 
     Raises:
-        InputError: the file is cut off, or trimesh cannot read it.
+        InputError: the file is truncated, or trimesh cannot read it.
         MissingExtra: trimesh is not installed.
         OSError: the file cannot be read.
     """
@@ -35,39 +35,43 @@ def read_glb(path: Path, warn: Warn) -> Mesh:
     with path.open("rb") as file:
         magic, version, length = struct.unpack("<4sII", file.read(12).ljust(12, b"\0"))
         if magic != b"glTF" or version != 2:
-            raise InputError(f"expected a binary glTF 2 file, got {magic!r} version {version}")
+            raise InputError(f"expected a binary glTF 2 file, got {magic!r} version {version}: export it as glTF 2")
         if length != size:
             raise InputError(
-                f"truncated: {size} of {length} bytes" if length > size else f"{size - length} bytes too many"
+                f"truncated: got {size} of {length} bytes: copy or export the file again"
+                if length > size
+                else f"expected {length} bytes as the header states, got {size}: export the file again"
             )
-        place = 12
-        while place < size:
-            file.seek(place)
+        offset = 12
+        while offset < size:
+            file.seek(offset)
             (chunk,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
-            place += 8 + chunk
-        if place != size:
-            raise InputError(f"truncated: the last chunk ends at byte {place} of {size}")
+            offset += 8 + chunk
+        if offset != size:
+            raise InputError(
+                f"truncated: the last chunk ends at byte {offset} of {size}: copy or export the file again"
+            )
     return _read_with_trimesh(path)
 
 
 def read_gltf(path: Path, warn: Warn) -> Mesh:
-    """All triangles of a glTF file and the files beside it; raises as `read_glb` does."""
+    """Read all triangles of a glTF file and the files that it refers to; raises as `read_glb` does."""
     try:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise InputError(f"expected glTF, which is JSON: {str(error)[:100]}") from error
-    for uri in _uris(content):
+        raise InputError(f"expected glTF, which is JSON: {str(error)[:100]}: export the file again") from error
+    for uri in _external_uris(content):
         try:
             regular_status(path.parent / unquote(uri))
         except InputError as error:
-            raise InputError(f"{uri}, which belongs to it: {error}") from error
-        except OSError:  # trimesh says what it lacks
+            raise InputError(f"referenced file {uri}: {error}") from error
+        except OSError:  # trimesh reports missing files
             continue
     return _read_with_trimesh(path)
 
 
-def _uris(content: Any) -> list[str]:
-    """The files beside a glTF file that it names."""
+def _external_uris(content: Any) -> list[str]:
+    """Return the names of the external files that a glTF file refers to."""
     parts = [content.get(kind) for kind in ("buffers", "images")] if isinstance(content, dict) else []
     entries = [entry for part in parts if isinstance(part, list) for entry in part if isinstance(entry, dict)]
     uris = [entry.get("uri") for entry in entries]
@@ -75,10 +79,10 @@ def _uris(content: Any) -> list[str]:
 
 
 def _read_with_trimesh(path: Path) -> Mesh:
-    """All meshes of the file's scene, each where its node puts it; glTF's unit is the metre."""
+    """Read all meshes of the file's scene, each transformed by its node. The unit of glTF is the metre."""
     size = path.stat().st_size
     memory, seconds = (2 << 30) + 60 * size, 30 + size // 1_000_000
-    # One thread: a thread pool takes address space, which is what is limited.
+    # One thread: each thread of a pool takes address space, which is limited.
     one_thread = {"OPENBLAS_NUM_THREADS": "1"}
     with scratch_folder() as folder:
         outputs = [folder / "vertices.npy", folder / "faces.npy"]
@@ -87,11 +91,11 @@ def _read_with_trimesh(path: Path) -> Mesh:
             trimesh_child.__file__, str(path.resolve()), *map(str, outputs), limits=limits, environment=one_thread
         )
         if done.timed_out:
-            raise InputError(f"cannot be read: trimesh is not through with it after {2 * seconds} s")
+            raise InputError(f"trimesh did not finish within {2 * seconds} s: simplify the mesh or convert it to PLY")
         if done.code:
             require("trimesh")
-            said = done.last_words or f"it ended with {done.code}"
-            reason = "".join(c if c.isprintable() else " " for c in said)[:200]
+            reason_given = done.last_words or f"exit status {done.code}"
+            reason = "".join(c if c.isprintable() else " " for c in reason_given)[:200]
             raise InputError(f"trimesh cannot read it: {reason}")
         vertices, faces = (np.load(output, allow_pickle=False) for output in outputs)
-    return merged(Mesh(vertices, faces, unit="m"))
+    return merge_vertices(Mesh(vertices, faces, unit="m"))

@@ -1,12 +1,10 @@
-"""What a photograph's file says before it is decoded: its size, and where it was taken.
+"""Read the size and GPS position of an image without decoding it.
 
-JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR). Nothing is decompressed: a thousand photographs take a tenth of a
-second.
+JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR). Nothing is decompressed: a thousand images take 0.1 s.
 
-Read here and not by Pillow. Pillow 13 gives the same sizes and positions for whole photographs, in two to eight times
-the time, but reads all of the header: it lets out errors of three kinds and warnings, refuses photographs that are
-larger than its pixel limit or damaged where neither the size nor the position stands, and would be needed to read a
-scene of which no image is decoded.
+Why not Pillow: Pillow 13 gives the same sizes and positions for intact images, but takes two to eight times as long
+because it reads the complete header. It raises errors of three kinds and warnings. It also refuses images above its
+pixel limit, or with damage outside the size and position, and would be a dependency even if no image is decoded.
 """
 
 from __future__ import annotations
@@ -23,13 +21,13 @@ from pcbench.regular_files import open_regular
 EXTENSIONS = (".jpg", ".jpeg", ".png")
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_STANDALONE = {0x01, *range(0xD0, 0xD8)}  # markers without a length
-_START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # the three others are tables
+_STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
+_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # the three others are tables
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
 
 
 class ImageHeader(NamedTuple):
-    """Size in pixels as stored (a viewer may turn it), and the position of the antenna if the file has one."""
+    """Stored size in pixels (before any EXIF rotation) and GPS position of the antenna, if present."""
 
     width: int
     height: int
@@ -37,10 +35,10 @@ class ImageHeader(NamedTuple):
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Size and GPS position of a JPEG or PNG file.
+    """Read the size and GPS position of a JPEG or PNG file.
 
     Raises:
-        InputError: the file is missing, empty, cut off, or neither format; the message starts with the path.
+        InputError: the file is missing, empty, truncated, or neither format. The message starts with the path.
     """
     try:
         with open_regular(path) as file:
@@ -53,9 +51,11 @@ def read_image_header(path: Path) -> ImageHeader:
                 file.seek(2)
                 header = _jpeg(file)
             else:
-                raise InputError("expected a JPEG or PNG image, got something else: convert it first")
+                raise InputError("expected a JPEG or PNG image, got another format: convert it to JPEG or PNG")
             if header.width < 1 or header.height < 1:
-                raise InputError(f"expected an image of at least one pixel, got {header.width} x {header.height}")
+                raise InputError(
+                    f"expected an image of at least 1 x 1 pixels, got {header.width} x {header.height}: copy it again"
+                )
             return header
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -66,7 +66,7 @@ def read_image_header(path: Path) -> ImageHeader:
 def _png(file: BinaryIO) -> ImageHeader:
     chunk = file.read(16)
     if len(chunk) < 16 or chunk[4:8] != b"IHDR":
-        raise InputError("expected a PNG header, got a file that ends before it: the image is cut off")
+        raise InputError("expected a PNG header, got a truncated file: copy the image again")
     width, height = struct.unpack(">II", chunk[8:])
     return ImageHeader(width, height, None)
 
@@ -78,17 +78,17 @@ def _jpeg(file: BinaryIO) -> ImageHeader:
         while len(marker) == 2 and marker[1] == 0xFF:  # fill bytes
             marker = marker[1:] + file.read(1)
         if len(marker) < 2 or marker[0] != 0xFF or marker[1] == _START_OF_SCAN:
-            raise InputError("expected a JPEG with its size before the pixels: the image is cut off or damaged")
-        if marker[1] in _STANDALONE:
+            raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
+        if marker[1] in _STANDALONE_MARKERS:
             continue
         length_bytes = file.read(2)
         length = int.from_bytes(length_bytes, "big")
         if len(length_bytes) < 2 or length < 2:
-            raise InputError("expected a JPEG with its size before the pixels: the image is cut off or damaged")
-        if marker[1] in _START_OF_FRAME:
+            raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
+        if marker[1] in _FRAME_MARKERS:
             frame = file.read(5)
             if len(frame) < 5:
-                raise InputError("expected a JPEG with its size before the pixels: the image is cut off or damaged")
+                raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
             height, width = struct.unpack(">HH", frame[1:])
             return ImageHeader(width, height, gps)
         if marker[1] == _APP1:

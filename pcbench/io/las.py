@@ -1,6 +1,6 @@
-"""LAS, LAZ and COPC: read with own code up to the compressed points, which lazrs unpacks in a process of its own.
+"""Read and write LAS, LAZ and COPC. Only the compressed points need a library: lazrs, in a child process.
 
-Coordinates are the stored integers times scale plus offset, in float64, and nothing else.
+Coordinates are the stored integers times scale plus offset, in float64; nothing else is applied.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.las_checks import check_points
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
 from pcbench.io.las_header import (
-    EXTRA,
+    EXTRA_LAYOUT,
     EXTRA_TYPES,
     HEADER,
     HEADER_1_4,
     POINT_FORMATS,
     VLR,
-    Extra,
+    ExtraDimension,
     LasHeader,
     read_extras,
     read_header,
@@ -35,8 +35,8 @@ from pcbench.io.las_header import (
 _AXES = ("X", "Y", "Z")
 _NORMALS = (("NormalX", "NormalY", "NormalZ"), ("nx", "ny", "nz"))
 _COLORS = ("red", "green", "blue")
-# The standard dimensions that are kept as attributes, with the type they are written in.
-_STANDARD: dict[str, np.dtype[Any]] = {
+# Standard dimensions that become attributes, with the types in which they are written.
+_STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "intensity": np.dtype("u2"),
     "classification": np.dtype("u1"),
     "return_number": np.dtype("u1"),
@@ -44,8 +44,8 @@ _STANDARD: dict[str, np.dtype[Any]] = {
     "gps_time": np.dtype("f8"),
     "point_source_id": np.dtype("u2"),
 }
-# What readers call the dimensions of points: an attribute of one of these names would get in their way.
-_RESERVED = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
+# Names that readers use for point dimensions: attributes with these names would conflict.
+_RESERVED_NAMES = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
     *("scan_angle_rank", "synthetic", "key_point", "withheld", "overlap", "scanner_channel"),
     *("scan_direction_flag", "edge_of_flight_line", "raw_classification", "bit_fields", "classification_flags"),
 }
@@ -57,21 +57,23 @@ def read_las(
     classes: Collection[int] | None = None,
     returns: str | Collection[int] | None = None,
 ) -> Fields:
-    """The points of a LAS, LAZ or COPC file (all levels of it), or those of some classes or returns.
+    """Read the points of a LAS, LAZ or COPC file (all levels), optionally only some classes or returns.
 
-    Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id as far as
-    the point format has them, and the extra bytes, scaled where they say so and NaN where they hold no data. 16-bit
-    colours lose their lower byte. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz are the normals. Warnings say
-    where the points are not within the bounds, or not of the returns, that the header says.
+    Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id, if the
+    point format has them, and the extra bytes. Extra bytes are scaled if the file declares a scale; values marked as no
+    data become NaN. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz become the normals. 16-bit colours lose their
+    lower byte. Warnings report points outside the bounds or returns that differ from the counts in the header.
 
     Args:
-        classes: numbers of the classes to keep, such as (2, 6) for ground and buildings.
-        returns: "first", "last", or numbers of the returns to keep, (1, 2) or "1,2".
+        path: input file.
+        warn: callback for warnings.
+        classes: class numbers to keep, such as (2, 6) for ground and buildings.
+        returns: returns to keep: "first", "last", or return numbers, such as (1, 2) or "1,2".
 
     Raises:
-        InputError: the file is damaged, or no point is of these classes and returns.
-        MissingExtra: it is compressed, and lazrs is not installed.
-        OSError: it cannot be read.
+        InputError: the file is damaged, or no point has these classes and returns.
+        MissingExtra: the file is compressed, and lazrs is not installed.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         header = read_header(file, warn)
@@ -81,30 +83,30 @@ def read_las(
         else:
             complete = (header.end - header.start) // header.record_bytes
             if complete < header.count:
-                raise InputError(f"truncated: {complete} of {header.count} points: copy or export the file again")
+                raise InputError(f"truncated: got {complete} of {header.count} points: copy or export the file again")
             if complete > header.count:
-                warn(f"the header says {header.count} points, there is room for {complete}: the rest was left out")
+                warn(f"the header states {header.count} points, the file has space for {complete}: left out the rest")
             data = np.empty(header.count * header.record_bytes, dtype=np.uint8)
             file.seek(header.start)
             file.readinto(data.data)
     records = data.view(_record_type(header, extras))
     check_points(records, *_returns(records, header), header, warn)
-    withheld = records["flags"] & 4 if header.extended else records["class_flags"] & 128
+    withheld = records["flags"] & 4 if header.is_extended else records["class_flags"] & 128
     if count := int(np.count_nonzero(withheld)):
-        warn(f"{count} of {header.count} points are marked as withheld; they were kept")
+        warn(f"kept {count} of {header.count} points that are marked as withheld")
     if classes is not None or returns is not None:
-        records = _filtered(records, header, classes, returns)
+        records = _filter_records(records, header, classes, returns)
     return _fields(records, header, extras, warn)
 
 
-def _record_type(header: LasHeader, extras: list[Extra]) -> np.dtype[Any]:
-    """A point record; extra dimensions are named by their number, for their own names may be anything."""
+def _record_type(header: LasHeader, extras: list[ExtraDimension]) -> np.dtype[Any]:
+    """Return the type of a point record. Extra dimensions are named by index, since their own names may be anything."""
     standard = np.dtype(POINT_FORMATS[header.point_format])
-    fields = {name: (dtype, place) for name, (dtype, place, *_) in (standard.fields or {}).items()}
-    place = standard.itemsize
-    for number, extra in enumerate(extras):
-        fields[f"extra {number}"] = (np.dtype((extra.dtype, (extra.size,))), place)
-        place += extra.size * extra.dtype.itemsize
+    fields = {name: (dtype, byte_offset) for name, (dtype, byte_offset, *_) in (standard.fields or {}).items()}
+    byte_offset = standard.itemsize
+    for index, extra in enumerate(extras):
+        fields[f"extra {index}"] = (np.dtype((extra.dtype, (extra.size,))), byte_offset)
+        byte_offset += extra.size * extra.dtype.itemsize
     return np.dtype(
         {
             "names": list(fields),
@@ -116,54 +118,56 @@ def _record_type(header: LasHeader, extras: list[Extra]) -> np.dtype[Any]:
 
 
 def _classes(records: NDArray[Any], header: LasHeader) -> NDArray[Any]:
-    return records["classification"] if header.extended else records["class_flags"] & 31
+    return records["classification"] if header.is_extended else records["class_flags"] & 31
 
 
 def _returns(records: NDArray[Any], header: LasHeader) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Number of each return, and how many its pulse had."""
-    if header.extended:
+    """Return the return number of each point and the number of returns of its pulse."""
+    if header.is_extended:
         return records["returns"] & 15, records["returns"] >> 4
     return records["returns"] & 7, records["returns"] >> 3 & 7
 
 
-def _filtered(
+def _filter_records(
     records: NDArray[Any], header: LasHeader, classes: Collection[int] | None, returns: str | Collection[int] | None
 ) -> NDArray[Any]:
-    present, (number, of) = _classes(records, header), _returns(records, header)
+    present, (return_number, return_count) = _classes(records, header), _returns(records, header)
     keep = np.ones(len(records), dtype=np.bool_)
     if classes is not None:
-        keep &= np.isin(present, _numbers("classes as", classes))
+        keep &= np.isin(present, _parse_numbers("classes as", classes))
     if returns == "first":
-        keep &= number == 1
+        keep &= return_number == 1
     elif returns == "last":
-        keep &= number == of
+        keep &= return_number == return_count
     elif returns is not None:
-        keep &= np.isin(number, _numbers("returns as 'first', 'last' or", returns))
+        keep &= np.isin(return_number, _parse_numbers("returns as 'first', 'last' or", returns))
     if not keep.any():
-        asked = [f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None]
+        filters = [
+            f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None
+        ]
         raise InputError(
-            f"no point is left by {' and '.join(asked)}: the file has {_counts('class', present)};"
-            f" {_counts('return', number)}"
+            f"expected points with {' and '.join(filters)}, got none: the file has {_format_counts('class', present)};"
+            f" {_format_counts('return', return_number)}"
         )
     return records[keep]
 
 
-def _numbers(what: str, wanted: str | Collection[int]) -> list[int]:
+def _parse_numbers(what: str, wanted: str | Collection[int]) -> list[int]:
     try:
         numbers = [int(number) for number in (wanted.split(",") if isinstance(wanted, str) else wanted)]
     except (TypeError, ValueError):
         numbers = []
     if not numbers or not all(0 <= number <= 255 for number in numbers):
-        raise InputError(f"expected {what} numbers 0 to 255, such as 2,6; got {str(wanted)[:40]!r}")
+        raise InputError(f"expected {what} numbers from 0 to 255, such as 2,6; got {str(wanted)[:40]!r}")
     return numbers
 
 
-def _counts(what: str, values: NDArray[Any]) -> str:
+def _format_counts(what: str, values: NDArray[Any]) -> str:
     counts = np.bincount(values)
     return ", ".join(f"{what} {value} ({counts[value]} points)" for value in np.flatnonzero(counts))
 
 
-def _fields(records: NDArray[Any], header: LasHeader, extras: list[Extra], warn: Warn) -> Fields:
+def _fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> Fields:
     attributes: dict[str, NDArray[Any]] = {"intensity": records["intensity"].copy()}
     attributes["classification"] = _classes(records, header).copy()
     attributes["return_number"], attributes["number_of_returns"] = _returns(records, header)
@@ -172,7 +176,7 @@ def _fields(records: NDArray[Any], header: LasHeader, extras: list[Extra], warn:
         attributes["gps_time"] = records["gps_time"].copy()
     attributes["point_source_id"] = records["point_source_id"].copy()
 
-    with np.errstate(over="ignore", invalid="ignore"):  # damaged scales; the points are dropped later
+    with np.errstate(over="ignore", invalid="ignore"):  # from damaged scales; such points are dropped later
         points = np.empty((len(records), 3))
         for column, axis, scale, offset in zip(points.T, _AXES, header.scales, header.offsets, strict=True):
             np.multiply(records[axis], scale, out=column)
@@ -180,7 +184,7 @@ def _fields(records: NDArray[Any], header: LasHeader, extras: list[Extra], warn:
         for extra, values in zip(extras, (records[f"extra {k}"] for k in range(len(extras))), strict=True):
             for name, column in _extra_columns(extra, values):
                 if name in attributes or not name.isprintable():
-                    warn(f"left out the extra bytes {name[:40]!r}: the name is taken or unprintable")
+                    warn(f"left out the extra bytes {name[:40]!r}: the name is already used or not printable")
                 else:
                     attributes[name] = column
     normals = None
@@ -198,8 +202,8 @@ def _fields(records: NDArray[Any], header: LasHeader, extras: list[Extra], warn:
     )
 
 
-def _extra_columns(extra: Extra, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
-    """The numbers (N, size) of an extra dimension as named columns: "name", or "name[0]", "name[1]"."""
+def _extra_columns(extra: ExtraDimension, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
+    """Split the values (N, size) of an extra dimension into named columns: "name", or "name[0]", "name[1]"."""
     columns = []
     for k in range(extra.size if extra.name else 0):
         raw = values[:, k]
@@ -216,7 +220,7 @@ def _extra_columns(extra: Extra, values: NDArray[Any]) -> list[tuple[str, NDArra
 
 
 def _colors(records: NDArray[Any]) -> NDArray[np.uint8]:
-    """Eight bits a colour: the upper ones, unless the file was written with eight."""
+    """Return 8-bit colours: the upper byte of each, unless the file stores 8-bit values."""
     colors = np.stack([records[name] for name in _COLORS], axis=1)
     if colors.max() > 255:
         colors >>= 8
@@ -227,17 +231,21 @@ def _colors(records: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def write_las(path: Path, cloud: Cloud) -> None:
-    """Writes LAS 1.4, compressed if the name ends in .laz.
+    """Write LAS 1.4, compressed if the name ends in .laz.
 
-    Coordinates become integers of a millionth of the extent, at most of 0.0001 of the unit, about the centre: none is
-    off by more than half of that. Attributes with the names of standard dimensions go there, the others and the normals
-    (as float) into extra bytes; the crs becomes a WKT record. The unit has no place of its own.
+    Coordinates are rounded to a millionth of the extent or finer, but no coarser than 0.0001 units if 32 bits allow;
+    the error is at most half of that step. Attributes with the names of standard dimensions are written there, others
+    and the normals (as float) as extra bytes. The crs becomes a WKT record. LAS cannot store the unit.
+
+    Args:
+        path: output file.
+        cloud: cloud to write.
 
     Raises:
-        InputError: the extent is too large for 32 bits (800 km in metres), a name or a type cannot stand in LAS, or
-            pyproj does not know the crs.
+        InputError: the extent is too large for 32 bits (800 km in metres), LAS cannot store a name or type, or pyproj
+            does not know the crs.
         MissingExtra: lazrs (for .laz) or pyproj (for a crs) is not installed.
-        OSError: the file cannot be written; an existing one is then unchanged.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     try:
         _write(path, cloud)
@@ -248,9 +256,9 @@ def write_las(path: Path, cloud: Cloud) -> None:
 def _write(path: Path, cloud: Cloud) -> None:
     compressed = path.suffix.lower() == ".laz"
     if path.name.lower().endswith(".copc.laz"):
-        raise InputError("COPC is read but not written: write a plain .laz or .las")
-    scale, offsets, integers = _quantised(cloud)
-    standard, extras = _assigned(cloud)
+        raise InputError("COPC files can only be read: write a plain .laz or .las file")
+    scale, offsets, integers = _quantise(cloud)
+    standard, extras = _assign_attributes(cloud)
     point_format = 6 if cloud.colors is None else 7
     layout = np.dtype(
         POINT_FORMATS[point_format] + [(f"extra {k}", a.dtype.str) for k, a in enumerate(extras.values())]
@@ -261,9 +269,9 @@ def _write(path: Path, cloud: Cloud) -> None:
     for name in ("intensity", "classification", "gps_time", "point_source_id"):
         if name in standard:
             records[name] = standard[name]
-    number = standard.get("return_number", np.ones(len(cloud), np.uint8))
-    of = standard.get("number_of_returns", np.maximum(number, 1))
-    records["returns"] = number | of << 4
+    return_number = standard.get("return_number", np.ones(len(cloud), np.uint8))
+    return_count = standard.get("number_of_returns", np.maximum(return_number, 1))
+    records["returns"] = return_number | return_count << 4
     if cloud.colors is not None:
         for name, column in zip(_COLORS, cloud.colors.T, strict=True):
             records[name] = column * np.uint16(257)  # 255 becomes 65535
@@ -275,14 +283,16 @@ def _write(path: Path, cloud: Cloud) -> None:
     if cloud.crs:
         vlrs[WKT] = to_wkt(cloud.crs)
     if extras:
-        vlrs["LASF_Spec", 4] = b"".join(_description(name, column) for name, column in extras.items())
+        vlrs["LASF_Spec", 4] = b"".join(_describe_extra(name, column) for name, column in extras.items())
     if compressed:
         vlrs[laz.LASZIP] = laz.laszip_record(point_format, extra_bytes)
     if any(len(data) > 0xFFFF for data in vlrs.values()) or layout.itemsize > 0xFFFF:
-        raise InputError(f"{len(extras)} attributes or the crs are more than LAS can describe: write a .ply")
-    block = b"".join(VLR.pack(0, user.encode(), number, len(data), b"") + data for (user, number), data in vlrs.items())
+        raise InputError(f"LAS cannot store {len(extras)} attributes and a crs of this size: write a .ply")
+    block = b"".join(
+        VLR.pack(0, user.encode(), record_id, len(data), b"") + data for (user, record_id), data in vlrs.items()
+    )
     corners = np.stack([integers.max(axis=0), integers.min(axis=0)], axis=1) * scale + offsets[:, None]
-    by_return = np.bincount(number, minlength=16)[1:16].tolist()
+    by_return = np.bincount(return_number, minlength=16)[1:16].tolist()
     head = HEADER.pack(
         b"LASF", 0, 16 if cloud.crs else 0, b"", 1, 4, b"pcbench", b"pcbench", 0, 0,  # 16: the system is given as WKT
         HEADER.size + HEADER_1_4.size, HEADER.size + HEADER_1_4.size + len(block), len(vlrs),
@@ -291,46 +301,55 @@ def _write(path: Path, cloud: Cloud) -> None:
     ) + HEADER_1_4.pack(0, 0, 0, len(cloud), *by_return)  # fmt: skip
     points = records.view(np.uint8).data
     if compressed:
-        points = laz.compressed(points, vlrs[laz.LASZIP], len(head + block))
+        points = laz.compress(points, vlrs[laz.LASZIP], len(head + block))
     with atomic_write(path) as file:
         file.write(head + block)
         file.write(points)
 
 
-def _quantised(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int32]]:
-    """Scale, offsets (3,) and integers (N, 3)."""
+def _quantise(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int32]]:
+    """Return scale, offsets (3,) and integer coordinates (N, 3)."""
     low, high = cloud.bounds
     extent = float((high - low).max())
-    # Between a millionth and a ten-millionth of the extent; 1e-9 still reaches the next whole number, the offset.
+    # Between a millionth and a ten-millionth of the extent. At 1e-9 the integers still reach the rounded offset.
     scale = float(f"1e{max(-9, math.floor(math.log10(extent)) - 6)}") if 0 < extent < 100 else 1e-4
     offsets = np.round(low / 2 + high / 2)
     reach = extent / 2 + 1
     if reach > scale * (2**31 - 1):
         scale = 2e-4
     if reach > scale * (2**31 - 1):
-        raise InputError(f"an extent of {extent:g} does not fit LAS's 32 bits at a scale of {scale:g}: write a .ply")
+        raise InputError(
+            f"expected an extent that fits LAS's 32 bits at a scale of {scale:g}, got {extent:g} units: write a .ply"
+        )
     return scale, offsets, np.round((cloud.points - offsets) / scale).astype(np.int32)
 
 
-def _assigned(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """Attributes by where they go: standard dimensions and extra bytes, both in the types written."""
+def _assign_attributes(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """Split attributes into standard dimensions and extra bytes, both in the types to write."""
     standard: dict[str, NDArray[Any]] = {}
     extras: dict[str, NDArray[Any]] = {}
     if cloud.normals is not None:
         extras |= {name: cloud.normals[:, k].astype("<f4") for k, name in enumerate(_NORMALS[0])}
     for name, values in cloud.attributes.items():
         if values.dtype.kind not in "biuf":
-            raise InputError(f"expected attribute {name!r} as numbers, got {values.dtype}")
-        if name in _STANDARD:
+            raise InputError(f"expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
+        if name in _STANDARD_TYPES:
             with np.errstate(invalid="ignore", over="ignore"):
-                standard[name] = values.astype(_STANDARD[name])
+                standard[name] = values.astype(_STANDARD_TYPES[name])
             highest = 15 if "return" in name else np.inf
             if not np.array_equal(standard[name], values, equal_nan=True) or (standard[name] > highest).any():
-                limit = 15 if "return" in name else np.iinfo(_STANDARD[name]).max
-                raise InputError(f"expected attribute {name!r} as whole numbers 0 to {limit}: rename or rescale it")
+                limit = 15 if "return" in name else np.iinfo(_STANDARD_TYPES[name]).max
+                raise InputError(f"expected attribute {name!r} as integers from 0 to {limit}: rename or rescale it")
             continue
-        if name in extras or name.lower() in _RESERVED or not name.isprintable() or not 0 < len(name.encode()) <= 32:
-            raise InputError(f"expected attribute names of 1 to 32 bytes that LAS does not use itself, got {name!r}")
+        if (
+            name in extras
+            or name.lower() in _RESERVED_NAMES
+            or not name.isprintable()
+            or not 0 < len(name.encode()) <= 32
+        ):
+            raise InputError(
+                f"expected attribute names of 1 to 32 bytes that LAS does not reserve, got {name!r}: rename it"
+            )
         if values.dtype.kind == "b":
             values = values.astype(np.uint8)
         elif values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8):
@@ -339,6 +358,6 @@ def _assigned(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[
     return standard, extras
 
 
-def _description(name: str, column: NDArray[Any]) -> bytes:
+def _describe_extra(name: str, column: NDArray[Any]) -> bytes:
     kind = EXTRA_TYPES.index(column.dtype.str.lstrip("|")) + 1
-    return EXTRA.pack(b"", kind, 0, name.encode(), b"", b"", b"", b"", *[0.0] * 6, b"")
+    return EXTRA_LAYOUT.pack(b"", kind, 0, name.encode(), b"", b"", b"", b"", *[0.0] * 6, b"")

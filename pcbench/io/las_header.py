@@ -1,4 +1,4 @@
-"""What stands before the points of a LAS file, checked against the size of the file before anything is believed.
+"""Read the header of a LAS file and check it against the size of the file.
 
 LAS 1.0 to 1.4, point formats 0 to 10; LAZ and COPC have the same header. ASPRS, "LAS Specification 1.4 - R15", 2019.
 """
@@ -16,115 +16,124 @@ from pcbench.errors import InputError
 from pcbench.io.files import Warn
 
 HEADER = struct.Struct("<4s HH 16s BB 32s 32s HH H I I B H I 5I 3d 3d 6d")  # all versions: 227 bytes
-HEADER_1_4 = struct.Struct("<Q QI Q 15Q")  # waveforms; first extended record, their number; points, by return
+HEADER_1_4 = struct.Struct("<Q QI Q 15Q")  # waveforms; first extended record and record count; point count, by return
 VLR = struct.Struct("<H 16s H H 32s")
 EVLR = struct.Struct("<H 16s H Q 32s")
 
 _XYZI = [("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"), ("intensity", "<u2"), ("returns", "u1")]
-_OLD = [*_XYZI, ("class_flags", "u1"), ("scan_angle", "i1"), ("user_data", "u1"), ("point_source_id", "<u2")]
-_NEW = [*_XYZI, ("flags", "u1"), ("classification", "u1"), ("user_data", "u1"), ("scan_angle", "<i2")]
-_NEW += [("point_source_id", "<u2"), ("gps_time", "<f8")]
+_LEGACY = [*_XYZI, ("class_flags", "u1"), ("scan_angle", "i1"), ("user_data", "u1"), ("point_source_id", "<u2")]
+_EXTENDED = [*_XYZI, ("flags", "u1"), ("classification", "u1"), ("user_data", "u1"), ("scan_angle", "<i2")]
+_EXTENDED += [("point_source_id", "<u2"), ("gps_time", "<f8")]
 _GPS = [("gps_time", "<f8")]
 _RGB = [("red", "<u2"), ("green", "<u2"), ("blue", "<u2")]
 _NIR = [("nir", "<u2")]
 _WAVE = [("wave_packet", "V29")]
 POINT_FORMATS = (
-    _OLD,
-    _OLD + _GPS,
-    _OLD + _RGB,
-    _OLD + _GPS + _RGB,
-    _OLD + _GPS + _WAVE,
-    _OLD + _GPS + _RGB + _WAVE,
-    _NEW,
-    _NEW + _RGB,
-    _NEW + _RGB + _NIR,
-    _NEW + _WAVE,
-    _NEW + _RGB + _NIR + _WAVE,
+    _LEGACY,
+    _LEGACY + _GPS,
+    _LEGACY + _RGB,
+    _LEGACY + _GPS + _RGB,
+    _LEGACY + _GPS + _WAVE,
+    _LEGACY + _GPS + _RGB + _WAVE,
+    _EXTENDED,
+    _EXTENDED + _RGB,
+    _EXTENDED + _RGB + _NIR,
+    _EXTENDED + _WAVE,
+    _EXTENDED + _RGB + _NIR + _WAVE,
 )
 
-# The types of extra bytes by their number, from 1; 11 to 20 and 21 to 30 are pairs and triples of the same.
+# Types of extra bytes, by type number from 1; 11 to 20 and 21 to 30 are pairs and triples of the same types.
 EXTRA_TYPES = ("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8")
-EXTRA = struct.Struct("<2s BB 32s 4s 24s 24s 24s 3d 3d 32s")
+EXTRA_LAYOUT = struct.Struct("<2s BB 32s 4s 24s 24s 24s 3d 3d 32s")
 EXTRA_NO_DATA, EXTRA_SCALE, EXTRA_OFFSET = 1, 8, 16  # bits of a description's options
 
-_MAX_RECORDS = 10_000  # real files have a dozen
-_MAX_RECORD_BYTES = 1 << 20  # bytes; longer extended records (waveforms, COPC's hierarchy) are of no interest here
+_MAX_RECORDS = 10_000  # real files have about a dozen
+_MAX_RECORD_BYTES = 1 << 20  # longer extended records (waveforms, COPC's hierarchy) are not needed
 # The variable length records that are read: coordinate system, extra bytes, LASzip.
-_WANTED = {("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4), ("laszip encoded", 22204)}
+_READ_RECORDS = {("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4), ("laszip encoded", 22204)}
 
 
-class Extra(NamedTuple):
-    """One described dimension behind the standard ones of a point record; `size` numbers of type `dtype`."""
+class ExtraDimension(NamedTuple):
+    """Extra dimension after the standard ones of a point record: `size` numbers of type `dtype`."""
 
     name: str
     dtype: np.dtype[Any]
     size: int
-    no_data: bytes | None  # eight bytes a number
+    no_data: bytes | None  # eight bytes per number
     scales: tuple[float, ...]
     offsets: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class LasHeader:
-    """What is needed to read the points, and known to lie within the file."""
+    """Header fields needed to read the points, checked against the size of the file."""
 
     point_format: int
     compressed: bool
     record_bytes: int
     count: int
     start: int  # first byte of the points
-    end: int  # first byte after them at most: the extended records or the end of the file
+    end: int  # upper bound of the first byte after the points: the extended records or the end of the file
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
-    records: dict[tuple[str, int], bytes]  # by user and number
-    bounds: tuple[tuple[float, ...], tuple[float, ...]] | None  # least and greatest x, y, z; None where all are zero
-    by_return: tuple[int, ...]  # how many points are the first, second, ... return; empty where all are zero
+    records: dict[tuple[str, int], bytes]  # by user and record ID
+    bounds: tuple[tuple[float, ...], tuple[float, ...]] | None  # minimum and maximum x, y, z; None if all are zero
+    by_return: tuple[int, ...]  # number of points per return number from 1; empty if all are zero
 
     @property
-    def extended(self) -> bool:
-        """Point formats 6 to 10: wider return numbers and classes."""
+    def is_extended(self) -> bool:
+        """Whether this is one of the point formats 6 to 10, with wider return numbers and classes."""
         return self.point_format >= 6
 
     @property
     def extra_bytes(self) -> int:
+        """Number of extra bytes per point."""
         return self.record_bytes - np.dtype(POINT_FORMATS[self.point_format]).itemsize
 
 
 def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
-    """The header and the records that matter.
+    """Read the header and the records that are needed.
 
     Raises:
-        InputError: it is no LAS file, or its numbers do not fit each other or the size of the file.
+        InputError: the file is not a LAS file, or its header is inconsistent or does not fit the size of the file.
     """
     size = file.seek(0, 2)
     file.seek(0)
     block = file.read(HEADER.size + HEADER_1_4.size)
     if block[:4] != b"LASF":
-        raise InputError(f"expected a LAS file that starts with b'LASF', got {block[:4]!r}")
+        raise InputError(f"expected a LAS file that starts with b'LASF', got {block[:4]!r}: export it again as LAS")
     if len(block) < HEADER.size:
-        raise InputError(f"truncated: {len(block)} of {HEADER.size} bytes of the header: copy or export the file again")
+        raise InputError(f"truncated: got {len(block)} of {HEADER.size} header bytes: copy or export the file again")
     fields = HEADER.unpack_from(block)
     major, minor = fields[4:6]
     header_bytes, start, vlr_count, format_byte, record_bytes, count = fields[10:16]
     scales, offsets = fields[21:24], fields[24:27]
 
     if major != 1 or minor > 4:
-        raise InputError(f"expected LAS 1.0 to 1.4, got version {major}.{minor}")
+        raise InputError(f"expected LAS 1.0 to 1.4, got version {major}.{minor}: export it as LAS 1.4")
     least = {3: HEADER.size + 8, 4: HEADER.size + HEADER_1_4.size}.get(minor, HEADER.size)
     if header_bytes < least:
-        raise InputError(f"expected a header of at least {least} bytes in LAS 1.{minor}, got {header_bytes}")
+        raise InputError(
+            f"expected a LAS 1.{minor} header of {least} bytes or more, got {header_bytes}: export it again"
+        )
     if not header_bytes <= start:
-        raise InputError(f"points start at byte {start}, inside the header of {header_bytes} bytes: damaged header")
+        raise InputError(f"expected points after the header of {header_bytes} bytes, got byte {start}: export it again")
     if start > size:
-        raise InputError(f"truncated: points start at byte {start}, the file has {size}: copy or export the file again")
-    point_format = format_byte & 0x3F  # LASzip marks its files in the two bits above
+        raise InputError(f"truncated: points start at byte {start}, the file has {size} bytes: copy or export it again")
+    point_format = format_byte & 0x3F  # LASzip uses the two upper bits as flags
     if point_format >= len(POINT_FORMATS):
-        raise InputError(f"expected a point format of 0 to {len(POINT_FORMATS) - 1}, got {point_format}")
+        raise InputError(
+            f"expected a point format from 0 to {len(POINT_FORMATS) - 1}, got {point_format}: export it again"
+        )
     least = np.dtype(POINT_FORMATS[point_format]).itemsize
     if record_bytes < least:
-        raise InputError(f"expected at least {least} bytes a point in format {point_format}, got {record_bytes}")
+        raise InputError(
+            f"expected at least {least} bytes per point in format {point_format}, got {record_bytes}: export it again"
+        )
     if not all(math.isfinite(number) for number in (*scales, *offsets)) or 0 in scales:
-        raise InputError(f"expected finite scales other than 0 and finite offsets, got {scales} and {offsets}")
+        raise InputError(
+            f"expected finite non-zero scales and finite offsets, got {scales} and {offsets}: export it again"
+        )
 
     highest, lowest = fields[27:33:2], fields[28:33:2]
     by_return = fields[16:21]
@@ -133,10 +142,10 @@ def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
         _, first_evlr, evlr_count, long_count, *long_by_return = HEADER_1_4.unpack_from(block, HEADER.size)
         by_return = tuple(long_by_return) if any(long_by_return) else by_return
         if long_count and count not in (0, long_count):
-            raise InputError(f"the header says both {count} and {long_count} points: export the file again")
+            raise InputError(f"expected one point count in the header, got {count} and {long_count}: export it again")
         count = long_count or count
     if not count:
-        raise InputError("expected at least one point, got 0")
+        raise InputError("expected at least one point, got 0: export the file again")
     records = _read_records(file, VLR, vlr_count, header_bytes, start)
     if evlr_count:
         if start <= first_evlr <= size:
@@ -144,7 +153,7 @@ def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
         try:
             records = _read_records(file, EVLR, evlr_count, first_evlr, size) | records
         except InputError as error:
-            warn(f"extended records left out: {error}")
+            warn(f"left out the extended records: {error}")
     return LasHeader(
         point_format, bool(format_byte & 0xC0), record_bytes, count, start, end, scales, offsets, records,
         (lowest, highest) if any((*lowest, *highest)) else None, by_return if any(by_return) else (),
@@ -152,50 +161,50 @@ def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
 
 
 def _read_records(
-    file: BinaryIO, layout: struct.Struct, count: int, place: int, end: int
+    file: BinaryIO, layout: struct.Struct, count: int, offset: int, end: int
 ) -> dict[tuple[str, int], bytes]:
-    """The wanted ones of `count` records between two bytes; of several alike the first."""
-    if count > min(_MAX_RECORDS, max(end - place, 0) // layout.size):
-        raise InputError(f"{count} variable length records do not fit between byte {place} and {end}: damaged header")
+    """Read the needed ones of `count` records between bytes `offset` and `end`; the first of each kind is kept."""
+    if count > min(_MAX_RECORDS, max(end - offset, 0) // layout.size):
+        raise InputError(f"{count} variable length records do not fit between bytes {offset} and {end}: damaged header")
     records: dict[tuple[str, int], bytes] = {}
     for number in range(count):
-        file.seek(place)
-        head = file.read(layout.size) if place + layout.size <= end else b""
+        file.seek(offset)
+        head = file.read(layout.size) if offset + layout.size <= end else b""
         if len(head) < layout.size:
-            raise InputError(f"{number} of {count} variable length records end at byte {end}: damaged header")
+            raise InputError(f"variable length record {number + 1} of {count} starts after byte {end}: damaged header")
         _, user, record_id, length, _ = layout.unpack(head)
-        place += layout.size
-        if place + length > end:
+        offset += layout.size
+        if offset + length > end:
             raise InputError(
-                f"variable length record {number + 1} of {count} would end at byte {place + length}, behind byte {end}:"
+                f"variable length record {number + 1} of {count} ends at byte {offset + length}, after byte {end}:"
                 " damaged header"
             )
         key = (user.split(b"\0")[0].decode("latin-1"), record_id)
-        if key in _WANTED and key not in records and length <= _MAX_RECORD_BYTES:
+        if key in _READ_RECORDS and key not in records and length <= _MAX_RECORD_BYTES:
             records[key] = file.read(length)
-        place += length
+        offset += length
     return records
 
 
-def read_extras(header: LasHeader, warn: Warn) -> list[Extra]:
-    """The described extra bytes in their order, undescribed gaps (`name` is empty) included.
+def read_extras(header: LasHeader, warn: Warn) -> list[ExtraDimension]:
+    """Return the described extra dimensions in order, including undescribed gaps (with an empty `name`).
 
-    Descriptions that do not fit the record are left out with a warning: the points do not depend on them.
+    Descriptions that do not fit the record are left out with a warning, since the coordinates do not depend on them.
     """
     data = header.records.get(("LASF_Spec", 4), b"")
     extras = []
-    for fields in EXTRA.iter_unpack(data[: len(data) // EXTRA.size * EXTRA.size]):
+    for fields in EXTRA_LAYOUT.iter_unpack(data[: len(data) // EXTRA_LAYOUT.size * EXTRA_LAYOUT.size]):
         _, kind, options, name, _, no_data, _, _, *numbers, _ = fields
         size, dtype = 1, np.dtype("u1")
-        if kind == 0:  # undocumented bytes; the options are their number
+        if kind == 0:  # undocumented bytes; `options` is their count
             size, name = options, b""
         elif kind <= 3 * len(EXTRA_TYPES):
             size, dtype = (kind - 1) // len(EXTRA_TYPES) + 1, np.dtype(EXTRA_TYPES[(kind - 1) % len(EXTRA_TYPES)])
         else:
-            warn(f"left out the extra bytes: expected a type of 0 to {3 * len(EXTRA_TYPES)}, got {kind}")
+            warn(f"left out the extra bytes: expected a type from 0 to {3 * len(EXTRA_TYPES)}, got {kind}")
             return []
         extras.append(
-            Extra(
+            ExtraDimension(
                 name.split(b"\0")[0].decode("utf-8", errors="replace").strip(),
                 dtype,
                 size,
@@ -206,6 +215,6 @@ def read_extras(header: LasHeader, warn: Warn) -> list[Extra]:
         )
     described = sum(extra.size * extra.dtype.itemsize for extra in extras)
     if described > header.extra_bytes:
-        warn(f"left out the extra bytes: {described} are described, a point has {header.extra_bytes}")
+        warn(f"left out the extra bytes: the descriptions need {described} bytes, a point has {header.extra_bytes}")
         return []
     return extras

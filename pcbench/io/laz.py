@@ -1,7 +1,7 @@
-"""The compressed points of LAZ and COPC files, through lazrs.
+"""Compress and decompress the points of LAZ and COPC files with lazrs.
 
-LAZ has no checksums, and lazrs decodes damaged bytes to whatever they mean. What was decoded is therefore encoded
-again: LASzip and lazrs write the same bytes for the same points, so that other bytes are damage, or another program's.
+LAZ has no checksum, and lazrs decodes damaged bytes without an error. Decoded points are therefore encoded again:
+LASzip and lazrs write the same bytes for the same points, so different bytes mean damage or another writer.
 
 Martin Isenburg, "LASzip: lossless compression of LiDAR data", Photogrammetric Engineering & Remote Sensing, 2013.
 """
@@ -24,34 +24,39 @@ from pcbench.io.files import Warn
 from pcbench.io.las_header import LasHeader
 
 LASZIP = ("laszip encoded", 22204)
-_LASZIP = struct.Struct("<HHBBHIIqqH")  # compressor, coder, version (3), options, chunk size, 2 counts, items
-_ITEM = struct.Struct("<HHH")  # type, bytes, version
-_VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table tells how many points a chunk has
+_LASZIP_LAYOUT = struct.Struct("<HHBBHIIqqH")  # compressor, coder, version (3), options, chunk size, 2 counts, items
+_ITEM_LAYOUT = struct.Struct("<HHH")  # type, bytes, version
+_VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table states the number of points per chunk
 
-# A file may grow so many times when unpacked: real clouds shrink 3 to 20 times, a bare grid a few hundred times.
-_MAX_GROWTH, _MAX_FREE_GROWTH = 1000, 256 << 20
-_SOME_DIFFER, _ALL_DIFFER = 4, 5  # exit statuses of the worker: points that encode to other bytes
+# Upper bound of the decompressed size, as a factor and in bytes: real clouds shrink 3 to 20 times, grids some hundreds.
+_MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 1000, 256 << 20
+_EXIT_SOME_DIFFER, _EXIT_ALL_DIFFER = 4, 5  # exit statuses of the worker: points whose encoding differs from the file
 _WORKER = str(Path(__file__).with_name("laz_worker.py"))
-_MAX_WORKER_MEMORY = 1 << 30  # bytes of address space, beside twice the points: code, stacks, one heap a thread
-_MAX_WORKER_SECONDS = 30.0  # and what it takes for the points at this speed at least:
-_MIN_WORKER_SPEED = 1e6  # bytes a second, where lazrs does 30 million on one core, both ways
+_MAX_WORKER_MEMORY = 1 << 30  # bytes of address space besides twice the points: code, stacks, one heap per thread
+_MAX_WORKER_SECONDS = 30.0  # plus the time for the points at the minimum speed:
+_MIN_WORKER_SPEED = 1e6  # bytes per second; lazrs does 30 million on one core, in both directions
 
 
 def decompress(file: BinaryIO, header: LasHeader, warn: Warn) -> NDArray[np.uint8]:
-    """The point records as they would stand in a LAS file, (count * record_bytes,).
+    """Decompress the point records to the bytes of a LAS file, (count * record_bytes,).
 
-    A warning says where nothing vouches for them: no chunk of them, encoded again, gives the bytes in the file. Where
-    some chunks do, one program wrote all, and the others are damaged.
+    If the encoding of all chunks differs from the file, a warning says that the points could not be verified. If only
+    some chunks differ, these are damaged, since one program wrote all of them.
+
+    Args:
+        file: input file.
+        header: header of the file.
+        warn: callback for warnings.
 
     Raises:
         InputError: the compressed data are damaged.
         MissingExtra: lazrs is not installed.
     """
     require("lazrs")
-    _check(file, header)
+    _check_chunks(file, header)
     if not sys.executable:
         raise InputError(
-            "LAZ is unpacked by a Python process of its own, and this program names no Python: write a .las"
+            "expected a Python interpreter to decompress LAZ in a child process, got none: convert the file to .las"
         )
     total = header.count * header.record_bytes
     points = np.empty(total, dtype=np.uint8)
@@ -62,67 +67,69 @@ def decompress(file: BinaryIO, header: LasHeader, warn: Warn) -> NDArray[np.uint
         str(header.count),
         str(header.record_bytes),
         limits=Limits(seconds=_MAX_WORKER_SECONDS + total / _MIN_WORKER_SPEED, memory=_MAX_WORKER_MEMORY + 2 * total),
-        environment={"MALLOC_ARENA_MAX": "4"},  # each arena takes 64 MiB of the address space allowed
+        environment={"MALLOC_ARENA_MAX": "4"},  # each arena takes 64 MiB of the allowed address space
         stdin=file,
         into=points.data,
     )
     if done.code == 3:
         raise MissingExtra("lazrs", "las", "it is installed but does not load")
-    if done.code == _SOME_DIFFER and done.received == total and len(words := done.last_words.split()) == 2:
-        raise _damaged(
-            f"{words[0]} of {header.count} points, from point {int(words[1]) + 1} on, do not encode to the bytes that"
-            " they were decoded from"
+    if done.code == _EXIT_SOME_DIFFER and done.received == total and len(words := done.last_words.split()) == 2:
+        raise _damage_error(
+            f"{words[0]} of {header.count} points, from point {int(words[1]) + 1} on, failed verification: encoding"
+            " them again gives other bytes"
         )
-    if done.code == _ALL_DIFFER and done.received == total:
+    if done.code == _EXIT_ALL_DIFFER and done.received == total:
         warn(
-            "the compressed points are damaged, or were written by another program than LASzip and lazrs: encoded again"
-            " they give other bytes, so nothing vouches for them"
+            "could not verify the compressed points: encoding them again gives other bytes, so they are damaged or were"
+            " written by a program other than LASzip and lazrs"
         )
     elif done.code or done.received < total:
-        raise _damaged(f"{done.received // header.record_bytes} of {header.count} points could be decompressed")
+        raise _damage_error(f"decompressed only {done.received // header.record_bytes} of {header.count} points")
     return points
 
 
-def _damaged(reason: str) -> InputError:
+def _damage_error(reason: str) -> InputError:
     return InputError(f"damaged LAZ data: {reason}: copy or export the file again")
 
 
-def _check(file: BinaryIO, header: LasHeader) -> None:
-    """The LASzip record and the place and length of the chunk table, which stands behind the points."""
+def _check_chunks(file: BinaryIO, header: LasHeader) -> None:
+    """Check the LASzip record, and the position and length of the chunk table after the points."""
     record = header.records.get(LASZIP, b"")
-    if len(record) < _LASZIP.size:
-        raise _damaged("the header has no LASzip record")
-    compressor, *_, chunk_size, _, _, items = _LASZIP.unpack_from(record)
+    if len(record) < _LASZIP_LAYOUT.size:
+        raise _damage_error("the header has no LASzip record")
+    compressor, *_, chunk_size, _, _, items = _LASZIP_LAYOUT.unpack_from(record)
     if compressor not in (2, 3):
-        raise InputError(f"expected LASzip compressor 2 or 3 (in chunks), got {compressor}: compress the file again")
-    if len(record) < _LASZIP.size + items * _ITEM.size:
-        raise _damaged("the LASzip record is not complete")
-    item_bytes = sum(_ITEM.unpack_from(record, _LASZIP.size + k * _ITEM.size)[1] for k in range(items))
+        raise InputError(f"expected LASzip compressor 2 or 3 (chunked), got {compressor}: compress the file again")
+    if len(record) < _LASZIP_LAYOUT.size + items * _ITEM_LAYOUT.size:
+        raise _damage_error("the LASzip record is incomplete")
+    item_bytes = sum(
+        _ITEM_LAYOUT.unpack_from(record, _LASZIP_LAYOUT.size + k * _ITEM_LAYOUT.size)[1] for k in range(items)
+    )
     if item_bytes != header.record_bytes:
-        raise _damaged(f"its LASzip record has {item_bytes} bytes a point, the header {header.record_bytes}")
+        raise _damage_error(f"the LASzip record states {item_bytes} bytes per point, the header {header.record_bytes}")
 
     size = file.seek(0, 2)
-    table = _integer(file, header.start, "<q")
-    if table == -1:  # written as a stream: the place stands at the very end
-        table = _integer(file, size - 8, "<q")
+    table = _read_integer(file, header.start, "<q")
+    if table == -1:  # written as a stream: the position is stored at the end of the file
+        table = _read_integer(file, size - 8, "<q")
     if not header.start + 8 <= table <= size - 8:
         raise InputError(
-            f"truncated LAZ data: the chunk table should stand at byte {table}, the file has {size}:"
+            f"truncated LAZ data: expected the chunk table at byte {table}, the file has {size} bytes:"
             " copy or export the file again"
         )
-    chunks = _integer(file, table + 4, "<I")
-    if chunks * header.record_bytes > table - header.start - 8:  # each chunk starts with a point as it is
-        raise _damaged(f"{chunks} chunks do not fit into {table - header.start - 8} bytes")
+    chunks = _read_integer(file, table + 4, "<I")
+    if chunks * header.record_bytes > table - header.start - 8:  # each chunk starts with an uncompressed point
+        raise _damage_error(f"{chunks} chunks do not fit into {table - header.start - 8} bytes")
     if chunk_size != _VARIABLE_CHUNKS and header.count > chunks * chunk_size:
-        raise _damaged(f"{chunks} chunks of {chunk_size} points cannot hold {header.count} points")
+        raise _damage_error(f"{chunks} chunks of {chunk_size} points cannot hold {header.count} points")
     unpacked = header.count * header.record_bytes
-    if unpacked > _MAX_FREE_GROWTH + _MAX_GROWTH * size:
-        raise _damaged(f"{size} bytes would unpack to {unpacked}")
+    if unpacked > _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * size:
+        raise _damage_error(f"{size} bytes would decompress to {unpacked} bytes")
 
 
-def _integer(file: BinaryIO, place: int, code: str) -> int:
+def _read_integer(file: BinaryIO, offset: int, code: str) -> int:
     layout = struct.Struct(code)
-    file.seek(max(place, 0))
+    file.seek(max(offset, 0))
     data = file.read(layout.size)
     if len(data) < layout.size:
         raise InputError("truncated LAZ data: the file ends before its points: copy or export the file again")
@@ -130,19 +137,24 @@ def _integer(file: BinaryIO, place: int, code: str) -> int:
 
 
 def laszip_record(point_format: int, extra_bytes: int) -> bytes:
-    """The LASzip record for new files."""
+    """Return the LASzip record for a new file."""
     lazrs = require("lazrs")
     return bytes(lazrs.LazVlr.new_for_compression(point_format, extra_bytes).record_data())
 
 
-def compressed(points: memoryview, laszip: bytes, start: int) -> memoryview:
-    """Point records as they stand in a LAZ file from its byte `start`.
+def compress(points: memoryview, laszip: bytes, start: int) -> memoryview:
+    """Compress point records as stored in a LAZ file from byte `start`.
 
-    In memory, not into the file: lazrs would turn "No space left on device" into an error of its own.
+    This happens in memory because lazrs would replace "No space left on device" with its own error.
+
+    Args:
+        points: point records of a LAS file.
+        laszip: LASzip record of the file.
+        start: offset of the points in the file, in bytes.
     """
     import lazrs
 
-    buffer = BytesIO(bytes(start))  # the chunk table's place is counted from the start of the file
+    buffer = BytesIO(bytes(start))  # the position of the chunk table is relative to the start of the file
     buffer.seek(start)
     compressor = lazrs.ParLasZipCompressor(buffer, lazrs.LazVlr(laszip))
     compressor.compress_many(points)

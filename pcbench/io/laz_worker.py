@@ -1,23 +1,23 @@
-"""Decompresses LAZ in a process of its own: `laz_worker.py START LASZIP COUNT BYTES`; the file is standard input, the
-points go to standard output.
+"""Decompress LAZ in a child process: `laz_worker.py START LASZIP COUNT BYTES`, from standard input to standard output.
 
-lazrs believes what a file says, and on damaged data may ask for 55 GB and abort. Nor has LAZ a checksum: bytes damaged
-in the middle may decode, to other times or colours. But the encoding of given points is always the same, so they are
+lazrs trusts the sizes in a file; on damaged data it may request 55 GB and abort. LAZ also lacks a checksum: damaged
+bytes in the middle may decode to other times or colours. Since encoding is deterministic, the decoded points are
 encoded again and compared with the file.
 
-Run by `pcbench.io.laz`, never imported: a script that needs neither pcbench nor numpy starts in 25 ms. The exit status
-is 0, 3 where lazrs does not load, 4 where some of the points encode to other bytes (their number, and that of the first
-of them, stand on standard error), 5 where all of them do, or anything else where the data are damaged.
+`pcbench.io.laz` runs this script and never imports it: without pcbench and numpy it starts in 25 ms. Exit status: 0;
+3 if lazrs does not load; 4 if the encoding of some points differs (their count and the first index go to standard
+error); 5 if that of all points differs; any other value if the data are damaged.
 """
 
 import io
 import os
 import sys
 
-_MAX_PIECE = 32 << 20  # bytes decompressed at a time: enough chunks to occupy all cores
+_MAX_BATCH_BYTES = 32 << 20  # decompressed at a time: enough chunks to occupy all cores
 
 
 def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
+    """Decompress and verify the points of a LAZ file."""
     try:
         import lazrs
     except ImportError:
@@ -26,34 +26,34 @@ def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
     source, target = sys.stdin.buffer, sys.stdout.buffer
     source.seek(start)
     vlr = lazrs.LazVlr(laszip)
-    chunks = _filled(lazrs.read_chunk_table(source, vlr), count)
+    chunks = _clip_chunks(lazrs.read_chunk_table(source, vlr), count)
     source.seek(start)
     decompressor = lazrs.ParLasZipDecompressor(source, laszip)
-    place, first = start + 8, 0  # in the file, behind where its chunk table is; among the points
-    wrong: list[tuple[int, int]] = []  # first point and number of the points of a chunk
+    offset, first = start + 8, 0  # byte in the file, after the pointer to the chunk table; index of the point
+    damaged: list[tuple[int, int]] = []  # first point and point count of each damaged chunk
     while chunks:
-        some = _piece(chunks, record_bytes)
-        piece = bytearray(sum(points for points, _ in some) * record_bytes)
-        decompressor.decompress_many(piece)
-        target.write(piece)
-        again = _encoded(piece, [points * record_bytes for points, _ in some], vlr)
-        for (points, size), bytes_again in zip(some, again, strict=True):
-            if os.pread(source.fileno(), size, place) != bytes_again:
-                wrong.append((first, points))
-            place, first = place + size, first + points
+        batch = _take_batch(chunks, record_bytes)
+        points_bytes = bytearray(sum(points for points, _ in batch) * record_bytes)
+        decompressor.decompress_many(points_bytes)
+        target.write(points_bytes)
+        encoded = _encode(points_bytes, [points * record_bytes for points, _ in batch], vlr)
+        for (points, size), encoded_chunk in zip(batch, encoded, strict=True):
+            if os.pread(source.fileno(), size, offset) != encoded_chunk:
+                damaged.append((first, points))
+            offset, first = offset + size, first + points
     target.flush()
-    number = sum(points for _, points in wrong)
+    number = sum(points for _, points in damaged)
     if number == count:
         sys.exit(5)
-    if wrong:
-        print(number, wrong[0][0], file=sys.stderr)
+    if damaged:
+        print(number, damaged[0][0], file=sys.stderr)
         sys.exit(4)
 
 
-def _filled(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
-    """Number of points and compressed bytes of each chunk that holds some of the `count` points.
+def _clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
+    """Return the point count and compressed size in bytes of each chunk that contains some of the `count` points.
 
-    Where all chunks have one size, the last one is rarely full.
+    If all chunks have one size, the last one is rarely full.
     """
     chunks = []
     for points, size in table:
@@ -61,22 +61,22 @@ def _filled(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
             chunks.append((min(points, count), size))
             count -= chunks[-1][0]
     if count:
-        sys.exit("the chunks hold too few points")
+        sys.exit("the chunks contain too few points")
     return chunks
 
 
-def _piece(chunks: list[tuple[int, int]], record_bytes: int) -> list[tuple[int, int]]:
-    """The next chunks to be decompressed together, taken from the front of `chunks`."""
-    number, room = 0, _MAX_PIECE
+def _take_batch(chunks: list[tuple[int, int]], record_bytes: int) -> list[tuple[int, int]]:
+    """Remove the next chunks to decompress together from the front of `chunks`, and return them."""
+    number, room = 0, _MAX_BATCH_BYTES
     while number < len(chunks) and (not number or chunks[number][0] * record_bytes <= room):
         room -= chunks[number][0] * record_bytes
         number += 1
-    some, chunks[:number] = chunks[:number], []
-    return some
+    batch, chunks[:number] = chunks[:number], []
+    return batch
 
 
-def _encoded(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[bytes]:  # type: ignore[name-defined]  # noqa: F821
-    """Each chunk, of so many bytes of points, compressed."""
+def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[bytes]:  # type: ignore[name-defined]  # noqa: F821
+    """Compress each chunk of `sizes` bytes of points."""
     import lazrs
 
     buffer = io.BytesIO()
@@ -90,12 +90,12 @@ def _encoded(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[b
         compressor.done()
         buffer.seek(0)
         table = lazrs.read_chunk_table(buffer, vlr)
-    except lazrs.LazrsError:  # an old encoding that is only read
+    except lazrs.LazrsError:  # an old encoding that lazrs can read but not write
         return [b""] * len(sizes)
-    data, place, result = buffer.getbuffer(), 8, []
+    data, offset, result = buffer.getbuffer(), 8, []
     for _, size in table:
-        result.append(bytes(data[place : place + size]))
-        place += size
+        result.append(bytes(data[offset : offset + size]))
+        offset += size
     return result
 
 

@@ -1,4 +1,4 @@
-"""Triangle meshes from files: the extension picks the format, see `formats.MESHES`."""
+"""Read triangle meshes. The file extension selects the format, see `formats.MESHES`."""
 
 from __future__ import annotations
 
@@ -10,40 +10,40 @@ from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn, as_path, check_readable, read_named
 from pcbench.io.formats import CLOUDS, MESHES
-from pcbench.io.ply import holds_faces
+from pcbench.io.ply import has_faces
 
 
 def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Mesh:
-    """The triangle mesh in a file; polygons are cut into fans of triangles.
+    """Read a triangle mesh from a file; polygons become fans of triangles.
 
-    Where a format repeats a vertex for each face (STL) or texture seam (glTF), exactly equal vertices are merged, so
-    that a closed surface is closed. glTF's axes stay as they are in the file, y up.
+    Formats that repeat a vertex per face (STL) or texture seam (glTF) get exactly equal vertices merged, so that a
+    closed surface stays closed. glTF axes are not changed (y up).
 
     Args:
-        path: an .stl, .obj, .ply, .glb, .gltf or .off file, in upper or lower case.
-        on_warning: called with one line for each thing left out; `warnings.warn` if not given.
+        path: .stl, .obj, .ply, .glb, .gltf or .off file (upper or lower case).
+        on_warning: callback, called with one line per warning. Defaults to `warnings.warn`.
 
     Raises:
-        InputError: the file cannot be read or is not what its extension says; the message starts with the path.
+        InputError: the file cannot be read or does not match its extension. The message starts with the path.
         MissingExtra: the format needs trimesh, which is not installed.
     """
     return read_named(as_path(path), _read, on_warning)
 
 
 def holds_mesh(path: str | os.PathLike[str]) -> bool:
-    """Whether the file is a mesh by its extension, or a PLY file whose header, all that is read, tells of faces."""
+    """Whether a file is a mesh by its extension, or by the faces in its header if it is PLY."""
     path = Path(path)
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in MESHES
     try:
         check_readable(path)
-        return holds_faces(path)
+        return has_faces(path)
     except (InputError, OSError):
-        return False  # whoever reads it says what is wrong
+        return False  # its reader reports the error
 
 
 def is_mesh_alone(path: str | os.PathLike[str]) -> bool:
-    """Whether the file's format holds meshes and no clouds."""
+    """Whether the file's format stores meshes but not clouds."""
     suffix = Path(path).suffix.lower()
     return suffix in MESHES and suffix not in CLOUDS
 
@@ -52,5 +52,5 @@ def _read(path: Path, warn: Warn) -> Mesh:
     extension = path.suffix.lower()
     if extension not in MESHES:
         known = ", ".join(MESHES)
-        raise InputError(f"expected a mesh file that ends in {known}; got {extension or 'no extension'!r}")
+        raise InputError(f"expected a mesh file with extension {known}; got {extension or 'no extension'!r}")
     return MESHES[extension](path, warn)

@@ -1,7 +1,7 @@
-"""NumPy files: .npy with (N, 3) points or (N, 6) points and normals; .npz with named arrays.
+"""Read and write NumPy files: .npy with points (N, 3) or points and normals (N, 6); .npz with named arrays.
 
-numpy parses the array header, and no more: the size that a header claims is compared with the size the file has before
-anything is allocated, and only plain numbers and texts are read, never pickles.
+numpy parses only the array header. The size in the header is compared with the file size before memory is allocated.
+Only numbers and texts are read, never pickles.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from pcbench.io.files import Fields, Warn, atomic_write
 if TYPE_CHECKING:
     from zipfile import ZipFile, ZipInfo
 
-_MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; plain arrays have 118
-_MAX_DIMENSION = 10**18  # more than any file holds; what numpy does with the shape stays within an int64
-_MAX_PIECE = 1 << 20  # bytes decompressed at a time
-# An archive may grow so many times when unpacked: coordinates shrink 2 to 20 times, a constant column up to 1000.
-_MAX_GROWTH, _MAX_FREE_GROWTH = 200, 16 << 20
-_TEXTS = ("crs", "unit")
+_MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; typical arrays have 118
+_MAX_DIMENSION = 10**18  # more than any file stores; numpy's products of the shape stay within int64
+_BLOCK_BYTES = 1 << 20  # decompressed at a time
+# Bound of the decompressed size, as a factor and in bytes: coordinates shrink 2 to 20 times, constants up to 1000.
+_MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 200, 16 << 20
+_TEXT_NAMES = ("crs", "unit")
 
 
 @dataclass(frozen=True)
 class _Header:
-    """What stands before the numbers of an array, and how many bytes it took."""
+    """Array header and its length in bytes."""
 
     dtype: np.dtype[Any]
     fortran_order: bool
@@ -49,11 +49,11 @@ class _Header:
 
 
 def read_npy(path: Path, warn: Warn) -> Fields:
-    """Points (N, 3), or points and normals (N, 6), of any float or integer type.
+    """Read points (N, 3), or points and normals (N, 6), of any float or integer type.
 
     Raises:
         InputError: the file is not a complete array of that shape.
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         header = _read_header(file)
@@ -63,23 +63,23 @@ def read_npy(path: Path, warn: Warn) -> Fields:
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
-    """Arrays `points` (N, 3) or (N, 6), `normals` (N, 3), `colors` (N, 3) uint8; the other (N,) arrays are attributes.
+    """Read arrays `points` (N, 3) or (N, 6), `normals` (N, 3), `colors` (N, 3) uint8; other (N,) arrays are attributes.
 
-    `crs` and `unit` are texts. An archive of one array holds points under any name. Arrays of other shapes are left out
-    with a warning.
+    `crs` and `unit` are texts. In an archive with one array, that array is the points, whatever its name. Arrays of
+    other shapes are left out with a warning.
 
     Raises:
-        InputError: the archive is damaged, holds no points, or grows beyond all measure when unpacked.
-        OSError: it cannot be read.
+        InputError: the archive is damaged, contains no points, or would decompress to an implausible size.
+        OSError: the file cannot be read.
     """
     import zipfile
 
     try:
         with zipfile.ZipFile(path) as archive:
             return _read_archive(archive, path.stat().st_size, warn)
-    except InputError:  # a ValueError too, but it says all already
+    except InputError:  # also a ValueError, but its message is complete
         raise
-    # What zipfile lets out on damaged archives, by reading and by mutating them.
+    # Errors that zipfile raises on damaged archives, found by reading its code and by fuzzing.
     except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, ValueError, OverflowError) as error:
         raise InputError(f"damaged archive: {error}: copy or export the file again") from error
     except OSError as error:
@@ -87,15 +87,15 @@ def read_npz(path: Path, warn: Warn) -> Fields:
             raise
         raise InputError("damaged archive: an entry lies outside it: copy or export the file again") from error
     except (NotImplementedError, RuntimeError) as error:
-        raise InputError(f"expected a plain zip archive, got: {error}") from error
+        raise InputError(f"expected a plain zip archive, got: {error}: save it with numpy.savez") from error
 
 
 def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     members = _members(archive, archive_bytes)
-    texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXTS if name in members}
+    texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXT_NAMES if name in members}
     key = "points" if "points" in members or len(members) != 1 else next(iter(members))
     if key not in members:
-        raise InputError(f"expected an array 'points', got {_listed(members)}")
+        raise InputError(f"expected an array 'points', got {_list_names(members)}: save the points under that name")
 
     headers = {name: _member_header(archive, info, name) for name, info in members.items()}
     _check_points(headers[key])
@@ -103,15 +103,15 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     for name, header in headers.items():
         if name in ("normals", "colors") and name != key:
             if header.shape != (count, 3):
-                raise InputError(f"expected {name} of shape ({count}, 3), got {header.shape}")
+                raise InputError(f"expected {name} of shape ({count}, 3), got {header.shape}: save one row per point")
             if name == "colors" and header.dtype != np.uint8:
-                raise InputError(f"expected colors as uint8 (0 to 255), got {header.dtype}")
+                raise InputError(f"expected colors as uint8 (0 to 255), got {header.dtype}: convert them")
     arrays: dict[str, NDArray[Any]] = {}
     for name, header in headers.items():
         if name in (key, "normals", "colors") or header.shape == (count,):
             with archive.open(members[name]) as file:
                 arrays[name] = _read_data(file, _read_header(file))
-                file.read(1)  # at its end zipfile compares the check sum
+                file.read(1)  # zipfile verifies the checksum at the end of the member
         else:
             warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
     fields = _points_fields(arrays.pop(key))
@@ -123,26 +123,28 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     return fields
 
 
-def _listed(names: Iterable[str]) -> str:
+def _list_names(names: Iterable[str]) -> str:
     return ", ".join(repr(name[:40]) for name in sorted(names)[:10]) or "none"
 
 
 def _members(archive: ZipFile, archive_bytes: int) -> dict[str, ZipInfo]:
-    """Members by array name, once it is known that unpacking them all is in proportion."""
+    """Return members by array name, after checking that the total decompressed size is plausible."""
     unpacked = sum(info.file_size for info in archive.infolist())
-    if unpacked > _MAX_FREE_GROWTH + _MAX_GROWTH * archive_bytes:
-        raise InputError(f"{archive_bytes} bytes would unpack to {unpacked}: refused, save it with numpy.savez")
+    if unpacked > _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * archive_bytes:
+        raise InputError(f"{archive_bytes} bytes would decompress to {unpacked} bytes: save it with numpy.savez")
     members: dict[str, ZipInfo] = {}
     for info in archive.infolist():
         name = info.filename.removesuffix(".npy")
         if name == info.filename:
-            raise InputError(f"expected arrays (.npy) in the archive, got {name[:40]!r}")
+            raise InputError(f"expected arrays (.npy) in the archive, got {name[:40]!r}: save it with numpy.savez")
         if name in members:
-            raise InputError(f"array {name[:40]!r} stands twice in the archive")
+            raise InputError(f"expected unique array names, got {name[:40]!r} twice: save it with numpy.savez")
         if info.flag_bits & 1:
-            raise InputError("expected a plain archive, got an encrypted one")
+            raise InputError("expected a plain archive, got an encrypted one: save it with numpy.savez")
         if info.compress_type not in (0, 8):
-            raise InputError(f"expected stored or deflated arrays, got zip method {info.compress_type}")
+            raise InputError(
+                f"expected stored or deflated arrays, got zip method {info.compress_type}: save it with numpy.savez"
+            )
         members[name] = info
     return members
 
@@ -162,32 +164,34 @@ def _read_text(archive: ZipFile, info: ZipInfo, name: str) -> str | None:
         header = _read_header(file, kinds="U")
         _check_size(header, info.file_size)
         if header.shape != ():
-            raise InputError(f"expected {name!r} as a text, got an array of shape {header.shape}")
+            raise InputError(f"expected {name!r} as a text, got an array of shape {header.shape}: save a string")
         if not header.data_bytes:
             return None
-        # Not through numpy's str: a number that is no character raises SystemError there, and ValueError here.
+        # Not with numpy's str, which raises SystemError on an invalid code point; decode raises ValueError.
         codes = _read_data(file, header).reshape(1).view(np.uint32)
         return codes.astype("<u4").tobytes().decode("utf-32-le").rstrip("\0") or None
 
 
 def _check_points(header: _Header) -> None:
     if len(header.shape) != 2 or header.shape[1] not in (3, 6):
-        raise InputError(f"expected points of shape (N, 3), or (N, 6) with normals; got {header.shape}")
+        raise InputError(f"expected points of shape (N, 3), or (N, 6) with normals; got {header.shape}: reshape them")
     if header.dtype.kind not in "fiu":
-        raise InputError(f"expected points as floats or integers, got {header.dtype}")
+        raise InputError(f"expected points as floats or integers, got {header.dtype}: convert them")
     if not header.shape[0]:
-        raise InputError("expected at least one point, got 0")
+        raise InputError("expected at least one point, got 0: save a cloud with points")
 
 
 def _check_size(header: _Header, size: int) -> None:
-    present = size - header.header_bytes
-    if present < header.data_bytes:
+    available = size - header.header_bytes
+    if available < header.data_bytes:
         per_row = header.data_bytes // max(header.shape[0], 1) if header.shape else header.data_bytes
-        complete = present // max(per_row, 1)
+        complete = available // max(per_row, 1)
         total = header.shape[0] if header.shape else 1
-        raise InputError(f"truncated: {complete} of {total} rows: copy or export the file again")
-    if present > header.data_bytes:
-        raise InputError(f"{present - header.data_bytes} bytes after the array: header and data disagree")
+        raise InputError(f"truncated: got {complete} of {total} rows: copy or export the file again")
+    if available > header.data_bytes:
+        raise InputError(
+            f"expected the end of the array, got {available - header.data_bytes} more bytes: save it again"
+        )
 
 
 def _points_fields(array: NDArray[Any]) -> Fields:
@@ -199,30 +203,32 @@ def _points_fields(array: NDArray[Any]) -> Fields:
 
 
 def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
-    """The header of an array in format version 1 or 2 (version 3 exists for names that plain arrays do not have)."""
+    """Read the header of an array in format version 1 or 2. Version 3 is only needed for non-Latin field names."""
     start = file.read(8)
     if start[:6] != b"\x93NUMPY":
-        raise InputError(f"expected a NumPy array that starts with b'\\x93NUMPY', got {start[:6]!r}")
+        raise InputError(
+            f"expected a NumPy array that starts with b'\\x93NUMPY', got {start[:6]!r}: save it with numpy.save"
+        )
     if start[6:] not in (b"\x01\x00", b"\x02\x00"):
         raise InputError(f"expected NumPy format 1.0 or 2.0, got {start[6:]!r}: save it with numpy.save")
     counter = struct.Struct("<H" if start[6] == 1 else "<I")
     length_bytes = file.read(counter.size)
     if len(length_bytes) < counter.size:
-        raise InputError("truncated: the header is not complete: copy or export the file again")
+        raise InputError("truncated: the array header is incomplete: copy or export the file again")
     length = counter.unpack(length_bytes)[0]
     if length > _MAX_HEADER_BYTES:
-        raise InputError(f"expected an array header of at most {_MAX_HEADER_BYTES} bytes, got {length}")
+        raise InputError(f"expected an array header of at most {_MAX_HEADER_BYTES} bytes, got {length}: save it again")
     text = file.read(length)
     if len(text) < length:
-        raise InputError("truncated: the header is not complete: copy or export the file again")
+        raise InputError("truncated: the array header is incomplete: copy or export the file again")
 
     header = BytesIO(start + length_bytes + text)
     np.lib.format.read_magic(header)
     parse = np.lib.format.read_array_header_1_0 if start[6] == 1 else np.lib.format.read_array_header_2_0
-    unreadable = InputError(f"expected a plain array of numbers, got the header {text[:80]!r}")
+    unreadable = InputError(f"expected a plain array of numbers, got the header {text[:80]!r}: save it with numpy.save")
     try:
         shape, fortran_order, dtype = parse(header, max_header_size=_MAX_HEADER_BYTES)
-    except Exception as error:  # numpy's ValueError, and all that Python's parser and tokenizer let out on damaged text
+    except Exception as error:  # numpy's ValueError, and any error of Python's parser on damaged text
         raise unreadable from error
     if dtype.names or dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
         raise unreadable
@@ -232,60 +238,65 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
 
 
 def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
-    """The array itself, C-contiguous and in native byte order; its size has been checked against the file's."""
+    """Read the array, C-contiguous and in native byte order. Its size has already been checked."""
     data = np.empty(header.data_bytes, dtype=np.uint8)
-    place = 0
-    while place < len(data):
-        piece = file.read(min(_MAX_PIECE, len(data) - place))
-        if not piece:
-            raise InputError(f"truncated: {place} of {len(data)} bytes: copy or export the file again")
-        data[place : place + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
-        place += len(piece)
+    filled = 0
+    while filled < len(data):
+        block = file.read(min(_BLOCK_BYTES, len(data) - filled))
+        if not block:
+            raise InputError(f"truncated: got {filled} of {len(data)} bytes: copy or export the file again")
+        data[filled : filled + len(block)] = np.frombuffer(block, dtype=np.uint8)
+        filled += len(block)
     values = data.view(header.dtype).reshape(header.shape, order="F" if header.fortran_order else "C")
     if header.dtype.kind == "b":
-        values = data.reshape(values.shape) != 0  # a byte that is neither 0 nor 1 is no valid bool
+        values = data.reshape(values.shape) != 0  # bytes other than 0 and 1 are not valid bools
     return np.ascontiguousarray(values, dtype=header.dtype.newbyteorder("=")).reshape(header.shape)
 
 
 def write_npy(path: Path, cloud: Cloud) -> None:
-    """Writes the points alone, (N, 3) float64.
+    """Write only the points, (N, 3) float64.
 
     Raises:
-        OSError: the file cannot be written; an existing one is then unchanged.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     with atomic_write(path) as file:
         _write_array(file, cloud.points)
 
 
 def write_npz(path: Path, cloud: Cloud) -> None:
-    """Writes all a cloud holds: points, normals, colors, attributes under their names, crs and unit as texts.
+    """Write all data of a cloud: points, normals, colors, attributes under their names, crs and unit as texts.
 
     Raises:
-        InputError: an attribute's name or type cannot stand in the archive.
-        OSError: the file cannot be written; an existing one is then unchanged.
+        InputError: an attribute's name or type cannot be stored in the archive.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     from zipfile import ZipFile, ZipInfo
 
-    own = {"points": cloud.points, "normals": cloud.normals, "colors": cloud.colors}
+    standard_arrays = {"points": cloud.points, "normals": cloud.normals, "colors": cloud.colors}
     texts = {"crs": cloud.crs, "unit": cloud.unit}
-    arrays = {name: array for name, array in own.items() if array is not None}
+    arrays = {name: array for name, array in standard_arrays.items() if array is not None}
     arrays |= {name: np.array(text) for name, text in texts.items() if text}
     for name, values in cloud.attributes.items():
-        if name in own or name in texts or not name or not name.isprintable():
-            raise InputError(f"{path}: expected attribute names other than {', '.join([*own, *texts])}, got {name!r}")
+        if name in standard_arrays or name in texts or not name or not name.isprintable():
+            raise InputError(
+                f"{path}: expected attribute names other than {', '.join([*standard_arrays, *texts])}, got {name!r}:"
+                " rename it"
+            )
         if values.dtype.kind not in "biuf":
-            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
+            raise InputError(
+                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
+            )
         arrays[name] = values
     with atomic_write(path) as file:
         with ZipFile(file, "w") as archive:
             for name, array in arrays.items():
-                # A ZipInfo without the time of day: the same cloud gives the same bytes.
+                # A ZipInfo without the current time, so that the same cloud gives the same bytes.
                 with archive.open(ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
                     _write_array(member, array)
 
 
 def _write_array(file: IO[bytes], array: NDArray[Any]) -> None:
-    # Not numpy.save: on a full disk it says "3 requested and 1 written", the system "No space left on device".
+    # Not numpy.save: on a full disk it reports "3 requested and 1 written" instead of "No space left on device".
     array = np.ascontiguousarray(array).reshape(array.shape)
     np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(array))
     file.write(array.reshape(-1).view(np.uint8).data)

@@ -1,8 +1,8 @@
-"""Wavefront OBJ meshes.
+"""Read Wavefront OBJ meshes.
 
-Read here and not by trimesh. trimesh 5.2 takes vertex 0, which is none, for the last one; it ends other numbers that
-lie with an IndexError that names no line, leaves out points and lines without a word, and refuses files of which only
-some vertices have colours. And it would have to be installed.
+Why not trimesh: trimesh 5.2 reads vertex 0, which is invalid, as the last vertex. Other invalid indices cause an
+IndexError without a line number. It silently leaves out points and lines, and refuses files in which only some vertices
+have colours. It would also be a dependency.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import fans
+from pcbench.io.polygons import triangulate_fans
 
 
 def read_obj(path: Path, warn: Warn) -> Mesh:
-    """Lines `v x y z` and `f a b c ...`; a corner `7/2/3` is vertex 7, and -1 is the last one so far.
+    """Read lines `v x y z` and `f a b c ...`; a corner `7/2/3` is vertex 7, and -1 is the last vertex so far.
 
     Raises:
-        InputError: a line is not of that form, or names a vertex that there is not.
+        InputError: a line is malformed, or refers to a vertex that does not exist.
         OSError: the file cannot be read.
     """
     coordinates, lengths, corners = array("d"), array("q"), array("q")
@@ -41,7 +41,7 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
                 known = len(coordinates) // 3
                 for word in words[1:]:
                     corner = int(word.partition(b"/")[0])
-                    if not -known <= corner or not corner:  # too high a number may name a vertex still to come
+                    if not -known <= corner or not corner:  # a larger index may refer to a later vertex
                         raise ValueError
                     corners.append(corner - 1 if corner > 0 else known + corner)
                 lengths.append(len(words) - 1)
@@ -49,10 +49,10 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
                 left_out += 1
         except (ValueError, OverflowError):
             expected = "'v x y z'" if words[0] == b"v" else f"'f a b c' with vertices 1 to {len(coordinates) // 3}"
-            shown = repr(line.strip()[:60])[1:]
-            raise InputError(f"line {number}: expected {expected}, got {shown}") from None
+            excerpt = repr(line.strip()[:60])[1:]
+            raise InputError(f"line {number}: expected {expected}, got {excerpt}") from None
     if left_out:
-        warn(f"left out {left_out} points and lines")
+        warn(f"left out {left_out} point and line elements")
     vertices = np.frombuffer(coordinates, dtype=np.float64).reshape(-1, 3)
-    faces = fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
+    faces = triangulate_fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

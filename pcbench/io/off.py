@@ -1,7 +1,7 @@
-"""Object File Format (OFF) meshes.
+"""Read Object File Format (OFF) meshes.
 
-Read here and not by trimesh. trimesh 5.2 reads a file that has fewer faces than it says, or lines after the last one,
-without a word, loses a face that is cut off, and fails on one of five corners. And it would have to be installed.
+Why not trimesh: trimesh 5.2 silently reads a file with fewer faces than its header states, or with lines after the last
+face. It loses a truncated face, and fails on a face of five corners. It would also be a dependency.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import fans
+from pcbench.io.polygons import triangulate_fans
 
-_OFF = (b"OFF", b"COFF", b"NOFF", b"CNOFF")  # colours and normals follow the coordinates
+_OFF = (b"OFF", b"COFF", b"NOFF", b"CNOFF")  # with colours or normals after the coordinates
 
 
 def read_off(path: Path, warn: Warn) -> Mesh:
-    """The word OFF, three counts, a line `x y z ...` a vertex, a line `3 a b c ...` a face; # starts a comment.
+    """Read the word OFF, three counts, one line `x y z ...` per vertex and `3 a b c ...` per face; # starts a comment.
 
     Raises:
-        InputError: the file is cut off, or its counts and lines disagree.
-        OSError: it cannot be read.
+        InputError: the file is truncated, or its counts and lines do not match.
+        OSError: the file cannot be read.
     """
     lines = [line.partition(b"#")[0].split() for line in path.read_bytes().splitlines()]
     lines = [words for words in lines if words]
@@ -33,16 +33,18 @@ def read_off(path: Path, warn: Warn) -> Mesh:
                          else "expected an OFF file, got an empty one")  # fmt: skip
     counts = lines[0][1:] or (lines[1] if len(lines) > 1 else [])
     if len(counts) not in (2, 3) or not all(word.isdigit() and len(word) < 19 for word in counts):
-        raise InputError(f"expected counts of vertices, faces and edges, got {b' '.join(counts)[:40]!r}")
+        raise InputError(
+            f"expected counts of vertices, faces and edges, got {b' '.join(counts)[:40]!r}: export it again"
+        )
     vertex_count, face_count = int(counts[0]), int(counts[1])
     body = lines[1 if lines[0][1:] else 2 :]
     if len(body) < vertex_count + face_count:
         what = f"{len(body)} of {vertex_count} vertices"
         if len(body) >= vertex_count:
             what = f"{len(body) - vertex_count} of {face_count} faces"
-        raise InputError(f"truncated: {what}: copy or export the file again")
+        raise InputError(f"truncated: got {what}: copy or export the file again")
     if extra := len(body) - vertex_count - face_count:
-        raise InputError(f"{extra} lines after the last face: header and body disagree, export the file again")
+        raise InputError(f"expected the end of the file after the last face, got {extra} more lines: export it again")
     vertices = np.empty((vertex_count, 3))
     lengths, corners = array("q"), array("q")
     for number, words in enumerate(body):
@@ -57,7 +59,7 @@ def read_off(path: Path, warn: Warn) -> Mesh:
                     raise ValueError
         except (ValueError, OverflowError):
             what = f"vertex {number}" if number < vertex_count else f"face {number - vertex_count}"
-            expected = "x y z" if number < vertex_count else "a count and as many vertices"
+            expected = "x y z" if number < vertex_count else "a count and that many vertices"
             raise InputError(f"{what}: expected {expected}, got {b' '.join(words)[:60]!r}") from None
-    faces = fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
+    faces = triangulate_fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

@@ -1,8 +1,8 @@
-"""OpenMVS scenes: `.mvs` files in its interface format ("MVSI"), which OpenMVG, COLMAP's and its own importers write.
+"""Read OpenMVS scenes: `.mvs` files in the interface format ("MVSI"), written by OpenMVG and OpenMVS's importers.
 
 After an identifier, a version and a reserved word come platforms (with cameras and poses), images, vertices (with the
-images that show them), their normals and their colours; all little-endian. A list is a count of 8 bytes and its items.
-What follows (lines, a transform, a box) is not needed but for the transform. Pixel centres are at whole numbers.
+images that observe them), their normals and their colours; all little-endian. A list is a count of 8 bytes and its
+items. Of the rest (lines, a transform, a box) only the transform is checked. Pixel centres are at integers.
 """
 
 from __future__ import annotations
@@ -24,39 +24,41 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.files import Fields, Warn, check_readable, finite_cloud
 
 _VERSIONS = range(1, 8)
-_NONE = 0xFFFFFFFF  # the number of a pose that an image does not have
-_VIEW_SCORE, _VIEW = 24, 8  # bytes of an item that is skipped
-_CAMERA_MATRICES = 21 * 8  # K, R, C
-_MAX_ROTATION_ENTRY = 2.0  # those of a rotation are at most 1
+_NO_POSE = 0xFFFFFFFF  # pose index of an image without a pose
+_VIEW_SCORE_BYTES, _VIEW_BYTES = 24, 8  # sizes of items that are skipped
+_CAMERA_MATRIX_BYTES = 21 * 8  # K, R, C
+_MAX_ROTATION_ENTRY = 2.0  # entries of a rotation are at most 1
 
 
 class OpenMvsScene(NamedTuple):
-    """Cameras under the names that the file has for their images, and its points; None where it has none."""
+    """Cameras, named by their images as in the file, and the points of the scene; None if it has none."""
 
     cameras: tuple[Camera, ...]
     points: Cloud | None
 
 
 def is_openmvs(path: Path) -> bool:
-    """Whether a file is a scene of OpenMVS, by its ending."""
+    """Whether a file is an OpenMVS scene, by its extension."""
     return path.suffix.lower() == ".mvs"
 
 
 def read_openmvs(path: Path, size_of: Callable[[str], tuple[int, int] | None], warn: Warn) -> OpenMvsScene:
-    """The cameras and points of a scene in OpenMVS's interface format.
+    """Read the cameras and points of a scene in OpenMVS's interface format.
 
     Args:
-        size_of: width and height of the image that a name means, None where there is none: intrinsics of cameras
-            without a size are divided by the longer side of their images. Images that are not there are left out then.
-        warn: called with one line for each thing that is not obeyed.
+        path: input file.
+        size_of: function from an image name to (width, height), or None if there is no such image. It is needed for
+            cameras without a size, whose intrinsics are relative to the longer side; their images are left out if they
+            do not exist.
+        warn: callback, called with one line per warning.
 
     Raises:
-        InputError: it is no such file, of a version that is not known, cut off, or a pose is no rotation; the message
-            starts with the path.
+        InputError: the file is not a scene, has an unknown version or is truncated, or a pose is not a rotation. The
+            message starts with the path.
     """
     try:
         check_readable(path)
-        with np.errstate(all="ignore"):  # damaged numbers become infinite, which is refused
+        with np.errstate(all="ignore"):  # damaged numbers become infinite, and are refused
             return _Reader(path.read_bytes()).scene(size_of, lambda text: warn(f"{path}: {text}"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -65,7 +67,7 @@ def read_openmvs(path: Path, size_of: Callable[[str], tuple[int, int] | None], w
 
 
 class _MountedCamera(NamedTuple):
-    """A camera on its platform; without a size, width and height are 0 and K is divided by the longer side."""
+    """Camera on its platform. Without a size, width and height are 0 and K is relative to the longer side."""
 
     width: int
     height: int
@@ -81,7 +83,7 @@ class _MountedCamera(NamedTuple):
             width, height, scale = *image, float(max(image))
         k = scale * self.k
         if abs(k[0, 1]) > 1e-6 * k[0, 0]:
-            raise InputError("expected intrinsics without skew")
+            raise InputError("expected intrinsics without skew: undistort the images first")
         return Intrinsics(width, height, k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
 
 
@@ -99,35 +101,39 @@ class _Image(NamedTuple):
 
 @dataclass
 class _Reader:
-    """The bytes of a file, and how far they are read."""
+    """Bytes of a file and the current offset."""
 
     data: bytes
-    place: int = 0
+    offset: int = 0
     version: int = 0
 
     def scene(self, size_of: Callable[[str], tuple[int, int] | None], warn: Warn) -> OpenMvsScene:
         identifier = self.data[:4]
         if identifier[:3] == b"MVS" and identifier != b"MVSI":
-            raise InputError("expected OpenMVS's interface format, got its own project: save it with --archive-type -1")
+            raise InputError(
+                "expected OpenMVS's interface format, got an OpenMVS project: save it with --archive-type -1"
+            )
         if identifier != b"MVSI":
-            raise InputError("expected a scene of OpenMVS, which begins with MVSI")
-        self.place = 4
+            raise InputError("expected an OpenMVS scene that starts with MVSI, got another format: export it again")
+        self.offset = 4
         self.version, _ = self._take("<II")
         if self.version not in _VERSIONS:
-            raise InputError(f"expected version 1 to {_VERSIONS[-1]} of the interface format, got {self.version}")
+            raise InputError(
+                f"expected interface format version 1 to {_VERSIONS[-1]}, got {self.version}: export it again"
+            )
         platforms = [self._platform() for _ in self._count(24)]
         images = [self._image() for _ in self._count(20)]
         points = self._points()
         if self._has_transform():
-            warn("not obeyed: its transform to other coordinates; cameras and points are read as they stand")
+            warn("ignored the transform to other coordinates: cameras and points are read as stored")
         cameras = [camera for image in images if (camera := _camera(image, platforms, size_of)) is not None]
         if not cameras:
-            raise InputError("expected at least one image with a pose, got a scene without")
+            raise InputError("expected at least one image with a pose, got none: export the scene again")
         return OpenMvsScene(tuple(cameras), finite_cloud(points, warn) if len(points["points"]) else None)
 
     def _platform(self) -> _Platform:
         self._text()
-        cameras = [self._mounted_camera() for _ in self._count(_CAMERA_MATRICES)]
+        cameras = [self._mounted_camera() for _ in self._count(_CAMERA_MATRIX_BYTES)]
         poses = []
         for _ in self._count(12 * 8):
             numbers = np.array(self._take("<12d"))
@@ -137,7 +143,7 @@ class _Reader:
     def _mounted_camera(self) -> _MountedCamera:
         self._text()
         if self.version > 3:
-            self._text()  # the name of a band
+            self._text()  # band name
         width, height = self._take("<II")
         numbers = np.array(self._take("<21d"))
         return _MountedCamera(width, height, numbers[:9].reshape(3, 3), numbers[9:18].reshape(3, 3), numbers[18:])
@@ -145,103 +151,105 @@ class _Reader:
     def _image(self) -> _Image:
         name = self._text()
         if self.version > 4:
-            self._text()  # the name of a mask
+            self._text()  # mask name
         image = _Image(name, *self._take("<III"))
         if self.version > 2:
             self._take("<I")
         if self.version > 6:
             self._take("<3f")
-            self._skip(len(self._count(_VIEW_SCORE)) * _VIEW_SCORE)
+            self._skip(len(self._count(_VIEW_SCORE_BYTES)) * _VIEW_SCORE_BYTES)
         return image
 
     def _points(self) -> Fields:
         count = len(self._count(12 + 8))
-        places, views = np.empty(count, np.int64), np.empty(count, np.int64)
+        offsets, views = np.empty(count, np.int64), np.empty(count, np.int64)
         for k in range(count):
-            places[k] = self.place
+            offsets[k] = self.offset
             self._skip(12)
-            views[k] = len(self._count(_VIEW))
-            self._skip(int(views[k]) * _VIEW)
-        columns = np.frombuffer(self.data, np.uint8)[places[:, None] + np.arange(12)].reshape(-1, 12)
+            views[k] = len(self._count(_VIEW_BYTES))
+            self._skip(int(views[k]) * _VIEW_BYTES)
+        columns = np.frombuffer(self.data, np.uint8)[offsets[:, None] + np.arange(12)].reshape(-1, 12)
         xyz = np.ascontiguousarray(columns).view("<f4").astype(np.float64)
         normals, colors = self._array("<f4", 3, count), self._array("u1", 3, count)
         return Fields(
             points=xyz,
             normals=None if normals is None else normals.astype(np.float64),
-            colors=None if colors is None else np.ascontiguousarray(colors[:, ::-1]),  # blue comes first
+            colors=None if colors is None else np.ascontiguousarray(colors[:, ::-1]),  # stored as BGR
             attributes={"track_length": views},
         )
 
     def _array(self, dtype: str, columns: int, rows: int) -> NDArray[np.generic] | None:
-        """A list of one item per point; None where it is empty."""
+        """Read a list of one item per point; return None if it is empty."""
         size = columns * np.dtype(dtype).itemsize
         count = len(self._count(size))
         if count not in (0, rows):
-            raise InputError(f"expected as many normals and colours as points ({rows}), got {count}")
-        values = np.frombuffer(self.data, dtype, count * columns, self.place).reshape(count, columns)
+            raise InputError(f"expected {rows} normals and colours, one per point, got {count}: export it again")
+        values = np.frombuffer(self.data, dtype, count * columns, self.offset).reshape(count, columns)
         self._skip(count * size)
         return values if count else None
 
     def _has_transform(self) -> bool:
-        """Whether the scene has been moved from other coordinates. What stands before that, lines, is skipped."""
+        """Skip the lines, and return whether the scene has been transformed from other coordinates."""
         if self.version < 2:
             return False
         for _ in self._count(24 + 8):
             self._skip(24)
-            self._skip(len(self._count(_VIEW)) * _VIEW)
+            self._skip(len(self._count(_VIEW_BYTES)) * _VIEW_BYTES)
         self._skip(len(self._count(12)) * 12)
         self._skip(len(self._count(3)) * 3)
         return not np.array_equal(np.array(self._take("<16d")).reshape(4, 4), np.eye(4))
 
     def _take(self, code: str) -> tuple[Any, ...]:
-        start = self.place
+        start = self.offset
         self._skip(struct.calcsize(code))
         return struct.unpack_from(code, self.data, start)
 
     def _text(self) -> str:
         size = len(self._count(1))
-        start = self.place
+        start = self.offset
         self._skip(size)
         try:
-            return self.data[start : self.place].decode()
+            return self.data[start : self.offset].decode()
         except UnicodeDecodeError:
-            raise InputError("expected names in UTF-8: the file is damaged") from None
+            raise InputError("expected names in UTF-8, got other bytes: copy or export the file again") from None
 
     def _count(self, item: int) -> range:
-        """The numbers of the items of a list that follows, each of at least so many bytes."""
+        """Read the count of the list that follows, whose items have at least `item` bytes, as a range."""
         (count,) = self._take("<Q")
-        if count * item > len(self.data) - self.place:
+        if count * item > len(self.data) - self.offset:
             raise InputError(
-                f"truncated: {count} items of at least {item} bytes from byte {self.place} on, the file has"
-                f" {len(self.data)}: copy or export it again"
+                f"truncated: expected {count} items of at least {item} bytes from byte {self.offset} on, the file has"
+                f" {len(self.data)} bytes: copy or export it again"
             )
         return range(count)
 
     def _skip(self, size: int) -> None:
-        if self.place + size > len(self.data):
-            raise InputError(f"truncated: {len(self.data)} bytes, expected more: copy or export the file again")
-        self.place += size
+        if self.offset + size > len(self.data):
+            raise InputError(f"truncated: expected more than {len(self.data)} bytes: copy or export the file again")
+        self.offset += size
 
 
 def _camera(
     image: _Image, platforms: list[_Platform], size_of: Callable[[str], tuple[int, int] | None]
 ) -> Camera | None:
-    """The camera of an image: that of its platform, where the platform was."""
-    if image.pose == _NONE:
+    """Return the camera of an image: the camera on its platform, at the platform's pose."""
+    if image.pose == _NO_POSE:
         return None
     try:
         platform = platforms[image.platform]
-        mounted, (turn, center) = platform.cameras[image.camera], platform.poses[image.pose]
+        mounted, (platform_rotation, center) = platform.cameras[image.camera], platform.poses[image.pose]
     except IndexError:
-        raise InputError(f"image {image.name!r} has a platform, camera or pose that is not in the file") from None
+        raise InputError(
+            f"image {image.name!r}: its platform, camera or pose is not in the file: export it again"
+        ) from None
     try:
-        if not (np.abs([mounted.rotation, turn]) <= _MAX_ROTATION_ENTRY).all():
-            raise InputError("expected the rotations of platform and camera, got matrices that are none")
+        if not (np.abs([mounted.rotation, platform_rotation]) <= _MAX_ROTATION_ENTRY).all():
+            raise InputError("expected rotation matrices for platform and camera, got others: export it again")
         intrinsics = mounted.intrinsics(size_of(image.name))
-        rotation = rotation_from(mounted.rotation @ turn)
-        translation = -rotation @ (turn.T @ mounted.center + center)
+        rotation = rotation_from(mounted.rotation @ platform_rotation)
+        translation = -rotation @ (platform_rotation.T @ mounted.center + center)
         if not np.isfinite(translation).all():
-            raise InputError("expected a finite position")
+            raise InputError("expected a finite camera position: export the scene again")
     except InputError as error:
         raise InputError(f"image {image.name!r}: {error}") from None
     return None if intrinsics is None else Camera(image.name, intrinsics, Similarity(rotation, translation))

@@ -1,7 +1,7 @@
-"""PCD 0.7 of the Point Cloud Library: ascii, binary and binary_compressed.
+"""Read and write PCD 0.7 of the Point Cloud Library: ascii, binary and binary_compressed.
 
-As with PLY, the header is believed only as far as the file is long. "The PCD (Point Cloud Data) file format", in the
-documentation of the Point Cloud Library.
+As for PLY, the sizes in the header are checked against the file. Specification: "The PCD (Point Cloud Data) file
+format", in the documentation of the Point Cloud Library.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWP
 _TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)}
 _TYPES |= {"F4": "<f4", "F8": "<f8"}
 _IDENTITY = "0 0 0 1 0 0 0"  # viewpoint: translation, and rotation as a quaternion wxyz
-_DATA = ("ascii", "binary", "binary_compressed")
+_DATA_KINDS = ("ascii", "binary", "binary_compressed")
 _XYZ = ("x", "y", "z")
 _NORMALS = ("normal_x", "normal_y", "normal_z")
-_PACKED = ("rgb", "rgba")
+_PACKED_COLORS = ("rgb", "rgba")
 
 Columns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class _Field:
-    """`count` numbers of one type in a point; padding is called "_"."""
+    """Field of `count` numbers of one type per point; padding is named "_"."""
 
     name: str
     dtype: np.dtype[Any]
@@ -61,18 +61,18 @@ class _PcdHeader:
         return sum(field.size for field in self.fields)
 
     def truncated(self, complete: int) -> InputError:
-        return InputError(f"truncated: {complete} of {self.count} points: copy or export the file again")
+        return InputError(f"truncated: got {complete} of {self.count} points: copy or export the file again")
 
 
 def read_pcd(path: Path, warn: Warn) -> Fields:
-    """The points of a PCD file: x y z, normal_x normal_y normal_z, packed rgb or rgba, and the rest as attributes.
+    """Read the points of a PCD file: x y z, normal_x normal_y normal_z, packed rgb or rgba; the rest are attributes.
 
-    A field of several numbers becomes attributes "name[0]", "name[1]"; the alpha of rgba is left out. An ascii file's
-    coordinates keep the digits they have. The viewpoint is not applied: points are returned as they are stored.
+    A field of several numbers becomes attributes "name[0]", "name[1]". The alpha of rgba is left out. Coordinates of an
+    ascii file keep all digits. Points are returned as stored: the viewpoint is not applied.
 
     Raises:
         InputError: the file is not a complete PCD file with at least one point.
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         header = _read_header(file)
@@ -85,16 +85,18 @@ def read_pcd(path: Path, warn: Warn) -> Fields:
         elif header.data == "binary":
             columns = _binary_columns(body, header, warn)
         else:
-            columns = _compressed_columns(body, header)
+            columns = _decompressed_columns(body, header)
         points = np.stack([columns.pop(name)[:, 0] for name in _XYZ], axis=1, dtype=np.float64, casting="unsafe")
         normals = None
         if columns.keys() >= set(_NORMALS) and all(columns[name].shape[1] == 1 for name in _NORMALS):
             normals = np.stack([columns.pop(name)[:, 0] for name in _NORMALS], axis=1)
-    packed = next((name for name in _PACKED if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None)
+    packed = next(
+        (name for name in _PACKED_COLORS if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None
+    )
     return Fields(
         points=points,
         normals=normals,
-        colors=_unpacked(columns.pop(packed)) if packed else None,
+        colors=_unpack_colors(columns.pop(packed)) if packed else None,
         attributes=_attributes(columns),
     )
 
@@ -106,8 +108,8 @@ def _is_identity(viewpoint: str) -> bool:
         return False
 
 
-def _unpacked(values: NDArray[Any]) -> NDArray[np.uint8]:
-    """Red, green and blue (N, 3) from the bits of a uint32 or float32: alpha, red, green, blue from the top."""
+def _unpack_colors(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return red, green, blue (N, 3) from a uint32 or float32: alpha, red, green, blue from the top byte down."""
     bits = np.ascontiguousarray(values[:, 0]).view(np.uint32)
     return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
 
@@ -126,7 +128,7 @@ def _attributes(columns: Columns) -> Columns:
 
 
 def _read_header(file: BinaryIO) -> _PcdHeader:
-    """Reads up to and including the line DATA: the file then stands at the body."""
+    """Read the header including the DATA line, so that the file position is at the body."""
     entries: dict[str, list[str]] = {}
     used = 0
     while "DATA" not in entries:
@@ -134,10 +136,12 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         used += len(line)
         if used > _MAX_HEADER_BYTES:
             raise InputError(
-                f"expected a PCD header of at most {_MAX_HEADER_BYTES} bytes, got no DATA line until there"
+                f"expected a DATA line within {_MAX_HEADER_BYTES} header bytes, got none: export the file again"
             )
         if not line:
-            raise InputError("header without a DATA line: expected a PCD file (VERSION, FIELDS, SIZE, TYPE, ...)")
+            raise InputError(
+                "expected a PCD header (VERSION, FIELDS, SIZE, TYPE, ...), got no DATA line: export it again"
+            )
         words = line.decode("latin-1").split()
         if not words or words[0].startswith("#"):
             continue
@@ -145,65 +149,69 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         if key == "COLUMNS":  # an old name
             key = "FIELDS"
         if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
-            raise InputError(f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_shown(line)}")
+            raise InputError(
+                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_excerpt(line)}"
+            )
         if key in entries:
-            raise InputError(f"header: a second {key} line")
+            raise InputError(f"header: expected one {key} line, got two: export the file again")
         entries[key] = words[1:]
 
     if missing := [key for key in ("FIELDS", "SIZE", "TYPE") if not entries.get(key)]:
-        raise InputError(f"header without {', '.join(missing)}: export the file again")
+        raise InputError(f"header: expected {', '.join(missing)}, got no such line: export the file again")
     names = entries["FIELDS"]
     counts = entries.get("COUNT", ["1"] * len(names))
     for key, words in (("SIZE", entries["SIZE"]), ("TYPE", entries["TYPE"]), ("COUNT", counts)):
         if len(words) != len(names):
-            raise InputError(f"header: {len(names)} FIELDS, but {len(words)} values in {key}")
+            raise InputError(
+                f"header: expected {len(names)} values in {key}, one per field, got {len(words)}: export it again"
+            )
     fields = [
         _field(name, kind + size, count)
         for name, kind, size, count in zip(names, entries["TYPE"], entries["SIZE"], counts, strict=True)
     ]
     _check_fields(fields)
-    width, height = _one(entries, "WIDTH"), _one(entries, "HEIGHT")
-    count = _one(entries, "POINTS") if "POINTS" in entries else width * height
+    width, height = _single_count(entries, "WIDTH"), _single_count(entries, "HEIGHT")
+    count = _single_count(entries, "POINTS") if "POINTS" in entries else width * height
     if "WIDTH" in entries and count != width * height:
-        raise InputError(f"header: WIDTH {width} x HEIGHT {height} is not POINTS {count}")
+        raise InputError(f"header: expected POINTS {width * height} (WIDTH x HEIGHT), got {count}: export it again")
     if not count:
-        raise InputError("expected at least one point, got POINTS 0")
-    if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA:
-        raise InputError(f"header: expected DATA {', '.join(_DATA)}; got {' '.join(entries['DATA'])[:40]!r}")
+        raise InputError("expected at least one point, got POINTS 0: export the file again")
+    if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA_KINDS:
+        raise InputError(f"header: expected DATA {', '.join(_DATA_KINDS)}; got {' '.join(entries['DATA'])[:40]!r}")
     return _PcdHeader(fields, count, entries["DATA"][0].lower(), " ".join(entries.get("VIEWPOINT", [_IDENTITY])))
 
 
-def _one(entries: dict[str, list[str]], key: str) -> int:
+def _single_count(entries: dict[str, list[str]], key: str) -> int:
     words = entries.get(key, ["1"])
-    return _whole(words[0] if len(words) == 1 else " ".join(words), key)
+    return _parse_count(words[0] if len(words) == 1 else " ".join(words), key)
 
 
-def _whole(word: str, key: str) -> int:
+def _parse_count(word: str, key: str) -> int:
     if not word.isdigit() or len(word) > 18:
-        raise InputError(f"header: expected {key} as a whole number, got {word[:40]!r}")
+        raise InputError(f"header: expected {key} as an integer, got {word[:40]!r}: export the file again")
     return int(word)
 
 
 def _field(name: str, code: str, count: str) -> _Field:
     if code.upper() not in _TYPES:
         raise InputError(
-            f"header: expected a type and size of {', '.join(_TYPES)}; got {code[:40]!r} for {name[:40]!r}"
+            f"header: expected type and size {', '.join(_TYPES)}; got {code[:40]!r} for {name[:40]!r}: export it again"
         )
-    return _Field(name, np.dtype(_TYPES[code.upper()]), _whole(count, "COUNT"))
+    return _Field(name, np.dtype(_TYPES[code.upper()]), _parse_count(count, "COUNT"))
 
 
 def _check_fields(fields: list[_Field]) -> None:
     names = [field.name for field in fields if field.name != "_"]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"field {twice[:40]!r} stands twice in the header")
+        raise InputError(f"header: expected unique field names, got {twice[:40]!r} twice: rename one of them")
     if missing := [name for name in _XYZ if name not in names]:
-        raise InputError(f"expected fields x, y, z; missing: {', '.join(missing)}")
+        raise InputError(f"expected fields x, y, z; missing: {', '.join(missing)}: rename the fields")
     for field in fields:
-        if not field.count or (field.name in _XYZ + _PACKED and field.count != 1):
-            raise InputError(f"header: expected COUNT 1 of {field.name[:40]!r}, got {field.count}")
+        if not field.count or (field.name in _XYZ + _PACKED_COLORS and field.count != 1):
+            raise InputError(f"header: expected COUNT 1 for {field.name[:40]!r}, got {field.count}: export it again")
 
 
-def _shown(line: bytes) -> str:
+def _excerpt(line: bytes) -> str:
     text = line.strip()
     return repr(text[:60])[1:] + ("..." if len(text) > 60 else "")
 
@@ -212,61 +220,65 @@ def _shown(line: bytes) -> str:
 
 
 def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> Columns:
-    """Columns (N, count) as views: points stand one after the other."""
+    """Return columns (N, count) as views: the body stores point after point."""
     if len(body) < header.count * header.point_bytes:
         raise header.truncated(len(body) // header.point_bytes)
     if extra := len(body) - header.count * header.point_bytes:
-        warn(f"{extra} bytes after the last point were left out")
-    columns, place = {}, 0
+        warn(f"left out {extra} bytes after the last point")
+    columns, offset = {}, 0
     for field in header.fields:
         if field.name != "_":
             shape, strides = (header.count, field.count), (header.point_bytes, field.dtype.itemsize)
-            columns[field.name] = np.ndarray(shape, field.dtype, body.data, place, strides)
-        place += field.size
+            columns[field.name] = np.ndarray(shape, field.dtype, body.data, offset, strides)
+        offset += field.size
     return columns
 
 
-def _compressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Columns:
-    """Columns (N, count) as views: fields stand one after the other, and are compressed as a whole."""
+def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Columns:
+    """Return columns (N, count) as views: the body stores field after field, compressed together."""
     total = header.count * header.point_bytes
     if len(body) < 8:
         raise header.truncated(0)
     packed, unpacked = struct.unpack("<II", body[:8].tobytes())
     if unpacked != total:
-        raise InputError(f"expected {header.count} points in {total} bytes, the body says {unpacked}: damaged header")
+        raise InputError(
+            f"expected {total} bytes for {header.count} points, the body states {unpacked}: export it again"
+        )
     if packed > len(body) - 8:
-        raise InputError(f"truncated: {len(body) - 8} of {packed} compressed bytes: copy or export the file again")
+        raise InputError(f"truncated: got {len(body) - 8} of {packed} compressed bytes: copy or export the file again")
     if unpacked > packed * lzf.MAX_GROWTH:
-        raise InputError(f"damaged LZF data: {packed} bytes cannot become {unpacked}: export the file again")
+        raise InputError(f"damaged LZF data: {packed} bytes cannot decompress to {unpacked}: export the file again")
     data = lzf.decompress(body[8 : 8 + packed].tobytes(), total)
-    columns, place = {}, 0
+    columns, offset = {}, 0
     for field in header.fields:
         if field.name != "_":
-            columns[field.name] = np.ndarray((header.count, field.count), field.dtype, data, place)
-        place += field.size * header.count
+            columns[field.name] = np.ndarray((header.count, field.count), field.dtype, data, offset)
+        offset += field.size * header.count
     return columns
 
 
 def _ascii_columns(text: bytes, header: _PcdHeader) -> Columns:
-    """Columns (N, count) in their types; coordinates in float64."""
-    if header.count * header.values * 2 - 1 > len(text):  # a digit and a blank each
+    """Return columns (N, count) in their types; coordinates in float64."""
+    if header.count * header.values * 2 - 1 > len(text):  # at least a digit and a separator per value
         raise header.truncated(min(len(text.splitlines()), header.count - 1))
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) < header.count:
         raise header.truncated(len(lines))
     if len(lines) > header.count:
-        raise InputError(f"{len(lines) - header.count} lines after the last point: header and body disagree")
+        raise InputError(
+            f"expected {header.count} points as the header states, got {len(lines)} lines: export the file again"
+        )
     table = _ascii_table(lines, header)
-    columns, place = {}, 0
+    columns, offset = {}, 0
     for field in header.fields:
-        values = table[:, place : place + field.count]
+        values = table[:, offset : offset + field.count]
         if field.name in _XYZ:
             columns[field.name] = values
         elif field.name != "_":
-            columns[field.name] = _typed(values, field)
+            columns[field.name] = _convert_column(values, field)
             if field.dtype.itemsize == 8 and field.dtype.kind != "f" and np.abs(values).max() >= 2**53:
-                columns[field.name] = _long_integers(lines, place, field)
-        place += field.count
+                columns[field.name] = _long_integers(lines, offset, field)
+        offset += field.count
     return columns
 
 
@@ -276,7 +288,7 @@ def _ascii_table(lines: list[bytes], header: _PcdHeader) -> NDArray[np.float64]:
         if table.shape == (header.count, header.values):
             return table
     except ValueError:
-        pass  # the walk below says which row is wrong
+        pass  # the loop below finds the row
     for number, line in enumerate(lines):
         words = line.split()
         if len(words) != header.values:
@@ -285,40 +297,44 @@ def _ascii_table(lines: list[bytes], header: _PcdHeader) -> NDArray[np.float64]:
             try:
                 float(word)
             except ValueError:
-                raise InputError(f"point {number + 1}: expected numbers, got {_shown(line)}") from None
-    raise InputError("expected lines of numbers, got something else")
+                raise InputError(f"point {number + 1}: expected numbers, got {_excerpt(line)}") from None
+    raise InputError("expected lines of numbers, got other text: export the file again")
 
 
-def _typed(values: NDArray[np.float64], field: _Field) -> NDArray[Any]:
+def _convert_column(values: NDArray[np.float64], field: _Field) -> NDArray[Any]:
     if field.dtype.kind == "f":
         return values.astype(field.dtype)
     typed = values.astype(field.dtype)
     if len(wrong := np.flatnonzero((typed != values).any(axis=1))):
-        raise InputError(f"point {wrong[0] + 1}: expected {field.name!r} as {field.dtype.name}, got another number")
+        raise InputError(
+            f"point {wrong[0] + 1}: expected {field.name!r} as {field.dtype.name}, got another number: export it again"
+        )
     return typed
 
 
-def _long_integers(lines: list[bytes], place: int, field: _Field) -> NDArray[Any]:
-    """Integers that float64 would round."""
+def _long_integers(lines: list[bytes], offset: int, field: _Field) -> NDArray[Any]:
+    """Parse integers that float64 would round."""
     try:
-        words = [line.split()[place : place + field.count] for line in lines]
+        words = [line.split()[offset : offset + field.count] for line in lines]
         return np.array([[int(word) for word in row] for row in words], dtype=field.dtype)
     except (ValueError, OverflowError):
-        raise InputError(f"expected {field.name!r} as {field.dtype.name}, got another number") from None
+        raise InputError(
+            f"expected {field.name!r} as {field.dtype.name}, got another number: export it again"
+        ) from None
 
 
 # ---- writer -------------------------------------------------------------------------------------------------------
 
 
 def write_pcd(path: Path, cloud: Cloud) -> None:
-    """Writes binary PCD: x y z, normals float, packed rgb, attributes in their type. No place for crs and unit.
+    """Write binary PCD: x y z, normals as float, packed rgb, attributes in their type. PCD cannot store crs and unit.
 
-    Coordinates are float where that is exact, else double: PCL and Open3D know points of floats only (Open3D takes
-    doubles for zeros), but a float is off by 0.1 m and more at UTM coordinates.
+    Coordinates are float if that is exact, else double: PCL and Open3D only support float points (Open3D reads doubles
+    as zeros), but float is off by 0.1 m and more at UTM coordinates.
 
     Raises:
-        InputError: an attribute's name or type cannot stand in a PCD file.
-        OSError: the file cannot be written; an existing one is then unchanged.
+        InputError: an attribute's name or type cannot be stored in PCD.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     with np.errstate(over="ignore"):
         floats = cloud.points.astype(np.float32)
@@ -332,12 +348,19 @@ def write_pcd(path: Path, cloud: Cloud) -> None:
     for name, values in cloud.attributes.items():
         values = values.astype(np.uint8) if values.dtype.kind == "b" else values
         values = values.astype(np.float32) if values.dtype == np.float16 else values
-        if name in (*columns, *_PACKED, "_") or not name.isascii() or not name.isprintable() or len(name.split()) != 1:
+        if (
+            name in (*columns, *_PACKED_COLORS, "_")
+            or not name.isascii()
+            or not name.isprintable()
+            or len(name.split()) != 1
+        ):
             raise InputError(
-                f"{path}: expected attribute names of ASCII that PCD does not use, got {name!r}: rename it"
+                f"{path}: expected ASCII attribute names that PCD does not reserve, got {name!r}: rename it"
             )
         if values.dtype.kind not in "iuf" or values.dtype.str[1:].upper() not in _TYPES:
-            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
+            raise InputError(
+                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
+            )
         columns[name] = values
     codes = {name: column.dtype.str[1:] for name, column in columns.items()}
     rows = np.empty(len(cloud), dtype=[(name, f"<{code}") for name, code in codes.items()])

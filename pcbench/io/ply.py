@@ -1,6 +1,6 @@
-"""PLY clouds: ascii and binary, any order of elements and properties, list properties anywhere.
+"""Read and write PLY: ascii and binary, any order of elements and properties, list properties anywhere.
 
-The header is read by `ply_header`, the elements by `ply_body`; here it is said what they mean for a cloud or a mesh.
+`ply_header` reads the header and `ply_body` the elements; this module converts them to a cloud or a mesh.
 """
 
 from __future__ import annotations
@@ -19,53 +19,53 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.ply_body import Columns, read_elements
 from pcbench.io.ply_header import TYPE_NAMES, XYZ, PlyHeader, check_faces, check_vertices, read_header
-from pcbench.io.polygons import fans
+from pcbench.io.polygons import triangulate_fans
 
-ABOUT = "coordinates about"  # of a comment: a place in the world that all coordinates are taken about
+ABOUT = "coordinates about"  # tag of the comment line with the origin that is added to all coordinates
 _NORMALS = ("nx", "ny", "nz")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 
 
 def read_ply(path: Path, warn: Warn) -> Fields:
-    """The vertices of a PLY file: x y z, normals, 8-bit colours, and every other scalar as an attribute.
+    """Read the vertices of a PLY file: x y z, normals, 8-bit colours; all other scalars are attributes.
 
-    Coordinates become float64 (an ascii file keeps the digits it has, whatever type it declares). Attributes keep their
-    type and, where the byte order is native, are strided views into the bytes read. List properties and other elements
-    are checked for their size and left out. Normals that are all zero, as in Gaussian splats, count as none. Lines
-    `comment crs EPSG:32617` and `comment unit m` give the cloud's crs and unit, and `comment coordinates about X Y Z`
-    a place that is added to all points: floats have too few digits for projected coordinates.
+    Coordinates become float64; those of an ascii file keep all digits, whatever type it declares. Attributes keep their
+    type and, in native byte order, are strided views into the bytes read. List properties and other elements are
+    checked for their size and left out. Normals that are all zero, as in Gaussian splats, are left out. The lines
+    `comment crs EPSG:32617` and `comment unit m` set the crs and unit. `comment coordinates about X Y Z` is an origin
+    that is added to all points, since floats have too few digits for projected coordinates.
 
     Raises:
         InputError: the file is not a complete PLY file with at least one vertex.
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
-    # Damaged floats may be signalling NaNs or overflow a narrower type: they become NaN or Inf and are dropped later.
+    # Damaged floats may be signalling NaNs or overflow a narrower type; they become NaN or Inf and are dropped later.
     with path.open("rb") as file, np.errstate(invalid="ignore", over="ignore"):
         header = read_header(file)
         check_vertices(header)
         columns = read_elements(file, header, scalars=("vertex",))["vertex"].columns
         points = _points(columns, header)
-        normals = _stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
+        normals = _pop_stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
         colors = None
         for names in _COLORS:
             if columns.keys() >= set(names) and all(columns[name].dtype == np.uint8 for name in names):
-                colors = _stacked(columns, names, np.uint8)
+                colors = _pop_stacked(columns, names, np.uint8)
                 break
     return Fields(
         points=points,
         normals=normals if normals is not None and normals.any() else None,
         colors=colors,
         attributes={name: c.astype(c.dtype.newbyteorder("="), copy=False) for name, c in columns.items()},
-        crs=header.tagged("crs"),
-        unit=header.tagged("unit"),
+        crs=header.tag_value("crs"),
+        unit=header.tag_value("unit"),
     )
 
 
-def holds_faces(path: Path) -> bool:
-    """Whether the header, all that is read, tells of faces.
+def has_faces(path: Path) -> bool:
+    """Whether a PLY file has faces. Only the header is read.
 
     Raises:
-        InputError: it is not the header of a PLY file.
+        InputError: the file does not start with a PLY header.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
@@ -73,11 +73,11 @@ def holds_faces(path: Path) -> bool:
 
 
 def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
-    """The faces of a PLY file, polygons as fans of triangles, with its crs and unit.
+    """Read the faces of a PLY file as triangles (polygons become fans), with its crs and unit.
 
     Raises:
-        InputError: the file is not a complete PLY file with at least one vertex and lists of vertices a face.
-        OSError: it cannot be read.
+        InputError: the file is not a complete PLY file with at least one vertex and a list of vertices per face.
+        OSError: the file cannot be read.
     """
     with path.open("rb") as file, np.errstate(invalid="ignore", over="ignore"):
         header = read_header(file)
@@ -87,13 +87,13 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
         points = _points(tables["vertex"].columns, header)
     polygons = tables["face"].polygons
     assert polygons is not None  # check_faces
-    return Mesh(points, fans(*polygons, warn), crs=header.tagged("crs"), unit=header.tagged("unit"))
+    return Mesh(points, triangulate_fans(*polygons, warn), crs=header.tag_value("crs"), unit=header.tag_value("unit"))
 
 
 def _points(columns: Columns, header: PlyHeader) -> FloatArray:
-    """The coordinates, taken out of the columns, in the frame that the header tells."""
-    points = _stacked(columns, XYZ, np.float64)
-    words = (header.tagged(ABOUT) or "").split()
+    """Remove the coordinates from the columns and return them, with the origin in the header added."""
+    points = _pop_stacked(columns, XYZ, np.float64)
+    words = (header.tag_value(ABOUT) or "").split()
     try:
         origin = np.array([float(word) for word in words])
     except ValueError:
@@ -103,25 +103,25 @@ def _points(columns: Columns, header: PlyHeader) -> FloatArray:
     return points
 
 
-def _stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:
-    """Three columns taken out of `columns` as one (N, 3) array: the only copy of them."""
-    taken = [columns.pop(name) for name in names]
-    stacked = np.empty((len(taken[0]), 3), dtype=dtype)
-    for axis, column in enumerate(taken):
+def _pop_stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:
+    """Remove three columns and return them as one (N, 3) array, their only copy."""
+    popped = [columns.pop(name) for name in names]
+    stacked = np.empty((len(popped[0]), 3), dtype=dtype)
+    for axis, column in enumerate(popped):
         stacked[:, axis] = column
     return stacked
 
 
 def write_ply(path: Path, cloud: Cloud) -> None:
-    """Writes binary little-endian PLY: x y z double, nx ny nz float, red green blue uchar, attributes in their type.
+    """Write binary little-endian PLY: x y z double, nx ny nz float, red green blue uchar, attributes in their type.
 
-    Normals are directions: float's 7 digits are enough. An attribute of a type that PLY does not have becomes the first
-    of int, uint and double that holds its values (bool: uchar; integers beyond 2^53 lose digits in the double). `crs`
-    and `unit` go into comment lines.
+    Normals are directions, for which the 7 digits of float are enough. An attribute of a type that PLY lacks becomes
+    the first of int, uint and double that holds its values (bool: uchar; integers beyond 2^53 are rounded). `crs` and
+    `unit` are written as comment lines.
 
     Raises:
-        InputError: an attribute's name or type cannot stand in a PLY file.
-        OSError: the file cannot be written; an existing one is then unchanged.
+        InputError: an attribute's name or type cannot be stored in PLY.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     columns: Columns = {name: cloud.points[:, axis] for axis, name in enumerate(XYZ)}
     if cloud.normals is not None:
@@ -132,21 +132,22 @@ def write_ply(path: Path, cloud: Cloud) -> None:
         if name in columns:
             raise InputError(f"{path}: attribute {name!r} has the name of a coordinate, normal or colour: rename it")
         if not name or not name.isascii() or not name.isprintable() or " " in name:
-            raise InputError(f"{path}: expected attribute names of ASCII without spaces, got {name!r}: rename it")
+            raise InputError(f"{path}: expected ASCII attribute names without spaces, got {name!r}: rename it")
         columns[name] = _as_ply_type(name, values, path)
 
     write_vertices(path, columns, {tag: text for tag, text in (("crs", cloud.crs), ("unit", cloud.unit)) if text})
 
 
 def write_vertices(path: Path, columns: Columns, tags: Mapping[str, str]) -> None:
-    """Write binary little-endian PLY of vertices alone.
+    """Write a binary little-endian PLY file that contains only vertices.
 
     Args:
-        columns: (N,) each, of types that PLY has, by the names of the properties in their order.
-        tags: of comment lines, and what follows them.
+        path: output file.
+        columns: vertex properties (N,) by name, in order, of types that PLY supports.
+        tags: comment lines, as text by tag.
 
     Raises:
-        OSError: the file cannot be written; an existing one is then unchanged.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     types = {name: column.dtype.newbyteorder("=").str[1:] for name, column in columns.items()}
     count = len(next(iter(columns.values())))
@@ -167,7 +168,7 @@ def _one_line(text: str) -> str:
 
 def _as_ply_type(name: str, values: NDArray[Any], path: Path) -> NDArray[Any]:
     if values.dtype.kind not in "biuf":
-        raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
+        raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
     if values.dtype.newbyteorder("=").str[1:] in TYPE_NAMES:
         return values
     if values.dtype.kind == "b":

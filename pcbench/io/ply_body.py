@@ -1,6 +1,6 @@
-"""The body of a PLY file, ascii or binary, in one pass over its elements.
+"""Read the body of a PLY file, ascii or binary, in one pass over its elements.
 
-The body is read in one go into a buffer of the size the file has, and every count is checked against that buffer.
+The complete body is read into a buffer of the actual size, and each count is checked against that buffer.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.io.files import read_rest
-from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, PlyHeader, Property, shown
+from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, PlyHeader, Property, excerpt
 
 Columns = dict[str, NDArray[Any]]
 
 
 class Polygons(NamedTuple):
-    """The vertex numbers of rows: `lengths` (rows,) how many each has, `corners` all of them in a row."""
+    """Vertex indices of rows: `lengths` (rows,) is the number of corners per row, `corners` lists all corners."""
 
     lengths: NDArray[np.int64]
     corners: NDArray[np.int64]
 
 
 class Table(NamedTuple):
-    """What was asked for of an element: its scalar properties by name, each (rows,), and its polygons."""
+    """Requested data of an element: its scalar properties by name, each (rows,), and its polygons."""
 
     columns: Columns
     polygons: Polygons | None
 
 
-class _Wanted(NamedTuple):
+class _Selection(NamedTuple):
     scalars: bool
     polygons: bool
 
@@ -42,68 +42,72 @@ class _Wanted(NamedTuple):
 def read_elements(
     file: BinaryIO, header: PlyHeader, *, scalars: Collection[str], polygons: Collection[str] = ()
 ) -> dict[str, Table]:
-    """The elements of a file that stands at its body, by name; those not asked for are checked for their size only.
+    """Read the elements of a file by name, from its body. Elements that are not requested are only checked for size.
 
-    Coordinates of an ascii file are float64 whatever type it declares: they keep the digits of the text. All other
-    columns have their declared type; those of a binary file are strided views into the bytes read where they can be.
+    Coordinates of an ascii file are float64, whatever type it declares, and keep all digits. All other columns have
+    their declared type. Those of a binary file are strided views into the bytes read if possible.
 
     Args:
-        file: where `read_header` left it.
+        file: input file at the position after `read_header`.
         header: its header.
-        scalars: the elements whose scalar properties are returned.
-        polygons: the elements whose list of vertex numbers (`Element.polygon`) is returned.
+        scalars: names of the elements whose scalar properties are returned.
+        polygons: names of the elements whose list of vertex indices (`Element.polygon`) is returned.
 
     Raises:
-        InputError: the body is not as long as the header says, or holds something else.
+        InputError: the length or content of the body does not match the header.
         OSError: the file cannot be read.
     """
     body = read_rest(file)
-    wanted = {
-        element.name: _Wanted(element.name in scalars, element.name in polygons and element.polygon is not None)
+    selection = {
+        element.name: _Selection(element.name in scalars, element.name in polygons and element.polygon is not None)
         for element in header.elements
     }
-    return _ascii_tables(body.tobytes(), header, wanted) if header.byte_order is None else _tables(body, header, wanted)
+    return (
+        _ascii_tables(body.tobytes(), header, selection)
+        if header.byte_order is None
+        else _tables(body, header, selection)
+    )
 
 
 def _polygons(lengths: NDArray[np.int64], numbers: NDArray[Any]) -> Polygons:
-    """Vertex numbers may be declared as floats."""
+    """Convert vertex indices, which may be declared as floats, to integers."""
     corners = numbers.astype(np.int64)
     if numbers.dtype.kind == "f" and not (corners == numbers).all():
-        raise InputError("expected whole numbers of vertices in the faces, got fractions: the file is damaged")
+        raise InputError("expected integer vertex indices in the faces, got fractions: export the file again")
     return Polygons(lengths, corners)
 
 
 # ---- binary -------------------------------------------------------------------------------------------------------
 
 
-def _tables(body: NDArray[np.uint8], header: PlyHeader, wanted: dict[str, _Wanted]) -> dict[str, Table]:
+def _tables(body: NDArray[np.uint8], header: PlyHeader, selection: dict[str, _Selection]) -> dict[str, Table]:
     tables: dict[str, Table] = {}
     start = 0
     for element in header.elements:
-        tables[element.name], start = _table(body, start, element, wanted[element.name])
+        tables[element.name], start = _table(body, start, element, selection[element.name])
     if start < len(body):
         raise InputError(
-            f"{len(body) - start} bytes after the last element: header and body disagree, export the file again"
+            f"expected the end of the file after the last element, got {len(body) - start} more bytes: export it again"
         )
     return tables
 
 
-def _table(body: NDArray[np.uint8], start: int, element: Element, wanted: _Wanted) -> tuple[Table, int]:
-    """What is wanted of an element, and where the next one starts."""
+def _table(body: NDArray[np.uint8], start: int, element: Element, selection: _Selection) -> tuple[Table, int]:
+    """Read the selected data of an element; also return the start of the next element."""
     if not element.count or not element.properties:
-        return Table({}, Polygons(np.empty(0, np.int64), np.empty(0, np.int64)) if wanted.polygons else None), start
-    # Most lists have one length throughout (triangles): suppose that of the first row, and check.
+        return Table({}, Polygons(np.empty(0, np.int64), np.empty(0, np.int64)) if selection.polygons else None), start
+    # Most lists have one length throughout (triangles), so try that of the first row first.
     first = _list_lengths(body, start, element, rows=1)[0]
-    even = _even_rows(body, start, element, first.tolist(), wanted)
-    if even is not None:
-        return even
+    uniform = _uniform_rows(body, start, element, first.tolist(), selection)
+    if uniform is not None:
+        return uniform
     lengths = _list_lengths(body, start, element, rows=element.count)
-    return _uneven_rows(body, start, element, lengths, wanted)
+    return _varying_rows(body, start, element, lengths, selection)
 
 
 def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: int) -> NDArray[np.int64]:
-    """Lengths (rows, lists) of the lists in the first `rows` rows, which are walked one by one."""
-    steps = []  # for each list: bytes of scalars before it, how to read its length, bytes of that and of an item
+    """Return the lengths (rows, lists) of the lists in the first `rows` rows, read row by row."""
+    steps = []  # for each list: bytes of scalars before it, reader of its length, bytes of the length and of an item
     before = 0
     for prop in element.properties:
         if prop.length is None:
@@ -115,27 +119,29 @@ def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: i
             before = 0
     lengths = array("q")
     data = body.data
-    place = start
+    offset = start
     for row in range(rows if steps else 0):
         for skip, unpack, counter_bytes, item_bytes in steps:
-            place += skip
-            if place + counter_bytes > len(data):
+            offset += skip
+            if offset + counter_bytes > len(data):
                 raise element.truncated(row)
-            length = unpack(data, place)[0]
+            length = unpack(data, offset)[0]
             if length < 0:
-                raise InputError(f"{element.counted(row)} read, then a list of length {length}: the file is damaged")
+                raise InputError(
+                    f"expected a list length of 0 or more, got {length} after {element.count_text(row)}: export again"
+                )
             lengths.append(length)
-            place += counter_bytes + length * item_bytes
-        if place + before > len(data):
+            offset += counter_bytes + length * item_bytes
+        if offset + before > len(data):
             raise element.truncated(row)
-        place += before
+        offset += before
     return np.frombuffer(lengths, dtype=np.int64).reshape(rows, len(steps)) if steps else np.empty((rows, 0), np.int64)
 
 
-def _even_rows(
-    body: NDArray[np.uint8], start: int, element: Element, lengths: Sequence[int], wanted: _Wanted
+def _uniform_rows(
+    body: NDArray[np.uint8], start: int, element: Element, lengths: Sequence[int], selection: _Selection
 ) -> tuple[Table, int] | None:
-    """Columns as strided views, if every row's lists have the given lengths (lists,); else None."""
+    """Return columns as strided views if the lists of all rows have the given lengths (lists,), else None."""
     remaining = iter(lengths)
     scalars: list[tuple[Property, int]] = []
     lists: list[tuple[Property, np.dtype[Any], int, int]] = []
@@ -154,59 +160,59 @@ def _even_rows(
             raise element.truncated((len(body) - start) // row_bytes)
         return None
 
-    def column(dtype: np.dtype[Any], place: int) -> NDArray[Any]:
-        return np.ndarray(element.count, dtype, body.data, start + place, (row_bytes,))
+    def column(dtype: np.dtype[Any], offset: int) -> NDArray[Any]:
+        return np.ndarray(element.count, dtype, body.data, start + offset, (row_bytes,))
 
-    if not all((column(counter, place) == length).all() for _, counter, place, length in lists):
+    if not all((column(counter, offset) == length).all() for _, counter, offset, length in lists):
         return None
-    columns = {prop.name: column(prop.dtype, place) for prop, place in scalars} if wanted.scalars else {}
-    if not wanted.polygons:
+    columns = {prop.name: column(prop.dtype, offset) for prop, offset in scalars} if selection.scalars else {}
+    if not selection.polygons:
         return Table(columns, None), end
-    prop, counter, place, length = next(entry for entry in lists if entry[0] is element.polygon)
-    items = start + place + counter.itemsize
+    prop, counter, offset, length = next(entry for entry in lists if entry[0] is element.polygon)
+    items = start + offset + counter.itemsize
     strides = (row_bytes, prop.dtype.itemsize)
     numbers: NDArray[Any] = np.ndarray((element.count, length), prop.dtype, body.data, items, strides)
     return Table(columns, _polygons(np.full(element.count, length), numbers.reshape(-1))), end
 
 
-def _uneven_rows(
-    body: NDArray[np.uint8], start: int, element: Element, lengths: NDArray[np.int64], wanted: _Wanted
+def _varying_rows(
+    body: NDArray[np.uint8], start: int, element: Element, lengths: NDArray[np.int64], selection: _Selection
 ) -> tuple[Table, int]:
-    """Columns gathered row by row; lengths (rows, lists) are known to stay inside the body."""
-    fixed = sum((prop.length or prop.dtype).itemsize for prop in element.properties)
-    row_bytes = fixed + lengths @ np.array([prop.dtype.itemsize for prop in element.lists], dtype=np.int64)
+    """Gather columns row by row; lengths (rows, lists) are known to stay inside the body."""
+    fixed_bytes = sum((prop.length or prop.dtype).itemsize for prop in element.properties)
+    row_bytes = fixed_bytes + lengths @ np.array([prop.dtype.itemsize for prop in element.lists], dtype=np.int64)
     ends = start + np.cumsum(row_bytes)
-    places = ends - row_bytes  # of the property that the loop is at, in each row
+    offsets = ends - row_bytes  # of the current property, in each row
     columns: Columns = {}
     polygons: Polygons | None = None
     counts = iter(lengths.T)
     for prop in element.properties:
         if prop.length is None:
-            if wanted.scalars:
-                columns[prop.name] = _gathered(body, places, prop.dtype)
-            places = places + prop.dtype.itemsize
+            if selection.scalars:
+                columns[prop.name] = _gather(body, offsets, prop.dtype)
+            offsets = offsets + prop.dtype.itemsize
             continue
         count = next(counts)
-        places = places + prop.length.itemsize
-        if wanted.polygons and prop is element.polygon:
-            within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-            items = np.repeat(places, count) + within * prop.dtype.itemsize
-            polygons = _polygons(count, _gathered(body, items, prop.dtype))
-        places = places + count * prop.dtype.itemsize
+        offsets = offsets + prop.length.itemsize
+        if selection.polygons and prop is element.polygon:
+            item_index = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+            items = np.repeat(offsets, count) + item_index * prop.dtype.itemsize
+            polygons = _polygons(count, _gather(body, items, prop.dtype))
+        offsets = offsets + count * prop.dtype.itemsize
     return Table(columns, polygons), int(ends[-1])
 
 
-def _gathered(body: NDArray[np.uint8], places: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """One value at each place (N,), in bytes."""
-    if not len(places):
+def _gather(body: NDArray[np.uint8], offsets: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the value at each byte offset (N,)."""
+    if not len(offsets):
         return np.empty(0, dtype)
-    return np.lib.stride_tricks.sliding_window_view(body, dtype.itemsize)[places].view(dtype)[:, 0]
+    return np.lib.stride_tricks.sliding_window_view(body, dtype.itemsize)[offsets].view(dtype)[:, 0]
 
 
 # ---- ascii --------------------------------------------------------------------------------------------------------
 
 
-def _ascii_tables(text: bytes, header: PlyHeader, wanted: dict[str, _Wanted]) -> dict[str, Table]:
+def _ascii_tables(text: bytes, header: PlyHeader, selection: dict[str, _Selection]) -> dict[str, Table]:
     lines = [line for line in text.splitlines() if line.strip()]
     tables: dict[str, Table] = {}
     start = 0
@@ -217,40 +223,40 @@ def _ascii_tables(text: bytes, header: PlyHeader, wanted: dict[str, _Wanted]) ->
         if len(rows) < element.count:
             raise element.truncated(len(rows))
         start += len(rows)
-        tables[element.name] = _ascii_table(rows, element, wanted[element.name])
+        tables[element.name] = _ascii_table(rows, element, selection[element.name])
     if start < len(lines):
         raise InputError(
-            f"{len(lines) - start} lines after the last element: header and body disagree, export it again"
+            f"expected the end of the file after the last element, got {len(lines) - start} more lines: export it again"
         )
     return tables
 
 
-def _ascii_table(rows: list[bytes], element: Element, wanted: _Wanted) -> Table:
-    values = _plain_rows(rows, element) if wanted.scalars and not element.lists else None
+def _ascii_table(rows: list[bytes], element: Element, selection: _Selection) -> Table:
+    values = _load_scalar_rows(rows, element) if selection.scalars and not element.lists else None
     polygons: Polygons | None = None
     if values is None:
         scalars: list[list[float]] = []
         lengths, words = array("q"), list[bytes]()
         for number, row in enumerate(rows):
             line, polygon = _ascii_row(row, number, element)
-            if wanted.scalars:
+            if selection.scalars:
                 scalars.append(line)
-            if wanted.polygons:
+            if selection.polygons:
                 lengths.append(len(polygon))
                 words += polygon
-        if wanted.polygons:
+        if selection.polygons:
             polygons = _polygons(np.frombuffer(lengths, dtype=np.int64), _numbers(words))
         values = np.array(scalars, dtype=np.float64)
-    if not wanted.scalars:
+    if not selection.scalars:
         return Table({}, polygons)
     values = values.reshape(len(rows), len(element.scalars))
-    return Table({prop.name: _typed(values[:, k], prop) for k, prop in enumerate(element.scalars)}, polygons)
+    return Table({prop.name: _convert_column(values[:, k], prop) for k, prop in enumerate(element.scalars)}, polygons)
 
 
-def _plain_rows(rows: list[bytes], element: Element) -> NDArray[np.float64] | None:
-    """The scalars (rows, scalars) of an element without lists, the fast way; float64 holds every PLY type exactly.
+def _load_scalar_rows(rows: list[bytes], element: Element) -> NDArray[np.float64] | None:
+    """Parse the scalars (rows, scalars) of an element without lists; float64 holds every PLY type exactly.
 
-    None where a row is not as it should be: the walk over the rows says which one.
+    Return None if a row is malformed, so that the slower row-by-row parser reports it.
     """
     try:
         values = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
@@ -260,36 +266,38 @@ def _plain_rows(rows: list[bytes], element: Element) -> NDArray[np.float64] | No
 
 
 def _ascii_row(row: bytes, number: int, element: Element) -> tuple[list[float], list[bytes]]:
-    """The scalars of one line and the words of its polygon.
+    """Parse the scalars of one line and the words of its polygon.
 
-    There must be as many words as the properties and list lengths say.
+    The number of words must match the properties and list lengths.
     """
     words = row.split()
     values: list[float] = []
     polygon: list[bytes] = []
-    wanted = element.polygon
-    place = 0
+    selection = element.polygon
+    offset = 0
     try:
         for prop in element.properties:
             if prop.length is None:
-                values.append(float(words[place]))
-                place += 1
+                values.append(float(words[offset]))
+                offset += 1
             else:
-                length = int(words[place])
+                length = int(words[offset])
                 if length < 0:
                     raise ValueError
-                if prop is wanted:
-                    polygon = words[place + 1 : place + 1 + length]
-                place += 1 + length
+                if prop is selection:
+                    polygon = words[offset + 1 : offset + 1 + length]
+                offset += 1 + length
     except IndexError:
-        place += 1
+        offset += 1
     except ValueError:
-        place = -1
-    if place < 0 or b"_" in row:  # Python reads 1_000 as a number; PLY does not
-        raise InputError(f"{element.counted(number)} read, then expected numbers, got {shown(row)}")
-    if place != len(words):
-        more = "at least " if place > len(words) else ""
-        raise InputError(f"{element.counted(number)} read, then expected {more}{place} values, got {len(words)}")
+        offset = -1
+    if offset < 0 or b"_" in row:  # Python reads 1_000 as a number; PLY does not
+        raise InputError(f"after {element.count_text(number)}: expected numbers, got {excerpt(row)}: export it again")
+    if offset != len(words):
+        more = "at least " if offset > len(words) else ""
+        raise InputError(
+            f"after {element.count_text(number)}: expected {more}{offset} values, got {len(words)}: export it again"
+        )
     return values, polygon
 
 
@@ -297,11 +305,11 @@ def _numbers(words: list[bytes]) -> NDArray[np.float64]:
     try:
         return np.array([float(word) for word in words])
     except ValueError as error:
-        raise InputError(f"expected vertex numbers in the faces, got something else: {str(error)[:60]}") from error
+        raise InputError(f"expected vertex indices in the faces, got other text: {str(error)[:60]}") from error
 
 
-def _typed(values: NDArray[np.float64], prop: Property) -> NDArray[Any]:
-    """An ascii column in its declared type; coordinates keep the digits of the text even if they are declared float."""
+def _convert_column(values: NDArray[np.float64], prop: Property) -> NDArray[Any]:
+    """Convert an ascii column to its declared type; coordinates stay float64 to keep all digits."""
     if prop.dtype.kind == "f":
         return values if prop.name in XYZ else values.astype(prop.dtype)
     typed = values.astype(prop.dtype)

@@ -1,6 +1,6 @@
-"""The header of a PLY file: its elements, their properties, its comments.
+"""Read the header of a PLY file: elements, properties and comments.
 
-The header is data from a stranger: nothing is allocated on its word, and a line that is not understood is refused.
+The header is untrusted: no memory is allocated from its counts alone, and unknown lines are refused.
 Greg Turk, "The PLY Polygon File Format", 1994.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from pcbench.errors import InputError
 
 _MAX_HEADER_BYTES = 1 << 20
-_MAX_COUNT_DIGITS = 18  # 10^18 rows are more than any file holds, and fit an int64 however they are multiplied here
+_MAX_COUNT_DIGITS = 18  # 10^18 rows are more than any file contains; products with row sizes are checked later
 _BYTE_ORDERS: dict[str, Literal["<", ">"] | None] = {
     "ascii": None,
     "binary_little_endian": "<",
@@ -38,14 +38,14 @@ _TYPES = {
     "float32": "f4",
     "float64": "f8",
 }
-TYPE_NAMES = {code: name for name, code in reversed(_TYPES.items())}  # the older family: every reader knows it
+TYPE_NAMES = {code: name for name, code in reversed(_TYPES.items())}  # the older names, which all readers support
 XYZ = ("x", "y", "z")
-_POLYGONS = ("vertex_indices", "vertex_index")  # what the list of a face is called
+_POLYGONS = ("vertex_indices", "vertex_index")  # names of the list of a face
 
 
 @dataclass(frozen=True)
 class Property:
-    """A scalar, or a list whose length is stored before it with the type `length`."""
+    """Scalar, or list whose length is stored before it with the type `length`."""
 
     name: str
     dtype: np.dtype[Any]
@@ -54,7 +54,7 @@ class Property:
 
 @dataclass(frozen=True)
 class Element:
-    """So many rows, each with the same properties in the same order."""
+    """Element with `count` rows, each with the same properties in the same order."""
 
     name: str
     count: int
@@ -62,77 +62,84 @@ class Element:
 
     @property
     def scalars(self) -> list[Property]:
+        """Scalar properties, in order."""
         return [prop for prop in self.properties if prop.length is None]
 
     @property
     def lists(self) -> list[Property]:
+        """List properties, in order."""
         return [prop for prop in self.properties if prop.length is not None]
 
     @property
     def polygon(self) -> Property | None:
-        """The list of a row's vertex numbers: the first one that has a name of such lists."""
+        """List of a row's vertex indices: the first with one of the usual names."""
         return next((prop for prop in self.lists if prop.name in _POLYGONS), None)
 
-    def counted(self, count: int) -> str:
+    def count_text(self, count: int) -> str:
+        """Describe a number of rows, such as "3 of 8 vertices"."""
         plural = {"vertex": "vertices", "face": "faces", "edge": "edges"}.get(self.name, f"{self.name[:40]!r} elements")
         return f"{count} of {self.count} {plural}"
 
     def truncated(self, complete: int) -> InputError:
-        return InputError(f"truncated: {self.counted(complete)}: copy or export the file again")
+        """Return the error of a file that ends after `complete` rows."""
+        return InputError(f"truncated: got {self.count_text(complete)}: copy or export the file again")
 
 
 @dataclass(frozen=True)
 class PlyHeader:
+    """Parsed header of a PLY file."""
+
     byte_order: Literal["<", ">"] | None  # None: ascii
     elements: list[Element]
     comments: list[str]
 
     def element(self, name: str) -> Element | None:
+        """Return the element of a name, or None."""
         return next((element for element in self.elements if element.name == name), None)
 
-    def tagged(self, tag: str) -> str | None:
-        """What follows a tag in a comment line: `comment crs EPSG:32617`."""
+    def tag_value(self, tag: str) -> str | None:
+        """Return the text after a tag in a comment line, such as `comment crs EPSG:32617`."""
         return next((c.removeprefix(tag).strip() for c in self.comments if c.startswith(f"{tag} ")), None)
 
 
 def check_vertices(header: PlyHeader) -> None:
-    """Raises InputError where there is no vertex, or the vertices have no coordinates or two properties of one name."""
+    """Raise InputError if there are no vertices, or they lack coordinates or have two properties of one name."""
     vertex = header.element("vertex")
     if vertex is None:
         names = ", ".join(repr(element.name[:40]) for element in header.elements[:10]) or "none"
-        raise InputError(f"expected an element 'vertex', got {names}")
+        raise InputError(f"expected an element 'vertex', got {names}: export the file again")
     seen: set[str] = set()
     for prop in vertex.properties:
         if prop.name in seen:
-            raise InputError(f"property {prop.name[:40]!r} stands twice in the vertex element")
+            raise InputError(f"expected unique vertex properties, got {prop.name[:40]!r} twice: rename one of them")
         if prop.name in XYZ and prop.length is not None:
-            raise InputError(f"expected property {prop.name!r} as a number, got a list")
+            raise InputError(f"expected property {prop.name!r} as a number, got a list: export the file again")
         seen.add(prop.name)
     if missing := [name for name in XYZ if name not in seen]:
-        raise InputError(f"expected vertex properties x, y, z; missing: {', '.join(missing)}")
+        raise InputError(f"expected vertex properties x, y, z; missing: {', '.join(missing)}: rename the properties")
     if not vertex.count:
-        raise InputError("expected at least one point, got 0 vertices")
+        raise InputError("expected at least one point, got 0 vertices: export the file again")
 
 
 def check_faces(header: PlyHeader) -> None:
-    """Raises InputError where no element holds the vertex numbers of faces."""
+    """Raise InputError if no element contains the vertex indices of faces."""
     face = header.element("face")
     if face is None or face.polygon is None:
         raise InputError(
-            f"expected an element 'face' with a list {' or '.join(_POLYGONS)}: there are no faces in this file"
+            f"expected an element 'face' with a list {' or '.join(_POLYGONS)}, got no faces: export it as a mesh"
         )
 
 
 def read_header(file: BinaryIO) -> PlyHeader:
-    """Reads up to and including the line `end_header`: the file then stands at the body.
+    """Read the header including the line `end_header`, so that the file position is at the body.
 
     Raises:
-        InputError: these are not the first lines of a PLY file.
+        InputError: the file does not start with a PLY header.
         OSError: the file cannot be read.
     """
     magic = file.readline(16)
     if magic.rstrip() != b"ply":
-        raise InputError(f"expected a PLY file that starts with a line 'ply', got {magic!r}")
+        raise InputError(f"expected a PLY file that starts with a line 'ply', got {magic!r}: export it again as PLY")
     byte_order: Literal["<", ">"] | None = None
     formats: list[str] = []
     elements: dict[str, Element] = {}
@@ -143,21 +150,23 @@ def read_header(file: BinaryIO) -> PlyHeader:
         used, number = used + len(line), number + 1
         if used > _MAX_HEADER_BYTES:
             raise InputError(
-                f"expected a PLY header of at most {_MAX_HEADER_BYTES} bytes, got no end_header until there"
+                f"expected end_header within {_MAX_HEADER_BYTES} header bytes, got none: export the file again"
             )
         if not line:
-            raise InputError(f"header without end_header: the file ends after line {number - 1}")
+            raise InputError(
+                f"truncated: the header ends after line {number - 1} without end_header: copy the file again"
+            )
         if b"\0" in line:
             raise InputError(f"header line {number}: expected text, got a NUL byte")
         words = line.split()
         if not words:
             continue
-        if words[0] in (b"comment", b"obj_info"):  # free text, in whatever encoding its writer had
+        if words[0] in (b"comment", b"obj_info"):  # free text in any encoding
             if words[0] == b"comment":
                 comments.append(b" ".join(words[1:]).decode("utf-8", errors="replace"))
             continue
         if not line.isascii() or not b" ".join(words).decode().isprintable():
-            raise InputError(f"header line {number}: expected ASCII text, got {shown(line)}")
+            raise InputError(f"header line {number}: expected ASCII text, got {excerpt(line)}")
         match [word.decode() for word in words]:
             case ["end_header"]:
                 break
@@ -165,40 +174,44 @@ def read_header(file: BinaryIO) -> PlyHeader:
                 byte_order = _BYTE_ORDERS[name]
                 formats.append(name)
             case ["format", *_] if formats:
-                raise InputError(f"header line {number}: a second format line")
+                raise InputError(f"header line {number}: expected one format line, got a second: export the file again")
             case ["format", *_]:
                 known = ", ".join(_BYTE_ORDERS)
-                raise InputError(f"header line {number}: expected 'format {known} 1.0', got {shown(line)}")
+                raise InputError(f"header line {number}: expected 'format {known} 1.0', got {excerpt(line)}")
             case ["element", name, count]:
                 if name in elements:
-                    raise InputError(f"header line {number}: a second element {name[:40]!r}")
+                    raise InputError(f"header line {number}: expected unique elements, got {name[:40]!r} twice")
                 elements[name] = current = Element(name, _count(count, name, number))
             case ["property", *rest] if elements:
                 current.properties.append(_property(rest, number))
             case ["property", *_]:
-                raise InputError(f"header line {number}: a property before the first element")
+                raise InputError(
+                    f"header line {number}: expected an element before the first property: export it again"
+                )
             case _:
                 known = "format, element, property, comment or end_header"
-                raise InputError(f"header line {number}: expected {known}, got {shown(line)}")
+                raise InputError(f"header line {number}: expected {known}, got {excerpt(line)}")
     if not formats:
-        raise InputError(f"header without a format line: expected one of {', '.join(_BYTE_ORDERS)}")
-    ordered = [_ordered(element, byte_order or "=") for element in elements.values()]
+        raise InputError(f"header: expected a format line ({', '.join(_BYTE_ORDERS)}), got none: export the file again")
+    ordered = [_with_byte_order(element, byte_order or "=") for element in elements.values()]
     return PlyHeader(byte_order, ordered, comments)
 
 
-def shown(line: bytes) -> str:
-    """The start of a line, for an error message."""
+def excerpt(line: bytes) -> str:
+    """Return the start of a line, for an error message."""
     text = line.strip()
     return repr(text[:60])[1:] + ("..." if len(text) > 60 else "")
 
 
 def _count(word: str, element: str, number: int) -> int:
     if word.startswith("-") and word[1:].isdigit():
-        raise InputError(f"header line {number}: expected a count of {element!r} >= 0, got {word[:40]}")
+        raise InputError(f"header line {number}: expected a count of {element!r} of at least 0, got {word[:40]}")
     if not word.isdigit():
-        raise InputError(f"header line {number}: expected a whole number of {element!r}, got {word[:40]!r}")
+        raise InputError(f"header line {number}: expected the count of {element!r} as an integer, got {word[:40]!r}")
     if len(word) > _MAX_COUNT_DIGITS:
-        raise InputError(f"header line {number}: no file holds {word[:40]} of {element!r}: the header is damaged")
+        raise InputError(
+            f"header line {number}: {word[:40]} of {element!r} are more than any file contains: export it again"
+        )
     return int(word)
 
 
@@ -207,7 +220,7 @@ def _property(words: list[str], number: int) -> Property:
         case ["list", length, item, name]:
             counter = _type(length, number)
             if counter.kind == "f":
-                raise InputError(f"header line {number}: expected a list length of an integer type, got {length!r}")
+                raise InputError(f"header line {number}: expected an integer type for the list length, got {length!r}")
             return Property(name, _type(item, number), counter)
         case [item, name] if item != "list":
             return Property(name, _type(item, number))
@@ -223,7 +236,7 @@ def _type(word: str, number: int) -> np.dtype[Any]:
     return np.dtype(_TYPES[word])
 
 
-def _ordered(element: Element, byte_order: Literal["<", ">", "="]) -> Element:
+def _with_byte_order(element: Element, byte_order: Literal["<", ">", "="]) -> Element:
     properties = [
         Property(p.name, p.dtype.newbyteorder(byte_order), p.length and p.length.newbyteorder(byte_order))
         for p in element.properties

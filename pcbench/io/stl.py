@@ -1,9 +1,9 @@
-"""STL meshes, binary and ascii.
+"""Read STL meshes, binary and ascii.
 
-Read here and not by trimesh. trimesh 5.2 reads a file that is cut off, or whose count of triangles lies, as an empty
-mesh; of an ascii file it drops a facet of two vertices if the numbers add up, and takes a loop without its end. And it
-would have to be installed. The check of a binary file's size is all there is to reading it (0.2 s for 80,000 facets,
-where trimesh in a process of its own takes 1.7 s).
+Why not trimesh: trimesh 5.2 reads a truncated file, or one with a wrong triangle count, as an empty mesh. In ascii
+files it drops a facet of two vertices if the counts add up, and accepts a loop without an end. It would also be a
+dependency. Reading a binary file only requires a check of its size (0.2 s for 80,000 facets; trimesh in a child process
+takes 1.7 s).
 """
 
 from __future__ import annotations
@@ -18,58 +18,64 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import merged
+from pcbench.io.polygons import merge_vertices
 
-_MAX_WORD = 32  # characters of a number in a text file
-_STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("color", "<u2")])
-_STL_FACET = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet".split()
-_STL_WORDS = [place for place, word in enumerate(_STL_FACET) if word != b"0"]
-_STL_CORNERS = [8, 9, 10, 12, 13, 14, 16, 17, 18]
+_MAX_WORD = 32  # characters per word in an ascii file
+_FACET_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("color", "<u2")])
+_FACET_WORDS = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet".split()
+_KEYWORD_POSITIONS = [position for position, word in enumerate(_FACET_WORDS) if word != b"0"]
+_CORNER_POSITIONS = [8, 9, 10, 12, 13, 14, 16, 17, 18]
 
 
 def read_stl(path: Path, warn: Warn) -> Mesh:
-    """The triangles of an STL file; equal corners become one vertex.
+    """Read the triangles of an STL file; equal corners become one vertex.
 
     Raises:
-        InputError: the file is cut off, damaged, or has no facet.
-        OSError: it cannot be read.
+        InputError: the file is truncated, damaged, or has no facet.
+        OSError: the file cannot be read.
     """
-    # Many binary files start with "solid" too: the size decides, then the word.
+    # Many binary files start with "solid" too, so the size is checked first.
     data = path.read_bytes()
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
-    if len(data) >= 84 and len(data) == 84 + _STL_ROW.itemsize * count:
-        corners = np.frombuffer(data, _STL_ROW, count, 84)["corners"].astype(np.float64)
+    if len(data) >= 84 and len(data) == 84 + _FACET_RECORD.itemsize * count:
+        corners = np.frombuffer(data, _FACET_RECORD, count, 84)["corners"].astype(np.float64)
     elif data[:512].lstrip()[:5].lower() == b"solid":
         corners = _ascii_stl(data)
     elif len(data) < 84:
-        raise InputError(f"expected an STL file: 84 bytes or more, or the word 'solid'; got {len(data)} bytes")
-    else:
-        there = (len(data) - 84) // _STL_ROW.itemsize
-        if there < count:
-            raise InputError(f"truncated: {there} of {count} triangles: copy or export the file again")
         raise InputError(
-            f"expected {84 + 50 * count} bytes for {count} triangles, got {len(data)}: header and body disagree"
+            f"expected an STL file of at least 84 bytes or the word 'solid', got {len(data)} bytes: export it again"
+        )
+    else:
+        complete = (len(data) - 84) // _FACET_RECORD.itemsize
+        if complete < count:
+            raise InputError(f"truncated: got {complete} of {count} triangles: copy or export the file again")
+        raise InputError(
+            f"expected {84 + 50 * count} bytes for {count} triangles, got {len(data)}: export the file again"
         )
     vertices = corners.reshape(-1, 3)
-    return merged(Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3)))
+    return merge_vertices(Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3)))
 
 
 def _ascii_stl(data: bytes) -> FloatArray:
-    """Corners (F, 3, 3). Every facet is the same 21 words: a table."""
+    """Parse the corners (F, 3, 3) of an ascii file as a table, since each facet has the same 21 words."""
     if b"endsolid" not in data[-512:].lower():
-        raise InputError("truncated: expected an ascii STL file to end with 'endsolid': copy or export it again")
+        raise InputError("truncated: expected 'endsolid' at the end of an ascii STL file: copy or export it again")
     words = re.sub(rb"(?im)^[ \t]*(end)?solid\b.*$", b"", data).split()
     if not words:
-        raise InputError("expected a mesh with at least one face, got an STL file without facets")
+        raise InputError("expected a mesh with at least one face, got an STL file without facets: export it again")
     if max(map(len, words)) > _MAX_WORD:
-        raise InputError(f"expected words of at most {_MAX_WORD} characters: the file is damaged")
-    whole = len(words) - len(words) % len(_STL_FACET)
-    table = np.array(words[:whole], dtype=f"S{_MAX_WORD}").reshape(-1, len(_STL_FACET))
-    wrong = np.flatnonzero((np.char.lower(table[:, _STL_WORDS]) != np.array(_STL_FACET)[_STL_WORDS]).any(axis=1))
-    if len(wrong) or whole < len(words):
-        facet = wrong[0] if len(wrong) else len(table)
-        raise InputError(f"facet {facet}: expected 'facet normal x y z outer loop vertex x y z ... endloop endfacet'")
+        raise InputError(f"expected words of at most {_MAX_WORD} characters, got a longer one: export the file again")
+    complete_words = len(words) - len(words) % len(_FACET_WORDS)
+    table = np.array(words[:complete_words], dtype=f"S{_MAX_WORD}").reshape(-1, len(_FACET_WORDS))
+    damaged = np.flatnonzero(
+        (np.char.lower(table[:, _KEYWORD_POSITIONS]) != np.array(_FACET_WORDS)[_KEYWORD_POSITIONS]).any(axis=1)
+    )
+    if len(damaged) or complete_words < len(words):
+        facet = damaged[0] if len(damaged) else len(table)
+        raise InputError(
+            f"facet {facet}: expected 'facet normal x y z outer loop vertex x y z ... endloop endfacet': export again"
+        )
     try:
-        return table[:, _STL_CORNERS].astype(np.float64).reshape(-1, 3, 3)
+        return table[:, _CORNER_POSITIONS].astype(np.float64).reshape(-1, 3, 3)
     except ValueError as error:
-        raise InputError(f"expected coordinates as numbers: {str(error)[:80]}") from error
+        raise InputError(f"expected coordinates as numbers: {str(error)[:80]}: export the file again") from error

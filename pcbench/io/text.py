@@ -1,4 +1,4 @@
-"""Text tables: .xyz, .txt, .asc, .csv and .pts, one point a line; delimiter, header and columns are found out."""
+"""Read and write text tables (.xyz, .txt, .asc, .csv, .pts), one point per line; detect delimiter, header, columns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcbench.io.files import Fields, Warn, atomic_write
 _XYZ = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")
 _COLORS = ("red", "green", "blue")
-# Other names of these columns, as in CloudCompare, Agisoft and survey files; compared without regard to case.
+# Other names of these columns, as in CloudCompare, Agisoft and survey files; not case-sensitive.
 _ALIASES = {
     **{"easting": "x", "northing": "y", "elevation": "z", "height": "z"},
     **{"normal_x": "nx", "normal_y": "ny", "normal_z": "nz", "normalx": "nx", "normaly": "ny", "normalz": "nz"},
@@ -26,52 +26,53 @@ _ALIASES |= {name: name for name in (*_XYZ, *_NORMALS, *_COLORS)}
 _COMMENTS = ("#", "//")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
-_MAX_LENGTH_ERROR = 0.02  # normals are often written with two digits
-_MAX_ROWS = 1 << 16  # written at a time
+_MAX_NORMAL_LENGTH_ERROR = 0.02  # since normals are often written with two digits
+_ROWS_PER_WRITE = 1 << 16
 
 Columns = dict[str, NDArray[np.float64]]
 
 
 class _Layout(NamedTuple):
-    """How a file is written: found in its first lines."""
+    """Layout of a file, detected from its first lines."""
 
     first: int  # index of the first line of numbers
-    delimiter: str | None  # None: blanks and tabs
+    delimiter: str | None  # None: spaces and tabs
     names: list[str] | None
-    points: int | None  # how many, as announced in a line of its own
+    points: int | None  # point count, if the file states it on a separate line
     tags: dict[str, str]
 
 
 def read_text(path: Path, warn: Warn) -> Fields:
-    """The points of a text table.
+    """Read the points of a text table.
 
-    A header, if there is one (also as a comment), names the columns: x y z (or easting, northing, elevation), nx ny nz,
-    red green blue (or r g b) if they are whole numbers 0 to 255; the others are attributes. Without a header the first
-    three columns are x y z; of six the last three are colours if they are whole numbers 0 to 255, normals if of unit
-    length; in a .pts file of seven they are intensity and colours. Others are attributes "column_4", "column_5" ...
-    Empty lines and what stands behind # or // are left out; `# crs TEXT` and `# unit TEXT` are the cloud's.
+    A header (which may be a comment) names the columns: x y z (or easting, northing, elevation), nx ny nz, and red
+    green blue (or r g b) if they are integers from 0 to 255. Other columns are attributes. Without a header the first
+    three columns are x y z. Of six columns, the last three are colours if they are integers from 0 to 255, or normals
+    if they have unit length. Of seven columns in a .pts file, the last four are intensity and colours. Other columns
+    are attributes "column_4", "column_5" ... Empty lines and text after # or // are skipped; `# crs TEXT` and
+    `# unit TEXT` set the crs and unit.
 
     Raises:
-        InputError: a line is not as many numbers as the first one; the message gives its number.
+        InputError: a line is malformed or has another number of values than the first. The message gives its number.
         OSError: the file cannot be read.
     """
     data = path.read_bytes()
     if b"\0" in data:
-        raise InputError("expected text, got NUL bytes: a binary file, or UTF-16 (save it as UTF-8)")
+        raise InputError("expected text, got NUL bytes (a binary file or UTF-16): save it as UTF-8")
     lines = data.decode("utf-8-sig", errors="replace").splitlines()
     layout = _layout(lines)
     table = _table(lines, layout)
     if layout.points is not None and layout.points != len(table):
         if layout.points > len(table):
-            raise InputError(f"truncated: {len(table)} of {layout.points} points: copy or export the file again")
-        raise InputError(f"expected {layout.points} points as its first line says, got {len(table)}")
+            raise InputError(f"truncated: got {len(table)} of {layout.points} points: copy or export the file again")
+        raise InputError(f"expected {layout.points} points as the first line states, got {len(table)}: export it again")
     names = layout.names or _default_names(table, is_pts=path.suffix.lower() == ".pts")
     columns = dict(zip(names, table.T, strict=True))
-    points = _taken(columns, _XYZ)
-    normals = _taken(columns, _NORMALS) if columns.keys() >= set(_NORMALS) else None
+    points = _pop_columns(columns, _XYZ)
+    normals = _pop_columns(columns, _NORMALS) if columns.keys() >= set(_NORMALS) else None
     colors = None
-    if columns.keys() >= set(_COLORS) and _are_bytes(np.stack([columns[name] for name in _COLORS])):
-        colors = _taken(columns, _COLORS).astype(np.uint8)
+    if columns.keys() >= set(_COLORS) and _are_8_bit(np.stack([columns[name] for name in _COLORS])):
+        colors = _pop_columns(columns, _COLORS).astype(np.uint8)
     return Fields(
         points=points,
         normals=normals,
@@ -82,11 +83,11 @@ def read_text(path: Path, warn: Warn) -> Fields:
     )
 
 
-def _taken(columns: Columns, names: tuple[str, str, str]) -> NDArray[np.float64]:
+def _pop_columns(columns: Columns, names: tuple[str, str, str]) -> NDArray[np.float64]:
     return np.stack([columns.pop(name) for name in names], axis=1)
 
 
-def _are_bytes(values: NDArray[np.float64]) -> bool:
+def _are_8_bit(values: NDArray[np.float64]) -> bool:
     return bool(((values >= 0) & (values <= 255) & (values == np.floor(values))).all())
 
 
@@ -95,35 +96,35 @@ def _default_names(table: NDArray[np.float64], is_pts: bool) -> list[str]:
     last = table[:, -3:]
     if is_pts and width == 4:
         return [*_XYZ, "intensity"]
-    if is_pts and width == 7 and _are_bytes(last):
+    if is_pts and width == 7 and _are_8_bit(last):
         return [*_XYZ, "intensity", *_COLORS]
-    if width == 6 and _are_bytes(last):
+    if width == 6 and _are_8_bit(last):
         return [*_XYZ, *_COLORS]
     if width == 6:
         with np.errstate(over="ignore", invalid="ignore"):
-            unit = np.abs(np.linalg.norm(last, axis=1) - 1) < _MAX_LENGTH_ERROR
+            unit = np.abs(np.linalg.norm(last, axis=1) - 1) < _MAX_NORMAL_LENGTH_ERROR
         if unit.all():
             return [*_XYZ, *_NORMALS]
     return [*_XYZ, *(f"column_{k}" for k in range(4, width + 1))]
 
 
-# ---- finding out --------------------------------------------------------------------------------------------------
+# ---- layout -------------------------------------------------------------------------------------------------------
 
 
 def _content(line: str) -> str:
-    """The line without its comment."""
+    """Return the line without its comment."""
     for mark in _COMMENTS:
         line = line.partition(mark)[0]
     return line.strip()
 
 
 def _layout(lines: list[str]) -> _Layout:
-    """Walks over comments, a header and a count to the first line of numbers."""
+    """Detect the layout from the comments, header and count before the first line of numbers."""
     header: tuple[int, str] | None = None  # index and text
-    remark: str | None = None  # a comment that reads like a header
+    comment_header: str | None = None  # a comment that reads like a header
     count: int | None = None
     tags: dict[str, str] = {}
-    for place, line in enumerate(lines):
+    for index, line in enumerate(lines):
         text = line.strip()
         content = _content(text)
         if not content:
@@ -132,7 +133,7 @@ def _layout(lines: list[str]) -> _Layout:
             if tag in ("crs", "unit"):
                 tags.setdefault(tag, value.strip())
             elif _has_xyz(comment):
-                remark = comment
+                comment_header = comment
             continue
         delimiter = _delimiter(content)
         words = _split(content, delimiter)
@@ -141,25 +142,29 @@ def _layout(lines: list[str]) -> _Layout:
                 count = int(content)
                 continue
             if len(words) < 3:
-                raise InputError(f"line {place + 1}: expected at least 3 columns, got {_shown(text)}")
+                raise InputError(
+                    f"line {index + 1}: expected at least 3 columns, got {_excerpt(text)}: export it again"
+                )
             if header is not None:
                 names: list[str] | None = _header_names(*header, len(words))
             else:
-                names = _remark_names(remark, len(words))
-            return _Layout(place, delimiter, names, count, tags)
+                names = _comment_names(comment_header, len(words))
+            return _Layout(index, delimiter, names, count, tags)
         if any(_DECIMAL_COMMA.fullmatch(word) for word in words):
-            raise InputError(f"line {place + 1}: expected a point in decimal numbers, got a comma: {_shown(text)}")
+            raise InputError(
+                f"line {index + 1}: expected a decimal point, got a comma: {_excerpt(text)}: replace the commas"
+            )
         is_header = _has_xyz(content) or not any(_NUMBER.fullmatch(word) for word in words)
         if not is_header or header is not None or count is not None:
-            raise InputError(f"line {place + 1}: expected numbers, got {_shown(text)}")
-        header = place, content
-    raise InputError(f"expected lines of numbers, got none in {len(lines)} lines")
+            raise InputError(f"line {index + 1}: expected numbers, got {_excerpt(text)}: correct the line")
+        header = index, content
+    raise InputError(f"expected lines of numbers, got none in {len(lines)} lines: export the file again")
 
 
 def _delimiter(text: str) -> str | None:
     if ";" in text:
         return ";"
-    # "1,5 2,5 3,5" has commas too, but blanks alone separate it.
+    # "1,5 2,5 3,5" contains commas too, but spaces separate it.
     blanks = text.split()
     if "," in text and not (len(blanks) >= 3 and all(_DECIMAL_COMMA.fullmatch(word) for word in blanks)):
         return ","
@@ -171,7 +176,7 @@ def _split(text: str, delimiter: str | None) -> list[str]:
 
 
 def _names(text: str) -> list[str]:
-    """Column names of a header as they are known here; unknown ones as they are, missing ones by number."""
+    """Return the standard column names of a header; unknown names are kept, missing ones numbered."""
     plain = [word.strip("\"' ") or f"column_{k}" for k, word in enumerate(_split(text, _delimiter(text)), 1)]
     return [_ALIASES.get(word.lower(), word) for word in plain]
 
@@ -180,24 +185,30 @@ def _has_xyz(text: str) -> bool:
     return set(_XYZ) <= set(_names(text))
 
 
-def _header_names(place: int, text: str, width: int) -> list[str]:
+def _header_names(index: int, text: str, width: int) -> list[str]:
     names = _names(text)
     if missing := [name for name in _XYZ if name not in names]:
-        raise InputError(f"line {place + 1}: expected columns x, y, z; missing {', '.join(missing)} in {_shown(text)}")
+        raise InputError(
+            f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {_excerpt(text)}"
+        )
     if len(names) != width:
-        raise InputError(f"line {place + 1}: {len(names)} column names, but the first point has {width} values")
+        raise InputError(
+            f"line {index + 1}: expected {width} column names, one per value, got {len(names)}: correct the header"
+        )
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(f"line {place + 1}: column {twice[:40]!r} stands twice")
+        raise InputError(
+            f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them"
+        )
     return names
 
 
-def _remark_names(remark: str | None, width: int) -> list[str] | None:
-    """A comment that does not fit the columns was prose."""
-    names = _names(remark) if remark else []
+def _comment_names(comment_header: str | None, width: int) -> list[str] | None:
+    """Return the column names in a comment, or None if it does not fit the columns (it was prose)."""
+    names = _names(comment_header) if comment_header else []
     return names if len(names) == width == len(set(names)) else None
 
 
-def _shown(text: str) -> str:
+def _excerpt(text: str) -> str:
     return repr(text[:60]) + ("..." if len(text) > 60 else "")
 
 
@@ -205,7 +216,7 @@ def _shown(text: str) -> str:
 
 
 def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
-    """All numbers, (N, columns)."""
+    """Parse all numbers, (N, columns)."""
     body = lines[layout.first :]
     width = len(_split(_content(body[0]), layout.delimiter))
     try:
@@ -213,16 +224,16 @@ def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
         if table.shape[1] == width:
             return table
     except ValueError:
-        pass  # comments between the points, or a damaged line: walk over them
+        pass  # comments between points or a damaged line: parse line by line
     rows = []
     for number, line in enumerate(body, layout.first + 1):
         if content := _content(line):
             words = _split(content, layout.delimiter)
             if not all(_NUMBER.fullmatch(word) for word in words):
-                raise InputError(f"line {number}: expected numbers, got {_shown(content)}")
+                raise InputError(f"line {number}: expected numbers, got {_excerpt(content)}: correct the line")
             if len(words) != width:
                 raise InputError(
-                    f"line {number}: expected {width} values as in line {layout.first + 1}, got {len(words)}"
+                    f"line {number}: expected {width} values as line {layout.first + 1}, got {len(words)}: correct it"
                 )
             rows.append([float(word) for word in words])
     return np.array(rows, dtype=np.float64)
@@ -232,14 +243,14 @@ def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
 
 
 def write_text(path: Path, cloud: Cloud) -> None:
-    """Writes x y z, red green blue, nx ny nz and the attributes, each number with all its digits.
+    """Write x y z, red green blue, nx ny nz and the attributes; each number is exact.
 
-    .csv has commas and a header; .xyz, .txt and .asc have blanks, and a header (as a comment) only if there is more
-    than x y z; crs and unit go into comments there.
+    .csv files have commas and a header. .xyz, .txt and .asc files have spaces, the crs and unit as comments, and a
+    header (also a comment) only if there are more columns than x y z.
 
     Raises:
-        InputError: an attribute's name or type cannot stand in a table.
-        OSError: the file cannot be written; an existing one is then unchanged.
+        InputError: an attribute's name or type cannot be stored in a table.
+        OSError: the file cannot be written; an existing file is then unchanged.
     """
     is_csv = path.suffix.lower() == ".csv"
     columns = dict(zip(_XYZ, cloud.points.T, strict=True))
@@ -247,16 +258,18 @@ def write_text(path: Path, cloud: Cloud) -> None:
         columns |= dict(zip(_COLORS, cloud.colors.T, strict=True))
     if cloud.normals is not None:
         columns |= dict(zip(_NORMALS, cloud.normals.T, strict=True))
-    taken = set(columns)
+    used_names = set(columns)
     for name, values in cloud.attributes.items():
         known = _ALIASES.get(name.lower(), name)
-        if known in taken:
-            raise InputError(f"{path}: attribute {name!r} would be read back as {known}: rename it")
+        if known in used_names:
+            raise InputError(f"{path}: attribute {name!r} would be read as {known}: rename it")
         if not name.isprintable() or len(name.split()) != 1 or re.search(r"[,;#\"']|//", name):
-            raise InputError(f"{path}: expected attribute names without blanks and delimiters, got {name!r}: rename it")
+            raise InputError(f"{path}: expected attribute names without spaces and delimiters, got {name!r}: rename it")
         if values.dtype.kind not in "biuf":
-            raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}")
-        taken.add(known)
+            raise InputError(
+                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
+            )
+        used_names.add(known)
         columns[name] = values.astype(np.uint8) if values.dtype.kind == "b" else values
     head = [",".join(columns)] if is_csv else []
     if not is_csv:
@@ -267,6 +280,6 @@ def write_text(path: Path, cloud: Cloud) -> None:
     line = (",".join if is_csv else " ".join)(["%r"] * len(columns)) + "\n"
     with atomic_write(path) as file:
         file.writelines(f"{text}\n".encode() for text in head)
-        for start in range(0, len(cloud), _MAX_ROWS):
-            pieces = [column[start : start + _MAX_ROWS].tolist() for column in columns.values()]
+        for start in range(0, len(cloud), _ROWS_PER_WRITE):
+            pieces = [column[start : start + _ROWS_PER_WRITE].tolist() for column in columns.values()]
             file.write("".join([line % row for row in zip(*pieces, strict=True)]).encode())

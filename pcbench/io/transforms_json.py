@@ -1,7 +1,7 @@
-"""transforms.json, as instant-ngp and nerfstudio read it (docs.nerf.studio, "Data conventions").
+"""Read and write transforms.json of instant-ngp and nerfstudio (docs.nerf.studio, "Data conventions").
 
 Poses are camera-to-world with OpenGL's camera axes (x right, y up, z backwards); pixel centres are at +0.5. Intrinsics
-stand at the top or with a frame.
+are given for the complete file or per frame.
 """
 
 from __future__ import annotations
@@ -23,40 +23,41 @@ Size = tuple[int, int]
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 _UNSUPPORTED = ("k3", "k4")
-# What a file may say and is not obeyed, and the value by which it says nothing.
-_NOT_OBEYED: dict[str, Any] = {
+# Keys that are ignored, and the value for which ignoring them changes nothing.
+_IGNORED_KEYS: dict[str, Any] = {
     **dict.fromkeys(("k5", "k6", "rolling_shutter_scanline_time", "rolling_shutter_time"), 0),
     "rolling_shutter": [0, 0, 0, 0],
     "applied_transform": np.eye(4)[:3].tolist(),
     "applied_scale": 1,
     **dict.fromkeys(("mask_path", "depth_file_path"), ""),
 }
-# Of a focal length from what the angle of view beside it says: files round, and some take the angle with distortion.
-_MAX_CONTRADICTION = 0.1
-# OpenGL's axes to OpenCV's: y and z change their sign.
-_FLIP = np.diag([1.0, -1.0, -1.0])
+# Relative difference between a focal length and the angle of view: files round, and some angles include distortion.
+_MAX_FOCAL_DISAGREEMENT = 0.1
+# From OpenGL's camera axes to OpenCV's: y and z change sign.
+_OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
 def read_transforms(
     path: Path, size_of: Callable[[str], Size | None], on_warning: Callable[[str], None] | None = None
 ) -> tuple[Camera, ...]:
-    """The cameras of a transforms.json, named by their `file_path` as it stands there.
+    """Read the cameras of a transforms.json, named by their `file_path` as stored.
 
     Args:
-        size_of: width and height of the image that a `file_path` means, None where there is none: files that give an
-            angle of view alone leave the size to the image. Frames without size and image are left out.
-        on_warning: called with one line on what the file says that is not obeyed; `warnings.warn` if not given.
+        path: input file.
+        size_of: function from a `file_path` to the (width, height) of its image, or None if there is no image. Files
+            that only give an angle of view need it. Frames with neither size nor image are left out.
+        on_warning: callback, called with one line about ignored keys. Defaults to `warnings.warn`.
 
     Raises:
-        InputError: it is no such file, a number is missing, a camera model is not supported, a focal length and an
-            angle of view contradict each other, or a pose is no rotation; the message starts with the path and names
-            the frame.
+        InputError: the file is malformed, a number is missing, a camera model is not supported, a focal length
+            contradicts an angle of view, or a pose is not a rotation. The message starts with the path and names the
+            frame.
     """
     warn = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
     try:
         document = read_json(path)
         if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
-            raise InputError("expected a JSON object with a list of frames")
+            raise InputError("expected a JSON object with a list of frames, got other JSON: export it again")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except OSError as error:
@@ -64,12 +65,12 @@ def read_transforms(
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a transforms.json: {error}") from None
     names = [frame.get("file_path") if isinstance(frame, dict) else None for frame in document["frames"]]
-    _check_once(path, names, size_of)  # before poses are read: a file may repeat one frame many times
+    _check_duplicates(path, names, size_of)  # before poses are parsed: a file may repeat one frame many times
     cameras = []
     for number, (name, frame) in enumerate(zip(names, document["frames"], strict=True)):
         try:
             if not isinstance(name, str):
-                raise InputError("expected a file_path")
+                raise InputError("expected a file_path, got none: add the name of the image")
             values = {**document, **frame}
             intrinsics = _intrinsics(values, size_of(name))
             if intrinsics is not None:
@@ -79,26 +80,30 @@ def read_transforms(
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: frame {number} ({name}): expected numbers: {what}") from None
-    said = [document, *document["frames"]]
-    if ignored := [key for key, nothing in _NOT_OBEYED.items() if any(v.get(key, nothing) != nothing for v in said)]:
-        warn(f"{path}: not obeyed: {', '.join(ignored)}; cameras and lenses are read as they stand without")
+    objects = [document, *document["frames"]]
+    if ignored := [
+        key for key, neutral in _IGNORED_KEYS.items() if any(v.get(key, neutral) != neutral for v in objects)
+    ]:
+        warn(f"{path}: ignored {', '.join(ignored)}: cameras and lenses are read without them")
     return tuple(cameras)
 
 
-def _check_once(path: Path, names: Sequence[Any], size_of: Callable[[str], Size | None]) -> None:
-    """Refuse two frames for one image that is there."""
+def _check_duplicates(path: Path, names: Sequence[Any], size_of: Callable[[str], Size | None]) -> None:
+    """Raise InputError if two frames refer to one existing image."""
     seen: set[str] = set()
     for number, name in enumerate(names):
         if isinstance(name, str):
             if name in seen and size_of(name) is not None:
-                raise InputError(f"{path}: frame {number}: two cameras for the image {name}: remove one of them")
+                raise InputError(
+                    f"{path}: frame {number}: expected one camera per image, got two for {name}: remove one"
+                )
             seen.add(name)
 
 
 def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | None:
     model = values.get("camera_model", "OPENCV")
     if model not in _MODELS or any(float(values.get(k, 0)) for k in _UNSUPPORTED) or values.get("is_fisheye"):
-        raise InputError(f"expected a lens with k1, k2, p1, p2 at most, got {model}: undistort the images first")
+        raise InputError(f"expected lens distortion of k1, k2, p1, p2 only, got {model}: undistort the images first")
     size = (int(values["w"]), int(values["h"])) if "w" in values and "h" in values else image
     if size is None:
         return None
@@ -113,32 +118,34 @@ def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | N
 
 
 def _focal(values: Mapping[str, Any], axis: str, pixels: int) -> float | None:
-    """The focal length in pixels that a file gives, or that its angle of view means; None where it has neither."""
-    given, angle = (float(values[key]) if key in values else None for key in (f"fl_{axis}", f"camera_angle_{axis}"))
+    """Return the focal length in pixels, as stated or from the angle of view; None if there is neither."""
+    stated, angle = (float(values[key]) if key in values else None for key in (f"fl_{axis}", f"camera_angle_{axis}"))
     if angle is None:
-        return given
-    meant = 0.5 * pixels / float(np.tan(0.5 * angle))
-    if given is not None and abs(given - meant) > _MAX_CONTRADICTION * meant:
+        return stated
+    implied = 0.5 * pixels / float(np.tan(0.5 * angle))
+    if stated is not None and abs(stated - implied) > _MAX_FOCAL_DISAGREEMENT * implied:
         raise InputError(
-            f"fl_{axis} {given:g} px and camera_angle_{axis} {angle:g} (which is {meant:.4g} px) contradict each other:"
-            " remove the wrong one"
+            f"expected fl_{axis} and camera_angle_{axis} to agree, got {stated:g} px and {angle:g} rad"
+            f" ({implied:.4g} px): remove the wrong one"
         )
-    return meant if given is None else given
+    return implied if stated is None else stated
 
 
 def _pose(matrix: Any) -> Similarity:
     m = np.array(matrix, dtype=np.float64)
     if m.shape not in ((4, 4), (3, 4)) or not np.isfinite(m).all():
-        raise InputError(f"expected a 4x4 transform_matrix of finite numbers, got shape {m.shape}")
-    cam_from_world = (rotation_from(m[:3, :3]) @ _FLIP).T
+        raise InputError(f"expected a 4x4 transform_matrix of finite numbers, got shape {m.shape}: export it again")
+    cam_from_world = (rotation_from(m[:3, :3]) @ _OPENCV_FROM_OPENGL).T
     return Similarity(cam_from_world, -cam_from_world @ m[:3, 3])
 
 
 def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "images") -> None:
-    """Write cameras as a transforms.json, all or nothing.
+    """Write cameras as a transforms.json. If an error occurs, an existing file stays unchanged.
 
     Args:
-        images: the folder of the images, relative to the file's own.
+        path: output file.
+        cameras: cameras to write.
+        images: folder of the images, relative to the folder of the file.
 
     Raises:
         OSError: the file cannot be written.
@@ -146,11 +153,13 @@ def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "image
     intrinsics = [_intrinsics_values(camera.intrinsics) for camera in cameras]
     shared = intrinsics[0] if intrinsics and all(values == intrinsics[0] for values in intrinsics) else {}
     frames = []
-    for camera, own in zip(cameras, intrinsics, strict=True):
+    for camera, camera_values in zip(cameras, intrinsics, strict=True):
         world_from_cam = camera.cam_from_world.inverse().matrix
-        world_from_cam[:3, :3] = world_from_cam[:3, :3] @ _FLIP
+        world_from_cam[:3, :3] = world_from_cam[:3, :3] @ _OPENCV_FROM_OPENGL
         name = f"{images}/{camera.name}" if images else camera.name
-        frames.append({"file_path": name, **({} if shared else own), "transform_matrix": world_from_cam.tolist()})
+        frames.append(
+            {"file_path": name, **({} if shared else camera_values), "transform_matrix": world_from_cam.tolist()}
+        )
     document = {"camera_model": "OPENCV", **shared, "frames": frames}
     with atomic_write(path) as file:
         file.write(json.dumps(document, indent=1).encode() + b"\n")

@@ -1,14 +1,14 @@
-"""Reads a mesh with trimesh in a process of its own: `trimesh_child.py FILE VERTICES.npy FACES.npy`.
+"""Read a mesh with trimesh in a child process: `trimesh_child.py FILE VERTICES.npy FACES.npy`.
 
-Parsers of formats as rich as glTF believe what a file says of itself. Here they may crash, hang or ask for all the
-memory there is: the limits that the process is started with end them, and the parent says which file it was. Nothing of
-pcbench is imported.
+Parsers of formats as rich as glTF trust the sizes in a file, and may crash, hang or request all memory. Then the limits
+of the process end it, and the parent reports the file. The script does not import pcbench.
 """
 
 import sys
 
 
 def main(source: str, vertices: str, faces: str) -> None:
+    """Write the vertices and faces of a mesh file as .npy."""
     import numpy as np
     import trimesh
 
@@ -21,6 +21,6 @@ if __name__ == "__main__":
     try:
         main(*sys.argv[1:])
     except MemoryError:
-        sys.exit("it asks for more memory than a file of its size can need")
+        sys.exit("it requests more memory than a file of its size can need")
     except Exception as error:
         sys.exit(f"{type(error).__name__}: {error}")

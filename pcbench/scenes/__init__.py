@@ -1,4 +1,4 @@
-"""Scenes: photographs and what is known about their cameras, read from folders or made synthetically."""
+"""Scenes: photographs with their cameras, read from folders or created synthetically."""
 
 from pcbench.scenes.read import read_scene
 from pcbench.scenes.scene import Scene

@@ -1,4 +1,4 @@
-"""The pixels of images and masks, decoded by Pillow and brought to the size that a scene works with."""
+"""Decode images and masks with Pillow and resize them to the working size of a scene."""
 
 from __future__ import annotations
 
@@ -19,49 +19,57 @@ from pcbench.extras import require
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-MAX_PIXELS = 600_000_000  # of an image; survey cameras take up to 450 million
+MAX_PIXELS = 600_000_000  # per image; survey cameras have up to 450 million
 Size = tuple[int, int]  # width and height in pixels
 
-# Tags of EXIF (CIPA DC-008): its directory, in it the size, and pixels to a unit of the sensor.
-_EXIF, _PIXELS, _RESOLUTIONS = 0x8769, (0xA002, 0xA003), (0xA20E, 0xA20F)
-_MAX_EXIF = 65_000  # bytes that a JPEG's segment takes
+# EXIF tags (CIPA DC-008): the EXIF directory; in it the size in pixels, and the resolution of the focal plane.
+_EXIF_TAG, _PIXEL_SIZE_TAGS, _RESOLUTION_TAGS = 0x8769, (0xA002, 0xA003), (0xA20E, 0xA20F)
+_MAX_EXIF_BYTES = 65_000  # that fit in a segment of a JPEG
 
 
 def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
-    """An image (height, width, 3) RGB, resized smoothly.
+    """Decode an image to (height, width, 3) RGB and resize it with a Lanczos filter.
+
+    Args:
+        path: image file.
+        size: (width, height) in pixels.
 
     Raises:
-        InputError: it cannot be decoded.
+        InputError: the image cannot be decoded.
         MissingExtra: Pillow is not installed.
     """
-    return np.array(_open(path, "RGB", size), dtype=np.uint8)
+    return np.array(_load(path, "RGB", size), dtype=np.uint8)
 
 
 def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
-    """Which pixels (height, width) are not black, resized to the nearest pixel: a mask has nothing in between.
+    """Decode a mask to (height, width), True where it is not black, and resize it to the nearest pixel.
+
+    Args:
+        path: image file.
+        size: (width, height) in pixels.
 
     Raises:
-        InputError: it cannot be decoded.
+        InputError: the mask cannot be decoded.
         MissingExtra: Pillow is not installed.
     """
-    return np.array(_open(path, "L", size, smooth=False)) > 0
+    return np.array(_load(path, "L", size, smooth=False)) > 0
 
 
 def why_unreadable(path: Path) -> str | None:
-    """What is wrong with an image that cannot be decoded: too large, truncated or unreadable; None where it can be.
+    """Describe why an image cannot be decoded (too large, truncated or unreadable); None if it can be.
 
-    Check sums count too: Pillow passes over those of a PNG's pixels, other decoders refuse them.
+    Checksums are verified too: Pillow ignores those of a PNG's pixels, but other decoders refuse wrong ones.
 
     Raises:
         MissingExtra: Pillow is not installed.
     """
     pillow = require("PIL.Image")
     try:
-        with _large_images(), pillow.open(path) as image:
+        with _no_pixel_limit(), pillow.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
                 return f"too large ({image.width} x {image.height} pixels, at most {MAX_PIXELS / 1e6:.0f} million)"
             image.verify()
-        with _large_images(), pillow.open(path) as image:
+        with _no_pixel_limit(), pillow.open(path) as image:
             image.load()
     except MemoryError:
         return f"too large ({path.stat().st_size} bytes do not fit into memory)"
@@ -72,27 +80,34 @@ def why_unreadable(path: Path) -> str | None:
 
 
 def resize_image(path: Path, out: Path, size: Size) -> None:
-    """Write an image at another size: PNG without loss, JPEG at quality 97 without subsampled colours. What its EXIF
-    says goes with it, which is how others know the focal length; a damaged block is left out.
+    """Write an image at another size: lossless PNG, or JPEG at quality 97 without chroma subsampling.
+
+    EXIF data are copied, since other programs read the focal length from them; a damaged block is left out.
+
+    Args:
+        path: image file.
+        out: output file.
+        size: (width, height) in pixels.
 
     Raises:
-        InputError: it cannot be decoded.
+        InputError: the image cannot be decoded.
         MissingExtra: Pillow is not installed.
         OSError: the file cannot be written.
     """
     lossless = out.suffix.lower() == ".png"
     options: dict[str, Any] = {"compress_level": 1} if lossless else {"quality": 97, "subsampling": 0}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of Pillow, on damaged blocks
-        image = _open(path, "RGB", size)
-        if exif := _exif(path, size):
+        warnings.simplefilter("ignore")  # Pillow warns about damaged EXIF blocks
+        image = _load(path, "RGB", size)
+        if exif := _resized_exif(path, size):
             options["exif"] = exif
     image.save(out, **options)
 
 
-def _exif(path: Path, size: Size) -> bytes:
-    """The EXIF block of an image as it is for another size: of the focal length, one of three ways to give it counts
-    in pixels of the sensor. Empty where there is none, or none that can be read.
+def _resized_exif(path: Path, size: Size) -> bytes:
+    """Return the EXIF block of an image, adapted to another size; empty if there is none or it cannot be read.
+
+    The size in pixels and the focal plane resolution are scaled, from which programs derive the focal length.
     """
     from PIL import Image as Pillow
     from PIL.TiffImagePlugin import IFDRational
@@ -103,8 +118,8 @@ def _exif(path: Path, size: Size) -> bytes:
             exif = original.getexif()
             if not exif:
                 return b""
-            fields = exif.get_ifd(_EXIF)
-            for pixels, resolution, length, scale in zip(_PIXELS, _RESOLUTIONS, size, scales, strict=True):
+            fields = exif.get_ifd(_EXIF_TAG)
+            for pixels, resolution, length, scale in zip(_PIXEL_SIZE_TAGS, _RESOLUTION_TAGS, size, scales, strict=True):
                 if pixels in fields:
                     fields[pixels] = length
                 if resolution in fields:
@@ -112,13 +127,13 @@ def _exif(path: Path, size: Size) -> bytes:
             block: bytes = exif.tobytes()
     except (OSError, ValueError, TypeError, KeyError, SyntaxError, ArithmeticError, struct.error):
         return b""
-    return block if len(block) <= _MAX_EXIF else b""
+    return block if len(block) <= _MAX_EXIF_BYTES else b""
 
 
-def _open(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
+def _load(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
     pillow = require("PIL.Image")
     try:
-        with _large_images(), pillow.open(path) as file:
+        with _no_pixel_limit(), pillow.open(path) as file:
             if file.width * file.height > MAX_PIXELS:
                 raise InputError(
                     f"{path}: expected an image of at most {MAX_PIXELS / 1e6:.0f} million pixels, got {file.width} x"
@@ -135,11 +150,11 @@ def _open(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
 
 
 @contextmanager
-def _large_images() -> Iterator[None]:
-    """Without Pillow's own limit, which is less than what cameras of surveys take."""
+def _no_pixel_limit() -> Iterator[None]:
+    """Disable Pillow's pixel limit, which is lower than the size of survey images."""
     pillow = require("PIL.Image")
-    kept, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
+    original_limit, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
     try:
         yield
     finally:
-        pillow.MAX_IMAGE_PIXELS = kept
+        pillow.MAX_IMAGE_PIXELS = original_limit

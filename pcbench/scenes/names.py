@@ -1,4 +1,4 @@
-"""Which image a camera's name means: files name images by ways that were right on another machine."""
+"""Match camera names to images. Camera files often contain paths from another machine."""
 
 from __future__ import annotations
 
@@ -6,38 +6,40 @@ from collections.abc import Iterable
 
 
 class ImageNames:
-    """A scene's images by name: the same name, else the only image that ends in as much of the way as any does, with
-    or without its extension. Backslashes part folders too.
+    """Images of a scene by the name that a camera file uses.
+
+    An equal name matches first; otherwise the only image that shares the longest trailing part of the path, with or
+    without extension. Backslashes separate folders too.
     """
 
     def __init__(self, images: Iterable[str]) -> None:
-        self._found: dict[str, str | None] = {}  # None where several images end so
+        self._images: dict[str, str | None] = {}  # None if several images match
         names = list(images)
         for name in names:
-            for key in {end for way in (name, _bare(name)) for end in _ends(way)} - {name}:
-                self._found[key] = None if key in self._found else name
-        self._found |= {name: name for name in names}
+            for key in {end for path in (name, _without_extension(name)) for end in _trailing_paths(path)} - {name}:
+                self._images[key] = None if key in self._images else name
+        self._images |= {name: name for name in names}
 
     def __call__(self, camera: str) -> str | None:
-        """The image's name; None where there is none, or more than one that it could be."""
-        if camera in self._found:
-            return self._found[camera]
-        way = camera.replace("\\", "/")
-        for end in _ends(way):
-            for key in (end, _bare(end)):
-                if found := self._found.get(key):
+        """Return the image's name, or None if no image or several images match."""
+        if camera in self._images:
+            return self._images[camera]
+        path = camera.replace("\\", "/")
+        for end in _trailing_paths(path):
+            for key in (end, _without_extension(end)):
+                if found := self._images.get(key):
                     return found
         return None
 
 
-def _ends(way: str) -> list[str]:
-    """a/b/c, b/c and c."""
-    parts = [part for part in way.split("/") if part not in ("", ".")]
+def _trailing_paths(path: str) -> list[str]:
+    """Return the trailing parts of a path: a/b/c, b/c and c."""
+    parts = [part for part in path.split("/") if part not in ("", ".")]
     return ["/".join(parts[k:]) for k in range(len(parts))]
 
 
-def _bare(way: str) -> str:
-    """Without the extension of its last part."""
-    folder, slash, name = way.rpartition("/")
+def _without_extension(path: str) -> str:
+    """Return a path without the extension of its last part."""
+    folder, slash, name = path.rpartition("/")
     stem, dot, _ = name.rpartition(".")
     return folder + slash + (stem if dot and stem else name)

@@ -1,4 +1,4 @@
-"""Scenes from folders: which images, masks, positions and cameras there are, and which of them belong together."""
+"""Read scenes from folders: find images, masks, positions and cameras, and match them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
-from pcbench.io.earth_studio import PROJECT, read_earth_studio, sphere_in_words
+from pcbench.io.earth_studio import PROJECT_FILE_HINT, describe_sphere_scale, read_earth_studio
 from pcbench.io.image_header import ImageHeader, read_image_header
-from pcbench.io.k_matrix import K_MATRIX, intrinsics_from_k, read_k_matrix
+from pcbench.io.k_matrix import K_MATRIX_FILE, intrinsics_from_k, read_k_matrix
 from pcbench.io.openmvs import is_openmvs, read_openmvs
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
@@ -30,8 +30,8 @@ from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, u
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
-# Of the longer side of an image, below which no focal length is one in pixels: 157 degrees of view.
-_MIN_FOCAL = 0.1
+# Smallest plausible focal length as a share of the longer image side: a field of view of 157 degrees.
+_MIN_FOCAL_SHARE = 0.1
 
 
 def read_scene(
@@ -42,31 +42,36 @@ def read_scene(
     image_scale: float = 1.0,
     on_warning: Callable[[str], None] | None = None,
 ) -> Scene:
-    """The scene in a folder: its JPEG and PNG images (in `images/`, `train/`, `rgb/` or `footage/`, else directly in
-    it) and what belongs to them.
+    """Read the scene in a folder: its JPEG and PNG images, cameras, masks and positions.
+
+    Images are searched in `images/`, `train/`, `rgb/` or `footage/`, else directly in the folder.
 
     Args:
-        path: the folder.
-        cameras: "auto": the first found of a COLMAP model (here, in sparse/0 or sparse), transforms.json,
-            transforms_train.json, Strecha's `.camera` files (here or in gt_dense_cameras), an OpenMVS scene (`.mvs`)
-            and an Earth Studio export; "none"; or one of these by its file or folder. Cameras are matched to images by
-            name, frames of Earth Studio by their number. Images without a camera get the intrinsics of a `K.txt` beside
-            them or in the folder. Intrinsics for images of another size are scaled if the aspect is the same.
-        masks: a folder with NAME.png for an image NAME, or with its stem; `masks/` in the folder if not given.
-        image_scale: work with images of this scale, 0 < scale <= 1.
-        on_warning: called with one line for each thing left out or not obeyed; `warnings.warn` if not given.
+        path: folder of the scene.
+        cameras: "auto", "none", or a camera file or folder. "auto" uses the first that exists: a COLMAP model (here, in
+            sparse/0 or sparse), transforms.json, transforms_train.json, Strecha's `.camera` files (here or in
+            gt_dense_cameras), an OpenMVS scene (`.mvs`), an Earth Studio export. Cameras are matched to images by name,
+            frames of Earth Studio by number. Images without a camera get the intrinsics of a `K.txt` next to them or in
+            the folder. Intrinsics for another image size are scaled if the aspect ratio is equal.
+        masks: folder with a mask NAME.png for an image NAME (with or without its extension). Defaults to `masks/` in
+            the folder.
+        image_scale: scale of the working size, 0 < scale <= 1.
+        on_warning: callback, called with one line per warning. Defaults to `warnings.warn`.
+
+    Returns:
+        The scene.
 
     Raises:
-        InputError: there are no images, an image is empty or damaged, a camera's size does not fit its image, its
-            intrinsics cannot be those of an image, a pose is no rotation, no camera has an image, or an option is
-            wrong.
+        InputError: there are no images, an image is empty or damaged, a camera's size does not match its image, its
+            intrinsics are implausible, a pose is not a rotation, no camera matches an image, or an option is invalid.
     """
     path = Path(path)
     warn = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
     if not path.is_dir():
-        raise InputError(f"{path}: expected a folder with images" + ("" if path.exists() else ", which does not exist"))
+        got = "got a file" if path.exists() else "but it does not exist"
+        raise InputError(f"{path}: expected a folder with images, {got}: check the path")
     if not 0 < image_scale <= 1:
-        raise InputError(f"expected an image scale above 0 and up to 1, got {image_scale:g}")
+        raise InputError(f"expected an image scale above 0 and at most 1, got {image_scale:g}")
     folder, names = find_images(path)
     headers = {name: read_image_header(folder / name) for name in names}
     scene = Scene(
@@ -82,14 +87,14 @@ def read_scene(
 
 
 def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
-    """Measured positions, lines of an image's name and x y z in metres; lines that start with # are comments."""
+    """Read measured positions: lines of image name and x y z in metres. Lines that start with # are comments."""
     try:
         lines = read_text(path).splitlines() if has_entry(path) else []
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from error
     find = ImageNames(images)
     found: dict[str, FloatArray] = {}
-    lost: list[str] = []
+    unmatched: list[str] = []
     for number, line in enumerate(lines, 1):
         words = line.split()
         if not words or words[0].startswith("#"):
@@ -99,14 +104,16 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
         except ValueError:
             position = np.zeros(0)
         if position.shape != (3,) or not np.isfinite(position).all():
-            raise InputError(f"{path}: line {number}: expected a name and x y z, got {line.strip()[:60]!r}")
+            raise InputError(
+                f"{path}: line {number}: expected a name and x y z, got {line.strip()[:60]!r}: correct the line"
+            )
         name = find(words[0])
         if name is None:
-            lost.append(words[0])
+            unmatched.append(words[0])
         else:
             found[name] = position
-    if lost:
-        warn(f"{path}: {len(lost)} positions are left out, their images are missing: {_some(lost)}")
+    if unmatched:
+        warn(f"{path}: left out {len(unmatched)} positions without an image: {_list_names(unmatched)}")
     return found
 
 
@@ -114,17 +121,17 @@ def _masks_folder(path: Path, masks: Path | str | None) -> Path | None:
     if masks is None:
         return path / "masks" if (path / "masks").is_dir() else None
     if not Path(masks).is_dir():
-        raise InputError(f"{masks}: expected a folder with masks")
+        raise InputError(f"{masks}: expected a folder with masks, got none: check the path")
     return Path(masks)
 
 
 def _masks(
     folder: Path, names: Iterable[str], headers: Mapping[str, ImageHeader], masks: Path | None
 ) -> dict[str, Path]:
-    """The masks by image name; COLMAP's NAME.png (`a.jpg.png`) goes before the stem's (`a.png`)."""
+    """Find the masks by image name; COLMAP's NAME.png (`a.jpg.png`) takes precedence over the stem's (`a.png`)."""
     if masks is None:
         return {}
-    found: dict[str, Path] = {}
+    mask_files: dict[str, Path] = {}
     for name in names:
         for candidate in (masks / f"{name}.png", masks / Path(name).with_suffix(".png")):
             if has_entry(candidate):
@@ -132,129 +139,133 @@ def _masks(
                 if (mask.width, mask.height) != (image.width, image.height):
                     raise InputError(
                         f"{candidate}: expected a mask of {image.width} x {image.height} pixels as {folder / name},"
-                        f" got {mask.width} x {mask.height}"
+                        f" got {mask.width} x {mask.height}: resize the mask"
                     )
-                found[name] = candidate
+                mask_files[name] = candidate
                 break
-    if not found:
-        raise InputError(f"{masks}: no mask has an image's name: expected files such as {next(iter(headers))}.png")
-    return found
+    if not mask_files:
+        raise InputError(f"{masks}: expected masks named by their images, such as {next(iter(headers))}.png, got none")
+    return mask_files
 
 
 def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], None]) -> Scene:
-    """The scene with the cameras of a file or folder, or as it is where there are none."""
+    """Add the cameras of a file or folder to a scene; return it unchanged if there are none."""
     if choice == "none":
         return scene
     source = find_cameras(path) if choice == "auto" else Path(choice)
     if source is None:
         _warn_of_unread(scene, None, scene.images, warn)
         if projects := sorted(path.glob("*.esp")):
-            warn(f"{projects[0]}: {PROJECT}")
+            warn(f"{projects[0]}: {PROJECT_FILE_HINT}")
         return scene
     if not source.exists():
-        raise InputError(f"{source}: expected a file or folder with cameras, which does not exist")
+        raise InputError(f"{source}: expected a file or folder with cameras, but it does not exist: check the path")
     find = ImageNames(scene.images)
-    given = _read_cameras(source, scene, find, warn)
-    placed: dict[str, Camera] = {}
-    lost: list[str] = []
-    for camera in given.cameras:
+    camera_file = _read_cameras(source, scene, find, warn)
+    matched: dict[str, Camera] = {}
+    unmatched: list[str] = []
+    for camera in camera_file.cameras:
         name = find(camera.name)
         if name is None:
-            lost.append(camera.name)
+            unmatched.append(camera.name)
             continue
-        if name in placed:
-            raise InputError(f"{source}: two cameras for the image {name}")
+        if name in matched:
+            raise InputError(f"{source}: expected one camera per image, got two for {name}: remove one of them")
         intrinsics = camera.intrinsics
         if not _same_aspect((intrinsics.width, intrinsics.height), scene.sizes[name]):
             width, height = scene.sizes[name]
             raise InputError(
-                f"{scene.folder / name}: the image has {width} x {height} pixels, but its camera in {source} is for"
-                f" {intrinsics.width} x {intrinsics.height}: use the images that the cameras were made for"
+                f"{scene.folder / name}: expected an image of {intrinsics.width} x {intrinsics.height} pixels as its"
+                f" camera in {source}, got {width} x {height}: use the images of these cameras"
             )
-        if wrong := _no_intrinsics(intrinsics):
+        if wrong := _intrinsics_error(intrinsics):
             raise InputError(f"{source}: {name}: {wrong}")
-        placed[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
-    if not placed:
-        missing = lost[0] if lost else "a file_path"
-        raise InputError(f"{source}: missing images: none of {len(lost)} cameras has one, such as {missing!r}")
-    if lost:
-        count = f"{len(lost)} of {len(given.cameras)}"
-        warn(f"{source}: {count} cameras are left out, their images are missing: {_some(lost)}")
-    if bare := [name for name in scene.images if name not in placed]:
-        warn(f"{source}: {len(bare)} of {len(scene)} images have no camera: {_some(bare)}")
-    _warn_of_unread(scene, source, bare, warn)
-    if given.origin is not None:
-        warn(f"{source}: {sphere_in_words(given.origin)}")
-    on_sphere = given.origin is not None  # Earth Studio alone says where its origin is
-    return replace(scene, cameras=placed, points=given.points, origin=given.origin, on_sphere=on_sphere)
+        matched[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
+    if not matched:
+        missing = unmatched[0] if unmatched else "a file_path"
+        raise InputError(
+            f"{source}: expected cameras of these images, got {len(unmatched)} of other images, such as {missing!r}"
+        )
+    if unmatched:
+        count = f"{len(unmatched)} of {len(camera_file.cameras)}"
+        warn(f"{source}: left out {count} cameras whose images are missing: {_list_names(unmatched)}")
+    if without_camera := [name for name in scene.images if name not in matched]:
+        warn(f"{source}: no camera for {len(without_camera)} of {len(scene)} images: {_list_names(without_camera)}")
+    _warn_of_unread(scene, source, without_camera, warn)
+    if camera_file.origin is not None:
+        warn(f"{source}: {describe_sphere_scale(camera_file.origin)}")
+    on_sphere = camera_file.origin is not None  # only Earth Studio exports state an origin
+    return replace(scene, cameras=matched, points=camera_file.points, origin=camera_file.origin, on_sphere=on_sphere)
 
 
-def _warn_of_unread(scene: Scene, source: Path | None, bare: Sequence[str], warn: Callable[[str], None]) -> None:
-    """Warn of a calibration among the images that is not read; that of a K.txt is, where images have no camera."""
-    unread = [name for name in unread_calibrations(scene.folder, source) if name != K_MATRIX or not bare]
+def _warn_of_unread(
+    scene: Scene, source: Path | None, without_camera: Sequence[str], warn: Callable[[str], None]
+) -> None:
+    """Warn about a calibration file that is not read; K.txt is read if images have no camera."""
+    unread = [name for name in unread_calibrations(scene.folder, source) if name != K_MATRIX_FILE or not without_camera]
     if unread:
-        there = "there are no cameras" if source is None else f"cameras are those of {source}"
-        warn(f"{scene.folder / unread[0]}: looks like a calibration and is not read: {there}")
+        there = "the scene has no cameras" if source is None else f"the cameras are read from {source}"
+        warn(f"{scene.folder / unread[0]}: ignored a file that looks like a calibration: {there}")
 
 
 def _with_intrinsics(scene: Scene, path: Path, warn: Callable[[str], None]) -> Scene:
-    """The scene with the intrinsics of a K.txt for the images without a camera, or as it is where there is none."""
-    file = next((place / K_MATRIX for place in (scene.folder, path) if has_entry(place / K_MATRIX)), None)
-    bare = [name for name in scene.images if name not in scene.cameras]
-    if file is None or not bare:
+    """Add the intrinsics of a K.txt for the images without a camera; return the scene unchanged if there is none."""
+    file = next((place / K_MATRIX_FILE for place in (scene.folder, path) if has_entry(place / K_MATRIX_FILE)), None)
+    without_camera = [name for name in scene.images if name not in scene.cameras]
+    if file is None or not without_camera:
         return scene
     k = read_k_matrix(file)
-    found: dict[str, Intrinsics] = {}
+    found_intrinsics: dict[str, Intrinsics] = {}
     reduced: dict[Size, int] = {}
-    for name in bare:
+    for name in without_camera:
         width, height = scene.sizes[name]
         try:
             intrinsics, factor = intrinsics_from_k(k, width, height)
         except InputError as error:
             raise InputError(f"{file}: {name}: {error}") from None
-        if wrong := _no_intrinsics(intrinsics):
+        if wrong := _intrinsics_error(intrinsics):
             raise InputError(f"{file}: {name}: {wrong}")
-        found[name] = intrinsics.resized(*scene.size(name))
+        found_intrinsics[name] = intrinsics.resized(*scene.size(name))
         if factor > 1:
             reduced[width, height] = factor
     for (width, height), factor in reduced.items():
         full = f"{factor * width} x {factor * height}"
-        warn(f"{file}: taken to be for images of {full} pixels, by its principal point: scaled to {width} x {height}")
-    return replace(scene, intrinsics=found)
+        warn(f"{file}: its principal point fits images of {full} pixels: scaled it to {width} x {height}")
+    return replace(scene, intrinsics=found_intrinsics)
 
 
-class _Given(NamedTuple):
-    """Cameras under the names that their file has for them, and what else it says."""
+class _CameraFile(NamedTuple):
+    """Cameras named as in their file, with the sparse points and origin if it has them."""
 
     cameras: Sequence[Camera]
     points: Cloud | None = None
     origin: Gps | None = None
 
 
-def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _Given:
-    """The cameras of a file or folder, in whichever of the known formats it is."""
+def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _CameraFile:
+    """Read the cameras of a file or folder in any supported format."""
     if source.is_dir():
         if is_colmap_model(source):
-            return _Given(read_colmap_cameras(source), read_points3d(source) if has_points(source) else None)
+            return _CameraFile(read_colmap_cameras(source), read_points3d(source) if has_points(source) else None)
         if files := sorted(source.glob("*.camera")):
-            return _Given([read_strecha(file) for file in files])
-        raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files in this folder")
+            return _CameraFile([read_strecha(file) for file in files])
+        raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files, got neither")
     if source.suffix == ".camera":
-        return _Given([read_strecha(source)])
+        return _CameraFile([read_strecha(source)])
     if is_openmvs(source):
-        return _Given(*read_openmvs(source, lambda name: scene.sizes.get(find(name) or ""), warn))
+        return _CameraFile(*read_openmvs(source, lambda name: scene.sizes.get(find(name) or ""), warn))
     if source.suffix.lower() == ".esp":
-        raise InputError(f"{source}: {PROJECT}")
+        raise InputError(f"{source}: {PROJECT_FILE_HINT}")
     if is_earth_studio(source):
         frames, origin = read_earth_studio(source)
-        return _Given(_frames_to_images(source, frames, scene.images), origin=origin)
-    return _Given(read_transforms(source, lambda name: scene.sizes.get(find(name) or ""), warn))
+        return _CameraFile(_frames_to_images(source, frames, scene.images), origin=origin)
+    return _CameraFile(read_transforms(source, lambda name: scene.sizes.get(find(name) or ""), warn))
 
 
 def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[str]) -> list[Camera]:
-    """Frames under the names of their images: in order where all are there, else by the number that ends a name.
+    """Name frames by their images: in order if the counts match, else by the number at the end of an image's name.
 
-    An export has one frame more than the renderer writes images (96 of 97).
+    An export may have one frame more than the renderer writes images, such as 97 for 96.
     """
     if len(images) in (len(frames), len(frames) - 1):
         return [replace(camera, name=name) for camera, name in zip(frames, images, strict=False)]
@@ -263,32 +274,32 @@ def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[s
         number = re.search(r"(\d+)$", Path(name).stem)
         if number is None or int(number[1]) >= len(frames):
             raise InputError(
-                f"{source}: {len(frames)} frames for {len(images)} images, and {name!r} does not end in the number of"
-                f" a frame (0 to {len(frames) - 1})"
+                f"{source}: expected image names that end in a frame number (0 to {len(frames) - 1}), since there are"
+                f" {len(frames)} frames for {len(images)} images; got {name!r}: rename the image"
             )
         chosen.append(replace(frames[int(number[1])], name=name))
     return chosen
 
 
-def _no_intrinsics(k: Intrinsics) -> str:
-    """Why intrinsics cannot be those of an image, in words; empty where they can."""
+def _intrinsics_error(k: Intrinsics) -> str:
+    """Describe why intrinsics are implausible for their image; empty if they are plausible."""
     size = max(k.width, k.height)
     focal, at = f"a focal length of {k.fx:.4g} x {k.fy:.4g}", f"a principal point at ({k.cx:.4g}, {k.cy:.4g})"
-    in_pixels = min(k.fx, k.fy) >= _MIN_FOCAL * size and (max(k.cx, k.cy) > 1 or size <= 2)
+    in_pixels = min(k.fx, k.fy) >= _MIN_FOCAL_SHARE * size and (max(k.cx, k.cy) > 1 or size <= 2)
     if not in_pixels:
-        what = "they look normalised or in millimetres"
+        what = "they look normalised or in millimetres, convert them to pixels"
     elif not (0 <= k.cx <= k.width and 0 <= k.cy <= k.height):
-        what = "its principal point lies outside the image"
+        what = "the principal point lies outside the image, correct it"
     else:
         return ""
     return f"expected intrinsics in pixels of {k.width} x {k.height}, got {focal} and {at}: {what}"
 
 
 def _same_aspect(camera: Size, image: Size) -> bool:
-    """Whether one was resized to the other, up to the rounding of a pixel in either size."""
+    """Whether two sizes have the same aspect ratio, up to rounding by one pixel in either size."""
     scale = image[0] / camera[0]
     return abs(camera[1] * scale - image[1]) <= 1 + scale
 
 
-def _some(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

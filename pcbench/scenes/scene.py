@@ -1,4 +1,4 @@
-"""Scene: photographs, and what is known about their cameras. It is what a reconstructor gets."""
+"""Scene: photographs and their known cameras, the input of a reconstructor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pcbench.scenes.splits import Split, every, in_blocks
 
 
 def cameras_in_wgs84(cameras: Mapping[str, Camera], origin: Gps) -> dict[str, Camera]:
-    """Cameras in east-north-up of Earth Studio's sphere about a place, in that of WGS84 about the same place."""
+    """Convert cameras in east-north-up from Earth Studio's sphere to WGS84, about the same origin."""
     moved = {}
     for name, camera in cameras.items():
         rotation = camera.cam_from_world.rotation
@@ -36,21 +36,21 @@ def cameras_in_wgs84(cameras: Mapping[str, Camera], origin: Gps) -> dict[str, Ca
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Photographs with, perhaps, cameras, GPS positions and masks. `read_scene` makes one.
+    """Photographs, optionally with cameras, GPS positions and masks. Use `read_scene` to create one.
 
     Args:
-        folder: where the images are.
-        images: their names relative to it, sorted as people count (frame_2 before frame_10).
-        sizes: (width, height) of each image's file, in pixels.
-        cameras: by image name, at the working size; the images without one are not in it.
-        intrinsics: by image name, at the working size, of images that have no camera.
-        gps: by image name, from EXIF.
-        positions: by image name, measured in metres in a frame of their own (3,), from gps.txt.
-        masks: by image name: an image of the same size whose black pixels are to be left out.
-        image_scale: the working size relative to the files', 0 < scale <= 1.
-        points: sparse points in the frame of the cameras, if they came with some.
-        origin: the place on earth that is (0, 0, 0) in the frame of the cameras (x east, y north, z up), if known.
-        on_sphere: whether the metres of the cameras are those of Earth Studio's sphere, up to 0.6 % off WGS84's.
+        folder: folder of the images.
+        images: image names relative to the folder, in natural order (frame_2 before frame_10).
+        sizes: stored size (width, height) of each image, in pixels.
+        cameras: cameras by image name, at the working size; images without a camera are absent.
+        intrinsics: intrinsics by image name, at the working size, of images without a camera.
+        gps: GPS positions from EXIF by image name.
+        positions: measured positions (3,) from gps.txt by image name, in metres in their own frame.
+        masks: mask files by image name. A mask has the size of its image; black pixels are excluded.
+        image_scale: working size relative to the stored size, 0 < scale <= 1.
+        points: sparse points in the frame of the cameras, if available.
+        origin: geographic position of (0, 0, 0) in the frame of the cameras (x east, y north, z up), if known.
+        on_sphere: whether the cameras are in metres on Earth Studio's sphere, up to 0.6 % off WGS84.
     """
 
     folder: Path
@@ -71,28 +71,28 @@ class Scene:
 
     @property
     def name(self) -> str:
-        """What people call it: its folder's name, without `images/` and the like."""
+        """Name of the scene: its folder's name, or that of the parent of `images/` and similar."""
         return scene_name(self.folder)
 
     def size(self, name: str) -> Size:
-        """Width and height at which an image is worked with, in pixels."""
+        """Return the working size (width, height) of an image, in pixels."""
         width, height = self.sizes[name]
         return max(1, round(width * self.image_scale)), max(1, round(height * self.image_scale))
 
     def read_image(self, name: str) -> NDArray[np.uint8]:
-        """An image at the working size, (height, width, 3) RGB.
+        """Read an image at the working size, (height, width, 3) RGB.
 
         Raises:
-            InputError: it cannot be decoded.
+            InputError: the image cannot be decoded.
             MissingExtra: Pillow is not installed.
         """
         return decode_image(self.folder / name, self.size(name))
 
     def read_mask(self, name: str) -> NDArray[np.bool_] | None:
-        """Which pixels count, (height, width) at the working size; None where the image has no mask.
+        """Read the mask of valid pixels, (height, width) at the working size; None if the image has no mask.
 
         Raises:
-            InputError: it cannot be decoded.
+            InputError: the mask cannot be decoded.
             MissingExtra: Pillow is not installed.
         """
         if name not in self.masks:
@@ -100,8 +100,7 @@ class Scene:
         return decode_mask(self.masks[name], self.size(name))
 
     def write_images(self, folder: Path) -> None:
-        """Write the images at the working size into a folder under their own names: PNG without loss, JPEG at quality
-        97 without subsampled colours.
+        """Write the images at the working size to a folder: lossless PNG, or JPEG at quality 97 with full chroma.
 
         Raises:
             InputError: an image cannot be decoded.
@@ -113,8 +112,9 @@ class Scene:
             resize_image(self.folder / name, folder / name, self.size(name))
 
     def measured_positions(self) -> tuple[dict[str, FloatArray], str]:
-        """Where images were taken, in metres (3,) by name, and the frame in words: that of gps.txt, or east-north-up
-        about the first image's with one in EXIF.
+        """Return the measured positions (3,) of images by name, in metres, and a description of their frame.
+
+        The frame is that of gps.txt, or east-north-up about the first image with a position in EXIF.
         """
         if self.positions:
             return dict(self.positions), "in the frame of gps.txt"
@@ -126,83 +126,90 @@ class Scene:
         return dict(zip(self.gps, enu, strict=True)), f"east-north-up about {where}"
 
     def in_wgs84(self) -> Scene:
-        """The scene with its cameras in metres of WGS84, by their latitudes, longitudes and altitudes. The images show
-        the sphere: with these cameras matches are off by a pixel or two, so reconstruct with those of the sphere, and
-        bring the cloud over (`pcbench reconstruct --wgs84`).
+        """Return the scene with its cameras converted from Earth Studio's sphere to WGS84 metres.
+
+        Latitudes, longitudes and altitudes stay the same. The images show the sphere, so matches are off by one or two
+        pixels with these cameras. Reconstruct with the original cameras and convert the cloud instead
+        (`pcbench reconstruct --wgs84`).
 
         Raises:
-            InputError: the cameras are not those of Earth Studio.
+            InputError: the cameras are not from Earth Studio.
         """
         origin = self.sphere_origin()
         return replace(self, cameras=cameras_in_wgs84(self.cameras, origin), on_sphere=False)
 
     def sphere_origin(self) -> Gps:
-        """The origin of cameras that are in metres of Earth Studio's sphere.
+        """Return the origin of cameras that are in metres on Earth Studio's sphere.
 
         Raises:
-            InputError: they are not.
+            InputError: the cameras are not on the sphere.
         """
         if not self.on_sphere or self.origin is None:
             raise InputError(
-                f"{self.folder}: expected cameras of Earth Studio, whose metres are those of a sphere, for WGS84"
+                f"{self.folder}: expected Earth Studio cameras for WGS84 metres, got others: leave out --wgs84"
             )
         return self.origin
 
     def select(self, names: Collection[str]) -> Scene:
-        """The scene of some of its images.
+        """Return the scene with only the given images.
 
         Raises:
             InputError: a name is not in the scene, or none is given.
         """
         if unknown := sorted(set(names) - set(self.images)):
-            raise InputError(f"expected names of images, got {unknown[0]!r}: they are such as {self.images[0]!r}")
-        kept = tuple(name for name in self.images if name in set(names))
-        if not kept:
+            raise InputError(f"expected names of images such as {self.images[0]!r}, got {unknown[0]!r}")
+        selected = tuple(name for name in self.images if name in set(names))
+        if not selected:
             raise InputError("expected at least one image, got none")
         return replace(
             self,
-            images=kept,
-            sizes={name: self.sizes[name] for name in kept},
-            cameras={name: self.cameras[name] for name in kept if name in self.cameras},
-            gps={name: self.gps[name] for name in kept if name in self.gps},
-            positions={name: self.positions[name] for name in kept if name in self.positions},
-            masks={name: self.masks[name] for name in kept if name in self.masks},
-            intrinsics={name: self.intrinsics[name] for name in kept if name in self.intrinsics},
+            images=selected,
+            sizes={name: self.sizes[name] for name in selected},
+            cameras={name: self.cameras[name] for name in selected if name in self.cameras},
+            gps={name: self.gps[name] for name in selected if name in self.gps},
+            positions={name: self.positions[name] for name in selected if name in self.positions},
+            masks={name: self.masks[name] for name in selected if name in self.masks},
+            intrinsics={name: self.intrinsics[name] for name in selected if name in self.intrinsics},
         )
 
     def split_every(self, n: int = 8) -> tuple[Scene, Scene]:
-        """Train and test by `pcbench.scenes.splits.every`: every n-th image is for testing. Test views have near
-        neighbours.
+        """Split into training and test images with `pcbench.scenes.splits.every`: each n-th image is a test image.
+
+        Test views are close to training views.
 
         Raises:
             InputError: there are too few images.
         """
-        return self._parts(every(self.images, n))
+        return self._select_split(every(self.images, n))
 
     def split_blocks(self, n: int = 8, blocks: int = 8) -> tuple[Scene, Scene]:
-        """Train and test by `pcbench.scenes.splits.in_blocks`: an n-th of the images is for testing, as runs in the
-        middles of equal parts. Test views have no near neighbours, which is harder than `split_every`.
+        """Split into training and test images with `pcbench.scenes.splits.in_blocks`.
+
+        One in n images is a test image, in runs at the middle of equal parts of the sequence. Most test views are far
+        from training views, so this is harder than `split_every`.
 
         Raises:
             InputError: there are too few images.
         """
         positions = {name: camera.position for name, camera in self.cameras.items()}
-        return self._parts(in_blocks(self.images, blocks, 1 / n, positions))
+        return self._select_split(in_blocks(self.images, blocks, 1 / n, positions))
 
-    def _parts(self, split: Split) -> tuple[Scene, Scene]:
+    def _select_split(self, split: Split) -> tuple[Scene, Scene]:
         return self.select(split.train), self.select(split.test)
 
     @cached_property
     def _digests(self) -> dict[str, tuple[str, str]]:
-        """SHA-256 of each image and its mask: read once, they may be gigabytes."""
+        """SHA-256 of each image and its mask, computed once since they may be gigabytes."""
         mask = {name: digest(path) for name, path in self.masks.items()}
         return {name: (digest(self.folder / name), mask.get(name, "")) for name in self.images}
 
     def describe(self) -> list[str]:
-        """What is in the scene, a few lines for people."""
+        """Describe the scene in a few lines for users."""
         sizes = sorted({self.size(name) for name in self.images})
-        shown = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (", ..." if len(sizes) > 3 else "")
-        lines = [f"{self.folder}: {len(self)} images of {shown}"]
+        size_text = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (
+            ", ..." if len(sizes) > 3 else ""
+        )
+        lines = [f"{self.folder}: {len(self)} images of {size_text}"]
         lines.append(f"  cameras {len(self.cameras)}, GPS {len(self.positions or self.gps)}, masks {len(self.masks)}")
         if self.cameras:
             positions = np.stack([camera.position for camera in self.cameras.values()])
@@ -210,7 +217,7 @@ class Scene:
             kinds = len({camera.intrinsics for camera in self.cameras.values()})
             lines.append(f"  cameras span {extent}, {kinds} intrinsics")
         if self.intrinsics:
-            lines.append(f"  intrinsics of {len(self.intrinsics)} images without a camera")
+            lines.append(f"  intrinsics for {len(self.intrinsics)} images without a camera")
         if self.points is not None:
             lines.append(f"  sparse points {len(self.points):,}")
         if self.origin is not None:
@@ -221,14 +228,14 @@ class Scene:
         return lines
 
     def fingerprint(self, *, cameras: bool = True) -> str:
-        """SHA-256 of what a reconstruction depends on: the bytes of images and masks, scale, GPS and cameras."""
-        whole = hashlib.sha256(repr(self.image_scale).encode())
+        """Return the SHA-256 of the inputs of a reconstruction: images, masks, scale, GPS and cameras."""
+        combined = hashlib.sha256(repr(self.image_scale).encode())
         for name in self.images:
-            whole.update(f"{name}\0{self._digests[name]}\0{self.gps.get(name)}\0".encode())
-            whole.update(self.positions[name].tobytes() if name in self.positions else b"")
+            combined.update(f"{name}\0{self._digests[name]}\0{self.gps.get(name)}\0".encode())
+            combined.update(self.positions[name].tobytes() if name in self.positions else b"")
             if cameras and name in self.cameras:
                 camera = self.cameras[name]
-                whole.update(repr(camera.intrinsics).encode() + camera.cam_from_world.matrix.tobytes())
+                combined.update(repr(camera.intrinsics).encode() + camera.cam_from_world.matrix.tobytes())
             elif cameras and name in self.intrinsics:
-                whole.update(repr(self.intrinsics[name]).encode())
-        return whole.hexdigest()
+                combined.update(repr(self.intrinsics[name]).encode())
+        return combined.hexdigest()

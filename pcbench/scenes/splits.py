@@ -1,4 +1,4 @@
-"""Which images of a scene are trained on, and which are held out to see how well new views are made."""
+"""Split the images of a scene into training images and held-out images."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 
 HoldOut = Literal["none", "every", "blocks"]
-"""How images are held out, as a setting of a reconstructor: none, `every` 8th, or 8 `in_blocks`."""
+"""Hold-out setting of a reconstructor: no image, `every` 8th, or 8 blocks (`in_blocks`)."""
 
-_BLOCKS = 8
-_SHORTEST = 2  # images of a block: one alone has neighbours on both sides, as every n-th has
-_DETOUR = 2.0
+_DEFAULT_BLOCKS = 8
+_MIN_BLOCK_IMAGES = 2  # a single image has training neighbours on both sides, as in `every`
+_MAX_DETOUR = 2.0  # length of the given order relative to the nearest-neighbour path
 
 
 @dataclass(frozen=True)
 class Split:
-    """Images for training and for testing; every image is one of them, once.
+    """Partition of images into training and test images.
 
     Attributes:
-        train: their names, in the scene's order.
-        blocks: names of those that are held out, in runs that were taken one after the other. Errors within a block go
-            together, so a standard error is that of the blocks' means.
-        words: how it was made.
+        train: names of the training images, in the scene's order.
+        blocks: names of the held-out images, in runs of consecutively captured images. Errors within a block are
+            correlated, so compute a standard error from the block means.
+        words: description of the split.
     """
 
     train: tuple[str, ...]
@@ -36,16 +36,17 @@ class Split:
 
     @property
     def test(self) -> tuple[str, ...]:
-        """The names of all that are held out."""
+        """Names of all held-out images."""
         return tuple(name for block in self.blocks for name in block)
 
 
 def hold_out(names: Sequence[str], how: HoldOut, positions: Mapping[str, FloatArray] | None = None) -> Split:
-    """The split that a setting names.
+    """Split images by a hold-out setting.
 
     Args:
-        names: in the scene's order.
-        positions: of the cameras (3,): see `capture_order`.
+        names: image names in the scene's order.
+        how: hold-out setting.
+        positions: camera positions (3,) by name; see `capture_order`.
 
     Raises:
         InputError: there are too few images.
@@ -56,17 +57,18 @@ def hold_out(names: Sequence[str], how: HoldOut, positions: Mapping[str, FloatAr
 
 
 def every(names: Sequence[str], n: int = 8) -> Split:
-    """Every n-th image, from the first, is held out, as is usual since Mip-NeRF 360 (Barron et al. 2022): each is
-    between neighbours that are trained on, which is the easy case.
+    """Hold out every n-th image, starting with the first, as is usual since Mip-NeRF 360 (Barron et al. 2022).
+
+    Each held-out image is between training images, which is the easy case.
 
     Raises:
-        InputError: there are no more than n images, or n is less than 2.
+        InputError: there are at most n images, or n is less than 2.
     """
     if n < 2:
-        raise InputError(f"expected every second image or fewer for testing, got one in {n}")
+        raise InputError(f"expected to hold out every 2nd image or fewer, got every {n}th: increase n")
     if len(names) <= n:
         raise InputError(
-            f"expected at least {n + 1} images to train on and to test with one in {n} of them, got {len(names)}"
+            f"expected at least {n + 1} images to hold out one in {n}, got {len(names)}: add images or lower n"
         )
     test = names[::n]
     return Split(_without(names, test), tuple((name,) for name in test), f"one image in {n}")
@@ -74,29 +76,30 @@ def every(names: Sequence[str], n: int = 8) -> Split:
 
 def in_blocks(
     names: Sequence[str],
-    count: int = _BLOCKS,
+    count: int = _DEFAULT_BLOCKS,
     share: float = 1 / 8,
     positions: Mapping[str, FloatArray] | None = None,
 ) -> Split:
-    """Runs of images that were taken one after the other are held out, in the middles of equal parts of the sequence:
-    no neighbour of a block's inner images is trained on, which is harder than `every`.
+    """Hold out blocks of consecutively captured images, in the middle of equal parts of the sequence.
+
+    The inner images of a block have no neighbouring training image, so this is harder than `every`.
 
     Args:
-        names: in the scene's order.
-        count: blocks. For statistics take eight or more.
-        share: of the images that is held out; more where blocks would be shorter than two images.
-        positions: of the cameras (3,): see `capture_order`.
+        names: image names in the scene's order.
+        count: number of blocks; use eight or more for statistics.
+        share: share of the images to hold out; larger if blocks would be shorter than two images.
+        positions: camera positions (3,) by name; see `capture_order`.
 
     Raises:
-        InputError: half of the images or more would be held out, or `count` is less than 1.
+        InputError: more than half of the images would be held out, or `count` is less than 1.
     """
     if count < 1:
-        raise InputError(f"expected at least one block, got {count}")
-    length = max(_SHORTEST, round(share * len(names) / count))
+        raise InputError(f"expected at least 1 block, got {count}")
+    length = max(_MIN_BLOCK_IMAGES, round(share * len(names) / count))
     if 2 * length * count > len(names):
         raise InputError(
-            f"expected images for training and for testing: for {count} blocks of {length} that are held out at least"
-            f" {2 * length * count} images, got {len(names)}: ask for fewer blocks, or hold out every n-th image"
+            f"expected at least {2 * length * count} images to hold out {count} blocks of {length}, got {len(names)}:"
+            " use fewer blocks, or hold out every n-th image"
         )
     order = capture_order(names, positions or {})
     starts = [((2 * k + 1) * len(names) - length * count) // (2 * count) for k in range(count)]
@@ -106,47 +109,53 @@ def in_blocks(
 
 
 def for_choosing(names: Sequence[str], positions: Mapping[str, FloatArray] | None = None) -> Split:
-    """Images that a model is chosen by, while it is trained on the others: 8 blocks of two or more where there are 32
-    images, else every 8th, or every third where there are few.
+    """Hold out images for model selection: 8 blocks if there are at least 32 images, else every 8th or 3rd image.
 
     Raises:
-        InputError: there are fewer than four images, of which no two could be spared.
+        InputError: there are fewer than four images.
     """
-    if len(names) >= _BLOCKS * _SHORTEST * 2:
-        return in_blocks(names, _BLOCKS, positions=positions)
-    return every(names, _BLOCKS if len(names) >= 3 * _BLOCKS else 3)
+    if len(names) >= _DEFAULT_BLOCKS * _MIN_BLOCK_IMAGES * 2:
+        return in_blocks(names, _DEFAULT_BLOCKS, positions=positions)
+    return every(names, _DEFAULT_BLOCKS if len(names) >= 3 * _DEFAULT_BLOCKS else 3)
 
 
 def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    """Names as they were taken, as far as can be known: in the order that is given, unless the way along it through
-    the positions is more than twice as long as one that goes from each to the nearest that is left. Then the names
-    carry no order (photographs of many people, say), and that way is it.
+    """Return names in the probable order of capture.
+
+    This is the given order, unless its path through the positions is more than twice as long as the path that always
+    continues to the nearest remaining position. Then the names carry no order (such as photographs by many people), and
+    the latter path is the order.
 
     Args:
-        positions: of the cameras (3,); where one lacks its own, the order that is given holds.
+        names: image names.
+        positions: camera positions (3,) by name; if one is missing, the given order is returned.
     """
-    given = tuple(names)
-    if len(given) < 3 or any(name not in positions for name in given):
-        return given
-    places = np.array([positions[name] for name in given], dtype=np.float64)
-    path = _to_the_nearest(places)
-    return tuple(given[k] for k in path) if _length(places) > _DETOUR * _length(places[path]) else given
+    original_order = tuple(names)
+    if len(original_order) < 3 or any(name not in positions for name in original_order):
+        return original_order
+    points = np.array([positions[name] for name in original_order], dtype=np.float64)
+    path = _nearest_neighbor_path(points)
+    return (
+        tuple(original_order[k] for k in path)
+        if _path_length(points) > _MAX_DETOUR * _path_length(points[path])
+        else original_order
+    )
 
 
-def _to_the_nearest(places: FloatArray) -> list[int]:
-    """A way through all places, from the first to the nearest that is left, and so on; ties by number."""
-    left = np.ones(len(places), dtype=bool)
+def _nearest_neighbor_path(points: FloatArray) -> list[int]:
+    """Return the path from the first position to the nearest remaining one, and so on; ties go to the lower index."""
+    remaining = np.ones(len(points), dtype=bool)
     path = [0]
-    left[0] = False
-    while left.any():
-        distances = np.square(places - places[path[-1]]).sum(axis=1)
-        path.append(int(np.where(left, distances, np.inf).argmin()))
-        left[path[-1]] = False
+    remaining[0] = False
+    while remaining.any():
+        distances = np.square(points - points[path[-1]]).sum(axis=1)
+        path.append(int(np.where(remaining, distances, np.inf).argmin()))
+        remaining[path[-1]] = False
     return path
 
 
-def _length(places: FloatArray) -> float:
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+def _path_length(points: FloatArray) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _without(names: Sequence[str], held_out: Sequence[str]) -> tuple[str, ...]:

@@ -1,9 +1,9 @@
-"""A folder of rendered views: what a reconstructor of radiance makes of a scene's cameras, beside their photographs.
+"""Read and write a folder of rendered views: renderings of a radiance reconstruction next to the photographs.
 
-A reconstructor writes it (`write_views`), `pcbench views` measures it (`read_views`): neither knows the other. In it
-are `views.json` and, of each view, `renderings/NAME.png`, `photographs/NAME.png` and, where not every pixel counts,
-`masks/NAME.png`. The photograph is written too, because it is what the rendering was to be like: undistorted, and at
-the size that was worked with.
+A reconstructor writes it (`write_views`) and `pcbench views` evaluates it (`read_views`); they share only this format.
+The folder contains `views.json` and, for each view, `renderings/NAME.png`, `photographs/NAME.png` and, if some pixels
+are excluded, `masks/NAME.png`. The photograph is included because it is the target of the rendering: undistorted and at
+the working size.
 """
 
 from __future__ import annotations
@@ -26,16 +26,17 @@ from pcbench.scenes.splits import Split
 
 SCHEMA = "pcbench.views/1"
 DOCUMENT = "views.json"
-RENDERED = "rendered"  # the folder's name in a reconstructor's workspace
+RENDERED = "rendered"  # name of the folder in a reconstructor's workspace
 
 
 class Pictures(NamedTuple):
-    """One view as it is compared.
+    """Rendering, photograph and mask of one view.
 
     Attributes:
-        name: of its image in the scene.
-        rendering, photograph: (H, W, 3), uint8 or numbers, of which those from 0 to 1 are colours.
-        mask: (H, W), which pixels count; None: all.
+        name: name of the image in the scene.
+        rendering: rendered image (H, W, 3), uint8 or floats from 0 to 1.
+        photograph: photograph (H, W, 3), uint8 or floats from 0 to 1.
+        mask: valid pixels (H, W), or None if all are valid.
     """
 
     name: str
@@ -46,12 +47,14 @@ class Pictures(NamedTuple):
 
 @dataclass(frozen=True)
 class RenderedView:
-    """One view of a folder: its files.
+    """Files of one view in a folder.
 
     Attributes:
-        name: of its image in the scene.
-        block: number of the run of held-out images that it is in; None: it was trained on.
-        mask: None where every pixel counts.
+        name: name of the image in the scene.
+        block: index of its block of held-out images, or None for a training image.
+        rendering: file of the rendered image.
+        photograph: file of the photograph.
+        mask: file of the mask, or None if all pixels are valid.
     """
 
     name: str
@@ -62,24 +65,24 @@ class RenderedView:
 
     @property
     def is_test(self) -> bool:
-        """Whether it was held out."""
+        """Whether the view was held out."""
         return self.block is not None
 
     def read(self) -> Pictures:
-        """Its pictures, uint8.
+        """Read the images, as uint8.
 
         Raises:
-            InputError: a file is missing or cannot be decoded, or they are of different sizes.
+            InputError: a file is missing, cannot be decoded, or has another size.
             MissingExtra: Pillow is not installed.
         """
-        found = read_image_header(self.photograph)
-        size = found.width, found.height
+        photograph_header = read_image_header(self.photograph)
+        size = photograph_header.width, photograph_header.height
         for path in filter(None, (self.rendering, self.mask)):
             header = read_image_header(path)
             if (header.width, header.height) != size:
                 raise InputError(
-                    f"{path}: expected {size[0]} x {size[1]} pixels as the photograph has, got {header.width} x"
-                    f" {header.height}"
+                    f"{path}: expected {size[0]} x {size[1]} pixels as the photograph, got {header.width} x"
+                    f" {header.height}: render the views again"
                 )
         mask = None if self.mask is None else decode_mask(self.mask, size)
         return Pictures(self.name, decode_image(self.rendering, size), decode_image(self.photograph, size), mask)
@@ -87,13 +90,14 @@ class RenderedView:
 
 @dataclass(frozen=True)
 class RenderedViews:
-    """A folder of rendered views.
+    """Folder of rendered views.
 
     Attributes:
-        scene: what it is called in a table.
-        method: what rendered them.
-        split: in words, how images were held out.
-        views: in the scene's order, those that were trained on first.
+        folder: folder that contains views.json.
+        scene: name of the scene, for tables.
+        method: name of the method, for tables.
+        split: description of the held-out images.
+        views: views in the scene's order, training views first.
     """
 
     folder: Path
@@ -104,34 +108,36 @@ class RenderedViews:
 
 
 def write_views(folder: Path, scene: str, method: str, split: Split, render: Callable[[str], Pictures]) -> None:
-    """Write a folder that `read_views` reads. `views.json` comes last: a folder that has it is whole.
+    """Write a folder for `read_views`. `views.json` is written last, so a folder that has it is complete.
 
     Args:
-        folder: where; made if need be. Files of the same names are replaced.
-        scene, method: what they are called in a table.
-        render: makes the pictures of a name of the split. One view at a time is in memory.
+        folder: output folder, created if it is missing; files of the same names are replaced.
+        scene: name of the scene, for tables.
+        method: name of the method, for tables.
+        split: training and held-out images.
+        render: function that returns the images of a view by name; one view at a time is in memory.
 
     Raises:
-        InputError: pictures of a view are of different sizes or no images, or a name leads out of the folder.
+        InputError: the images of a view differ in size or are malformed, or a name points outside the folder.
         MissingExtra: Pillow is not installed.
         OSError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / DOCUMENT).unlink(missing_ok=True)  # of other pictures
+    (folder / DOCUMENT).unlink(missing_ok=True)  # describes the previous views
     blocks = {name: number for number, block in enumerate(split.blocks) for name in block}
     rows = []
     for name in (*split.train, *split.test):
         pictures = render(name)
         sizes = {part.shape[:2] for part in pictures[1:] if part is not None}
         if len(sizes) != 1:
-            raise InputError(f"{name}: expected a rendering, a photograph and a mask of one size, got {sorted(sizes)}")
+            raise InputError(f"{name}: expected rendering, photograph and mask of one size, got {sorted(sizes)}")
         row: dict[str, Any] = {"name": name, "block": blocks.get(name)}
         for kind, image in (("rendering", pictures.rendering), ("photograph", pictures.photograph)):
             row[kind] = f"{kind}s/{name}.png"
-            _write(_inside(folder, row[kind]), _bytes(image))
+            _write(_path_inside(folder, row[kind]), _to_uint8(image))
         if pictures.mask is not None:
             row["mask"] = f"masks/{name}.png"
-            _write(_inside(folder, row["mask"]), pictures.mask.astype(np.uint8) * 255)
+            _write(_path_inside(folder, row["mask"]), pictures.mask.astype(np.uint8) * 255)
         rows.append(row)
     document = {"schema": SCHEMA, "scene": scene, "method": method, "split": split.words, "views": rows}
     with atomic_write(folder / DOCUMENT) as file:
@@ -139,64 +145,66 @@ def write_views(folder: Path, scene: str, method: str, split: Split, render: Cal
 
 
 def read_views(folder: Path) -> RenderedViews:
-    """The views of a folder that `write_views` wrote, or of a reconstructor's workspace that has one in it.
+    """Read a folder that `write_views` wrote, or the one inside a reconstructor's workspace.
 
     Raises:
-        InputError: there are none, or `views.json` is not what it has to be.
+        InputError: there is no such folder, or its `views.json` is malformed.
     """
-    home = find_views(folder)
-    if home is None:
-        raise InputError(f"{folder}: expected a folder of rendered views (with {DOCUMENT}), or a workspace with one")
-    path = home / DOCUMENT
+    views_folder = find_views(folder)
+    if views_folder is None:
+        raise InputError(f"{folder}: expected a folder of rendered views (with {DOCUMENT}) or a workspace with one")
+    path = views_folder / DOCUMENT
     try:
         document = read_json(path)
         if document["schema"] != SCHEMA:
-            raise InputError(f"expected the schema {SCHEMA}, got {document['schema']!r}")
-        views = tuple(_view(home, row) for row in document["views"])
+            raise InputError(f"expected the schema {SCHEMA}, got {document['schema']!r}: render the views again")
+        views = tuple(_view(views_folder, row) for row in document["views"])
         scene, method, split = (str(document[key]) for key in ("scene", "method", "split"))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: expected what pcbench writes of rendered views, got {error!r}") from error
+        raise InputError(
+            f"{path}: expected a file written by pcbench, got {error!r}: render the views again"
+        ) from error
     if not views:
-        raise InputError(f"{path}: expected at least one view, got none")
-    return RenderedViews(home, scene, method, split, views)
+        raise InputError(f"{path}: expected at least one view, got none: render the views again")
+    return RenderedViews(views_folder, scene, method, split, views)
 
 
 def find_views(folder: Path) -> Path | None:
-    """The folder of rendered views that this is, or that is in it as in a workspace of a reconstructor."""
-    places = (folder, folder / RENDERED, folder / "plugin" / RENDERED)
-    return next((place for place in places if (place / DOCUMENT).is_file()), None)
+    """Return the folder of rendered views: this folder, or one inside it if it is a reconstructor's workspace."""
+    candidates = (folder, folder / RENDERED, folder / "plugin" / RENDERED)
+    return next((candidate for candidate in candidates if (candidate / DOCUMENT).is_file()), None)
 
 
 def _view(folder: Path, row: Any) -> RenderedView:
     block = row["block"]
     if block is not None and (not isinstance(block, int) or isinstance(block, bool)):
-        raise InputError(f"expected the block of a view as a number or null, got {block!r}")
+        raise InputError(f"expected the block of a view as an integer or null, got {block!r}")
     mask = row.get("mask")
     return RenderedView(
         str(row["name"]),
         block,
-        _inside(folder, row["rendering"]),
-        _inside(folder, row["photograph"]),
-        None if mask is None else _inside(folder, mask),
+        _path_inside(folder, row["rendering"]),
+        _path_inside(folder, row["photograph"]),
+        None if mask is None else _path_inside(folder, mask),
     )
 
 
-def _inside(folder: Path, name: str) -> Path:
+def _path_inside(folder: Path, name: str) -> Path:
     path = folder / name
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"expected names of files in {folder}, got {name!r}")
+        raise InputError(f"expected file names inside {folder}, got {name!r}: render the views again")
     return path
 
 
-def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
+def _to_uint8(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected an image of shape (height, width, 3), got {image.shape}")
     if image.dtype == np.uint8:
         return image
     if not np.isfinite(image).all():
-        raise InputError("expected an image of finite numbers, got some that are not")
+        raise InputError("expected an image of finite numbers, got NaN or Inf")
     levels: NDArray[np.uint8] = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
     return levels
 

@@ -1,4 +1,4 @@
-"""A scene's cameras as files that other programs read."""
+"""Write the cameras of a scene in formats that other programs read."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from pcbench.io.transforms_json import write_transforms
 
 
 def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, points: Cloud | None = None) -> None:
-    """Write cameras as transforms.json where `path` ends in .json, else into a folder as a COLMAP text model, with
-    sparse points if there are some.
+    """Write cameras as transforms.json if `path` ends in .json, else as a COLMAP text model in a folder.
 
     Args:
-        cameras: by image name.
-        images: the folder of the images; a transforms.json names them by their way from its own folder.
+        path: output file or folder.
+        cameras: cameras by image name.
+        images: folder of the images; a transforms.json refers to them relative to its own folder.
+        points: sparse points of a COLMAP model.
 
     Raises:
-        InputError: there are no cameras, or the folder holds a binary model.
+        InputError: there are no cameras, or the folder contains a binary model.
         OSError: a file cannot be written.
     """
     if not cameras:
-        raise InputError(f"{images}: no cameras to write: expected a COLMAP model, transforms.json or the like")
+        raise InputError(f"{images}: expected cameras to write, got none: add a COLMAP model or a transforms.json")
     ordered = [cameras[name] for name in sorted(cameras)]
     check_cameras_output(path)
     if path.suffix.lower() != ".json":
@@ -37,34 +38,36 @@ def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, point
 
 
 def cameras_files(path: Path) -> list[Path]:
-    """The files that `write_cameras` writes."""
+    """Return the paths of the files that `write_cameras` writes."""
     return [path] if path.suffix.lower() == ".json" else [path / name for name in MODEL_FILES]
 
 
 def check_cameras_kept(path: Path, scene: Path, source: Path | None) -> None:
-    """Say that `write_cameras` would replace cameras that were read.
+    """Check that `write_cameras` would not replace cameras that were read.
 
     Args:
-        scene: its folder.
-        source: the file or folder that the cameras were read from, if it was named.
+        path: output of `write_cameras`.
+        scene: folder of the scene.
+        source: file or folder that the cameras were read from, if the user named it.
 
     Raises:
-        InputError: a file that would be written exists and is of the scene's folder, or of the source.
+        InputError: a file that would be written exists in the scene's folder or in the source.
     """
     for file in cameras_files(path):
-        for given in (scene, source):
-            if given is not None and file.exists() and file.resolve().is_relative_to(given.resolve()):
-                raise InputError(f"{file}: belongs to {given}, and would be replaced: choose another place")
+        for owner in (scene, source):
+            if owner is not None and file.exists() and file.resolve().is_relative_to(owner.resolve()):
+                raise InputError(f"{file}: would be replaced, but belongs to {owner}: choose another output")
 
 
 def check_cameras_output(path: Path, scene: Path | None = None) -> None:
-    """Say before a long computation that cameras cannot be written there by `write_cameras`.
+    """Check before a long computation that `write_cameras` can write to a path.
 
     Args:
-        scene: a scene's folder that is to stay as it is.
+        path: output of `write_cameras`.
+        scene: folder of a scene that must not change.
 
     Raises:
-        InputError: the folder of a .json does not exist, a model's folder is a file or holds a binary model, or the
+        InputError: the folder of a .json does not exist, a model's folder is a file or contains a binary model, or the
             cameras would be written into the scene.
     """
     if path.suffix.lower() == ".json":
@@ -72,4 +75,4 @@ def check_cameras_output(path: Path, scene: Path | None = None) -> None:
     else:
         check_model_output(path)
     if scene is not None and path.resolve().is_relative_to(scene.resolve()):
-        raise InputError(f"{path}: the cameras would be written into the scene: choose another place")
+        raise InputError(f"{path}: the cameras would be written into the scene's folder: choose another folder")

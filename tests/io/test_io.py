@@ -1,4 +1,4 @@
-"""Reading and writing by extension, what is refused, and that a failed write leaves nothing behind."""
+"""Reading and writing by extension, refused files, and cleanup after failed writes."""
 
 import os
 import subprocess
@@ -79,7 +79,7 @@ def test_points_that_are_not_finite_are_dropped_and_counted(tmp_path):
     assert caught[0].filename == __file__
 
 
-def test_a_whole_cloud_of_nan_is_refused(tmp_path):
+def test_cloud_with_only_nan_is_refused(tmp_path):
     path = tmp_path / "a.ply"
     path.write_bytes(ply("ascii", ("vertex", XYZ, [(NAN, NAN, NAN)] * 3)).replace(b"nan", b"NaN"))
     refusal(path)
@@ -93,10 +93,10 @@ def test_signalling_nan_gives_no_numpy_warning(tmp_path):
         assert len(read_cloud(path, on_warning=lambda note: None)) == 1
 
 
-# ---- what is no readable file ----
+# ---- unreadable files ----
 
 
-def test_refuses_what_is_no_file(tmp_path):
+def test_refuses_paths_that_are_not_files(tmp_path):
     refusal(tmp_path / "none.ply")
     refusal(tmp_path)
     with pytest.raises(InputError, match="NUL"):
@@ -110,7 +110,7 @@ def test_refuses_what_is_no_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.xyz9", "a"])
-def test_unknown_extension_lists_the_known_ones(tmp_path, name):
+def test_unknown_extension_lists_supported_extensions(tmp_path, name):
     (tmp_path / name).write_text("1 2 3")
     for message in (refusal(tmp_path / name), write_refusal(tmp_path / name)):
         assert ".ply" in message and ".npz" in message and message.endswith(repr(Path(name).suffix or "no extension"))
@@ -129,11 +129,11 @@ def test_permission_denied(tmp_path, monkeypatch):
     def denied(*args, **kwargs):
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "open", denied)  # root may open anything, so the mode bits prove nothing
+    monkeypatch.setattr(Path, "open", denied)  # root ignores the mode bits
     refusal(path)
 
 
-def test_out_of_memory_is_one_line(tmp_path, monkeypatch):
+def test_out_of_memory_is_a_one_line_error(tmp_path, monkeypatch):
     path = tmp_path / "a.ply"
     path.write_bytes(PLAIN["ascii"])
 
@@ -215,10 +215,10 @@ def test_damaged_ply(tmp_path, name):
     refusal(tmp_path / "a.ply", {**HEADERS, **BODIES}[name])
 
 
-# ---- writing all or nothing ----
+# ---- atomic writing ----
 
 
-def test_failed_write_keeps_the_old_file(tmp_path):
+def test_failed_write_keeps_existing_file(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt):
@@ -229,7 +229,7 @@ def test_failed_write_keeps_the_old_file(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
 
 
-def test_write_follows_a_link_and_the_umask(tmp_path):
+def test_write_follows_links_and_umask(tmp_path):
     (tmp_path / "real").mkdir()
     link = tmp_path / "a.npy"
     link.symlink_to(tmp_path / "real" / "b.npy")
@@ -266,7 +266,7 @@ sys.exit("written past the limit")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.npy", "a.npz"])
-def test_full_disk_leaves_nothing_behind(tmp_path, name):
+def test_full_disk_leaves_no_files(tmp_path, name):
     write_cloud(tmp_path / name, Cloud(np.zeros((5, 3))))
     old = (tmp_path / name).read_bytes()
     subprocess.run([sys.executable, "-c", FULL_DISK, str(tmp_path / name)], check=True, timeout=60)
@@ -276,6 +276,6 @@ def test_full_disk_leaves_nothing_behind(tmp_path, name):
 
 @pytest.mark.parametrize("call", [read_cloud, lambda path: write_cloud(path, np.zeros((1, 3))), read_mesh])
 @pytest.mark.parametrize("path", [None, 3, b"a.ply"])
-def test_what_is_no_path_is_refused(call, path):
+def test_arguments_that_are_not_paths_are_refused(call, path):
     with refused():
         call(path)

@@ -1,4 +1,4 @@
-"""COLMAP's points3D files: what pycolmap writes, bytes made by hand, folders, and damage."""
+"""COLMAP's points3D files: written by pycolmap, hand-made bytes, folders, and damage."""
 
 import random
 import struct
@@ -94,7 +94,7 @@ def test_folders(tmp_path, place):
         assert len(read_points3d(source)) == 5
 
 
-def test_what_is_no_model(tmp_path):
+def test_folders_without_a_model(tmp_path):
     with refused():
         read_points3d(tmp_path)
     with refused():
@@ -137,7 +137,7 @@ def test_damaged(tmp_path, name, damage):
     assert str(caught.value).isprintable()
 
 
-def test_damage_by_the_hundred(tmp_path):
+def test_random_damage(tmp_path):
     rng = random.Random(1)
     failures = 0
     for name, data in (("points3D.bin", model(9)), ("points3D.txt", TEXT)):

@@ -1,4 +1,4 @@
-"""E57: scans by their poses, every kind of coordinates, and files that are damaged."""
+"""E57: scan poses, all kinds of coordinates, and damaged files."""
 
 import sys
 from contextlib import contextmanager
@@ -41,14 +41,14 @@ def read(path):
     return read_cloud(path, on_warning=notes.append), notes
 
 
-def test_scans_lie_where_their_poses_put_them(pye57, tmp_path):
+def test_scan_poses_are_applied(pye57, tmp_path):
     # A quarter turn about z, and another about x.
     poses = [((HALF, 0, 0, HALF), (100, 200, 300)), ((HALF, HALF, 0, 0), (-1, 0, 1))]
     turns = [rotation_from([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), rotation_from([[1, 0, 0], [0, 0, -1], [0, 1, 0]])]
     scans = [cartesian(POINTS, pose=poses[0]), spherical(POINTS) | {"pose": poses[1]}, cartesian(POINTS)]
     cloud, notes = read(write(tmp_path / "a.e57", scans))
     expected = [POINTS @ turn.T + pose[1] for turn, pose in zip(turns, poses, strict=True)]
-    # Doubles all the way; angles and sines round in the last digits.
+    # Doubles throughout; angles and sines differ by rounding.
     np.testing.assert_allclose(cloud.points, np.concatenate([*expected, POINTS]), atol=1e-12)
     np.testing.assert_array_equal(cloud.attributes["scan"], np.repeat([0, 1, 2], 200))
     assert cloud.unit == "m"
@@ -76,16 +76,16 @@ def test_colours_intensity_normals_and_invalid_points(pye57, tmp_path):
     assert notes == [f"{tmp_path / 'a.e57'}: dropped {200 - kept.sum()} of 200 points that the file marks as invalid"]
 
 
-def test_what_some_scans_lack_is_left_out(pye57, tmp_path):
+def test_fields_missing_in_some_scans_are_left_out(pye57, tmp_path):
     scans = [cartesian(POINTS, intensity=POINTS[:, 0]), cartesian(POINTS), {"intensity": POINTS[:, 0]}]
     cloud, notes = read(write(tmp_path / "a.e57", scans))
     assert len(cloud) == 400
     assert set(cloud.attributes) == {"scan"}
     assert any("1 of 3 scans have no valid point" in note for note in notes)
-    assert any("some of 2 scans have none: intensity" in note for note in notes)
+    assert any("only some of 2 scans have: intensity" in note for note in notes)
 
 
-def test_more_points_than_are_read_at_a_time(pye57, tmp_path):
+def test_more_points_than_one_block(pye57, tmp_path):
     points = RNG.uniform(-5, 5, (600_000, 3))
     cloud, _ = read(write(tmp_path / "a.e57", [cartesian(points)]))
     np.testing.assert_array_equal(cloud.points, points)
@@ -108,7 +108,7 @@ def test_files_of_other_programs(pye57, name, points, attributes):
 
 
 def test_damaged_and_empty_files_of_other_programs(pye57):
-    for name, message in (("bad-crc.e57", "checksum"), ("ZeroPointsInvalid.e57", "at least one point")):
+    for name, message in (("bad-crc.e57", "checksum"), ("ZeroPointsInvalid.e57", "at least one valid point")):
         path = data_folder("e57") / name
         with pytest.raises(InputError, match=message) as caught:
             read(path)
@@ -116,20 +116,23 @@ def test_damaged_and_empty_files_of_other_programs(pye57):
         assert "\n" not in str(caught.value)
 
 
-def test_files_that_are_none(pye57, tmp_path):
+def test_files_of_other_formats(pye57, tmp_path):
     good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
     flipped = good[:3000] + bytes([good[3000] ^ 1]) + good[3001:]
     (tmp_path / "zero.e57").write_bytes(write(tmp_path / "b.e57", []).read_bytes())
     for data, message in (
-        (b"ply\nformat ascii", "begins with ASTM-E57"),
+        (b"ply\nformat ascii", "starts with ASTM-E57"),
         (good[:2000], "damaged E57 data"),
         (flipped, "checksum"),
-        ((tmp_path / "zero.e57").read_bytes(), "got 0 scans"),
+        ((tmp_path / "zero.e57").read_bytes(), "scans: 0"),
         (
             write(tmp_path / "b.e57", [cartesian(POINTS, pose=((2, 0, 0, 0), (0, 0, 0)))]).read_bytes(),
             "unit quaternion",
         ),
-        (write(tmp_path / "b.e57", [cartesian(POINTS, cartesianInvalidState=np.full(200, 2))]).read_bytes(), "without"),
+        (
+            write(tmp_path / "b.e57", [cartesian(POINTS, cartesianInvalidState=np.full(200, 2))]).read_bytes(),
+            "scans: 1",
+        ),
     ):
         (tmp_path / "x.e57").write_bytes(data)
         with pytest.raises(InputError, match=message):
@@ -137,13 +140,13 @@ def test_files_that_are_none(pye57, tmp_path):
         assert (tmp_path / "x.e57").read_bytes() == data
 
 
-def test_checksums_of_the_tests_are_those_of_the_library(pye57, tmp_path):
+def test_checksums_match_the_library(pye57, tmp_path):
     good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
     assert e57_bytes.sealed(good) == good
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is full")
-def test_a_full_disk_is_not_a_damaged_file(pye57, tmp_path, monkeypatch):
+def test_full_disk_is_not_reported_as_damage(pye57, tmp_path, monkeypatch):
     @contextmanager
     def full_folder():
         (tmp_path / "full").mkdir()
@@ -153,7 +156,7 @@ def test_a_full_disk_is_not_a_damaged_file(pye57, tmp_path, monkeypatch):
     path = tmp_path / "a.e57"
     write(path, [cartesian(POINTS)])
     monkeypatch.setattr("pcbench.io.e57.scratch_folder", full_folder)
-    with pytest.raises(PcbenchError, match="no room for temporary files"):
+    with pytest.raises(PcbenchError, match="no space left for temporary files"):
         read(path)
 
 
@@ -164,7 +167,7 @@ def test_without_pye57(monkeypatch, tmp_path):
         read(tmp_path / "a.e57")
 
 
-def test_a_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
+def test_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
     path = write(tmp_path / "a.e57", [cartesian(POINTS)])
     (tmp_path / "broken/pye57").mkdir(parents=True)
     (tmp_path / "broken/pye57/__init__.py").write_text(
@@ -175,7 +178,7 @@ def test_a_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
         read(path)
 
 
-def test_why_pye57_does_not_load_is_said(monkeypatch, tmp_path):
+def test_reason_why_pye57_does_not_load_is_reported(monkeypatch, tmp_path):
     (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
     error = "ImportError('libxerces-c-3.2.so: cannot open shared object file: No such file or directory')"
     break_library(monkeypatch, tmp_path / "packages", "pye57", error)

@@ -1,4 +1,4 @@
-"""LAS, LAZ and COPC: hand-made bytes, laspy as the other reader, filters, coordinate systems, damage."""
+"""LAS, LAZ and COPC: hand-made bytes, comparison with laspy, filters, coordinate systems, damage."""
 
 import os
 import struct
@@ -87,7 +87,7 @@ def test_sizes_of_point_formats():
         assert np.dtype(fields).itemsize == laspy.PointFormat(number).size
 
 
-def test_eight_bit_colors_as_they_are(tmp_path):
+def test_8_bit_colors_are_unchanged(tmp_path):
     assert read(tmp_path, las(2, 3, color=1)).colors.tolist() == [[i, 7, 255] for i in range(3)]
 
 
@@ -112,7 +112,7 @@ def test_extra_bytes(tmp_path):
     data = las(0, 4, vlrs=[descriptions],
                tail=lambda i: struct.pack("<fHxxiBBB", i / 4, i, -1 if i == 2 else i, i, 2 * i, 9))  # fmt: skip
     cloud, notes = noted(tmp_path, data)
-    assert notes == ["left out the extra bytes 'intensity': the name is taken or unprintable"]
+    assert notes == ["left out the extra bytes 'intensity': the name is already used or not printable"]
     extra_names = ["plain", "scaled", "gaps", "pair[0]", "pair[1]"]
     assert list(cloud.attributes)[-5:] == extra_names
     assert cloud.attributes["plain"].dtype == np.float32
@@ -125,17 +125,17 @@ def test_extra_bytes(tmp_path):
 
 def test_extra_bytes_that_do_not_fit_are_left_out(tmp_path):
     cloud, notes = noted(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 10))], tail=lambda i: b"1234"))
-    assert notes == ["left out the extra bytes: 8 are described, a point has 4"]
+    assert notes == ["left out the extra bytes: the descriptions need 8 bytes, a point has 4"]
     assert "a" not in cloud.attributes
     cloud, notes = noted(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 31))], tail=lambda i: b"1234"))
-    assert notes == ["left out the extra bytes: expected a type of 0 to 30, got 31"]
+    assert notes == ["left out the extra bytes: expected a type from 0 to 30, got 31"]
 
 
-def test_withheld_points_are_mentioned(tmp_path):
+def test_withheld_points_are_reported(tmp_path):
     data = bytearray(las(0, 4))
     data[227 + 15] |= 128
     cloud, notes = noted(tmp_path, data)
-    assert (len(cloud), notes) == (4, ["1 of 4 points are marked as withheld; they were kept"])
+    assert (len(cloud), notes) == (4, ["kept 1 of 4 points that are marked as withheld"])
     assert cloud.attributes["classification"][0] == 6
 
 
@@ -170,7 +170,7 @@ def test_filters(tmp_path):
         np.testing.assert_array_equal(cloud.attributes["gps_time"], every.attributes["gps_time"][mask])
 
 
-def test_filters_that_leave_nothing_say_what_there_is(tmp_path):
+def test_filters_without_matches_report_the_contents(tmp_path):
     for options in ({"classes": (9,)}, {"classes": [9], "returns": "last"}):
         message = refusal(tmp_path, las(0, 12), **options)
         assert "class 2 (6 points), class 6 (6 points); return 1 (4 points), return 2 (4 points)" in message
@@ -223,13 +223,13 @@ def test_unknown_systems_are_warnings(tmp_path):
     import_or_skip("pyproj")
     crs, unit, notes = projected(tmp_path, wkt("PROJCS[hello"))
     assert (crs, unit, len(notes)) == (None, None, 1)
-    assert notes[0].startswith("coordinate reference system not understood: ")
+    assert notes[0].startswith("could not interpret the coordinate reference system: ")
     crs, unit, notes = projected(tmp_path, geo_keys(model=1, projected=32767, unit=9002))
     assert (crs, unit) == (None, "ft")
-    assert notes == ["coordinate reference system not understood: its GeoTIFF keys name no EPSG code"]
+    assert notes == ["could not interpret the coordinate reference system: its GeoTIFF keys contain no EPSG code"]
 
 
-def test_system_without_a_code_stays_as_it_is(tmp_path):
+def test_system_without_a_code_is_unchanged(tmp_path):
     import_or_skip("pyproj")
     text = UTM.replace(',AUTHORITY["EPSG","32617"]', "").replace('central_meridian",-81', 'central_meridian",-80.3')
     assert projected(tmp_path, wkt(text))[:2] == (text, "m")
@@ -239,7 +239,7 @@ def test_heights_in_another_unit_are_a_warning():
     import_or_skip("pyproj")
     notes = []
     cloud = read_cloud(data_folder("autzen") / "autzen-bmx-2010.las", on_warning=notes.append)
-    assert cloud.unit is None  # no unit is true of a distance
+    assert cloud.unit is None  # distances have no single unit
     assert len(notes) == 1
     said(notes[0])
 
@@ -292,10 +292,10 @@ def test_damaged_headers(tmp_path, name):
     refusal(tmp_path, HEADERS[name])
 
 
-def test_more_points_than_said(tmp_path):
+def test_more_points_than_the_header_states(tmp_path):
     cloud, notes = noted(tmp_path, las(0, 10, said=4))
     assert len(cloud) == 4
-    assert notes == ["the header says 4 points, there is room for 10: the rest was left out"]
+    assert notes == ["the header states 4 points, the file has space for 10: left out the rest"]
 
 
 def test_damaged_extended_records_are_a_warning(tmp_path):
@@ -327,7 +327,7 @@ def test_damaged_laz(tmp_path):
         refusal(tmp_path, damaged)
 
 
-def test_an_aborting_decompressor_is_one_line(tmp_path, monkeypatch):
+def test_aborting_decompressor_is_a_one_line_error(tmp_path, monkeypatch):
     needs_lazrs()
     for line in ("import os; os.abort()", "import time; time.sleep(60)", "import sys; sys.stdout.write('1234')"):
         worker = tmp_path / "worker.py"
@@ -348,7 +348,7 @@ def test_memory_of_the_decompressor_is_limited(tmp_path, monkeypatch):
     assert int(seen.read_text()) == (1 << 30) + 2 * 10 * 20  # points of 20 bytes
 
 
-def test_a_lazrs_that_does_not_load(tmp_path, monkeypatch):
+def test_lazrs_that_does_not_load(tmp_path, monkeypatch):
     needs_lazrs()
     worker = tmp_path / "worker.py"
     worker.write_text("import sys\nsys.path[:] = []\n" + Path(laz._WORKER).read_text())
@@ -359,7 +359,7 @@ def test_a_lazrs_that_does_not_load(tmp_path, monkeypatch):
 
 
 def test_laz_from_any_program(tmp_path):
-    """From a script without a main guard, in another folder where modules of the same names lie in wait."""
+    """LAZ can be read by a script without a main guard, in a folder with modules of conflicting names."""
     needs_lazrs()
     (tmp_path / "a.laz").write_bytes(las(0, 10, compress="chunks"))
     for name in ("lazrs", "json", "resource"):
@@ -386,8 +386,8 @@ def test_without_lazrs(tmp_path, monkeypatch):
     assert len(read(tmp_path, las(0, 10))) == 10
 
 
-def test_laz_bytes_that_decode_to_something_else_are_damage(tmp_path):
-    """One bit turned in the colours, or among the undescribed bytes, of a chunk: lazrs decodes it without a word."""
+def test_laz_that_encodes_to_other_bytes_is_damaged(tmp_path):
+    """lazrs silently decodes a chunk with one flipped bit in the colours or the undescribed bytes."""
     needs_lazrs()
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
@@ -401,11 +401,11 @@ def test_laz_bytes_that_decode_to_something_else_are_damage(tmp_path):
         damaged[place] ^= 4
         messages.append(refusal(tmp_path, bytes(damaged)))
     assert any("2000 of 3000 points, from point 1001 on" in message for message in messages), messages
-    np.testing.assert_array_equal(read(tmp_path, data).points, whole.points)  # and undamaged ones are as they were
+    np.testing.assert_array_equal(read(tmp_path, data).points, whole.points)  # undamaged points are unchanged
 
 
-def test_a_laz_file_that_nothing_vouches_for_is_a_warning(tmp_path, monkeypatch):
-    """Its only chunk encodes to other bytes: damage, or the encoding of a program that is not known."""
+def test_unverifiable_laz_is_a_warning(tmp_path, monkeypatch):
+    """The only chunk encodes to other bytes, so it is damaged or written by an unknown program."""
     needs_lazrs()
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
@@ -425,7 +425,7 @@ def test_a_laz_file_that_nothing_vouches_for_is_a_warning(tmp_path, monkeypatch)
 
 
 @COMPRESSED
-def test_points_that_are_not_those_of_the_header_are_warnings(tmp_path, compress):
+def test_points_that_contradict_the_header_are_warnings(tmp_path, compress):
     if compress:
         needs_lazrs()
     data, expected = las(1, 9, compress=compress), read(tmp_path, las(1, 9))
@@ -435,18 +435,18 @@ def test_points_that_are_not_those_of_the_header_are_warnings(tmp_path, compress
     assert noted(tmp_path, right)[1] == []
     unsure = "the header was not updated, or points are damaged"
     assert noted(tmp_path, patched(right, 195, "d", high_y - 0.5))[1] == [
-        f"points lie up to 0.5 outside the header's bounds in y: {unsure}"
+        f"points lie up to 0.5 units outside the header's bounds in y: {unsure}"
     ]
     assert noted(tmp_path, patched(right, 219, "d", low_z + 2))[1] == [
-        f"points lie up to 2 outside the header's bounds in z: {unsure}"
+        f"points lie up to 2 units outside the header's bounds in z: {unsure}"
     ]
     assert noted(tmp_path, patched(right, 111, "5I", 3, 4, 2, 0, 0))[1] == [
-        f"3 points are return 2, the header counts 4: {unsure}"
+        f"3 points are return 2, the header states 4: {unsure}"
     ]
 
 
-def test_returns_that_cannot_be_are_a_warning(tmp_path):
+def test_impossible_returns_are_a_warning(tmp_path):
     data = patched(las(6, 10), 375 + 14, "B", 5 | 3 << 4)  # the first point: return 5 of 3
     assert noted(tmp_path, data)[1] == [
-        "1 of 10 points are a later return than their pulse has: their returns are damaged"
+        "1 of 10 points have a return number above the returns of their pulse: damaged returns"
     ]

@@ -1,4 +1,4 @@
-"""LAS and LAZ as they are written: laspy as the other reader, precision, what the format cannot hold."""
+"""Writing LAS and LAZ: comparison with laspy, precision, and clouds that the format cannot store."""
 
 import struct
 
@@ -86,13 +86,13 @@ def test_precision_follows_the_extent(tmp_path, extent, step, centre):
     assert np.abs(read_cloud(tmp_path / "a.las").points - points).max() <= step / 2 + rounding
 
 
-def test_an_extent_next_to_nothing(tmp_path):
+def test_tiny_extent(tmp_path):
     write_cloud(tmp_path / "a.las", Cloud(np.array([[0.0] * 3, [1e-320] * 3])))
     assert read_cloud(tmp_path / "a.las").points.tolist() == [[0.0] * 3] * 2
 
 
-def test_hundredths_come_back_as_they_were(tmp_path):
-    """Coordinates of a LAS file in hundredths are whole multiples of the finer step: no error creeps in."""
+def test_hundredths_are_exact(tmp_path):
+    """Coordinates in hundredths are multiples of the finer step, so they are written exactly."""
     points = np.round(np.random.default_rng(2).uniform(0, 1000, (200, 3)), 2) + [636_000, 849_000, 0]
     write_cloud(tmp_path / "a.las", Cloud(points))
     np.testing.assert_allclose(read_cloud(tmp_path / "a.las").points, points, rtol=0, atol=1e-9)
@@ -125,7 +125,7 @@ def test_extent_beyond_32_bits(tmp_path):
         ("a", [1j]),
     ],
 )
-def test_attributes_that_las_cannot_hold(tmp_path, name, values):
+def test_attributes_that_las_cannot_store(tmp_path, name, values):
     cloud = Cloud(np.zeros((1, 3)), attributes={name: np.array(values)})
     check_refusal(tmp_path / "a.las", cloud)
 

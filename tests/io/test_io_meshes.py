@@ -1,4 +1,4 @@
-"""Mesh files of every format, by hand or by trimesh; damaged ones are refused in one line."""
+"""Mesh files of all formats, hand-made or written by trimesh; damaged files give a one-line error."""
 
 import random
 import struct
@@ -25,7 +25,7 @@ def is_the_cube(mesh):
 
 
 @pytest.mark.parametrize("name", CUBES)
-def test_own_readers(tmp_path, name):
+def test_builtin_readers(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(CUBES[name])
     mesh = read_mesh(path, on_warning=pytest.fail)
@@ -51,7 +51,7 @@ def test_glb_scene(tmp_path):
 
 
 @pytest.mark.parametrize("extension", ["glb", "gltf", "off", "stl", "obj", "ply"])
-def test_what_trimesh_writes(tmp_path, trimesh, extension):
+def test_files_written_by_trimesh(tmp_path, trimesh, extension):
     vertices, faces = icosphere(2)
     path = tmp_path / f"a.{extension}"
     trimesh.Trimesh(vertices, faces, process=False).export(path)
@@ -69,7 +69,7 @@ def test_without_trimesh(tmp_path, monkeypatch):
         read_mesh(path)
 
 
-def test_polygons_become_fans_and_what_is_left_out_is_said(tmp_path):
+def test_polygons_become_fans_and_omissions_are_reported(tmp_path):
     path = tmp_path / "a.ply"
     path.write_bytes(ply_mesh(polygons=[(0, 1, 3, 2, 6), (1, 2), (), (4, 6, 7)]))
     notes = []
@@ -83,7 +83,7 @@ def test_polygons_become_fans_and_what_is_left_out_is_said(tmp_path):
     path.write_bytes(obj() + b"l 1 2\np 1\n")
     notes.clear()
     is_the_cube(read_mesh(path, on_warning=notes.append))
-    assert notes == [f"{path}: left out 2 points and lines"]
+    assert notes == [f"{path}: left out 2 point and line elements"]
 
 
 def test_obj_coordinates_keep_their_digits_and_colors_do_not_matter(tmp_path):
@@ -98,7 +98,7 @@ def test_holds_mesh(tmp_path):
         ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)]), ("face", ["list uchar int a"], []))
     )
     head = ply_mesh().partition(b"end_header\n")
-    (tmp_path / "head.ply").write_bytes(head[0] + head[1])  # the body is not looked at
+    (tmp_path / "head.ply").write_bytes(head[0] + head[1])  # the body is not read
     (tmp_path / "damaged.ply").write_bytes(b"plyply")
     names = {"cloud.ply": False, "none.ply": False, "head.ply": True, "damaged.ply": False, "missing.ply": False}
     names |= {"a.obj": True, "a.GLB": True, "a.npy": False, "a": False}
@@ -174,17 +174,17 @@ def test_refusals(tmp_path, name):
         ("cut.gltf", b"{", "JSON"),
         ("deep.gltf", b"[" * 100_000, "JSON"),
         ("word.stl", ascii_stl().replace(b"vertex 1.0", b"vertex one"), "numbers"),
-        ("word.ply", ply_mesh().replace(b"4 0 1 3 2", b"4 0 1 x 2"), "numbers"),
+        ("word.ply", ply_mesh().replace(b"4 0 1 3 2", b"4 0 1 x 2"), "vertex indices"),
     ],
     ids=["cut.gltf", "deep.gltf", "word.stl", "word.ply"],
 )
-def test_damage_that_libraries_find(tmp_path, name, data, expected):
-    """The rest of the message is theirs, and differs between their versions."""
+def test_damage_reported_by_libraries(tmp_path, name, data, expected):
+    """The rest of the message comes from the library and depends on its version."""
     (tmp_path / name).write_bytes(data)
     assert expected in one_line(tmp_path / name)
 
 
-def test_no_file(tmp_path):
+def test_missing_file(tmp_path):
     for path in (tmp_path / "a.stl", tmp_path):
         with refused():
             read_mesh(path)
@@ -202,14 +202,14 @@ def test_no_file(tmp_path):
         "no file.gltf": b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "none.bin", "byteLength": 9}]}',
     }.items(),
 )  # fmt: skip
-def test_what_trimesh_refuses(tmp_path, name, data):
+def test_files_that_trimesh_refuses(tmp_path, name, data):
     path = tmp_path / name
     path.write_bytes(data)
     one_line(path)
 
 
 @pytest.mark.usefixtures("trimesh")
-def test_a_reader_that_crashes_hangs_or_grows_ends_in_one_line(tmp_path, monkeypatch):
+def test_crash_hang_or_memory_growth_is_a_one_line_error(tmp_path, monkeypatch):
     path = tmp_path / "a.glb"
     path.write_bytes(glb())
     child = tmp_path / "child.py"
@@ -219,7 +219,7 @@ def test_a_reader_that_crashes_hangs_or_grows_ends_in_one_line(tmp_path, monkeyp
         child.write_text(code)
         with refused():
             read_mesh(path)
-    from pcbench.io import trimesh_child  # the real one, with little memory
+    from pcbench.io import trimesh_child  # the actual worker, with little memory
 
     monkeypatch.undo()
     outputs = str(tmp_path / "v.npy"), str(tmp_path / "f.npy")
@@ -231,7 +231,7 @@ def damaged_glb(tmp_path, count, seed):
     rng = random.Random(seed)
     for _ in range(count):
         data = bytearray(damaged(glb(), rng))
-        data[8:12] = struct.pack("<I", len(data))  # past the first check
+        data[8:12] = struct.pack("<I", len(data))  # passes the first check
         (tmp_path / "a.glb").write_bytes(data)
         try:
             read_mesh(tmp_path / "a.glb", on_warning=lambda note: None)
@@ -241,10 +241,10 @@ def damaged_glb(tmp_path, count, seed):
 
 @pytest.mark.usefixtures("trimesh")
 def test_damaged_glb(tmp_path):
-    damaged_glb(tmp_path, 20, 1)  # a process each where the header holds
+    damaged_glb(tmp_path, 20, 1)  # a valid header starts a child process
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("trimesh")
-def test_damaged_glb_by_the_hundred(tmp_path):
+def test_random_damage_of_glb(tmp_path):
     damaged_glb(tmp_path, 500, 2)

@@ -1,4 +1,4 @@
-"""PCD: hand-made files in the three encodings, LZF, what is refused, and what is written."""
+"""PCD: hand-made files in the three encodings, LZF, refused files, and writing."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_plain(tmp_path, data):
     assert (cloud.normals, cloud.colors, cloud.attributes, cloud.crs) == (None, None, {}, None)
 
 
-def test_corpus_reads_alike_in_all_encodings(tmp_path):
+def test_corpus_is_equal_in_all_encodings(tmp_path):
     clouds = {name: read(tmp_path, data) for name, data in corpus().items()}
     for name, cloud in clouds.items():
         twin = clouds["ascii " + name.split()[1]]
@@ -99,10 +99,10 @@ def test_viewpoint_is_not_applied(tmp_path):
     assert cloud.points.tolist() == [list(p) for p in points(2)]
 
 
-def test_trailing_bytes_are_mentioned(tmp_path):
+def test_trailing_bytes_are_reported(tmp_path):
     notes = []
     assert len(read(tmp_path, pcd("binary", XYZ, points(4)) + b"12345", on_warning=notes.append)) == 4
-    assert notes == [f"{tmp_path / 'a.pcd'}: 5 bytes after the last point were left out"]
+    assert notes == [f"{tmp_path / 'a.pcd'}: left out 5 bytes after the last point"]
 
 
 # ---- LZF ----
@@ -179,7 +179,7 @@ def test_damaged(tmp_path, name):
     refusal(tmp_path, DAMAGED[name])
 
 
-def test_lzf_that_cannot_grow_so_much(tmp_path):
+def test_lzf_beyond_maximum_growth(tmp_path):
     data = pcd("binary", XYZ, [], POINTS=10**8, WIDTH=10**8, DATA="binary_compressed")
     data += (5).to_bytes(4, "little") + (12 * 10**8).to_bytes(4, "little") + b"\x00a\xe0\xff\x00"
     refusal(tmp_path, data)
@@ -219,7 +219,7 @@ def test_open3d_reads_what_is_written(tmp_path):
 
 
 @pytest.mark.parametrize("options", [{"write_ascii": True}, {"compressed": True}, {}])
-def test_what_open3d_writes(tmp_path, options):
+def test_files_written_by_open3d(tmp_path, options):
     open3d = import_or_skip("open3d")
     rng = np.random.default_rng(4)
     other = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(rng.normal(size=(3000, 3))))
@@ -242,7 +242,7 @@ def test_refuses_names(tmp_path, name):
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
-def test_refuses_what_is_no_number(tmp_path, values):
+def test_refuses_attributes_that_are_not_numbers(tmp_path, values):
     with refused():
         write_cloud(tmp_path / "a.pcd", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())

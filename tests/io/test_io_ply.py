@@ -1,4 +1,4 @@
-"""PLY against files made by hand: every type, byte order, layout; and what the writer writes."""
+"""PLY: hand-made files of all types, byte orders and layouts; and writing."""
 
 import numpy as np
 import pytest
@@ -92,8 +92,8 @@ def test_comments_and_line_ends(tmp_path, form, newline):
         ("", (0, 0, 0)),
     ],
 )
-def test_coordinates_about_a_place(tmp_path, form, origin, added):
-    """What is no place is a comment like any other."""
+def test_coordinates_about_an_origin(tmp_path, form, origin, added):
+    """A comment without three coordinates is an ordinary comment."""
     comments = [f"comment coordinates about {origin}"]
     moved = read(tmp_path, ply(form, ("vertex", XYZ, points(3)), comments=comments))
     still = read(tmp_path, ply(form, ("vertex", XYZ, points(3))))
@@ -105,7 +105,7 @@ def test_comments_in_another_encoding(tmp_path):
     assert len(read(tmp_path, data.replace(b"X", "Größe".encode("latin-1")))) == 3
 
 
-def test_ascii_layout_is_free(tmp_path):
+def test_ascii_line_layout_does_not_matter(tmp_path):
     data = (
         b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     )
@@ -119,7 +119,7 @@ def test_ascii_float_coordinates_keep_their_digits(tmp_path):
     assert cloud.points.tolist() == [[500000.123, 4428123.457, 12.5]]
 
 
-# ---- what becomes of the properties ----
+# ---- properties ----
 
 
 @form
@@ -164,7 +164,7 @@ def test_splat(tmp_path, form):
         assert cloud.attributes[name].tolist() == [i + k / 4 for i in range(6)]
 
 
-def test_corpus_reads_alike_in_all_formats(tmp_path):
+def test_corpus_is_equal_in_all_formats(tmp_path):
     clouds = {name: read(tmp_path, data) for name, data in corpus().items()}
     for name, cloud in clouds.items():
         twin = clouds["ascii" + name.removeprefix(name.split()[0])]
@@ -179,7 +179,7 @@ DOUBLES = st.floats(-1e100, 1e100)
 
 @settings(max_examples=50, deadline=None)
 @given(points=arrays(np.float64, st.tuples(st.integers(1, 9), st.just(3)), elements=DOUBLES))
-def test_float64_survives_exactly(tmp_path_factory, points):
+def test_float64_round_trip_is_exact(tmp_path_factory, points):
     path = tmp_path_factory.mktemp("exact") / "a.ply"
     write_cloud(path, Cloud(points))
     np.testing.assert_array_equal(read_cloud(path).points, points)
@@ -188,7 +188,7 @@ def test_float64_survives_exactly(tmp_path_factory, points):
     np.testing.assert_array_equal(read_cloud(path).points, points)
 
 
-def test_all_fields_survive(tmp_path):
+def test_all_fields_round_trip(tmp_path):
     rng = np.random.default_rng(3)
     attributes = {
         code: np.array([0, 1, 2, 3, 100]).astype(code) for code in ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
@@ -229,7 +229,7 @@ def test_all_fields_survive(tmp_path):
         (np.array([1.5, 2.5], dtype=">f4"), np.float32),
     ],
 )
-def test_types_that_ply_does_not_have(tmp_path, values, dtype):
+def test_types_that_ply_lacks(tmp_path, values, dtype):
     write_cloud(tmp_path / "a.ply", Cloud(np.zeros((2, 3)), attributes={"a": values}))
     again = read_cloud(tmp_path / "a.ply").attributes["a"]
     assert again.dtype == dtype
@@ -247,7 +247,7 @@ def test_refuses_names(tmp_path, name):
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
-def test_refuses_what_is_no_number(tmp_path, values):
+def test_refuses_attributes_that_are_not_numbers(tmp_path, values):
     with refused():
         write_cloud(tmp_path / "a.ply", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())

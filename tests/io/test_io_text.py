@@ -1,4 +1,4 @@
-"""Text tables: delimiters, headers, columns without names, what is refused with its line, and what is written."""
+"""Text tables: delimiters, headers, unnamed columns, refused lines, and writing."""
 
 import numpy as np
 import pytest
@@ -97,7 +97,7 @@ def test_other_colors_stay_attributes(tmp_path, values):
     assert list(cloud.attributes) == ["red", "green", "blue"]
 
 
-def test_prose_is_no_header(tmp_path):
+def test_prose_is_not_a_header(tmp_path):
     assert read(tmp_path, "# x y z in metres\n1 2 3\n").points.tolist() == [[1, 2, 3]]
 
 
@@ -178,17 +178,17 @@ def test_damaged(tmp_path, name):
 @settings(max_examples=50, deadline=None)
 @given(points=arrays(np.float64, st.tuples(st.integers(1, 9), st.just(3)), elements=DOUBLES))
 @pytest.mark.parametrize("extension", ["xyz", "csv"])
-def test_float64_survives_exactly(tmp_path_factory, extension, points):
+def test_float64_round_trip_is_exact(tmp_path_factory, extension, points):
     path = tmp_path_factory.mktemp("exact") / f"a.{extension}"
     write_cloud(path, Cloud(points))
     np.testing.assert_array_equal(read_cloud(path).points, points)
 
 
 @pytest.mark.parametrize("extension", ["xyz", "txt", "asc", "csv"])
-def test_all_fields_survive(tmp_path, extension):
+def test_all_fields_round_trip(tmp_path, extension):
     rng = np.random.default_rng(3)
     cloud = Cloud(
-        rng.normal(size=(70_000, 3)) * 1e6,  # more than are written at a time
+        rng.normal(size=(70_000, 3)) * 1e6,  # more rows than one write
         normals=rng.normal(size=(70_000, 3)),
         colors=rng.integers(0, 256, (70_000, 3), dtype=np.uint8),
         attributes={"id": np.arange(70_000), "flag": np.arange(70_000) % 2 == 0, "f": rng.random(70_000, np.float32)},
@@ -233,7 +233,7 @@ def test_refuses_names(tmp_path, name):
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
-def test_refuses_what_is_no_number(tmp_path, values):
+def test_refuses_attributes_that_are_not_numbers(tmp_path, values):
     with refused():
         write_cloud(tmp_path / "a.csv", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())

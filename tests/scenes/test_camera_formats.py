@@ -1,4 +1,4 @@
-"""Cameras from every format, round trips, conversions by their authors, and damaged files."""
+"""Cameras from all formats, round trips, conversions by the formats' authors, and damaged files."""
 
 import json
 import struct
@@ -24,7 +24,7 @@ from pcbench.scenes import read_scene, write_cameras
 
 
 def same(cameras, expected, atol=1e-12):
-    # Quaternions and inverses round in the last digits.
+    # Quaternions and inverses differ by rounding.
     assert [c.name for c in cameras] == [c.name for c in expected]
     for a, b in zip(cameras, expected, strict=True):
         np.testing.assert_allclose(a.cam_from_world.matrix, b.cam_from_world.matrix, atol=atol)
@@ -57,7 +57,7 @@ def test_colmap_agrees_with_pycolmap(photographs, tmp_path):
         image = by_name[camera.name]
         np.testing.assert_allclose(image.cam_from_world().matrix(), camera.cam_from_world.matrix[:3], atol=1e-12)
         assert list(model.cameras[image.camera_id].params) == [50, 51, 31, 25, 0.01, -0.02, 0.001, 0.002]
-        # The same pixel of the same point, distortion and all.
+        # The same point has the same pixel, including distortion.
         point = np.array([0.3, -0.2, 0.4])
         expected = model.cameras[image.camera_id].img_from_cam(image.cam_from_world() * point)
         np.testing.assert_allclose(camera.project(point[None])[0][0], expected, atol=1e-9)
@@ -83,7 +83,7 @@ def test_transforms_round_trip(photographs):
     same(scene_cameras(read_scene(photographs)), mixed)
 
 
-def test_transforms_with_an_angle_alone_and_no_endings(photographs):
+def test_transforms_with_only_an_angle_and_no_extensions(photographs):
     """The synthetic sets of NeRF: camera_angle_x, no size, names without .png."""
     matrix = np.eye(4)
     matrix[:3, 3] = [1, 2, 3]
@@ -137,11 +137,11 @@ def test_strecha_is_camera_to_world(tmp_path):
     camera = read_strecha(path)
     assert camera.name == "a.jpg"
     assert camera.intrinsics == Intrinsics(64, 48, 50, 51, 32, 24)
-    # Six digits were printed.
+    # The file has six digits.
     np.testing.assert_allclose(camera.cam_from_world.matrix, pose.matrix, atol=2e-5)
 
 
-def test_earth_studio_against_its_authors_conversion():
+def test_earth_studio_agrees_with_its_authors_conversion():
     folder = data_folder("ges")
     cameras, origin = read_earth_studio(folder / "fiumicino5_ges_export.json")
     frames = json.loads((folder / "fiumicino_enu_animation.json").read_text())["Frames"]
@@ -214,7 +214,7 @@ def test_earth_studio_local_is_the_same_as_global(tmp_path, turned):
     assert tuple(origin_too) == pytest.approx(tuple(origin), abs=1e-8)
     # 1e-6 m on a sphere of 6.4e6 m: half of float64's digits are left for the fit.
     same(from_local, cameras, atol=1e-5)
-    np.testing.assert_allclose(cameras[0].position[2], 400, atol=1)  # 500 m over the sea, the origin is at 100
+    np.testing.assert_allclose(cameras[0].position[2], 400, atol=1)  # 500 m above sea level, with the origin at 100 m
     assert cameras[0].direction[2] < -0.999
 
 
@@ -227,7 +227,7 @@ def on_wgs84(coordinates, origin):
     return np.stack(local.transform(*cartesian.transform(*np.array(coordinates).T)), axis=1)
 
 
-def test_earth_studio_in_metres_of_wgs84(tmp_path):
+def test_earth_studio_in_wgs84_metres(tmp_path):
     source = data_folder("ges") / "fiumicino5_ges_export.json"
     document = json.loads(source.read_text())
     names = [f"{number:03}.png" for number in range(97)]
@@ -246,7 +246,7 @@ def test_earth_studio_in_metres_of_wgs84(tmp_path):
     ]
     found = np.stack([converted.cameras[name].position for name in names])
     np.testing.assert_allclose(found, on_wgs84(coordinates, scene.origin), atol=1e-6)
-    # Its author's conversion is on the sphere, as the images are: it differs by what is said.
+    # The author's conversion is on the sphere, like the images; it differs by the reported percentages.
     frames = json.loads((data_folder("ges") / "fiumicino_enu_animation.json").read_text())["Frames"]
     author = np.array([[frame["position"]["x"], -frame["position"]["z"]] for frame in frames])
     for axis, percent in ((0, -0.26), (1, 0.11)):
@@ -259,7 +259,7 @@ def test_earth_studio_in_metres_of_wgs84(tmp_path):
         converted.in_wgs84()
 
 
-def test_points_on_the_sphere_keep_their_place_on_earth():
+def test_points_on_the_sphere_keep_their_geographic_position():
     origin = Gps(-33.9, 151.2, 20.0)
     coordinates = np.array(origin) + np.random.default_rng(1).uniform(-1, 1, (200, 3)) * [0.01, 0.01, 300]
     axes = _enu_axes(origin)
@@ -267,7 +267,7 @@ def test_points_on_the_sphere_keep_their_place_on_earth():
     np.testing.assert_allclose(wgs84_from_sphere(points, origin), on_wgs84(coordinates, origin), atol=1e-6)
 
 
-def test_earth_studio_frames_find_their_images(photographs):
+def test_earth_studio_frames_match_images(photographs):
     (photographs / "export.json").write_text(json.dumps(earth_studio(np.eye(3), (48, 11, 0), COORDINATES, local=False)))
     cameras = read_earth_studio(photographs / "export.json").cameras
     told = []
@@ -281,23 +281,23 @@ def test_earth_studio_frames_find_their_images(photographs):
     np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
 
 
-def test_json_that_is_nested_too_deeply_is_one_line(photographs):
+def test_deeply_nested_json_is_a_one_line_error(photographs):
     deep = photographs / "deep.json"
     deep.write_text("[" * 100_000)
     for read in (read_earth_studio, lambda path: read_transforms(path, lambda _: None)):
         with refused():
             read(deep)
-    assert not read_scene(photographs).cameras  # a file beside the images that has nothing to do with them
+    assert not read_scene(photographs).cameras  # an unrelated file next to the images
 
 
-def test_rotations_are_told_from_other_matrices():
+def test_matrices_that_are_not_rotations_are_refused():
     rotation = look_at([1, 2, 3], [0, 0, 0]).rotation
     found = rotation_from(np.round(rotation, 5))
     np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(found, rotation, atol=2e-5)
     for wrong in (
         2 * rotation,
-        np.diag([1.0, 1, -1]),  # no rounding, which the message would tell
+        np.diag([1.0, 1, -1]),  # no rounding, which would appear in the message
         rotation + np.eye(3)[::-1] * 0.01,
         np.full((3, 3), np.nan),
     ):
@@ -305,7 +305,7 @@ def test_rotations_are_told_from_other_matrices():
             rotation_from(wrong)
 
 
-def test_damaged_binary_models_are_one_line(tmp_path):
+def test_damaged_binary_models_are_a_one_line_error(tmp_path):
     pycolmap = import_or_skip("pycolmap")
     write_colmap_model(tmp_path / "text", orbit(NAMES))
     (tmp_path / "model").mkdir()
@@ -314,7 +314,7 @@ def test_damaged_binary_models_are_one_line(tmp_path):
         data = (tmp_path / "model" / name).read_bytes()
         for length in range(0, len(data), 37):
             (tmp_path / "model" / name).write_bytes(data[:length])
-            with pytest.raises(InputError, match=name):  # many: the file is named
+            with pytest.raises(InputError, match=name):  # many cases, so only the file name is checked
                 read_colmap_cameras(tmp_path / "model")
         (tmp_path / "model" / name).write_bytes(data)
     (tmp_path / "model/cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, 5, 64, 48))

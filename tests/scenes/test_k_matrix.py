@@ -1,4 +1,4 @@
-"""Intrinsics from K.txt: for these images, for larger ones, and for none."""
+"""Intrinsics from K.txt: for the image size, for larger images, and invalid ones."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from wording import refused, said
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
 
-FULL = "50 0 31\n0 51 25\n0 0 1\n"  # of the 64 x 48 pixels that the images have
+FULL = "50 0 31\n0 51 25\n0 0 1\n"  # for images of 64 x 48 pixels
 
 
 def scene_with(folder, text, **options):
@@ -20,7 +20,7 @@ def scene_with(folder, text, **options):
 
 
 @pytest.mark.parametrize("beside", [True, False])
-def test_of_these_images(photographs, beside):
+def test_k_for_the_image_size(photographs, beside):
     scene, notes = scene_with(photographs / "images" if beside else photographs, FULL)
     if beside:
         scene = read_scene(photographs, on_warning=notes.append)
@@ -33,7 +33,7 @@ def test_of_these_images(photographs, beside):
 
 
 @pytest.mark.parametrize("factor", [2, 3, 4, 8])
-def test_of_images_that_were_reduced(photographs, factor):
+def test_k_for_larger_images_is_scaled(photographs, factor):
     text = f"{50 * factor} 0 {31 * factor}\n0 {51 * factor} {25 * factor}\n0 0 1"
     scene, notes = scene_with(photographs, text, image_scale=0.5)
     k = scene.intrinsics["3.png"]
@@ -44,14 +44,14 @@ def test_of_images_that_were_reduced(photographs, factor):
     said(notes[0])
 
 
-def test_cameras_go_before_it(photographs):
+def test_cameras_take_precedence(photographs):
     write_colmap_model(photographs / "sparse", orbit(NAMES)[:4])
     scene, _ = scene_with(photographs, FULL)
     assert list(scene.cameras) == NAMES[:4]
     assert list(scene.intrinsics) == NAMES[4:]
 
 
-def test_other_intrinsics_are_another_scene(photographs):
+def test_intrinsics_change_the_fingerprint(photographs):
     plain = read_scene(photographs)
     known, _ = scene_with(photographs, FULL)
     assert known.fingerprint() != plain.fingerprint()
@@ -67,13 +67,13 @@ def test_other_intrinsics_are_another_scene(photographs):
         "50 1 31 0 51 25 0 0 1",
         "-50 0 31 0 51 25 0 0 1",
         "50 0 31 0 51 25 0 0 2",
-        # The middle of 93 x 50: of another aspect.
+        # The centre of 93 x 50, which has another aspect ratio.
         "50 0 46 0 51 25 0 0 1",
         "0.8 0 0.5 0 0.8 0.5 0 0 1",
         "1 0 31 0 1 25 0 0 1",
     ],
 )
-def test_what_is_no_k(photographs, text):
+def test_invalid_matrices(photographs, text):
     with refused() as caught:
         scene_with(photographs, text)
     assert str(caught.value).startswith(f"{photographs / 'K.txt'}: ")
@@ -91,7 +91,7 @@ def test_fountain():
     assert "3072 x 2048" in notes[0]
 
 
-def test_sfm_begins_with_them(photographs):
+def test_sfm_starts_with_the_intrinsics(photographs):
     import_or_skip("pycolmap")
     from reconstructors.sfm.features import shared_intrinsics
 

@@ -1,4 +1,4 @@
-"""Scenes of OpenMVS: cameras and points of every version of the interface format, and what is refused."""
+"""OpenMVS scenes: cameras and points of all versions of the interface format, and refused files."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def test_a_camera_on_a_platform(tmp_path):
         np.testing.assert_allclose(found.cam_from_world.matrix, camera.cam_from_world.matrix, atol=1e-12)
 
 
-def test_intrinsics_without_a_size_take_that_of_the_image(tmp_path):
+def test_intrinsics_without_a_size_use_the_image_size(tmp_path):
     (cameras, _), _ = read(tmp_path / "a.mvs", scene_bytes(CAMERAS, normalized=True))
     k = cameras[0].intrinsics
     assert (k.width, k.height) == (64, 48)
@@ -61,7 +61,7 @@ def test_images_without_a_pose_normals_and_transforms(tmp_path):
     said(notes[0])
 
 
-def test_which_of_several_scenes(photographs):
+def test_choice_among_several_scenes(photographs):
     for name in ("a.mvs", "b.mvs"):
         (photographs / name).write_bytes(scene_bytes(CAMERAS))
     with refused():
@@ -92,14 +92,14 @@ GOOD = scene_bytes(CAMERAS)
         ),
     ],
 )
-def test_what_is_no_scene(tmp_path, data):
+def test_invalid_scenes(tmp_path, data):
     with refused() as caught:
         read(tmp_path / "a.mvs", data)
     assert str(caught.value).startswith(f"{tmp_path / 'a.mvs'}: ")
 
 
-def test_every_cut_is_said(tmp_path):
-    # All bytes are read but for the box at the end.
+def test_truncation_at_any_byte_is_reported(tmp_path):
+    # All bytes except the box at the end are read.
     data = mvs_bytes.corpus()["new"]
     for size in range(1, len(data) - 120, 7):
         with pytest.raises(InputError):

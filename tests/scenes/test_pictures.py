@@ -1,4 +1,4 @@
-"""Photographs of the city: where cameras say, as many samples a pixel as count, and what lenses, glass and water do."""
+"""Rendered images of the city: geometry, samples per pixel, and effects of lenses, glass and water."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def centroid(outline):
 
 
 @pytest.mark.parametrize("distortion", [(0, 0, 0, 0), DISTORTION], ids=["pinhole", "distorted"])
-def test_pictures_and_depths_are_where_the_camera_says(distortion, renderer, tmp_path):
+def test_images_and_depths_agree_with_the_camera(distortion, renderer, tmp_path):
     from PIL import Image
 
     rng = np.random.default_rng(0)

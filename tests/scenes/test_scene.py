@@ -1,4 +1,4 @@
-"""Scenes: photographs and cameras from every format, and what is said when they do not go together."""
+"""Scenes: images and cameras from all formats, and messages if they do not match."""
 
 import json
 import shutil
@@ -76,7 +76,7 @@ def test_image_scale_scales_cameras_and_pictures(photographs, tmp_path):
     np.testing.assert_array_equal(written.read_image("0.png"), half.read_image("0.png"))
 
 
-def test_a_scene_is_called_as_its_folder(photographs, tmp_path):
+def test_scene_name_is_its_folder_name(photographs, tmp_path):
     assert read_scene(photographs).name == photographs.name
     assert read_scene(photographs / "images").name == photographs.name
     picture(tmp_path / "plain" / "0.png")
@@ -100,7 +100,7 @@ def test_splits(photographs):
         scene.select(["x"])
 
 
-def test_fingerprint_sees_pixels_scale_and_poses(photographs):
+def test_fingerprint_depends_on_pixels_scale_and_poses(photographs):
     write_colmap_model(photographs / "sparse/0", orbit(NAMES))
     first = read_scene(photographs)
     assert first.fingerprint() == read_scene(photographs).fingerprint()
@@ -125,12 +125,12 @@ def test_image_headers(tmp_path):
     header = read_image_header(tmp_path / "gps.jpg")
     assert header.gps == pytest.approx((-33.51, 151.0, -12.5))
     data = (tmp_path / "a.jpg").read_bytes()
-    for cut in range(1, 200, 7):  # a cut never hangs, and is said
+    for cut in range(1, 200, 7):  # truncation never hangs and is reported
         (tmp_path / "cut.jpg").write_bytes(data[:cut])
         try:
             assert read_image_header(tmp_path / "cut.jpg")[:2] == (33, 17)
         except InputError as error:
-            assert "cut off" in str(error) or "something else" in str(error)
+            assert "truncated" in str(error) or "another format" in str(error)
 
 
 def test_refusals(photographs, tmp_path):
@@ -162,7 +162,7 @@ def test_refusals(photographs, tmp_path):
     transforms([{"file_path": "3.png", "transform_matrix": eye}], k3=0.1)
     check_refusal()
     (photographs / "transforms.json").write_text("{")
-    with pytest.raises(InputError, match=r"transforms\.json: "):  # Python's parser says what is wrong
+    with pytest.raises(InputError, match=r"transforms\.json: "):  # the rest of the message comes from Python's parser
         read_scene(photographs)
     (photographs / "transforms.json").unlink()
 
@@ -190,14 +190,14 @@ def test_refusals(photographs, tmp_path):
     check_refusal()
 
 
-def test_undecodable_pixels_are_said_when_they_are_read(photographs):
+def test_undecodable_pixels_are_reported_on_reading(photographs):
     path = photographs / "images/0.png"
-    path.write_bytes(path.read_bytes()[:200])  # the header is whole
-    with pytest.raises(InputError, match=r"0\.png: "):  # Pillow says what is wrong
+    path.write_bytes(path.read_bytes()[:200])  # the header is complete
+    with pytest.raises(InputError, match=r"0\.png: "):  # the rest of the message comes from Pillow
         read_scene(photographs).read_image("0.png")
 
 
-def test_positions_of_a_file(photographs):
+def test_positions_from_a_file(photographs):
     (photographs / "gps.txt").write_text("# NAME X Y Z\n3.png 1 2 3.5\n77.png 0 0 0\n")
     told = []
     scene = read_scene(photographs, on_warning=told.append)
@@ -215,7 +215,7 @@ def test_positions_of_a_file(photographs):
 
 
 def exif_of(make, model, focal_35mm=None, focal_mm=None, pixels_per_cm=None):
-    """An EXIF block with a focal length in one of the ways that cameras write it."""
+    """Return an EXIF block with a focal length in one of the forms that cameras write."""
     from PIL.TiffImagePlugin import IFDRational
 
     exif = Image.Exif()
@@ -262,7 +262,7 @@ def test_damaged_exif_is_left_out_of_smaller_images(tmp_path):
     assert len(read_scene(tmp_path / "small").images) == 5
 
 
-def test_names_are_sorted_as_people_count(tmp_path):
+def test_names_are_in_natural_order(tmp_path):
     names = [f"frame_{number}.png" for number in (1, 2, 9, 10, 11, 100)]
     for name in [*reversed(names), "frame_002.png"]:
         picture(tmp_path / name)
@@ -270,10 +270,10 @@ def test_names_are_sorted_as_people_count(tmp_path):
 
 
 @pytest.mark.parametrize("folder", ["images", "train", "rgb", "footage"])
-def test_layouts_that_exist(tmp_path, folder):
+def test_common_folder_layouts(tmp_path, folder):
     for number in range(3):
         picture(tmp_path / folder / f"r_{number}.png")
-    picture(tmp_path / "overview.png")  # beside the images, none of them
+    picture(tmp_path / "overview.png")  # next to the images folder, so ignored
     frames = [{"file_path": f"./{folder}/r_{n}", "transform_matrix": np.eye(4).tolist()} for n in range(3)]
     (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": frames}))
     scene = read_scene(tmp_path)
@@ -292,8 +292,8 @@ def test_layouts_that_exist(tmp_path, folder):
         "/data/cam1/{}",
     ],
 )
-def test_ways_to_images_in_files_from_elsewhere(tmp_path, way):
-    for camera in ("cam1", "cam2"):  # the last part alone says nothing
+def test_image_paths_from_another_machine(tmp_path, way):
+    for camera in ("cam1", "cam2"):  # the last part alone is ambiguous
         picture(tmp_path / "images" / camera / "0.5.png")
     frame = {"file_path": way.format("0.5"), "transform_matrix": np.eye(4).tolist()}
     (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": [frame]}))
@@ -312,7 +312,7 @@ def test_ways_to_images_in_files_from_elsewhere(tmp_path, way):
         {},
     ],
 )
-def test_intrinsics_that_cannot_be_are_refused(photographs, values):
+def test_implausible_intrinsics_are_refused(photographs, values):
     frames = [{"file_path": "3.png", "transform_matrix": np.eye(4).tolist()}]
     (photographs / "transforms.json").write_text(json.dumps({"w": 64, "h": 48, **values, "frames": frames}))
     with refused() as raised:
@@ -320,7 +320,7 @@ def test_intrinsics_that_cannot_be_are_refused(photographs, values):
     assert "3.png" in str(raised.value)
 
 
-def test_what_a_file_says_and_is_not_obeyed_is_said(photographs):
+def test_ignored_keys_are_reported(photographs):
     eye = np.eye(4).tolist()
     frames = [{"file_path": f"{n}.png", "transform_matrix": eye} for n in range(10)]
     harmless = {"k5": 0, "k6": 0.0, "rolling_shutter": [0, 0, 0, 0], "applied_transform": eye[:3], "applied_scale": 1.0}
@@ -336,16 +336,16 @@ def test_what_a_file_says_and_is_not_obeyed_is_said(photographs):
         read_scene(photographs, on_warning=told.append)
         assert len(told) == len(names)
         for text, name in zip(told, names, strict=True):
-            assert f": {name};" in text
+            assert f"ignored {name}:" in text
             said(text)
-    frames[4]["applied_scale"] = 0.3  # of one frame alone
+    frames[4]["applied_scale"] = 0.3  # in one frame only
     (photographs / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": frames}))
     told = []
     read_scene(photographs, on_warning=told.append)
     assert "applied_scale" in told[0]
 
 
-def test_a_project_of_earth_studio_is_not_its_export(photographs):
+def test_earth_studio_project_is_not_an_export(photographs):
     (photographs / "rome.esp").write_text('{"scenes": []}')
     told = []
     assert not read_scene(photographs, on_warning=told.append).cameras
@@ -354,8 +354,8 @@ def test_a_project_of_earth_studio_is_not_its_export(photographs):
         read_scene(photographs, cameras=photographs / "rome.esp")
 
 
-def test_a_repeated_frame_is_refused_before_poses_are_read(photographs, monkeypatch):
-    """However often it is repeated: a pose takes a fifth of a millisecond."""
+def test_repeated_frame_is_refused_before_poses_are_read(photographs, monkeypatch):
+    """Many repetitions stay fast, since parsing a pose takes 0.2 ms."""
     frame = {"file_path": "images/3.png", "transform_matrix": np.eye(4).tolist()}
     document = {"fl_x": 50, "w": 64, "h": 48, "frames": [frame] * 1000}
     (photographs / "transforms.json").write_text(json.dumps(document))
@@ -365,12 +365,12 @@ def test_a_repeated_frame_is_refused_before_poses_are_read(photographs, monkeypa
 
 
 @pytest.mark.parametrize("name", ["K.txt", "intrinsics.json", "calib.yml", "calibration_left.xml", "fountain_par.txt"])
-def test_a_calibration_among_the_images_that_is_not_read_is_said(photographs, name):
+def test_unread_calibration_is_reported(photographs, name):
     (photographs / "images" / name).write_text("50 0 32\n0 50 24\n0 0 1\n")
     (photographs / "images" / "readme.txt").write_text("photographs of a kiosk")
     told = []
     read_scene(photographs, on_warning=told.append)
-    assert len(told) == (name != "K.txt")  # which is read where images have no camera
+    assert len(told) == (name != "K.txt")  # K.txt is read if images have no camera
     said("\n".join(told))
     write_colmap_model(photographs / "sparse", orbit(NAMES))
     told.clear()
@@ -381,7 +381,7 @@ def test_a_calibration_among_the_images_that_is_not_read_is_said(photographs, na
     assert not told
 
 
-def test_cameras_among_the_images_are_read_and_not_warned_of(photographs):
+def test_cameras_among_the_images_are_read_without_warning(photographs):
     write_colmap_model(photographs / "images", orbit(NAMES))
     told = []
     assert len(read_scene(photographs, cameras=photographs / "images", on_warning=told.append).cameras) == len(NAMES)

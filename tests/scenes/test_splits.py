@@ -1,4 +1,4 @@
-"""Every image is trained on or held out, once; blocks follow the order in which images were taken."""
+"""Each image is either a training or a held-out image; blocks follow the order of capture."""
 
 import re
 from itertools import chain
@@ -15,7 +15,7 @@ def named(count):
 
 
 def along_a_way(count):
-    """Two rounds about a scene, the second higher."""
+    """Return names and positions of two circles around a scene, the second one higher."""
     angles = np.linspace(0, 4 * np.pi, count, endpoint=False)
     return np.stack([50 * np.cos(angles), 50 * np.sin(angles), 10.0 * (angles >= 2 * np.pi)], axis=1)
 
@@ -34,7 +34,7 @@ def test_every_image_is_used_once(count, blocks):
 
 
 @pytest.mark.parametrize(("count", "blocks", "share"), [(32, 8, 1 / 8), (100, 8, 1 / 8), (61, 5, 0.3), (400, 8, 0.25)])
-def test_blocks_are_contiguous_apart_and_spread_evenly(count, blocks, share):
+def test_blocks_are_contiguous_separate_and_evenly_spaced(count, blocks, share):
     split = in_blocks(named(count), blocks, share)
     places = [[int(name.removesuffix(".jpg")) for name in block] for block in split.blocks]
     assert len(places) == blocks
@@ -50,13 +50,13 @@ def test_blocks_are_contiguous_apart_and_spread_evenly(count, blocks, share):
     said(split.words)
 
 
-def test_every_eighth_begins_with_the_first():
+def test_every_eighth_starts_with_the_first():
     split = every(named(17))
     assert split.test == ("0.jpg", "8.jpg", "16.jpg")
     assert split.blocks == (("0.jpg",), ("8.jpg",), ("16.jpg",))
 
 
-def test_it_is_said_how_many_images_are_needed():
+def test_required_number_of_images_is_reported():
     assert len(every(named(9)).train) == 7
     with refused():
         every(named(8))
@@ -64,7 +64,7 @@ def test_it_is_said_how_many_images_are_needed():
         every(named(8), 1)
 
 
-def test_settings_name_splits():
+def test_hold_out_settings():
     names = named(40)
     assert hold_out(names, "none").train == names
     assert hold_out(names, "none").test == ()
@@ -72,7 +72,7 @@ def test_settings_name_splits():
     assert hold_out(names, "blocks") == in_blocks(names)
 
 
-def test_names_are_the_order_unless_the_cameras_say_that_they_carry_none():
+def test_name_order_is_kept_unless_positions_contradict_it():
     places, names = along_a_way(60), named(60)
     assert capture_order(names, dict(zip(names, places, strict=True))) == names
     shuffled = np.random.default_rng(4).permutation(60)
@@ -84,7 +84,7 @@ def test_names_are_the_order_unless_the_cameras_say_that_they_carry_none():
     assert capture_order(names, dict(zip(names[1:], places[shuffled], strict=False))) == names  # one is unknown
 
 
-def test_blocks_of_unordered_names_are_of_neighbours():
+def test_blocks_of_unordered_names_contain_neighbors():
     names = named(64)
     places = along_a_way(64)[np.random.default_rng(1).permutation(64)]
     positions = dict(zip(names, places, strict=True))
@@ -95,7 +95,7 @@ def test_blocks_of_unordered_names_are_of_neighbours():
     assert max(spread) < 0.5 * min(by_name)
 
 
-def test_one_place_for_all_keeps_the_names():
+def test_equal_positions_keep_the_name_order():
     names = named(40)
     assert capture_order(names, dict.fromkeys(names, np.zeros(3))) == names
 

@@ -1,4 +1,4 @@
-"""A folder of rendered views is read as it was written, and a damaged one is refused."""
+"""Folders of rendered views: round trip, and refused folders."""
 
 import json
 
@@ -29,7 +29,7 @@ def folder(tmp_path):
     return tmp_path / "rendered"
 
 
-def test_what_is_written_is_read(folder):
+def test_views_round_trip(folder):
     found = read_views(folder)
     assert (found.scene, found.method, found.split) == ("city", "splat", "one image in 3")
     assert [(view.name, view.block) for view in found.views] == [
@@ -49,7 +49,7 @@ def test_what_is_written_is_read(folder):
             np.testing.assert_array_equal(got.mask, asked.mask)
 
 
-def test_a_workspace_leads_to_its_views(folder, tmp_path):
+def test_views_are_found_in_a_workspace(folder, tmp_path):
     assert find_views(folder) == find_views(tmp_path) == folder
     work = tmp_path / "work"
     work.mkdir()
@@ -61,7 +61,7 @@ def test_a_workspace_leads_to_its_views(folder, tmp_path):
     assert read_views(work).folder == work / "plugin" / "rendered"
 
 
-def test_a_folder_that_is_not_written_whole_is_no_folder_of_views(tmp_path):
+def test_incomplete_folder_is_not_a_views_folder(tmp_path):
     def fails(name):
         if name == "ring/0.jpg":
             raise KeyboardInterrupt
@@ -78,7 +78,7 @@ def test_a_folder_that_is_not_written_whole_is_no_folder_of_views(tmp_path):
     assert find_views(tmp_path) is None
 
 
-def test_what_cannot_be_written_is_refused(tmp_path):
+def test_invalid_views_are_refused_on_writing(tmp_path):
     split = every(NAMES, 3)
 
     def check_refusal(**change):
@@ -95,7 +95,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     assert not list(tmp_path.rglob("a*"))
 
 
-def test_damaged_folders_are_refused_in_one_line(folder):
+def test_damaged_folders_are_a_one_line_error(folder):
     whole = json.loads((folder / "views.json").read_text())
 
     def check_refusal(**change):
@@ -114,5 +114,5 @@ def test_damaged_folders_are_refused_in_one_line(folder):
     check_refusal(views=[{**view, "rendering": "renderings/none.png"}])
     check_refusal(views=[{**view, "rendering": whole["views"][1]["rendering"]}])
     (folder / "views.json").write_text("{")
-    with pytest.raises(InputError, match=r"views\.json: "):  # Python's parser says what is wrong
+    with pytest.raises(InputError, match=r"views\.json: "):  # the rest of the message comes from Python's parser
         read_views(folder)
