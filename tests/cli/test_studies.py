@@ -9,7 +9,9 @@ def test_demo_at_a_small_size(tmp_path, run):
     assert code == 0
     assert {p.name for p in (tmp_path / "demo/report").iterdir()} >= REPORT
     # The command that it prints works.
-    again = out.strip().splitlines()[-1].partition("repeat with: pcbench ")[2].replace("REPORT", str(tmp_path / "again"))
+    again = (
+        out.strip().splitlines()[-1].partition("repeat with: pcbench ")[2].replace("REPORT", str(tmp_path / "again"))
+    )
     assert run(*again.split())[0] == 0
 
 

@@ -133,8 +133,8 @@ def _gps_positions(scene: Scene) -> _Picture:
     found, frame = scene.measured_positions()
     if not found:
         raise InputError(
-            f"{scene.folder}: expected cameras (such as a COLMAP model or transforms.json), or GPS positions in the images'"
-            " EXIF or in gps.txt, got neither"
+            f"{scene.folder}: expected cameras (such as a COLMAP model or transforms.json), or GPS positions in the"
+            " images' EXIF or in gps.txt, got neither"
         )
     positions = np.stack([found[name] for name in scene.images if name in found])
     axes = ("x", "y", "z") if scene.positions else ("east", "north", "up")
@@ -156,8 +156,8 @@ def _rings(positions: FloatArray) -> list[FloatArray]:
     """Return positions (N, 3) as lines: closed rings about a common vertical axis if they form such, else one line."""
     if len(positions) < 2:
         return []
-    # Distance from the axis and height are constant on a ring, so a step that mostly changes them leads to another ring.
-    # The mean of complete rings is on their axis.
+    # Distance from the axis and height are constant on a ring. A step that mostly changes them leads to another ring. The
+    # mean of complete rings is on their axis.
     radius = np.linalg.norm(positions[:, :2] - positions[:, :2].mean(axis=0), axis=1)
     across = np.linalg.norm(np.diff(np.stack([radius, positions[:, 2]], axis=1), axis=0), axis=1)
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
@@ -210,7 +210,7 @@ def _looks_down(positions: FloatArray, directions: FloatArray) -> bool:
 
 
 def _nearby_points(points: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return at most about `_MAX_POINTS` of the points (N, 3), without distant outliers that would shrink the cameras."""
+    """Return a sample of points (N, 3), without distant outliers that would shrink the cameras."""
     centre = np.median(points, axis=0)
     distances = np.linalg.norm(points - centre, axis=1)
     reach = max(float(np.quantile(distances, 0.95)), float(np.linalg.norm(positions - centre, axis=1).max()))

@@ -13,7 +13,7 @@ from pcbench.report.plot.panels import DPI, save
 from pcbench.report.read import Report
 
 _HISTOGRAM_BINS = 80
-_MAX_MAX_CURVE_POINTS_POINTS = 1000
+_MAX_CURVE_POINTS = 1000
 
 
 def distribution(report: Report, path: Path, look: Figures) -> bool:
