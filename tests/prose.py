@@ -111,7 +111,8 @@ def findings(text: Text) -> Iterator[Finding]:
     """Yield the unclear phrases of a text."""
     if text.is_docstring:
         for pattern, instead in FIRST_LINES.items():
-            if found := re.search(pattern, text.words.lstrip()):
+            first = text.words.strip().partition("\n")[0]
+            if (found := re.search(pattern, first)) and not first.endswith("?"):
                 yield Finding(text.path, text.line, found[0].strip(), instead)
     for pattern, instead in ANYWHERE.items():
         # A phrase may span two lines of a text, with the mark of a comment between them.
