@@ -1,4 +1,4 @@
-"""One-way distances, candidate → reference and reference → candidate, and what sampling alone would make of them."""
+"""One-way distances candidate → reference and reference → candidate, and their sampling floors."""
 
 from __future__ import annotations
 
@@ -15,18 +15,22 @@ from pcbench.measure.reference import Reference
 
 
 class MeanMetric(NamedTuple):
-    """A metric that is a mean over the queries of a direction. Floors, intervals, area weighting, differences between
-    candidates and all outputs follow from this definition alone.
+    """A metric that is a mean over the queries of one direction.
+
+    Floors, intervals, area weighting, differences between candidates and all outputs follow from this definition.
 
     Attributes:
-        name: its key; root_name: that of its square root, if that is reported too.
-        label, root_label: in tables.
-        definition: in words.
-        power: of the unit of length.
-        of_each: what is averaged (M,), None where it does not exist.
+        name: key of the metric.
+        label: label of its row in tables.
+        definition: definition in words.
+        power: power of the unit of length.
+        of_each: function that returns the averaged values (M,), or None if they do not exist.
+        root_name: key of its square root, if that is reported too.
+        root_label: label of the square root in tables.
         has_symmetric_max: whether the larger of both directions is reported.
-        headline: its label in the summary, or that of its root if there is one; empty: it is not there.
-        column, ranks: heading and `Headline.rank` of its column there, c→r and r→c, each with the rank of its floor.
+        headline: label in the summary, of the square root if there is one; empty: not in the summary.
+        column: heading of its column in the summary.
+        ranks: `Headline.rank` of that column for c→r and r→c, each with the rank of the floor.
     """
 
     name: str
@@ -87,10 +91,10 @@ class Direction(NamedTuple):
     """One-way distances of the queries inside the region.
 
     Attributes:
-        points: (M, 3) the queries, in local coordinates.
-        distances: (M,) each.
-        floors: of each mean metric by name, what it would be without any error; None where there is no such thing.
-        cells: (M,) of the intervals, in which each query is measured.
+        points: (M, 3) queries, in local coordinates.
+        distances: (M,) distances of each kind.
+        floors: sampling floor of each mean metric by name; None if it does not exist.
+        cells: (M,) correlation cell in which each query is measured.
     """
 
     points: FloatArray
@@ -100,7 +104,7 @@ class Direction(NamedTuple):
 
 
 def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) -> Direction:
-    """Candidate → reference."""
+    """Measure the direction candidate → reference."""
     distances, closest = matches
     planes = None
     if reference.has_normals:
@@ -113,12 +117,15 @@ def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) 
 def from_reference(
     reference: Reference, candidate: Index, matched: IntArray, back: Matches, *, forth: Direction, seed: int
 ) -> Direction:
-    """Reference → candidate.
+    """Measure the direction reference → candidate.
 
     Args:
-        forth: the other direction: its distances to planes and their floor tell how large the candidate's errors are.
-        matched: (N,) the reference's point nearest to each point of the candidate; negative where it is not known.
-        seed: of the floor's sample.
+        reference: the prepared reference.
+        candidate: search index of the aligned candidate.
+        matched: (N,) the reference's point nearest to each point of the candidate; negative if unknown.
+        back: closest candidate points of the reference's measured points.
+        forth: the other direction; its plane distances and their floor estimate the candidate's errors.
+        seed: random seed of the floor's sample.
     """
     rows, queries = reference.rows, reference.measured_points
     planes = None
@@ -134,7 +141,7 @@ def from_reference(
 
 
 def _means(distances: Distances | None) -> dict[str, float | None]:
-    """Of each mean metric by name."""
+    """Return the mean of each mean metric by name."""
     means: dict[str, float | None] = {}
     for metric in MEAN_METRICS:
         values = None if distances is None else metric.of_each(distances)
@@ -143,5 +150,5 @@ def _means(distances: Distances | None) -> dict[str, float | None]:
 
 
 def _excess(score: float, floor: float | None) -> float:
-    """The share of a score that sampling does not explain."""
+    """Return the share of a score that sampling does not explain."""
     return 0.0 if floor is None or score <= floor else 1 - floor / score

@@ -1,9 +1,10 @@
-"""Sampling floors: what independent, error-free points of the same surface would score, in either direction.
+"""Sampling floors: the scores that independent, error-free points of the same surface would get, in either direction.
 
-A point of the searched cloud, searched for among the others, stands for such a point: given one point of a Poisson
-process, the others lie as if it were not there (Slivnyak 1962), on curved surfaces, at edges, at borders and in volumes
-alike. Which point stands for a query matters. The nearest one has more room around it than most: its squared distance
-comes out 1.38 times too large on a plane, that of the fourth nearest 1.01 times.
+Leave-one-out: a proxy point of the searched cloud replaces each query and is matched with the remaining points. Given
+one point of a Poisson process, the others are distributed as if it did not exist (Slivnyak 1962). This holds on curved
+surfaces, at edges, at borders and in volumes. The choice of the proxy matters. The point nearest to the query tends to
+have more space around it than most: its mean squared distance is 1.38 times too large on a plane, that of the fourth
+nearest point 1.01 times.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from pcbench.geometry.normals import plane_normals
 from pcbench.measure.metrics import Distances, plane_distances
 from pcbench.measure.reference import Reference
 
-_MAX_QUERIES = 2_500  # an even sample: the mean of as many squared distances is right to 2 %
-_STANDS = 4  # the nearest, the second nearest, ...: which point of the searched cloud stands for a query
-_OTHERS = 8  # of its neighbours are looked at: duplicates are no neighbours, and noise changes their order
-_THINNED = 3  # points of the reference for each of a sparse candidate, so that some neighbour is as far away as its are
+_MAX_QUERIES = 2_500  # evenly sampled; the relative standard error of the mean squared distance is then 2 %
+_STANDS = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
+_OTHERS = 8  # neighbours considered: duplicates do not count, and noise changes the order
+_THINNED = 3  # reference points per point of a sparse candidate: some neighbour is then at a similar distance
 
 
 def to_reference(reference: Reference, queries: FloatArray) -> Distances | None:
-    """Of independent points of the surface around the queries (M, 3) to the reference; None where it has one point."""
+    """Distances of independent points of the surface around the queries (M, 3); None if the reference has one point."""
     if len(reference.points) < 2:
         return None
     rows = _stands_for(reference.index, queries[_even(len(queries))])
@@ -44,14 +45,15 @@ def to_reference(reference: Reference, queries: FloatArray) -> Distances | None:
 def to_candidate(
     reference: Reference, candidate: Index, matches: IntArray, error: float, seed: int
 ) -> Distances | None:
-    """Of the reference's points to an error-free cloud that is as dense as the candidate is around each of them.
+    """Distances of the reference's points to an error-free cloud with the local density of the candidate.
 
     Args:
-        candidate: None is returned where it has one point.
-        matches: (N,) the reference's point nearest to each point of the candidate; negative where it is not known.
-        error: the share, 0 to 1, of the candidate's distances to tangent planes that is error: it is taken off, lest
-            noise make the candidate look sparse. Where edges make the distances, that would flatten them.
-        seed: of a sample of the reference.
+        reference: the prepared reference.
+        candidate: search index of the aligned candidate; the result is None if it has one point.
+        matches: (N,) the reference's point nearest to each point of the candidate; negative if unknown.
+        error: share, 0 to 1, of the candidate's distances to tangent planes that is error. It is removed, because noise
+            would make the candidate look sparse. Distances that are caused by edges must stay.
+        seed: random seed for sampling the reference.
     """
     if len(candidate) < 2:
         return None
@@ -77,12 +79,12 @@ def _stands_for(index: Index, queries: FloatArray) -> IntArray:
 
 
 def _others(index: Index, rows: IntArray) -> IntArray:
-    """(M, K) the nearest of the indexed points to some of them, themselves among them."""
+    """Return (M, K) nearest indexed points of the given rows, including the points themselves."""
     return index.query(index.points[rows], k=min(1 + _OTHERS, len(index))).indices
 
 
 def _nearest_elsewhere(apart: FloatArray) -> IntArray:
-    """(M,) which of the distances (M, K) is the smallest that is not zero."""
+    """Return (M,) the column of the smallest non-zero distance in each row of (M, K)."""
     which: IntArray = np.where(apart > 0, apart, np.inf).argmin(axis=1)
     return which
 
@@ -93,7 +95,7 @@ def _picked(values: NDArray[Any], which: IntArray) -> NDArray[Any]:
 
 
 def _on_surface(reference: Reference, candidate: Index, rows: IntArray, matches: IntArray, error: float) -> FloatArray:
-    """(..., 3) candidate points, a share of the way along the normals to the reference's tangent planes."""
+    """Move candidate points (..., 3) along the normals by a share of their distance to the reference's planes."""
     places = candidate.points[rows]
     if not (reference.has_normals and error > 0):
         return places
@@ -106,10 +108,10 @@ def _on_surface(reference: Reference, candidate: Index, rows: IntArray, matches:
 
 
 def _off_planes(reference: Reference, rows: IntArray, distances: FloatArray, seed: int) -> FloatArray:
-    """(M,) how far the surface leaves the tangent planes at the reference's points `rows` (M,) at these distances (M,).
+    """Estimate how far the surface leaves the tangent planes at `rows` (M,), at the given distances (M,).
 
-    That of each point's neighbours in the reference tells which is about as far away: in a sample of the reference
-    where that is much denser. What is left of the distance is bridged by what all of them show together.
+    The estimate uses the neighbour of each point whose distance fits best, in a thinned sample if the reference is much
+    denser than the candidate. The remaining ratio of distances is corrected by a model fitted to all points.
     """
     index, points = reference.index, reference.points
     near = around = _around(reference, rows)
@@ -134,7 +136,7 @@ def _off_planes(reference: Reference, rows: IntArray, distances: FloatArray, see
 
 
 def _slope_and_curvature(squares: FloatArray, lengths: FloatArray) -> tuple[float, float]:
-    """a, b >= 0 of `squares` = a `lengths` + b `lengths`^2, both of them squared (M,), by moments."""
+    """Fit `squares` = a `lengths` + b `lengths`^2 with a, b >= 0 to squared values (M,), by the method of moments."""
     m1, m2, m3 = (float(np.mean(lengths**power)) for power in (1, 2, 3))
     s0, s1 = float(np.mean(squares)), float(np.mean(squares * lengths))
     determinant = m1 * m3 - m2 * m2
@@ -147,15 +149,15 @@ def _slope_and_curvature(squares: FloatArray, lengths: FloatArray) -> tuple[floa
 
 
 def _around(reference: Reference, rows: IntArray) -> IntArray:
-    """(M, k + 1) the neighbours that normals are estimated from, themselves among them, and one more."""
+    """Return (M, k + 1) neighbours for normal estimation, including the points themselves, and one spare."""
     index = reference.index
     return index.query(reference.points[rows], k=min(1 + reference.surface.k, len(index))).indices
 
 
 def _normals_without(reference: Reference, rows: IntArray, around: IntArray, others: IntArray | None) -> FloatArray:
-    """(M, 3) normals at `rows` (M,), estimated as if the points `others` (M,) were not there: these pull at them.
+    """Estimate normals (M, 3) at `rows` (M,) without the points `others` (M,), which would tilt the planes.
 
-    On a sphere, their mean square distance to the planes would be 1.3 times too large.
+    On a sphere, their mean squared distance to the planes would otherwise be 1.3 times too large.
     """
     if others is None or reference.cloud.normals is not None or around.shape[1] <= 3:
         return reference.surface.normals(rows)

@@ -1,4 +1,4 @@
-"""All metrics of one aligned pair: values in both directions, floors, area weighting and intervals."""
+"""All metrics of one aligned pair: values in both directions, sampling floors, area weighting and intervals."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ from pcbench.measure.results import (
 )
 from pcbench.measure.wording import counted
 
-MIN_PIECES = 10  # independent ones, of the scene: fewer do not show how far distances are alike
-_CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # of which mean in both directions
+MIN_PIECES = 10  # independent regions of the scene: with fewer, the correlation length cannot be estimated well
+_CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # mean that each variant adds over directions
 
 
 class Measurement(NamedTuple):
-    """Metrics of a candidate, with what their differences from those of other candidates need.
+    """Metrics of a candidate, with the data for its differences from other candidates.
 
     Attributes:
-        sampled: every score by name, as `Difference.metric` has it.
-        shares: (B,) of the queries of both directions in each cell.
-        warnings: on the intervals.
+        metrics: values, floors and intervals.
+        sampled: linearised scores by the names of `Difference.metric`.
+        shares: (B,) share of the queries of both directions in each cell.
+        warnings: warnings about the intervals.
     """
 
     metrics: Metrics
@@ -58,13 +59,16 @@ def measure(
     corner: FloatArray,
     origin: FloatArray,
 ) -> Measurement:
-    """Measure candidate → reference (`forth`) and reference → candidate (`back`).
+    """Compute all metrics of an aligned pair.
 
     Args:
-        thresholds: of the F-score.
-        cells: of the intervals.
-        voxel, corner: side of the cells that area weighting averages over first, and where (3,) they are counted from.
-        origin: (3,) added to the coordinates of the worst points.
+        forth: distances candidate → reference.
+        back: distances reference → candidate.
+        thresholds: distance thresholds of the F-score.
+        cells: correlation cells of the intervals.
+        voxel: side of the voxels for area weighting.
+        corner: (3,) origin of those voxels.
+        origin: (3,) offset added to the coordinates of the worst points.
     """
     ways = {FORTH: forth, BACK: back}
     shares = {way: np.bincount(d.cells, minlength=cells.number) / len(d.cells) for way, d in ways.items()}
@@ -91,7 +95,7 @@ def measure(
 
 
 class _Known(NamedTuple):
-    """Scores by name, and how well each is known."""
+    """Linearised scores and their uncertainties by name."""
 
     sampled: Mapping[str, Sampled]
     spreads: Mapping[str, ScoreUncertainty]
@@ -105,7 +109,7 @@ class _Known(NamedTuple):
 def _directed(
     ways: Mapping[str, Direction], known: _Known, grids: Mapping[str, voxels.Cells]
 ) -> dict[str, DirectedMetric]:
-    """The mean metrics by name, with floors and area-weighted means over the cells of `grids`."""
+    """Return the mean metrics by name, with floors and area-weighted means over the cells of `grids`."""
     found = {}
     for metric in MEAN_METRICS:
         key = metric.name
@@ -140,7 +144,7 @@ def _threshold_scores(threshold: float, known: _Known) -> ThresholdScores:
 
 
 def _distributions(forth: Direction, back: Direction) -> dict[str, DirectedSpread]:
-    """How the distances to points and, where there are normals, to tangent planes are distributed."""
+    """Summarise the distances to points and, if there are normals, to tangent planes."""
     pairs = {
         "distance": (forth.distances.to_points, back.distances.to_points),
         "plane_distance": (forth.distances.to_planes, back.distances.to_planes),
@@ -153,7 +157,7 @@ def _distributions(forth: Direction, back: Direction) -> dict[str, DirectedSprea
 
 
 def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float, ...]) -> dict[str, Sampled]:
-    """Every score that candidates are told apart by: means, the larger of both directions, sums, and F-scores."""
+    """Linearise each score that is compared between candidates: means, symmetric maxima, sums and F-scores."""
     found: dict[str, Sampled] = {}
     forth, back = means[FORTH], means[BACK]
     for metric in MEAN_METRICS:
@@ -177,7 +181,7 @@ def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float
 def _doubts(
     spreads: Mapping[str, ScoreUncertainty], scores: Mapping[str, Sampled], rounding: float
 ) -> Iterator[Notice]:
-    """Whether the scene is too small to know how well the mean distances are known; of rounding there is no doubt."""
+    """Warn if the scene is too small for reliable intervals of the mean distances; mere rounding is exempt."""
     least = {"mean_distance": rounding, "d2_mse": rounding**2}
     found = {
         name: spread
@@ -188,12 +192,12 @@ def _doubts(
         return
     name, worst = min(found.items(), key=lambda item: item[1].pieces)
     if worst.pieces < MIN_PIECES:
-        over = f"distances are alike over about {worst.reach:.3g}: " if worst.reach > 0 else ""
+        over = f"errors are correlated over {worst.reach:.3g}, which leaves" if worst.reach > 0 else "the scene holds"
         metric, _, way = name.partition("/")
         yield Notice(
             "few-pieces",
-            f"intervals are rough: {over}the scene holds about {counted(round(worst.pieces), 'independent piece')}, and"
-            f" fewer than {MIN_PIECES} do not show how scores vary ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
+            f"intervals are approximate: {over} about {counted(round(worst.pieces), 'independent region')};"
+            f" reliable intervals need at least {MIN_PIECES} ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
         )
 
 
@@ -206,10 +210,10 @@ def _extremes(direction: Direction, ranks: Mapping[str, float], origin: FloatArr
 def _means(
     direction: Direction, thresholds: tuple[float, ...], shares: FloatArray, uneven: FloatArray
 ) -> dict[str, Sampled]:
-    """Every mean of one direction; one quantity after the other, so that only one takes room.
+    """Linearise each mean of one direction, one quantity at a time to limit memory.
 
-    How many points of either cloud fall into a cell is chance, but how many there are in all is not: what cells with
-    more of the one and less of the other (`uneven`, 0 in sum) add to the mean is made up for elsewhere.
+    The number of points per cell is random, but the total is fixed. Cells with more points of one cloud than of the
+    other (`uneven`, which sums to 0) are balanced by other cells, so that component of the influence is removed.
     """
     square = float(uneven @ uneven)
 
