@@ -1,4 +1,4 @@
-"""From what pairs show to the answer."""
+"""From the sums over pairs to a `Deformation`."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from pcbench.deformation.verdict import Finding, PairEvidence, climb, decide
 
 
 def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
-    """The verdict on a pair of clouds.
+    """Assess the deformation of a pair of clouds.
 
     Args:
-        sums: over their pairs.
-        metric: whether both clouds' scale is known; otherwise a scale is no deformation.
-        resolution: a bend that is surely smaller is none: tangent planes through points that lie apart do not show it.
-        seed: of the folds of the cross-validation.
+        sums: sums over the pairs.
+        metric: whether the scale of both clouds is known; otherwise a difference in scale is not a deformation.
+        resolution: smallest deformation that counts, in the clouds' unit: tangent planes through sparse points cannot
+            resolve smaller ones.
+        seed: random seed for the folds of the cross-validation.
     """
     view = PairEvidence.of(sums)
     return describe(view, decide([view], metric=metric, resolution=resolution), resolution=resolution, seed=seed)
 
 
 def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
-    """A finding with all that a view's pairs say about its size, its places and what could have been found."""
+    """Complete a finding with model scores, amplitude, noise, local changes and the minimum detectable deformation."""
     sums, geometry, scores, noise = view
     rungs = climb(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")

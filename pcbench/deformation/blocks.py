@@ -1,4 +1,4 @@
-"""Averages over blocks of the scene, for what varies smoothly over it: the size of the noise, above all."""
+"""Averages over blocks of the scene, for quantities that vary smoothly over it, such as the scale of the noise."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import Cells, cells
 
-_BLOCKS = 10  # along the scene: noise that is correlated over a 25th of it still has independent places in each
-_NEAR, _FAR = 1.0, 3.0  # blocks, of the kernels: far enough that a part that moved by itself does not set the size
+_BLOCKS = 10  # along the scene: noise correlated over a 25th of it still has independent samples in each block
+_NEAR, _FAR = 1.0, 3.0  # kernel widths in blocks: wide enough that a part that moved does not set the scale
 
 
 def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
-    """Standard deviation of the noise at each place (N,), by medians, and smooth over a third of the scene: a part that
-    moved by itself is to stand out against it.
+    """Estimate the standard deviation of the noise at each position (N,), smooth over a third of the scene.
+
+    The estimate uses weighted medians, and is so smooth that a part that moved by itself stands out against it.
 
     Args:
-        places: (N, 3).
-        residuals: (N,), which may hold outliers: weighted medians count.
-        weights: (N,).
+        places: (N, 3) positions.
+        residuals: (N,) residuals, which may contain outliers.
+        weights: (N,) weights.
     """
     blocks, side = _blocks(places)
     sizes = _medians(np.abs(residuals), weights, blocks.of_point)
@@ -34,7 +35,7 @@ def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray) 
 
 
 def smoothed(places: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
-    """Weighted means of values (N,) around each place (N,)."""
+    """Return kernel-weighted means of values (N,) around each position (N,)."""
     blocks, side = _blocks(places)
     total: FloatArray = np.bincount(blocks.of_point, weights, len(blocks.first)).astype(np.float64)
     means = np.bincount(blocks.of_point, weights * values, len(blocks.first)) / np.maximum(total, 1e-300)
@@ -42,7 +43,7 @@ def smoothed(places: FloatArray, values: FloatArray, weights: FloatArray) -> Flo
 
 
 def _medians(values: FloatArray, weights: FloatArray, group: IntArray) -> FloatArray:
-    """(G,) weighted medians of values (N,) in groups."""
+    """Return (G,) weighted medians of values (N,) in groups."""
     order = np.lexsort((values, group))
     counts = np.bincount(group)
     ends = np.cumsum(counts)
@@ -59,7 +60,7 @@ def _blocks(places: FloatArray) -> tuple[Cells, float]:
 
 
 def _spread(places: FloatArray, blocks: Cells, values: FloatArray, weights: FloatArray, reach: float) -> FloatArray:
-    """(N,) for each place the mean of values (M,) of blocks with weights (M,) under a Gaussian kernel about its own."""
+    """Return (N,) Gaussian-kernel means of block values (M,) with weights (M,), evaluated at each position's block."""
     means = np.stack([blocks.means(places[:, axis]) for axis in range(3)], axis=1)
     apart = np.square(means[:, None] - means[None]).sum(axis=2)
     share = np.exp(-0.5 * apart / reach**2) * weights + 1e-12 * weights.max()

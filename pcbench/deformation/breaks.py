@@ -1,5 +1,5 @@
-"""Two parts of a scene that stand against each other, as strips or blocks do that were aligned apart: no bend explains
-them, and no smooth model should be asked to.
+"""Detect two parts of a scene that are displaced against each other, such as strips or blocks that were aligned
+separately. No smooth model describes such a break.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from pcbench.deformation.verdict import PairEvidence
 from pcbench.geometry.arrays import FloatArray
 
 _AZIMUTHS = 18
-_MIN_SHARE = 0.25  # of what an affine field leaves: the best of all cuts explains less of noise over a tenth of a scene
-_MIN_PART = 0.1  # of the weight, on either side
+_MIN_SHARE = 0.25  # of the energy that an affine field leaves; for noise correlated over a tenth of a scene it is less
+_MIN_PART = 0.1  # share of the weight on either side
 
 
 class Break(NamedTuple):
-    """A vertical plane at whose sides the candidate is displaced differently.
+    """A vertical plane across which the displacement of the candidate jumps.
 
     Attributes:
-        place: (3,) on the plane.
-        azimuth: of the plane's horizontal direction, in degrees from x towards y.
-        offset: (3,) of the part to the left of that direction against the other, as far as surfaces show it.
+        place: (3,) point on the plane.
+        azimuth: azimuth of the plane's horizontal direction, in degrees from x towards y.
+        offset: (3,) displacement of the part to the left of that direction relative to the other, as far as the
+            surfaces determine it.
     """
 
     place: FloatArray
@@ -33,14 +34,14 @@ class Break(NamedTuple):
     def text(self, origin: FloatArray) -> str:
         x, y = (self.place + origin)[:2]
         return (
-            f"two parts stand against each other by {float(np.linalg.norm(self.offset)):.2g}, on the sides of a line"
+            f"two parts are displaced by {float(np.linalg.norm(self.offset)):.2g} against each other, across a line"
             f" through ({x:.1f}, {y:.1f}) at {self.azimuth:.0f} degrees from x: strips or blocks that were aligned"
-            " apart look so, a bend does not"
+            " separately cause this, a smooth deformation does not"
         )
 
 
 def find_break(view: PairEvidence) -> Break | None:
-    """The vertical plane that explains most, where that is much and more than the largest smooth model explains."""
+    """Return the best vertical cut if it explains a large share of the energy, and more than the cubic model does."""
     geometry, scores = view.geometry, view.scores
     affine = geometry.half("affine")
     coefficients = affine @ (affine.T @ scores.total)
@@ -57,7 +58,7 @@ def find_break(view: PairEvidence) -> Break | None:
         order = np.argsort(across, kind="stable")
         part = np.cumsum(geometry.weights[order]) / geometry.weights.sum()
         inner = np.flatnonzero((part >= _MIN_PART) & (part <= 1 - _MIN_PART))
-        # Of the cells below each cut; what those above add has the opposite sign.
+        # Sums over the cells below each cut; the cells above contribute the same with the opposite sign.
         h, g = np.cumsum(left[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
         z = np.cumsum(seen[order], axis=0)[inner]
         matrix = g - np.einsum("cak,cal->ckl", z, z)

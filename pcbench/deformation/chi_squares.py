@@ -1,11 +1,11 @@
-"""Tails of weighted sums of chi squares, Q = sum_i w_i z_i^2 with standard normal z_i, by which the tests are judged.
+"""Tail probabilities of weighted sums of chi squares, Q = sum_i w_i z_i^2 with standard normal z_i.
 
 P(Q > x) is the integral of exp(K(t) - t x) / t over 2 pi i, where K(t) = -1/2 sum log(1 - 2 w_i t) is the cumulant
-generating function, along any path from below to above that crosses the real axis between 0 and 1 / (2 max w). On a
-path through the integrand's saddle point (Rice 1980, SIAM J. Sci. Stat. Comput. 1, 438), bent like the steepest descent
-there, nothing oscillates: thirty nodes of the trapezoidal rule do, and the error is a share of the tail, however small
-that is. Imhof's integral (1961) is along the imaginary axis, where a tail of 1e-8 is what is left of terms near one; a
-scaled chi square of the same two moments (Satterthwaite 1946) is wrong by orders of magnitude at 1e-5.
+generating function, along any path from below to above that crosses the real axis between 0 and 1 / (2 max w). A path
+through the saddle point of the integrand (Rice 1980, SIAM J. Sci. Stat. Comput. 1, 438) that follows the steepest
+descent has no oscillations. Thirty nodes of the trapezoidal rule suffice, and the error is relative to the tail, however
+small. Imhof's integral (1961) follows the imaginary axis, where a tail of 1e-8 is the difference of terms near one. A
+scaled chi square with the same two moments (Satterthwaite 1946) is wrong by orders of magnitude at 1e-5.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_STEP, _REACH = 0.2, 6.0  # of the nodes u; the path is at sinh(u) times its width, which covers weights of all sizes
-_MAX_NEWTON_STEPS = 100  # a bracket is halved at worst
-_NEAR_SADDLE = 1e-3  # the path need not pass exactly through it
-_NEAR_POINT = 1e-9  # a share of the tail
-_MIN_VALUE = 1e-33  # of the largest weight: what lies below has a probability of less than 1e-16
-_MAX_EXPONENT = 750.0  # exp of less than its negative is zero
+_STEP, _REACH = 0.2, 6.0  # spacing and range of the nodes u; sinh(u) times the path's width covers weights of all sizes
+_MAX_NEWTON_STEPS = 100  # each step at least halves the bracket
+_NEAR_SADDLE = 1e-3  # relative tolerance: the path need not pass exactly through the saddle point
+_NEAR_POINT = 1e-9  # relative tolerance of the tail probability
+_MIN_VALUE = 1e-33  # in units of the largest weight: a smaller value has a probability of less than 1e-16
+_MAX_EXPONENT = 750.0  # exp(-x) underflows to zero beyond
 
 
 def chi_squares_tail(value: float, weights: FloatArray) -> float:
-    """P(sum of weights (N,) times chi^2_1 > value), with a relative error below 1e-4.
+    """Return P(sum of weights (N,) times chi^2_1 > value), with a relative error below 1e-4.
 
-    Weights of zero and less, which rounding leaves of an eigenvalue of zero, count as none.
+    Non-positive weights, which rounding leaves of zero eigenvalues, are ignored.
     """
     weights = weights[weights > 0]
     if value <= 0:
@@ -42,12 +42,12 @@ def chi_squares_tail(value: float, weights: FloatArray) -> float:
         return 0.0
     if x >= float(relative.sum()):
         return min(1.0, _integral(x, relative, 0.0, 0.5))
-    # Below the mean the pole at 0 is too near: on its other side the same integral is less by one.
+    # Below the mean the pole at 0 is too close: on its other side the same integral is smaller by one.
     return min(1.0, max(0.0, 1.0 - _integral(x, relative, -(0.5 * len(relative) + 1) / x, 0.0)))
 
 
 def chi_squares_point(tail: float, weights: FloatArray) -> float:
-    """The value that `chi_squares_tail` gives the probability `tail` (0 to 1, neither included)."""
+    """Return the value at which `chi_squares_tail` equals the probability `tail`, strictly between 0 and 1."""
 
     def excess(value: float) -> float:
         return math.log(max(chi_squares_tail(value, weights), 1e-300) / tail)
@@ -60,7 +60,7 @@ def chi_squares_point(tail: float, weights: FloatArray) -> float:
     other = value * factor
     while (beyond := excess(other)) * known > 0:
         value, known, other = other, beyond, other * factor
-    # False position, in Illinois fashion: the logarithm of a tail is nearly straight.
+    # Illinois variant of false position: the logarithm of a tail is nearly linear.
     while abs(known) > _NEAR_POINT and value != other:
         middle = (value * beyond - other * known) / (beyond - known)
         between = excess(middle)
@@ -73,7 +73,7 @@ def chi_squares_point(tail: float, weights: FloatArray) -> float:
 
 
 def chi_square_tails(values: FloatArray, freedom: IntArray) -> FloatArray:
-    """P(chi^2 with 1, 2 or 3 degrees of freedom > value), for each of (N,)."""
+    """Return (N,) P(chi^2 > value) for 1, 2 or 3 degrees of freedom each."""
     root = np.sqrt(0.5 * values)
     odd = np.array([math.erfc(r) for r in root])
     third = odd + 2 / math.sqrt(math.pi) * root * np.exp(-0.5 * values)
@@ -81,10 +81,10 @@ def chi_square_tails(values: FloatArray, freedom: IntArray) -> FloatArray:
 
 
 def _integral(x: float, w: FloatArray, low: float, high: float) -> float:
-    """|1 / 2 pi i times the integral of exp(K(t) - t x) / t| along a path that crosses the real axis between two of the
-    integrand's singular places; the largest of the weights is one.
+    """Return |1 / 2 pi i times the integral of exp(K(t) - t x) / t| along a path between two neighbouring
+    singularities of the integrand on the real axis; the largest weight is one.
     """
-    # The saddle point is the least value of log |exp(K(t) - t x) / t|, which is convex between its singular places.
+    # The saddle point minimises log |exp(K(t) - t x) / t|, which is convex between the singularities.
     t = 0.5 * (low + high)
     for _ in range(_MAX_NEWTON_STEPS):
         share = w / (1 - 2 * w * t)
@@ -99,12 +99,12 @@ def _integral(x: float, w: FloatArray, low: float, high: float) -> float:
     share = w / (1 - 2 * w * t)
     curvature = 2 * float(share @ share) + 1 / t**2
     third = 8 * float((share**3).sum()) - 2 / t**3
-    bow = max(0.0, third / (6 * curvature))  # of the steepest descent; to the right, where exp(-t x) falls
+    bow = max(0.0, third / (6 * curvature))  # curvature of the steepest descent, to the right, where exp(-t x) decreases
     u = np.arange(0.0, _REACH, _STEP)
     up, speed = np.sinh(u) / math.sqrt(curvature), np.cosh(u) / math.sqrt(curvature)
     path = t + 1j * up + bow * up**2
     direction = (1j + 2 * bow * up) * speed
-    # Against the saddle point's value, so that nothing underflows before the end.
+    # Relative to the value at the saddle point, so that nothing underflows early.
     growth = -0.5 * np.log1p(-2 * np.outer(path - t, share)).sum(axis=1) - (path - t) * x
     nodes = (np.exp(growth) / path * direction).imag
     height = -0.5 * float(np.log1p(-2 * t * w).sum()) - t * x

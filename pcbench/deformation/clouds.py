@@ -1,4 +1,4 @@
-"""From two clouds to the answer: register, cut to a region, and ask what is left."""
+"""From two clouds to a `Deformation`: register, crop, and test the residuals."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def deform(
     crop: Region | str = "none",
     seed: int = 0,
 ) -> tuple[Registration, Deformation]:
-    """Register a candidate and say whether it is deformed beyond that, how much (in the reference's unit), and where.
+    """Register a candidate and test whether it is deformed beyond that, by how much (in the reference's unit) and where.
 
     Args:
         reference, candidate: clouds, (N, 3) arrays, or paths of files with clouds. Without a unit or a coordinate
-            system the scale is not known, and another one is no deformation.
-        method: how the candidate is registered, or its given pose, as `pcbench.register` takes it.
-        crop: which part counts: a region in the reference's coordinates, or its text, see
-            `pcbench.geometry.region_text.parse_region`. Points outside are still searched.
-        seed: of the folds of the cross-validation, a whole number >= 0.
+            system the scale is unknown, and a difference in scale is not a deformation.
+        method: registration method, or the pose itself, as for `pcbench.register`.
+        crop: region to assess, in the reference's coordinates, or its text, see
+            `pcbench.geometry.region_text.parse_region`. Closest points are still searched outside.
+        seed: random seed for the folds of the cross-validation, an integer >= 0.
 
     Raises:
         InputError: a cloud, the seed or the region is not usable, or the region holds no points of either cloud.

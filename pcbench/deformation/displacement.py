@@ -1,4 +1,4 @@
-"""Displacement fields that are fitted while pairs are found, and a known one that is looked for."""
+"""Displacement fields fitted during the search for pairs, and the projection onto a known field."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pcbench.deformation.model import PLACE_NOISE
 from pcbench.deformation.polynomials import EXPONENTS, derivative_squares, monomials, normal_equations, normal_matrix
 from pcbench.geometry.arrays import FloatArray
 
-_HALF_FOLLOWED = 0.01  # information, of 1 at most: half of a field that has so little is followed
+_HALF_FOLLOWED = 0.01  # information, at most 1, at which the fit is damped to half
 _RIDGE = 1e-12
 
 
 class Displacement(NamedTuple):
-    """A cubic displacement field (N, 3) at places (N, 3), constant beyond `radius` from the centre along each axis."""
+    """A cubic displacement field (N, 3) at positions (N, 3), constant beyond `radius` from the centre on each axis."""
 
     coefficients: FloatArray  # (20, 3)
     center: FloatArray
@@ -39,12 +39,12 @@ class Displacement(NamedTuple):
         noise: float,
         half_followed: float = _HALF_FOLLOWED,
     ) -> Displacement:
-        """The field that explains (N,) residuals along normals, by weighted least squares.
+        """Fit the field to (N,) residuals along normals, by damped weighted least squares.
 
-        What the pairs hardly show is left out, by information against the field's size at all places, whatever they
-        weigh: a field that is free where a forest weighs nothing finds pairs there that bear it out. A coordinate that
-        hardly varies more than the `noise`, which is in places and residuals alike, is no slope. Half of what has an
-        information of `half_followed` is.
+        Poorly determined parts are left out. Their information is relative to the field's size at all positions,
+        whatever the weights: a field that is free where a forest has no weight would find pairs there that confirm it.
+        A coordinate that varies hardly more than the `noise` of positions and residuals gives no slope. A part of
+        information `half_followed` is damped to half.
         """
         x = self._inside(places)
         moments, scores = (sums[0] for sums in normal_equations(x, normals, weights, residuals))
@@ -66,8 +66,9 @@ class Displacement(NamedTuple):
 def share_of(
     places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray, bend: FloatArray, gauge: str
 ) -> tuple[float, float]:
-    """How much of a known bend (N,) along the normals is in the residuals beyond a motion of the gauge, and the bend's
-    RMS beyond it.
+    """Return the share of a known deformation (N,) in the residuals along the normals, and its RMS.
+
+    Both are taken after projecting out a motion of the gauge, rigid or similarity.
     """
     x = places - np.average(places, axis=0, weights=weights)
     columns = [*normals.T, *np.cross(x, normals).T]

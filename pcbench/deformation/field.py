@@ -1,4 +1,4 @@
-"""What single cells say: displacements, their noise, and where something changed by itself."""
+"""Results per cell: displacements, their noise, and local changes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray
 
 FDR = 0.05
-# Weight of smooth surface in a cell that is tested, and its share: bushes change by themselves.
+# Minimum weight of smooth surface in a tested cell, and its minimum share: vegetation always changes.
 _MIN_SMOOTH_WEIGHT, _MIN_SMOOTH_SHARE = 3.0, 0.1
-_MIN_TESTED = 30  # from which on their median says what is usual
+_MIN_TESTED = 30  # cells needed for an empirical null distribution
 
 
 class CellDisplacements:
-    """What single cells say: vertical displacements, their noise, and where something changed."""
+    """Vertical displacement of each cell and its noise, with trends and model displacements."""
 
     def __init__(self, geometry: Geometry, scores: Scores, noise: Noise, sums: TileSums) -> None:
         self._geometry, self._scores, self._noise = geometry, scores, noise
@@ -44,7 +44,7 @@ class CellDisplacements:
         self.height = geometry.means[:, 2] - geometry.means[:, 2].min()
 
     def trend(self, along: FloatArray) -> Trend | None:
-        """How the vertical displacement goes with a coordinate (C,): its slope, and means in up to eight bins."""
+        """Return the trend of the vertical displacement along a coordinate (C,): slope, and means in up to 8 bins."""
         x, y, w = along[self._seen], self.vertical[self._seen], self._weights
         if len(x) < 3 or np.ptp(x) == 0:
             return None
@@ -71,7 +71,7 @@ class CellDisplacements:
         return Trend(slope, (slope - 1.96 * sigma, slope + 1.96 * sigma), tuple(profile))
 
     def displacements(self, model: str) -> FloatArray:
-        """(C, 3) of a model beyond the rigid motion, along the directions that the cells' surfaces show."""
+        """Return the displacements (C, 3) of a model beyond the rigid motion, in the directions each cell observes."""
         geometry = self._geometry
         coefficients = geometry.fit(model, self._scores.total) - geometry.fit("rigid", self._scores.total)
         values = geometry.to_orthonormal @ monomials((geometry.means - geometry.center) / geometry.radius)  # (20, C)
@@ -85,11 +85,14 @@ class CellDisplacements:
 def local_changes(
     geometry: Geometry, noise: Noise, sums: TileSums, resolution: float
 ) -> tuple[NDArray[np.bool_], FloatArray, LocalChanges]:
-    """Cells that changed by themselves by more than the resolution, (C,), the length of what the largest model leaves
-    in each, (C,), NaN where a cell holds too little to tell, and how many they are.
+    """Find cells that changed by more than the resolution, beyond the largest model.
 
-    The noise's scale is taken from the cells themselves, by their median (Efron 2004's empirical null); false
-    discoveries are limited as in Benjamini & Hochberg 1995.
+    The scale of the noise is the median over the cells (empirical null, Efron 2004). The false discovery rate is
+    controlled as in Benjamini & Hochberg 1995.
+
+    Returns:
+        (C,) whether each cell changed, (C,) the length of its displacement from the largest model (NaN if the cell was
+        not tested), and a summary.
     """
     weight = np.trace(sums.spread, axis1=1, axis2=2)
     tested = (weight >= _MIN_SMOOTH_WEIGHT) & (weight >= _MIN_SMOOTH_SHARE * sums.counts)

@@ -1,4 +1,4 @@
-"""How large a bend is, how small a one would be found, and what could be seen at all."""
+"""Amplitude of a deformation, smallest detectable amplitude, and observable directions."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pcbench.deformation.result import Amplitude, Interval, Observable
 from pcbench.deformation.sums import TileSums, added
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-# The covariance is estimated: where it is a third too small, 1e-5 is 1e-3 in truth.
-MAX_P_SURE = 1e-5  # of a verdict
-DETECTION_POWER = 0.9  # of the smallest deformation that is called detectable
-_POWER_Z = 1.282  # normal deviate of DETECTION_POWER
+# The covariance is itself an estimate: if it is a third too small, a nominal p of 1e-5 is in fact 1e-3.
+MAX_P_SURE = 1e-5  # significance level of a verdict
+DETECTION_POWER = 0.9  # power of the test at the minimum detectable deformation
+_POWER_Z = 1.282  # normal quantile of DETECTION_POWER
 
 
 def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep) -> Amplitude:
-    """Size of the displacement along the normals that a step explains; what noise adds to its square is taken off."""
+    """Estimate the amplitude of the displacement along the normals that a model step explains, corrected for noise."""
     modes = step.modes.T @ scores.total
     covariance = geometry.covariance(step, noise)
     power, bias = float(modes @ modes), float(np.trace(covariance))
@@ -45,10 +45,10 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep)
 
 
 def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArray) -> tuple[float, Interval]:
-    """Root of m' Q m with its 95 % interval, for modes m + e (K,) of which e is noise of covariance V, and Q (K, K).
+    """Estimate the root of m' Q m and its 95 % interval, from modes m + e (K,) with noise e of covariance V; Q (K, K).
 
-    (m + e)' Q (m + e) has the mean m' Q m + tr Q V and the variance 4 m' Q V Q m + 2 tr (Q V)^2, where m' Q V Q m is
-    estimated from the modes likewise.
+    (m + e)' Q (m + e) has the mean m' Q m + tr Q V and the variance 4 m' Q V Q m + 2 tr (Q V)^2. The term m' Q V Q m is
+    estimated from the modes in the same way.
     """
     noise = form @ covariance
     scatter = float((noise * noise.T).sum())
@@ -60,7 +60,7 @@ def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArra
 
 
 def effective_count(geometry: Geometry, noise: Noise) -> float:
-    """Independent pairs that would tell the non-affine fields as well as these do: fewer where noise is correlated."""
+    """Number of independent pairs that would determine the non-affine fields as well; less if noise is correlated."""
     covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
     if not len(covariance):
         return 0.0
@@ -69,7 +69,7 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
 
 
 def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
-    """RMS of a dome that a verdict finds in a share of `DETECTION_POWER` of all cases."""
+    """RMS of the smallest dome that is detected with power `DETECTION_POWER`; None if domes are not observable."""
     step = geometry.step("affine", "cubic")
     modes = step.modes.T @ (geometry.matrix @ geometry.dome)
     power = float(modes @ modes)
@@ -92,7 +92,7 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
 
 
 def observable(sums: TileSums, tile: IntArray) -> Observable:
-    """Share of the tiles that constrain a displacement along each axis, whatever it is along the others."""
+    """Share of the tiles that constrain a displacement along each axis, for any displacement along the others."""
     spread = added(sums.spread, tile)
     mean = spread / np.maximum(np.trace(spread, axis1=1, axis2=2), 1e-300)[:, None, None]
     constrained = 1 / np.diagonal(np.linalg.inv(mean + 1e-9 * np.eye(3)), axis1=1, axis2=2) >= MIN_INFORMATION

@@ -1,4 +1,4 @@
-"""Which model is needed: tests of what it explains against the noise."""
+"""Select the smallest adequate model by tests against the noise, and score all models by cross-validation."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from pcbench.errors import Notice
 MIN_TILES = 40
 _FOLDS = 10
 _MAX_P_DOUBT = 1e-3
-_MIN_BEND = 0.1  # of the noise: a bend that is surely less is not worth a doubt
+_MIN_BEND = 0.1  # in standard deviations of the noise: a deformation bounded below this is negligible
 
 
 class PairEvidence(NamedTuple):
-    """What one kind of pairs shows."""
+    """Sums over one set of pairs, and the geometry, scores and noise computed from them."""
 
     sums: TileSums
     geometry: Geometry
@@ -38,7 +38,7 @@ class PairEvidence(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """How many fields a model has beyond a smaller one, and how often noise would have explained as much as they do."""
+    """Number of modes of a model beyond a smaller one, and the p-value of the sum of squares that they explain."""
 
     modes: int
     p: float
@@ -53,18 +53,20 @@ class Evidence(NamedTuple):
 
 
 class Finding(NamedTuple):
+    """The verdict and the selected model, with the evidence for a non-affine part and the warnings."""
+
     verdict: str  # none, similarity, affine, non-affine or undecided
     model: str
     evidence: Evidence  # that there is a non-affine part
     warnings: tuple[Notice, ...]
 
     def undecided(self, reason: Notice) -> Finding:
-        """The same, withheld: the reason comes first."""
+        """Return the finding as undecided, with the reason as first warning."""
         return self._replace(verdict="undecided", model="rigid", warnings=(reason, *self.warnings))
 
 
 def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
-    """The smallest model that explains the pair, from the largest question down; see `judge`."""
+    """Return the smallest adequate model, tested from the largest down; see `judge`."""
     geometry, scores, noise = views[0].geometry, views[0].scores, views[0].noise
 
     def weigh(smaller: str, larger: str) -> Evidence:
@@ -81,18 +83,18 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     tiles = len(geometry.tile_matrices)
     warnings = []
     if bent.modes == 0:
-        text = "no bend can be seen here: the surfaces show no direction well enough"
+        text = "a deformation is not observable here: the surfaces do not constrain any direction well enough"
         warnings.append(Notice("nothing-observable", text))
     if tiles < MIN_TILES:
         text = (
-            f"only {tiles} tiles of {TILE * geometry.side:.3g} hold points (expected {MIN_TILES}): a"
-            " larger or better covered scene would settle it"
+            f"only {tiles} tiles of {TILE * geometry.side:.3g} contain points (expected at least {MIN_TILES}): use a"
+            " larger or better covered scene"
         )
         warnings.append(Notice("few-tiles", text))
     bend = largest("affine", "cubic")
     shown = bend > resolution
     if bent.sure and shown and not warnings:
-        # The cubic part needs less evidence: that there is a bend is settled.
+        # The choice of quadratic or cubic needs less evidence: a non-affine deformation is already established.
         model = "cubic" if weigh("quadratic", "cubic").p <= _MAX_P_DOUBT else "quadratic"
         return Finding("non-affine", model, bent, ())
     if is_needed("similarity", "affine"):
@@ -100,7 +102,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     elif is_needed("rigid", "similarity"):
         verdict, model = ("similarity" if metric else "none"), "similarity"
         if not metric:
-            text = "the scales differ; that counts as deformation only where both clouds' unit is known"
+            text = "the scales differ; this counts as deformation only if the unit of both clouds is known"
             warnings.append(Notice("scale-differs", text))
     else:
         verdict, model = "none", "rigid"
@@ -108,12 +110,12 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     if bent.doubtful and matters:
         side = geometry.side * TILE
         remedy = (
-            f"it is correlated over {noise.correlation_length:.3g}, with tiles of {side:.3g}; a scene of more than"
-            f" {40 * noise.correlation_length:.3g} would settle it"
+            f"it is correlated over {noise.correlation_length:.3g}, and the tiles are {side:.3g} wide; use a scene of"
+            f" more than {40 * noise.correlation_length:.3g}"
             if noise.correlation_length > side / 6
-            else "more points, or a larger scene, would settle it"
+            else "use more points or a larger scene"
         )
-        text = f"what remains looks bent, but noise may have done it: {remedy}"
+        text = f"the residuals suggest a deformation, but noise may explain them: {remedy}"
         warnings.append(Notice("noise-or-bend", text))
     if (bent.doubtful and matters) or bent.modes == 0 or tiles < MIN_TILES:
         verdict = "undecided"
@@ -121,12 +123,12 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
 
 
 def weakest(evidence: Sequence[Evidence]) -> Evidence:
-    """Of different pairs of the same clouds: that which noise explains most easily."""
+    """Return the evidence with the largest p-value among several sets of pairs of the same clouds."""
     return max(evidence, key=lambda each: each.p)
 
 
 def weigh_evidence(view: PairEvidence, smaller: str, larger: str) -> Evidence:
-    """Test that a smaller model suffices against a larger one."""
+    """Test a smaller model against a larger one (the null hypothesis is that the smaller one suffices)."""
     step = view.geometry.step(smaller, larger)
     modes = step.modes.T @ view.scores.total
     if not len(modes):
@@ -136,7 +138,7 @@ def weigh_evidence(view: PairEvidence, smaller: str, larger: str) -> Evidence:
 
 
 def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[Rung]:
-    """Each model's cross-validated mean square residual (whole tiles are left out) and its BIC with n_eff."""
+    """Score each model by leaving out tiles (10 folds) and by the BIC with the effective number of pairs."""
     tile, matrices = geometry.tiles, geometry.tile_matrices
     rows = added(scores.cells, tile)
     energy, weight = added(scores.energy, tile), np.maximum(added(geometry.weights, tile), 1e-300)
@@ -148,7 +150,7 @@ def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[R
         half, loss = geometry.half(model), np.empty(len(matrices))
         for number in range(_FOLDS):
             out = fold == number
-            # In fields of unit information: what remains of it when a fold is left out is near the identity.
+            # In whitened coordinates: without one fold, the information is still close to the identity.
             kept = (1 + 1e-6) * np.eye(half.shape[1]) - half.T @ matrices[out].sum(axis=0) @ half
             c = half @ np.linalg.solve(kept, half.T @ (scores.total - rows[out].sum(axis=0)))
             loss[out] = energy[out] - 2 * rows[out] @ c + (matrices[out] @ c) @ c
